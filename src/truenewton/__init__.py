@@ -1,0 +1,85 @@
+"""How many true Newtons an actuator gives for one commanded, from nothing but statics.
+
+After Ricci, Riccardi and Zanotti, "Calibration of force actuators on an adaptive secondary
+prototype", Applied Optics 47 (2008). Start with ``truenewton demo``, or::
+
+    import truenewton as tn
+
+    campaign = tn.read("p45-2026-11/")
+    calibration = tn.calibrate(campaign)
+    calibration.write("alpha.fits")
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from truenewton import errors, mirrors
+    from truenewton.actuators import Layout, layout, rings, spherical_rings
+    from truenewton.bench.simulated.static import run_cycles, static_bench
+    from truenewton.calibration import Calibration
+    from truenewton.campaign import Campaign
+    from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
+    from truenewton.estimators import calibrate
+    from truenewton.figures import write_figures
+    from truenewton.measurements import Cycle, Load, StiffnessMatrix
+    from truenewton.reading import read
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Calibration",
+    "Campaign",
+    "Cycle",
+    "Layout",
+    "Load",
+    "StiffnessMatrix",
+    "calibrate",
+    "errors",
+    "layout",
+    "mirrors",
+    "read",
+    "rings",
+    "run_cycles",
+    "spherical_rings",
+    "static_bench",
+    "write_campaign",
+    "write_cycle",
+    "write_figures",
+    "write_stiffness",
+]
+
+# Imported on first use: the command line answers --help without numpy.
+_HOMES = {
+    "Calibration": "calibration",
+    "Campaign": "campaign",
+    "Cycle": "measurements",
+    "Layout": "actuators",
+    "Load": "measurements",
+    "StiffnessMatrix": "measurements",
+    "calibrate": "estimators",
+    "layout": "actuators",
+    "read": "reading",
+    "rings": "actuators",
+    "run_cycles": "bench.simulated.static",
+    "spherical_rings": "actuators",
+    "static_bench": "bench.simulated.static",
+    "write_campaign": "campaign_files",
+    "write_cycle": "campaign_files",
+    "write_figures": "figures",
+    "write_stiffness": "campaign_files",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(f"truenewton.{_HOMES[name]}"), name)
+    if name in __all__:
+        return importlib.import_module(f"truenewton.{name}")
+    raise AttributeError(f"module 'truenewton' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

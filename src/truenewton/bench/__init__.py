@@ -1,0 +1,1 @@
+"""Tower A: benches that take data."""

@@ -1,0 +1,1 @@
+"""The simulated bench, which keeps its truth to itself."""

@@ -1,0 +1,327 @@
+"""The result of a calibration, and its file (FORMAT, the calibration file)."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from truenewton.actuators import Array, Layout, frozen_array
+from truenewton.campaign_files import iso
+from truenewton.diagnosis import Diagnosis
+from truenewton.errors import FormatError, TrueNewtonError
+from truenewton.fitscontent import FitsFile
+from truenewton.fitsfiles import Sheet, read_fits, write_fits
+from truenewton.measurements import Load, located
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True)
+class UsedSource:
+    """A file that went into a calibration: name, digest, rows used, rows rejected."""
+
+    file: str
+    sha256: str
+    rows: int
+    rejected: int
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """True Newtons per commanded Newton, with what is needed to trust them.
+
+    Unknown numbers are NaN. Arrays over actuators are in the order of ``layout``, NaN where an
+    actuator is disabled; arrays over loads in the order of ``loads``.
+
+    Attributes
+    ----------
+    instrument, date, date_end
+        The mirror; when its data begin and end (UTC).
+    method, scale
+        'svd', ...; 'weights', 'given' or 'mean 1'.
+    layout, loads
+        The n actuators; the L loads, empty for a stiffness file.
+    alpha
+        (n,) true Newton / commanded Newton.
+    statistical, systematic_error, cycle_error
+        (n,) E_STAT from reading noise, E_SYST from the weights, E_CYCLE the paper's.
+    covariance, systematic
+        (n + 1 + 2L, n + 1 + 2L) of alpha, B, then M_y, M_x of each load; all, and the part from
+        the weights.
+    bias_force
+        B [N], total force of the bias magnets.
+    torque_y, torque_x
+        (L,) M_y and M_x [N m].
+    weight, weight_error
+        P and its standard uncertainty [N].
+    temperature
+        Mean over the rows used [deg C].
+    shapes_used, rejected, invalid
+        Rows used, rejected as outliers, marked as not valid.
+    condition, rank
+        Of E, each coordinate in units of its RMS; directions that the data hold above noise.
+    noise, degrees_of_freedom, chi2
+        Estimated standard deviation of one reading [N]; DOF; CHI2 against FORCERR.
+    sources
+        The files.
+    diagnosis
+        How well alpha is determined; None when read from a file.
+    """
+
+    instrument: str
+    date: datetime.datetime
+    date_end: datetime.datetime
+    method: str
+    scale: str
+    layout: Layout
+    loads: tuple[Load, ...]
+    alpha: Array
+    statistical: Array
+    systematic_error: Array
+    cycle_error: Array
+    covariance: Array
+    systematic: Array
+    bias_force: float
+    torque_y: Array
+    torque_x: Array
+    weight: float
+    weight_error: float
+    temperature: float
+    shapes_used: int
+    rejected: int
+    invalid: int
+    condition: float
+    rank: int
+    noise: float
+    degrees_of_freedom: int | None
+    chi2: float
+    sources: tuple[UsedSource, ...]
+    diagnosis: Diagnosis | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "statistical", "systematic_error", "cycle_error", "covariance",
+                     "systematic", "torque_y", "torque_x"):  # fmt: skip
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+
+    @property
+    def error(self) -> Array:
+        """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
+        return np.asarray(np.hypot(self.statistical, self.systematic_error))
+
+    @property
+    def bias_force_error(self) -> float:
+        """Standard uncertainty of B [N]."""
+        n = self.layout.n
+        return float(np.sqrt(self.covariance[n, n])) if self.loads else float("nan")
+
+    @property
+    def torque_errors(self) -> Array:
+        """(L, 2) standard uncertainties of M_y and M_x [N m]."""
+        variances = np.diag(self.covariance)[self.layout.n + 1 :]
+        return np.asarray(np.sqrt(variances).reshape(-1, 2))
+
+    @property
+    def table(self) -> QTable:
+        """One row per actuator: ID, X, Y, ALPHA and its errors, with units."""
+        import astropy.units as u
+        from astropy.table import QTable
+
+        table = QTable()
+        for name, form, unit, values in self._columns():
+            table[name] = np.array(values) if form == "J" else u.Quantity(values, unit or "")
+        table.meta = {"INSTRUME": self.instrument, "METHOD": self.method, "SCALE": self.scale}
+        return table
+
+    def _columns(self) -> tuple[tuple[str, str, str | None, Any], ...]:
+        return (
+            ("ID", "J", None, self.layout.id),
+            ("X", "D", "m", self.layout.x),
+            ("Y", "D", "m", self.layout.y),
+            ("ALPHA", "D", None, self.alpha),
+            ("E_ALPHA", "D", None, self.error),
+            ("E_STAT", "D", None, self.statistical),
+            ("E_SYST", "D", None, self.systematic_error),
+            ("E_CYCLE", "D", None, self.cycle_error),
+        )
+
+    def plot_actuators(self, ax: Axes | None = None) -> Axes:
+        """Draw alpha per actuator with error bars (paper, fig. 5); return the axes."""
+        from truenewton.figures import plot_actuators
+
+        return plot_actuators(self, ax)
+
+    def plot_map(self, ax: Axes | None = None) -> Axes:
+        """Draw alpha on the map of the actuators (paper, fig. 6); return the axes."""
+        from truenewton.figures import plot_map
+
+        return plot_map(self.layout, self.alpha, ax)
+
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the calibration file.
+
+        Raises
+        ------
+        OutputExists, OutputFailed
+        """
+        errors = self.torque_errors
+        names = [_ascii(load.name) for load in self.loads]
+        loads = Sheet(
+            "LOADS",
+            columns=(
+                ("LOAD", f"{max(map(len, names), default=1)}A", None, names),
+                ("ADDED", "D", "N", [load.added for load in self.loads]),
+                ("E_ADDED", "D", "N", [load.added_error for load in self.loads]),
+                ("TILT", "D", "deg", [load.tilt for load in self.loads]),
+                ("MY", "D", "N m", self.torque_y),
+                ("E_MY", "D", "N m", errors[:, 0]),
+                ("MX", "D", "N m", self.torque_x),
+                ("E_MX", "D", "N m", errors[:, 1]),
+            ),
+        )
+        files = [_ascii(source.file) for source in self.sources]
+        sources = Sheet(
+            "SOURCES",
+            columns=(
+                ("FILE", f"{max(map(len, files), default=1)}A", None, files),
+                ("SHA256", "64A", None, [source.sha256 for source in self.sources]),
+                ("ROWS", "J", None, [source.rows for source in self.sources]),
+                ("REJECTED", "J", None, [source.rejected for source in self.sources]),
+            ),
+        )
+        sheets = [
+            Sheet("CALIBRATION", columns=(*self._columns(), ("NZ", "D", None, self.layout.nz))),
+            loads,
+            Sheet("COVARIANCE", data=self.covariance),
+            Sheet("SYSTEMATIC", data=self.systematic),
+            sources,
+        ]
+        write_fits(path, self._header(), sheets, overwrite=overwrite)
+
+    def _header(self) -> dict[str, tuple[Any, str]]:
+        return {
+            "INSTRUME": (self.instrument, "mirror"),
+            "DATE-OBS": (iso(self.date), "UTC, start of the data"),
+            "DATE-END": (iso(self.date_end), "UTC, end of the data"),
+            "TEMPERAT": (self.temperature, "[deg_C] mean over the rows used"),
+            "WEIGHT": (self.weight, "[N] weight of the mirror, P"),
+            "E_WEIGHT": (self.weight_error, "[N] standard uncertainty of WEIGHT"),
+            "BIAS": (self.bias_force, "[N] total force of the bias magnets, B"),
+            "E_BIAS": (self.bias_force_error, "[N] standard uncertainty of BIAS"),
+            "METHOD": (self.method, "estimator"),
+            "SCALE": (self.scale, "what fixes the common scale"),
+            "NSHAPES": (self.shapes_used, "rows used"),
+            "NREJECT": (self.rejected, "rows rejected as outliers"),
+            "NINVALID": (self.invalid, "rows marked as not valid"),
+            "CONDITIO": (self.condition, "condition of E, coordinates in units of RMS"),
+            "RANK": (self.rank, "directions held above noise"),
+            "NOISE": (self.noise, "[N] standard deviation of one force reading"),
+            "DOF": (self.degrees_of_freedom, "degrees of freedom"),
+            "CHI2": (self.chi2, "against FORCERR"),
+        }
+
+
+def _ascii(text: str) -> str:
+    """FITS holds ASCII only; a file name may hold anything."""
+    return text.encode("ascii", "backslashreplace").decode()
+
+
+def is_calibration_file(file: FitsFile) -> bool:
+    """Tell a calibration file from the others by its CALIBRATION."""
+    return file.holds("CALIBRATION")
+
+
+def read_calibration(path: str | os.PathLike[str]) -> Calibration:
+    """Read a calibration file.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    return calibration_from(read_fits(Path(path)))
+
+
+def calibration_from(file: FitsFile) -> Calibration:
+    """Return the calibration that a file holds."""
+    table, lines, sources = file.table("CALIBRATION"), file.table("LOADS"), file.table("SOURCES")
+
+    def number(key: str) -> float:
+        value = file.optional_number(key)
+        return float("nan") if value is None else value
+
+    alpha = table.column("ALPHA")
+    count = alpha.size + 1 + 2 * lines.rows
+    images = {name: file.image(name).values() for name in ("COVARIANCE", "SYSTEMATIC")}
+    for name, image in images.items():
+        if image.shape != (count, count):
+            raise FormatError(
+                f"{name} has the shape {image.shape}",
+                remedy=f"it is square, of {count}: n + 1 + 2 L",
+                path=file.path,
+                got=image.shape,
+                want=(count, count),
+            )
+    freedom = file.optional_number("DOF")
+    try:
+        return Calibration(
+            instrument=file.text("INSTRUME"),
+            date=file.date("DATE-OBS"),
+            date_end=file.date("DATE-END"),
+            method=file.text("METHOD"),
+            scale=file.text("SCALE"),
+            layout=Layout(
+                id=table.column("ID", "int"),
+                x=table.column("X", unit="m"),
+                y=table.column("Y", unit="m"),
+                nz=table.column("NZ") if table.has("NZ") else np.ones(table.rows),
+                enabled=np.isfinite(alpha),
+            ),
+            loads=tuple(
+                Load(str(name).strip(), added, added_error, None, tilt)
+                for name, added, added_error, tilt in zip(
+                    lines.column("LOAD", "str"),
+                    lines.column("ADDED", unit="N").tolist(),
+                    lines.column("E_ADDED", unit="N").tolist(),
+                    lines.column("TILT", unit="deg").tolist(),
+                    strict=True,
+                )
+            ),
+            alpha=alpha,
+            statistical=table.column("E_STAT"),
+            systematic_error=table.column("E_SYST"),
+            cycle_error=table.column("E_CYCLE"),
+            covariance=images["COVARIANCE"],
+            systematic=images["SYSTEMATIC"],
+            bias_force=number("BIAS"),
+            torque_y=lines.column("MY", unit="N m"),
+            torque_x=lines.column("MX", unit="N m"),
+            weight=number("WEIGHT"),
+            weight_error=number("E_WEIGHT"),
+            temperature=number("TEMPERAT"),
+            shapes_used=file.integer("NSHAPES"),
+            rejected=file.integer("NREJECT"),
+            invalid=file.integer("NINVALID"),
+            condition=number("CONDITIO"),
+            rank=file.integer("RANK"),
+            noise=number("NOISE"),
+            degrees_of_freedom=None if freedom is None else int(freedom),
+            chi2=number("CHI2"),
+            sources=tuple(
+                UsedSource(str(name).strip(), str(digest).strip(), int(rows), int(rejected))
+                for name, digest, rows, rejected in zip(
+                    sources.column("FILE", "str"),
+                    sources.column("SHA256", "str"),
+                    sources.column("ROWS", "int"),
+                    sources.column("REJECTED", "int"),
+                    strict=True,
+                )
+            ),
+        )
+    except TrueNewtonError as error:
+        raise located(error, file.path) from None

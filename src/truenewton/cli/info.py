@@ -1,0 +1,152 @@
+"""`truenewton info`: what a file holds, and whether it is sound."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.campaign import Campaign
+    from truenewton.diagnosis import Diagnosis
+    from truenewton.measurements import StiffnessMatrix
+
+NAME = "info"
+
+
+def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
+    """Say what files hold, and whether alpha can be had from them."""
+    from truenewton.calibration import Calibration
+    from truenewton.campaign import Campaign
+    from truenewton.cli.printing import print_json
+    from truenewton.cli.summary import print_summary, summary_values
+    from truenewton.reading import read
+
+    data = read(*paths)
+    if isinstance(data, Calibration):
+        if json:
+            print_json({"holds": "calibration", **summary_values(data)})
+        else:
+            print(f"a calibration, method {data.method}, scale {data.scale}")
+            print_summary(data)
+        return
+    values, lines = _campaign(data) if isinstance(data, Campaign) else _stiffness(data)
+    if json:
+        print_json(values)
+        return
+    for line in lines:
+        print(line)
+
+
+def _campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str]]:
+    """Return what a campaign holds, for scripts and for people."""
+    import numpy as np
+
+    from truenewton.cli.printing import with_error
+    from truenewton.identifiability import diagnose
+    from truenewton.repeats import row_groups
+
+    groups, diagnosis = row_groups(campaign), diagnose(campaign)
+    loads = []
+    for place, (load, weight) in enumerate(
+        zip(campaign.loads, campaign.effective_weights.tolist(), strict=True)
+    ):
+        cycles = [
+            c for c, at in zip(campaign.cycles, campaign.load_index, strict=True) if at == place
+        ]
+        loads.append(
+            {
+                "load": load.name,
+                "added": load.added,
+                "e_added": load.added_error,
+                "tilt": load.tilt,
+                "effective_weight": weight,
+                "cycles": len(cycles),
+                "rows": sum(len(c.time) for c in cycles),
+                "invalid": sum(int((~c.valid).sum()) for c in cycles),
+            }
+        )
+    largest = max(float(np.abs(c.used_force).max()) for c in campaign.cycles)
+    values = {
+        "holds": "campaign",
+        "instrument": campaign.instrument,
+        "actuators": campaign.layout.n,
+        "disabled": int((~campaign.layout.enabled).sum()),
+        "files": [c.source.file for c in campaign.cycles if c.source],
+        "weight": campaign.weight,
+        "e_weight": campaign.weight_error,
+        "loads": loads,
+        "shapes": len(np.unique(groups.labels[:, 1])),
+        "largest_force": largest,
+        "noise": groups.noise,
+        "separation": diagnosis.separation,
+        "faults": [{"fault": fault, "remedy": remedy} for fault, remedy in diagnosis.faults],
+    }
+    off = f" ({values['disabled']} disabled)" if values["disabled"] else ""
+    lines = [
+        f"a campaign of {campaign.instrument}: {campaign.layout.n} actuators{off}, "
+        f"{len(campaign.cycles)} cycle files, {values['shapes']} shapes",
+        f"  {'weight P':<24}{with_error(campaign.weight, campaign.weight_error)} N",
+    ]
+    for row in loads:
+        invalid = f", {row['invalid']} not valid" if row["invalid"] else ""
+        added = f"Q = {with_error(row['added'], row['e_added'])} N"
+        tilt = f", tilt {row['tilt']:g} deg" if row["tilt"] else ""
+        lines.append(
+            f"  load {row['load']:<19}{added}{tilt}, {row['cycles']} cycles, {row['rows']} rows"
+            + invalid
+        )
+    lines.append(f"  {'largest force':<24}{largest:.3g} N commanded")
+    if np.isfinite(groups.noise):
+        lines.append(
+            f"  {'noise of one reading':<24}{1e3 * groups.noise:.3g} mN, from repeated shapes"
+        )
+    return values, lines + _verdict(diagnosis)
+
+
+def _stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]]:
+    """Return what a stiffness file holds, for scripts and for people."""
+    import numpy as np
+
+    from truenewton.diagnosis import Diagnosis
+    from truenewton.errors import RankDeficient
+    from truenewton.estimators import calibrate
+    from truenewton.estimators.elastic import SOFTEST
+
+    on = matrix.layout.enabled
+    k = matrix.stiffness[np.ix_(on, on)]
+    values = np.linalg.svd(k, compute_uv=False)
+    try:
+        diagnosis = calibrate(matrix).diagnosis or Diagnosis((), 0, ())
+    except RankDeficient as error:
+        diagnosis = Diagnosis((), 0, ((error.fault, error.remedy),))
+    asymmetry = float(np.linalg.norm(k - k.T) / np.linalg.norm(k + k.T))
+    facts = {
+        "holds": "stiffness",
+        "instrument": matrix.instrument,
+        "actuators": matrix.layout.n,
+        "disabled": int((~on).sum()),
+        "softest": float(values[-1]),
+        "median": float(np.median(values)),
+        "stiffest": float(values[0]),
+        "used_modes": int(np.count_nonzero(values > SOFTEST)),
+        "asymmetry": asymmetry,
+        "separation": diagnosis.separation,
+        "faults": [{"fault": fault, "remedy": remedy} for fault, remedy in diagnosis.faults],
+    }
+    lines = [
+        f"a stiffness matrix of {matrix.instrument}: {matrix.layout.n} actuators"
+        + (f" ({facts['disabled']} disabled)" if facts["disabled"] else ""),
+        f"  {'singular values':<24}{values[-1]:.3g} .. {values[0]:.3g} N/m,"
+        f" median {np.median(values):.3g}",
+        f"  {'elastic modes':<24}{facts['used_modes']} stiffer than {SOFTEST:g} N/m",
+        f"  {'asymmetry':<24}{asymmetry:.2g}, |K - K'| / |K + K'|",
+    ]
+    return facts, lines + _verdict(diagnosis)
+
+
+def _verdict(diagnosis: Diagnosis) -> list[str]:
+    if not diagnosis.faults:
+        return [f"  sound: alpha is determined, and stands apart by {diagnosis.separation:.3g}"]
+    return [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in diagnosis.faults]

@@ -1,0 +1,87 @@
+"""The door: gathers the commands, and turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+from typing import Any
+
+import typer
+
+from truenewton import __version__
+from truenewton.cli import calibrate, demo, figures, info, prove, simulate
+from truenewton.errors import TrueNewtonError
+
+# The base of what typer raises for a wrong command line; it comes from click, or from typer's own
+# copy of it, as the version has it.
+CommandLineError: Any = typer.BadParameter.__mro__[2]
+
+app = typer.Typer(
+    name="truenewton",
+    help="Force calibration of deformable mirrors from statics: true Newtons per commanded Newton.",
+    add_completion=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for command in (demo, calibrate, info, figures, simulate, prove):
+    app.command(name=command.NAME)(command.run)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"truenewton {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
+) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command line.
+
+    Exit code 0; 1 where a check that was asked for fails; 2 with one line on standard error where
+    the input or the output is at fault.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that lacks a character, or a file name that is no text, shall not stop us.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False) or 0
+        sys.stdout.flush()
+    except TrueNewtonError as error:
+        code = _refuse(str(error))
+    except CommandLineError as error:
+        code = _refuse(f"{error.format_message().rstrip('.')}; see 'truenewton --help'")
+    except (typer.Abort, KeyboardInterrupt):
+        code = _refuse("interrupted; nothing was left half-written")
+    except BrokenPipeError:
+        code = _reader_gone()
+    except SystemExit as left:
+        # The command line's library leaves by itself where the reader of our output went away.
+        gone = isinstance(left.__context__, BrokenPipeError)
+        code = _reader_gone() if gone else left.code
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        code = _refuse(f"{where}{error.strerror or error}")
+    except MemoryError:
+        code = _refuse("not enough memory; give fewer files at once")
+    raise SystemExit(code)
+
+
+def _reader_gone() -> int:
+    """End quietly where nobody reads any more, as in `| head`."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    return 0
+
+
+def _refuse(line: str) -> int:
+    print(f"truenewton: {' '.join(line.split())}", file=sys.stderr)
+    return 2

@@ -1,0 +1,80 @@
+"""How results look in a terminal: plain tables, numbers rounded with their errors, progress."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
+
+Item = TypeVar("Item")
+
+
+def print_json(values: Mapping[str, Any]) -> None:
+    """Print values as JSON; what is not finite becomes null, which JSON can hold."""
+    print(json.dumps(_plain(values), indent=2))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table whose first column is text and whose others stand to the right."""
+    table = [tuple(head), *map(tuple, rows)]
+    widths = [max(len(row[k]) for row in table) for k in range(len(head))]
+    print(title)
+    for row in table:
+        cells = [
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        print("  " + "  ".join(cells).rstrip())
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a number rounded with its error, as the Particle Data Group does.
+
+    The error keeps two digits if its first three lie below 355, else one; 950 and more round up to
+    1000 and keep two. The value goes as far as the error.
+    """
+    if not math.isfinite(value):
+        return "unknown"
+    if not (math.isfinite(error) and error > 0):
+        return f"{value:.6g}"
+    exponent = math.floor(math.log10(error))
+    three = round(error / 10.0 ** (exponent - 2))
+    if three >= 950:
+        exponent, error, digits = exponent + 1, 10.0 ** (exponent + 1), 1
+    else:
+        digits = 1 if three < 355 else 0
+    decimals = digits - exponent
+    if decimals < 0:
+        step = 10.0**-decimals
+        return f"{round(value / step) * step:.0f} ± {round(error / step) * step:.0f}"
+    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+
+
+def percent(ratio: float) -> str:
+    """Return a ratio in per cent with two significant digits."""
+    return f"{100 * ratio:.2g} %" if abs(ratio) < 0.995 else f"{100 * ratio:.0f} %"
+
+
+def track(items: Sequence[Item], what: str) -> Iterator[Item]:
+    """Yield items behind a progress bar on standard error, where a person looks at it."""
+    if len(items) < 2 or not sys.stderr.isatty():
+        yield from items
+        return
+    from rich.console import Console
+    from rich.progress import track as rich_track
+
+    yield from rich_track(items, description=what, console=Console(stderr=True), transient=True)

@@ -1,0 +1,123 @@
+"""A calibration in the words and numbers that a physicist likes to read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from truenewton.cli.printing import percent, with_error
+
+if TYPE_CHECKING:
+    from truenewton.calibration import Calibration
+    from truenewton.estimators.elastic import Imbalance
+
+
+def print_summary(calibration: Calibration) -> None:
+    """Print what was found, how sure it is, and what limits it."""
+    c, on = calibration, calibration.layout.enabled
+    alpha = c.alpha[on]
+    relative = c.error[on] / np.abs(alpha)
+    low, high = np.nanargmin(c.alpha), np.nanargmax(c.alpha)
+    ids = c.layout.id
+    print(
+        f"{c.instrument}, {c.date:%Y-%m-%d}: {on.sum()} actuators"
+        + (f" ({(~on).sum()} disabled)" if not on.all() else "")
+        + f", {c.shapes_used} {'shapes' if c.loads else 'elastic modes'}"
+        + (f" under {len(c.loads)} loads" if c.loads else "")
+        + (f", {c.invalid} rows not valid left out" if c.invalid else "")
+    )
+    rows = [
+        ("alpha", f"{alpha.min():.3f} .. {alpha.max():.3f}", "true N / commanded N"
+         + f", lowest actuator {ids[low]}, highest {ids[high]}"),
+        ("typical error of alpha", percent(float(np.median(relative))), "E_ALPHA, one sigma"),
+    ]  # fmt: skip
+    if c.scale == "weights":
+        rows += _budget(c)
+        rows += [
+            ("bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""),
+            *(
+                (f"torques, {load.name}",
+                 f"{with_error(1e3 * my, 1e3 * e[0])}, {with_error(1e3 * mx, 1e3 * e[1])}",
+                 "M_y, M_x [mN m]")
+                for load, my, mx, e in zip(
+                    c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
+                )
+            ),
+        ]  # fmt: skip
+    else:
+        rows.append(("common scale", "free", "mean alpha set to 1; weights would fix it"))
+    if np.isfinite(c.noise):
+        rows.append(("noise of one reading", f"{1e3 * c.noise:.3g} mN", "from repeated shapes"))
+    if c.diagnosis is not None:
+        rows.append(
+            ("alpha stands apart by", f"{c.diagnosis.separation:.3g}",
+             "second over smallest singular value; noise alone gives 1")
+        )  # fmt: skip
+    rows.append(("condition", f"{c.condition:.3g}", f"rank {c.rank}"))
+    for name, value, note in rows:
+        print(f"  {name:<24}{value:<36}{note}".rstrip())
+
+
+def _budget(c: Calibration) -> list[tuple[str, str, str]]:
+    """Return the lines that say where the error comes from."""
+    alpha = np.abs(c.alpha)
+    lines = [
+        ("  common scale", percent(float(np.nanmedian(c.systematic_error / alpha))),
+         "E_SYST, from the weights"),
+        ("  reading noise", percent(float(np.nanmedian(c.statistical / alpha))),
+         "E_STAT, scatter only: svd is biased besides"),
+    ]  # fmt: skip
+    if np.isfinite(c.cycle_error).any():
+        low, high = np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)
+        lines.append(("  the paper's error", f"{low:.1e} .. {high:.1e}", "E_CYCLE, 3 sigma"))
+    return lines
+
+
+def imbalance_lines(judged: Sequence[Imbalance]) -> Iterator[str]:
+    """Yield a table of the imbalance of elastic modes before and after, if there are any."""
+    if judged:
+        yield "  rms imbalance of elastic modes, force and torques, per unit of force:"
+        yield f"    {'':<32}alpha = 1   calibrated"
+        for line in judged:
+            yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
+
+
+def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -> dict[str, Any]:
+    """Return the same figures for a script."""
+    c = calibration
+    return {
+        "instrument": c.instrument,
+        "date": c.date.isoformat(),
+        "method": c.method,
+        "scale": c.scale,
+        "shapes": c.shapes_used,
+        "invalid": c.invalid,
+        "rejected": c.rejected,
+        "noise": c.noise,
+        "condition": c.condition,
+        "rank": c.rank,
+        "separation": c.diagnosis.separation if c.diagnosis else None,
+        "bias_force": c.bias_force,
+        "e_bias_force": c.bias_force_error,
+        "loads": [
+            {"load": load.name, "torque_y": my, "e_torque_y": e[0], "torque_x": mx,
+             "e_torque_x": e[1]}
+            for load, my, mx, e in zip(
+                c.loads, c.torque_y.tolist(), c.torque_x.tolist(), c.torque_errors.tolist(),
+                strict=True,
+            )
+        ],
+        "actuators": {
+            "id": c.layout.id,
+            "alpha": c.alpha,
+            "e_alpha": c.error,
+            "e_stat": c.statistical,
+            "e_syst": c.systematic_error,
+            "e_cycle": c.cycle_error,
+        },
+        "imbalance": [
+            {"modes": line.modes, "before": line.before, "after": line.after} for line in judged
+        ],
+    }  # fmt: skip

@@ -1,0 +1,78 @@
+"""One tree of errors; each says in one line what is wrong, where, and what to do.
+
+An error carries its parts as values (``path``, ``fault``, ``remedy``, ``got``, ``want``), so that
+programs need not parse the sentence that people read.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+class TrueNewtonError(Exception):
+    """Base of all errors raised on purpose.
+
+    Parameters
+    ----------
+    fault
+        What is wrong, without a full stop.
+    remedy
+        What to do about it.
+    path
+        The file or folder concerned, if any.
+    got, want
+        The offending value and what was expected instead, if they can be told.
+    """
+
+    def __init__(
+        self,
+        fault: str,
+        *,
+        remedy: str = "",
+        path: object = None,
+        got: Any = None,
+        want: Any = None,
+    ) -> None:
+        self.fault, self.remedy, self.path = fault, remedy, path
+        self.got, self.want = got, want
+        where = f"{path}: " if path is not None else ""
+        then = f"; {remedy}" if remedy else ""
+        # Names read from files may hold line breaks or control characters: keep to one line.
+        line = f"{where}{fault}{then}"
+        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in line))
+
+
+class UnreadableFile(TrueNewtonError, OSError):
+    """A path that cannot be opened, is not FITS, is truncated, or fails its checksum."""
+
+
+class FormatError(TrueNewtonError, ValueError):
+    """A FITS file that breaks its contract: a keyword, column, unit or value."""
+
+
+class CampaignMismatch(TrueNewtonError, ValueError):
+    """Files that cannot belong to one campaign."""
+
+
+class RankDeficient(TrueNewtonError, ValueError):
+    """Data that cannot fix what is asked of them; the remedy names what to add."""
+
+
+class GeometryError(TrueNewtonError, ValueError):
+    """A layout or a shell that cannot be."""
+
+
+class LimitExceeded(TrueNewtonError, ValueError):
+    """A force or stroke beyond what the mirror may bear."""
+
+
+class UnknownName(TrueNewtonError, LookupError):
+    """A mirror, method or load that does not exist."""
+
+
+class OutputExists(TrueNewtonError, FileExistsError):
+    """An output that stands already and was not to be overwritten."""
+
+
+class OutputFailed(TrueNewtonError, OSError):
+    """An output that could not be written; nothing was left in its place."""

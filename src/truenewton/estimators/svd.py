@@ -1,0 +1,188 @@
+"""The paper's method: E alpha' = r by singular value decomposition, rows as they are.
+
+It puts the noise where there is none (the right-hand side) and none where it is (the matrix): with
+noisy readings it is biased, and its errors here are scatter and weights, without that bias.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.actuators import Array
+from truenewton.balance import (
+    arms_in_units_of_rms,
+    enabled_arms,
+    load_force,
+    system_c,
+    system_e,
+)
+from truenewton.campaign import Campaign
+from truenewton.errors import RankDeficient
+from truenewton.repeats import group_rows, row_labels
+from truenewton.uncertainty import weight_errors
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Least squares of a linear system.
+
+    Attributes
+    ----------
+    solution
+        (unknowns,).
+    singular_values
+        (unknowns,) descending.
+    inverse
+        (unknowns, unknowns) of E' E.
+    """
+
+    solution: Array
+    singular_values: Array
+    inverse: Array
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value."""
+        smallest = self.singular_values[-1]
+        return float(self.singular_values[0] / smallest) if smallest > 0 else float("inf")
+
+    @property
+    def rank(self) -> int:
+        """Singular values above rounding: says nothing of noisy data."""
+        limit = self.singular_values[0] * np.finfo(float).eps * len(self.singular_values)
+        return int(np.count_nonzero(self.singular_values > limit))
+
+
+def solve(matrix: Array, right_side: Array) -> Solution:
+    """Solve an overdetermined system by singular value decomposition.
+
+    A QR factorisation comes first, which keeps the singular values and makes tall systems cheap.
+
+    Raises
+    ------
+    RankDeficient
+        The matrix is singular to rounding.
+    """
+    unknowns = matrix.shape[1]
+    if len(matrix) < unknowns:
+        raise RankDeficient(
+            f"{len(matrix)} equations for {unknowns} unknowns",
+            remedy="apply more shapes",
+            got=len(matrix),
+            want=unknowns,
+        )
+    triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
+    left, values, right = scipy.linalg.svd(triangle[:, :-1])
+    found = Solution(np.empty(0), values, np.empty((0, 0)))
+    if found.rank < unknowns:
+        raise RankDeficient(
+            f"the system has rank {found.rank} of {unknowns}",
+            remedy="apply more independent shapes, or a load that differs",
+            got=found.rank,
+            want=unknowns,
+        )
+    pseudo_inverse = right.T / values
+    return Solution(
+        solution=pseudo_inverse @ (left.T @ triangle[:, -1]),
+        singular_values=values,
+        inverse=pseudo_inverse @ pseudo_inverse.T,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """E alpha' = r of a campaign, solved.
+
+    Attributes
+    ----------
+    e, r
+        The system.
+    found
+        Its solution.
+    blocks
+        Of each load, its first equation and its number of rows.
+    """
+
+    e: Array
+    r: Array
+    found: Solution
+    blocks: tuple[tuple[int, int], ...]
+
+
+def fit(campaign: Campaign) -> Fit:
+    """Solve E alpha' = r, rows unweighted and torques in N m, as the paper writes it.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    rows = [len(load_force(campaign, place)) for place in range(len(campaign.loads))]
+    starts = 3 * np.cumsum([0, *rows])[:-1]
+    return Fit(e, r, solve(e, r), tuple(zip(starts.tolist(), rows, strict=True)))
+
+
+def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
+    """Return the covariance of the solution about its own mean, from the scatter of the rows.
+
+    The three equations of a row share its noise, and that noise is in the matrix: residuals are
+    neither independent nor alike. How far each row pulls, e' (r - e alpha'), scatters among its
+    repeats, whatever the form of the noise (the sandwich of Huber and White); a row without a
+    repeat counts with all of its pull.
+    """
+    residual = fit.r - fit.e @ fit.found.solution
+    pull = np.concatenate(
+        [
+            np.einsum(
+                "krp,kr->rp",
+                fit.e[start : start + 3 * rows].reshape(3, rows, -1),
+                residual[start : start + 3 * rows].reshape(3, rows),
+            )
+            for start, rows in fit.blocks
+        ]
+    )
+    member, groups = group_rows(row_labels(campaign), pull)
+    repeated = groups.count > 1
+    pull -= np.where(repeated[:, None], groups.mean, 0.0)[member]
+    factor = groups.count / np.maximum(groups.count - 1, 1)
+    pull *= np.sqrt(factor[member])[:, None]
+    return np.asarray(fit.found.inverse @ (pull.T @ pull) @ fit.found.inverse)
+
+
+def weight_covariance(campaign: Campaign, fit: Fit) -> Array:
+    """Return the covariance of the solution from the errors of the weights alone."""
+    by_load = np.stack(  # d solution / d W of each load
+        [fit.found.inverse @ fit.e[start : start + rows].sum(axis=0) for start, rows in fit.blocks]
+    )
+    changes = [error.change @ by_load for error in weight_errors(campaign)]
+    stacked = np.array(changes).reshape(-1, len(fit.found.solution))
+    return np.asarray(stacked.T @ stacked)
+
+
+def cycle_errors(campaign: Campaign, solution: Array) -> Array:
+    """Return the paper's error: each file alone, B and torques held, three sigma of the mean.
+
+    C alpha = p (eq. 3) is solved for each cycle; the error is three times the standard deviation
+    over the cycles divided by the root of their number (paper, section 5).
+    """
+    a = enabled_arms(campaign.layout)
+    n = a.shape[1]
+    if len(campaign.cycles) < 2:
+        return np.full(n, np.nan)
+    bias_force, torques = float(solution[n]), solution[n + 1 :].reshape(-1, 2)
+    weights = campaign.effective_weights.tolist()
+    alphas = []
+    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
+        c, p = system_c(cycle.used_force, a, weights[place], bias_force, *torques[place].tolist())
+        alphas.append(scipy.linalg.lstsq(c, p)[0])
+    return np.asarray(3.0 * np.std(alphas, axis=0, ddof=1) / np.sqrt(len(alphas)))
+
+
+def condition_in_units_of_rms(campaign: Campaign) -> float:
+    """Return the condition of E, each coordinate in units of its RMS over the actuators."""
+    e, _ = system_e(campaign, arms_in_units_of_rms(campaign.layout))
+    values = scipy.linalg.svdvals(scipy.linalg.qr(e, mode="r")[0][: e.shape[1]])
+    return float(values[0] / values[-1])

@@ -1,0 +1,213 @@
+"""The paper's figures: the actuators (2), alpha with errors (5), alpha on the map (6).
+
+Drawn at the width of a journal's column. Every call takes axes or makes its own, and returns them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from truenewton.actuators import Array, Layout, ring_of
+from truenewton.outputs import folder_beside
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from truenewton.calibration import Calibration
+
+COLUMN = 8.4 / 2.54  # width of the paper's column [inch]
+MILLIMETRE = 1e-3
+COLOURS = "cividis"  # even in lightness, and alike to every kind of colour vision
+INK, FAINT, ACCENT = "#1a1a1a", "#9a9a9a", "#00457c"
+ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
+STYLE: Any = {
+    "font.size": 8.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 0.8,
+    "pdf.fonttype": 42,
+}
+
+
+def new_axes(height: float) -> Axes:
+    """Return axes on a figure of its own, one column wide and ``height`` columns high."""
+    figure = Figure(figsize=(COLUMN, height * COLUMN), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure.add_subplot()
+
+
+def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
+    """Draw the actuators with their names, rings and axes (paper, fig. 2)."""
+    with mpl.rc_context(STYLE):
+        ax = ax or new_axes(1.0)
+        _frame(layout, ax)
+        radius = _dot(layout)
+        ax.add_collection(
+            PatchCollection(
+                _circles(layout, radius), facecolor="white", edgecolor=INK, linewidth=0.6
+            )
+        )
+        if layout.n <= 100:
+            for name, x, y in zip(layout.id, layout.x, layout.y, strict=True):
+                ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
+                        fontsize=5.5)  # fmt: skip
+    return ax
+
+
+def plot_map(
+    layout: Layout, values: Array, ax: Axes | None = None, *, label: str = ALPHA_LABEL
+) -> Axes:
+    """Draw values on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
+
+    An actuator without a value (disabled) is an open circle.
+    """
+    with mpl.rc_context(STYLE):
+        ax = ax or new_axes(1.02)
+        _frame(layout, ax)
+        known = np.isfinite(values)
+        patches = np.array(_circles(layout, _dot(layout)), dtype=object)
+        ax.add_collection(
+            PatchCollection(patches[~known], facecolor="none", edgecolor=FAINT, linewidth=0.6)
+        )
+        dots = PatchCollection(patches[known], cmap=COLOURS, edgecolor=INK, linewidth=0.3)
+        dots.set_array(values[known])
+        ax.add_collection(dots)
+        bar = ax.figure.colorbar(
+            dots, ax=ax, orientation="horizontal", fraction=0.05, pad=0.02, aspect=35
+        )
+        bar.set_label(label)
+        bar.outline.set_linewidth(0.4)
+        if layout.n <= 100:
+            middle = 0.5 * (np.nanmin(values) + np.nanmax(values))
+            for name, x, y, value in zip(layout.id, layout.x, layout.y, values, strict=True):
+                colour = "white" if value < middle else INK
+                ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
+                        fontsize=5.0, color=colour if np.isfinite(value) else FAINT)  # fmt: skip
+    return ax
+
+
+def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
+    """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
+
+    The bars are the paper's, three times the scatter over the cycles (E_CYCLE), or E_STAT where
+    there is none. The error of the common scale moves all points together: it stands in the corner.
+    """
+    with mpl.rc_context(STYLE):
+        ax = ax or new_axes(0.75)
+        layout, alpha = calibration.layout, calibration.alpha
+        cycle = np.isfinite(calibration.cycle_error).any()
+        bars = calibration.cycle_error if cycle else calibration.statistical
+        ring = ring_of(layout)
+        order = np.argsort(ring, kind="stable")
+        place = np.arange(1, layout.n + 1)
+        size = 2.5 if layout.n <= 100 else 1.0
+        ax.errorbar(
+            place, alpha[order], yerr=bars[order], fmt="o", color=ACCENT, ecolor=INK,
+            markersize=size, elinewidth=0.6, capsize=1.2 if layout.n <= 100 else 0.0,
+        )  # fmt: skip
+        edges = np.flatnonzero(np.diff(ring[order])) + 1.5
+        for edge in edges:
+            ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
+        ax.set_xlim(0.5, layout.n + 0.5)
+        ax.set_xlabel("actuator, ring by ring from the centre" if len(edges) else "actuator")
+        ax.set_ylabel(ALPHA_LABEL)
+        ax.margins(y=0.12)
+        note = "bars: 3σ over cycles" if cycle else "bars: 1σ"
+        if calibration.scale == "weights":
+            scale = np.nanmedian(calibration.systematic_error / np.abs(alpha))
+            note += f"; common scale ±{100 * scale:.1f} % (1σ)"
+        else:
+            note += f"; scale: {calibration.scale}"
+        ax.set_title(note, loc="right", fontsize=6.5, color=INK)
+    return ax
+
+
+def write_figures(
+    calibration: Calibration, folder: str | os.PathLike[str], *, overwrite: bool = False
+) -> list[Path]:
+    """Write figures 2, 5 and 6 as PDF and PNG into a folder; return the paths.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    figures: dict[str, Callable[[], Axes]] = {
+        "fig2-actuators": lambda: plot_layout(calibration.layout),
+        "fig5-alpha": lambda: plot_actuators(calibration),
+        "fig6-alpha-map": lambda: plot_map(calibration.layout, calibration.alpha),
+    }
+    names = []
+    with folder_beside(folder, (".pdf", ".png"), overwrite=overwrite) as temporary:
+        for name, draw in figures.items():
+            figure = _figure_of(draw())
+            for suffix in (".pdf", ".png"):
+                # Without a date in it, the same data give the same bytes.
+                metadata = {"CreationDate": None} if suffix == ".pdf" else {}
+                figure.savefig(temporary / (name + suffix), dpi=300, metadata=metadata)
+                names.append(name + suffix)
+    return [Path(folder) / name for name in names]
+
+
+def _figure_of(ax: Axes) -> Figure:
+    figure = ax.get_figure(root=True)
+    if figure is None:
+        raise ValueError("the axes have been taken off their figure")
+    return figure
+
+
+def _frame(layout: Layout, ax: Axes) -> None:
+    """Draw rings and axes, in millimetres, seen along -z."""
+    radius = np.hypot(layout.x, layout.y) / MILLIMETRE
+    ring = ring_of(layout)
+    if ring.max() > 0:
+        for k in range(ring.max() + 1):
+            r = radius[ring == k].mean()
+            ax.add_patch(Circle((0, 0), r, fill=False, color=FAINT, linewidth=0.4, zorder=0))
+    reach = 1.08 * (radius.max() + _dot(layout))
+    arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
+    for name, (x, y), ha, va in (("$x$", (reach, 0.0), "right", "bottom"),
+                                 ("$y$", (0.0, reach), "left", "top")):  # fmt: skip
+        ax.annotate("", (x, y), (-x, -y), arrowprops=arrow, zorder=0)
+        ax.annotate(name, (x, y), xytext=(2, 2), textcoords="offset points", ha=ha, va=va)
+    ax.set_xlim(-reach, reach)
+    ax.set_ylim(-reach, reach)
+    ax.set_aspect("equal")
+    ax.set_axis_off()
+    bar = _round_length(radius.max() / 2)
+    ax.plot([reach - bar, reach], [-0.97 * reach] * 2, color=INK, linewidth=1.0,
+            solid_capstyle="butt")  # fmt: skip
+    ax.text(reach - bar / 2, -0.95 * reach, f"{bar:g} mm", ha="center", va="bottom", fontsize=6.5)
+
+
+def _round_length(length: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten below a length."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(power * max(k for k in (1, 2, 5) if k * power <= length))
+
+
+def _dot(layout: Layout) -> float:
+    """Return the radius of a dot that leaves its neighbours free [mm]."""
+    from scipy.spatial import cKDTree
+
+    points = np.stack([layout.x, layout.y], axis=1) / MILLIMETRE
+    distance = np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1]
+    return float(0.42 * np.median(distance))
+
+
+def _circles(layout: Layout, radius: float) -> list[Circle]:
+    return [
+        Circle((x / MILLIMETRE, y / MILLIMETRE), radius)
+        for x, y in zip(layout.x, layout.y, strict=True)
+    ]

@@ -1,0 +1,252 @@
+"""FITS in and out, safely: the only importer of astropy.io.fits.
+
+Reading takes the whole file at once, verifies CHECKSUM and DATASUM where they stand, converts
+units and byte order, and turns whatever is wrong into one line that names the file. The same data
+written twice give the same bytes.
+"""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import io
+import os
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from astropy.io import fits
+from numpy.typing import NDArray
+
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.fitscontent import FitsFile, Image, Table
+from truenewton.outputs import file_beside
+
+
+def read_fits(path: str | os.PathLike[str]) -> FitsFile:
+    """Read a FITS file, plain or gzipped, whole.
+
+    Raises
+    ------
+    UnreadableFile
+        It cannot be opened, is not FITS, is truncated, or a checksum does not match.
+    """
+    path = os.fspath(path)
+    try:
+        raw = Path(path).read_bytes()
+    except OSError as error:
+        raise UnreadableFile(
+            f"cannot be read ({error.strerror or error})", remedy="check the path", path=path
+        ) from error
+    digest = hashlib.sha256(raw).hexdigest()
+    try:
+        if raw[:2] == b"\x1f\x8b":
+            raw = gzip.decompress(raw)
+        if raw[:6] != b"SIMPLE":
+            raise UnreadableFile("is not a FITS file", remedy="give FITS files", path=path)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            with fits.open(io.BytesIO(raw)) as hdus:
+                hdus.readall()
+                if any("truncated" in str(w.message) for w in caught):
+                    raise UnreadableFile("is truncated", remedy="fetch it again", path=path)
+                if any("corrupted" in str(w.message) for w in caught):
+                    raise UnreadableFile(
+                        "is damaged, or bytes follow its end", remedy="fetch it again", path=path
+                    )
+                for hdu in hdus:
+                    _verify(raw, hdu, path)
+                return _take(path, digest, hdus)
+    except (UnreadableFile, FormatError):
+        raise
+    except Exception as error:
+        # A damaged file can raise nearly anything inside a FITS reader; this is the boundary.
+        raise UnreadableFile(
+            "is damaged or truncated", remedy="fetch it again", path=path
+        ) from error
+
+
+def _verify(raw: bytes, hdu: Any, path: str) -> None:
+    """Compare CHECKSUM and DATASUM, where they stand, with the bytes as they are on disk.
+
+    Astropy sums what it would write itself, and so misses damage to the padding.
+    """
+    at = hdu.fileinfo()
+    data, end = at["datLoc"], at["datLoc"] + at["datSpan"]
+    whole, wanted = hdu.header.get("CHECKSUM"), hdu.header.get("DATASUM")
+    if (whole and _sum32(raw[at["hdrLoc"] : end]) != 0xFFFFFFFF) or (
+        wanted and str(_sum32(raw[data:end])) != str(wanted).strip()
+    ):
+        raise UnreadableFile(
+            "a CHECKSUM or DATASUM does not match",
+            remedy="the file was changed or damaged: fetch it again",
+            path=path,
+        )
+
+
+def _sum32(raw: bytes) -> int:
+    """Return the sum of 32-bit words in ones' complement (FITS standard, appendix J)."""
+    total = int(np.frombuffer(raw, dtype=">u4").sum(dtype=np.uint64))
+    while total >> 32:
+        total = (total & 0xFFFFFFFF) + (total >> 32)
+    return total
+
+
+def _take(path: str, digest: str, hdus: Any) -> FitsFile:
+    """Copy everything out of open HDUs; what is wrong with an extension waits until asked for."""
+    tables: dict[str, Table] = {}
+    images: dict[str, Image] = {}
+    unsound: dict[str, TrueNewtonError] = {}
+    for hdu in hdus[1:]:
+        name = str(hdu.name).upper()
+        if name in tables or name in images:
+            unsound[name] = FormatError(f"there are two {name}", remedy="keep one", path=path)
+            continue
+        try:
+            _refuse_doubles(hdu.header.keys(), "keywords", path)
+            if isinstance(hdu, fits.BinTableHDU):
+                tables[name] = _table(hdu, path, name)
+            elif isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
+                unit = hdu.header.get("BUNIT")
+                data = _native(hdu.data)
+                images[name] = Image(path, name, data, None if unit is None else str(unit))
+        except TrueNewtonError as error:
+            unsound[name] = error
+        except Exception:
+            unsound[name] = UnreadableFile(
+                f"{name} is damaged", remedy="fetch the file again", path=path
+            )
+    header = hdus[0].header
+    _refuse_doubles(header.keys(), "keywords", path)
+    plain = {k: v for k, v in header.items() if not isinstance(v, fits.card.Undefined)}
+    return FitsFile(path, digest, plain, tables, images, unsound)
+
+
+def _refuse_doubles(names: Iterable[str], what: str, path: str) -> None:
+    """Refuse a name that stands twice: which one counts is anybody's guess."""
+    for name, count in Counter(names).items():
+        if count > 1 and name not in ("", "COMMENT", "HISTORY"):
+            raise FormatError(f"there are two {what} {name}", remedy="keep one", path=path)
+
+
+def _table(hdu: Any, path: str, name: str) -> Table:
+    if hdu.header["TFIELDS"] > 999:  # the standard's limit; a damaged count may be billions
+        raise FormatError(f"{name} has over 999 columns", remedy="leave some out", path=path)
+    _refuse_doubles([str(key).upper() for key in hdu.columns.names], "columns", path)
+    columns = {
+        str(column.name).upper(): (
+            _native(np.asarray(hdu.data[column.name])),
+            None if column.unit is None else str(column.unit),
+        )
+        for column in hdu.columns
+    }
+    return Table(path, name, len(hdu.data), columns)
+
+
+def _native(values: NDArray[Any]) -> NDArray[Any]:
+    """Copy to the machine's byte order."""
+    return np.array(values, dtype=values.dtype.newbyteorder("="), order="C")
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """An extension to be written: columns make a table, ``data`` an image.
+
+    Attributes
+    ----------
+    name
+        EXTNAME.
+    columns
+        (name, FITS format, unit or None, values) of a table.
+    data, unit
+        Pixels of an image and BUNIT.
+    """
+
+    name: str
+    columns: tuple[tuple[str, str, str | None, Any], ...] = ()
+    data: NDArray[Any] | None = None
+    unit: str | None = None
+    header: Mapping[str, Any] = field(default_factory=dict)
+
+
+def write_fits(
+    path: str | os.PathLike[str],
+    header: Mapping[str, tuple[Any, str]],
+    sheets: list[Sheet],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a FITS file with checksums, beside its target and then renamed.
+
+    Parameters
+    ----------
+    path
+        The target; gzipped where it ends in .gz.
+    header
+        Primary keywords with value and comment; None and NaN are left out (FORMAT).
+    sheets
+        The extensions, in order.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    FormatError
+        A keyword holds what no FITS header can.
+    """
+    primary = fits.PrimaryHDU()
+    for key, (value, comment) in header.items():
+        if value is not None and not (isinstance(value, float) and np.isnan(value)):
+            try:
+                primary.header.append(_card(key, value, comment), end=True)
+            except ValueError:
+                raise FormatError(
+                    f"{key} is {value!r}",
+                    remedy="a FITS header holds finite numbers and ASCII text",
+                    path=path,
+                    got=value,
+                ) from None
+    hdus = fits.HDUList([primary])
+    for sheet in sheets:
+        hdus.append(_hdu(sheet))
+    for hdu in hdus:
+        # astropy would note the time of writing: the same data shall give the same bytes.
+        hdu.add_checksum(when="data unit checksum")
+    buffer = io.BytesIO()
+    hdus.writeto(buffer)
+    data = buffer.getvalue()
+    if os.fspath(path).endswith(".gz"):
+        data = gzip.compress(data, mtime=0)
+    with file_beside(path, overwrite=overwrite) as temporary:
+        temporary.write_bytes(data)
+
+
+def _card(key: str, value: Any, comment: str) -> Any:
+    """Return a header card; astropy alone would cut a number to 20 characters."""
+    if isinstance(value, float) and len(repr(float(value))) > 20:
+        line = f"{key:<8}= {repr(float(value)).upper()} / {comment}"
+        return fits.Card.fromstring(line[:80])
+    return fits.Card(key, value, comment)
+
+
+def _hdu(sheet: Sheet) -> Any:
+    if sheet.data is None:
+        columns = [
+            fits.Column(name=name, format=_wide(form, values), unit=unit, array=values)
+            for name, form, unit, values in sheet.columns
+        ]
+        return fits.BinTableHDU.from_columns(columns, name=sheet.name)
+    hdu = fits.ImageHDU(np.asarray(sheet.data, dtype=">f8"), name=sheet.name)
+    if sheet.unit:
+        hdu.header["BUNIT"] = sheet.unit
+    return hdu
+
+
+def _wide(form: str, values: Any) -> str:
+    """Return the format, 64 bit where integers do not fit into 32."""
+    if form == "J" and np.abs(np.asarray(values, dtype=np.int64)).max(initial=0) > 2**31 - 1:
+        return "K"
+    return form

@@ -1,0 +1,266 @@
+"""Frozen records of what was measured; nothing here knows how it was measured or what is true."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.actuators import Array, Layout, frozen_array
+from truenewton.errors import FormatError, TrueNewtonError
+
+# Beyond these a value is a slip of the unit, not a mirror; they also keep squares finite.
+LARGEST_FORCE = 1e6  # [N]
+LARGEST_LENGTH = 1e3  # [m]
+LONGEST_TIME = 1e8  # [s]
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a record came from."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Load:
+    """What hangs on the mirror, and how it leans.
+
+    Attributes
+    ----------
+    name
+        'bare', 'ring', ...; case and surrounding blanks do not count.
+    added, added_error
+        Q and its standard uncertainty [N]; Q is negative, 0 for the bare mirror.
+    tool
+        Name of the weight; loads with the same tool share one error of their weight.
+    tilt, tilt_error
+        Angle between optical axis and vertical, and its standard uncertainty [deg].
+    """
+
+    name: str
+    added: float = 0.0
+    added_error: float = 0.0
+    tool: str | None = None
+    tilt: float = 0.0
+    tilt_error: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """The name as it is compared."""
+        return self.name.strip().casefold()
+
+
+@dataclass(frozen=True, eq=False)
+class Cycle:
+    """One run through all shapes under one load (FORMAT, the cycle file).
+
+    Attributes
+    ----------
+    instrument, date, number
+        INSTRUME; start (UTC); CYCLE, from 1.
+    load
+        What hung on the mirror.
+    weight, weight_error
+        P and its standard uncertainty [N].
+    layout
+        The n actuators.
+    time, shape, sign, valid
+        (N,) seconds since ``date``; index of the shape from 1; +1 or -1; false for rows that take
+        no part, whatever they hold.
+    force
+        (N, n) commanded forces c [N].
+    temperature, position
+        (N,) [deg C] and (N, n) [m], or None.
+    coil_gradient, bias_gradient
+        COILGRAD [1/m] and BIASGRAD [N/m], or None.
+    gap, force_error
+        GAP [m] and FORCERR [N], or None.
+    source
+        The file, or None.
+
+    Raises
+    ------
+    FormatError
+        Rows that count hold what they may not.
+    """
+
+    instrument: str
+    date: datetime.datetime
+    number: int
+    load: Load
+    weight: float
+    weight_error: float
+    layout: Layout
+    time: Array
+    shape: NDArray[np.int64]
+    sign: NDArray[np.int64]
+    force: Array
+    valid: NDArray[np.bool_]
+    temperature: Array | None = None
+    position: Array | None = None
+    coil_gradient: float | None = None
+    bias_gradient: float | None = None
+    gap: float | None = None
+    force_error: float | None = None
+    source: Source | None = None
+
+    def __post_init__(self) -> None:
+        for name, dtype in (("time", float), ("shape", np.int64), ("sign", np.int64),
+                            ("force", float), ("valid", bool), ("temperature", float),
+                            ("position", float)):  # fmt: skip
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, frozen_array(value, dtype))
+        self._check_numbers()
+        self._check_rows()
+
+    def _check_numbers(self) -> None:
+        load = self.load
+        for name, value in (("WEIGHT", self.weight), ("ADDED", load.added)):
+            if not np.isfinite(value) or abs(value) > LARGEST_FORCE:
+                raise FormatError(f"{name} is {value:g} N", remedy="give the weight in Newton")
+        if self.weight >= 0.0:
+            raise FormatError(
+                f"WEIGHT is {self.weight:g} N",
+                remedy="z points up, so a weight is negative",
+                got=self.weight,
+            )
+        if load.added > 0.0:
+            raise FormatError(
+                f"ADDED is {load.added:g} N",
+                remedy="z points up, so an added weight is negative",
+                got=load.added,
+            )
+        for name, value in (("E_WEIGHT", self.weight_error), ("E_ADDED", load.added_error),
+                            ("E_TILT", load.tilt_error)):  # fmt: skip
+            if not 0.0 <= value <= LARGEST_FORCE:
+                raise FormatError(
+                    f"{name} is {value:g}",
+                    remedy="give a standard uncertainty, zero or more, in N or deg",
+                )
+        if not abs(load.tilt) < 90.0:
+            raise FormatError(
+                f"TILT is {load.tilt:g} deg",
+                remedy="give the angle between axis and vertical, under 90 deg",
+            )
+        if not load.name.strip():
+            raise FormatError("LOAD is blank", remedy="name the load")
+        if self.number < 1:
+            raise FormatError(f"CYCLE is {self.number}", remedy="cycles count from 1")
+        if self.force_error is not None and not 0.0 < self.force_error <= LARGEST_FORCE:
+            raise FormatError(
+                f"FORCERR is {self.force_error:g} N",
+                remedy="a standard deviation is positive; leave it out if unknown",
+            )
+        for name, gradient in (("COILGRAD", self.coil_gradient), ("BIASGRAD", self.bias_gradient)):
+            if gradient is not None and abs(gradient) > LARGEST_FORCE:
+                raise FormatError(f"{name} is {gradient:g}", remedy="check its unit")
+
+    def _check_rows(self) -> None:
+        rows, n = np.size(self.time), self.layout.n
+        wanted = {"time": (rows,), "shape": (rows,), "sign": (rows,), "valid": (rows,),
+                  "temperature": (rows,), "force": (rows, n), "position": (rows, n)}  # fmt: skip
+        for name, want in wanted.items():
+            value = getattr(self, name)
+            if value is not None and value.shape != want:
+                raise FormatError(
+                    f"{name.upper()} has shape {value.shape} for {rows} rows and {n} actuators",
+                    remedy=f"give it the shape {want}",
+                    got=value.shape,
+                    want=want,
+                )
+        if not self.valid.any():
+            what = "valid rows" if rows else "rows"
+            raise FormatError(f"MEASUREMENTS has no {what}", remedy="leave this file out")
+        row = self.row_where(~np.isin(self.sign, (-1, 1)))
+        if row is not None:
+            raise FormatError(f"SIGN in row {row + 1} is {self.sign[row]}", remedy="it is +1 or -1")
+        row = self.row_where(self.shape < 1)
+        if row is not None:
+            raise FormatError(
+                f"SHAPE in row {row + 1} is {self.shape[row]}", remedy="shapes count from 1"
+            )
+        self._check_finite("time", self.time, LONGEST_TIME)
+        self._check_finite("temperature", self.temperature, 1e4)
+        self._check_finite("force", self.force, LARGEST_FORCE)
+        self._check_finite("position", self.position, LARGEST_LENGTH)
+        counted = self.force[self.valid][:, self.layout.enabled]
+        if counted.size and not counted.any():
+            raise FormatError("FORCE is zero throughout", remedy="record the commanded forces")
+
+    def row_where(self, fault: NDArray[np.bool_]) -> int | None:
+        """Return the first row that counts and has the fault, or None."""
+        rows = np.flatnonzero(fault & self.valid)
+        return int(rows[0]) if rows.size else None
+
+    def _check_finite(self, name: str, value: Array | None, largest: float) -> None:
+        if value is None:
+            return
+        fault = np.asarray(~np.isfinite(value) | (np.abs(value) > largest))
+        if value.ndim == 2:
+            fault = fault & self.layout.enabled
+        row = self.row_where(np.asarray(fault.reshape(len(fault), -1).any(axis=1)))
+        if row is not None:
+            bad = np.ravel(value[row])[np.ravel(fault[row])][0]
+            raise FormatError(
+                f"{name.upper()} in row {row + 1} is {bad:g}",
+                remedy="mark the row as not VALID, or correct it",
+                got=bad,
+            )
+
+    @property
+    def used_force(self) -> Array:
+        """(N_valid, n_enabled) commanded forces of the rows and actuators that count [N]."""
+        return np.asarray(self.force[self.valid][:, self.layout.enabled])
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessMatrix:
+    """A measured stiffness or feed-forward matrix (FORMAT, the stiffness file).
+
+    Attributes
+    ----------
+    instrument, date
+        INSTRUME; when it was measured (UTC).
+    layout
+        The n actuators.
+    stiffness
+        (n, n), commanded force of actuator i per unit displacement of sensor j [N/m].
+    source
+        The file, or None.
+    """
+
+    instrument: str
+    date: datetime.datetime
+    layout: Layout
+    stiffness: Array
+    source: Source | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stiffness", frozen_array(self.stiffness))
+        n = self.layout.n
+        if self.stiffness.shape != (n, n):
+            raise FormatError(
+                f"STIFFNESS is {' x '.join(map(str, self.stiffness.shape))} for {n} actuators",
+                remedy=f"give an image of {n} x {n}",
+                got=self.stiffness.shape,
+                want=(n, n),
+            )
+        on = self.layout.enabled
+        counted = self.stiffness[np.ix_(on, on)]
+        # 1e15 N/m: a slip of the unit, and squares must stay finite.
+        if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > 1e15:
+            raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
+        if not counted.any():
+            raise FormatError("STIFFNESS is zero throughout", remedy="measure it first")
+
+
+def located(error: TrueNewtonError, path: object) -> TrueNewtonError:
+    """Return the same error, naming the file it came from."""
+    if error.path is not None:
+        return error
+    return type(error)(error.fault, remedy=error.remedy, path=path, got=error.got, want=error.want)

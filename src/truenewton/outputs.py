@@ -1,0 +1,120 @@
+"""Outputs that are complete or not there: written beside their target, then renamed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from truenewton.errors import OutputExists, OutputFailed, TrueNewtonError
+
+
+def refuse_existing(target: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Raise OutputExists where the target stands and may not be overwritten."""
+    if not overwrite and os.path.lexists(target):
+        raise OutputExists(
+            "exists already", remedy="choose another name or add --overwrite", path=target
+        )
+
+
+@contextlib.contextmanager
+def file_beside(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a temporary file beside the target, renamed to it when the block ends well.
+
+    Raises
+    ------
+    OutputExists
+        The target stands and ``overwrite`` is false.
+    OutputFailed
+        It cannot be written; nothing is left behind.
+    """
+    target = Path(path)
+    refuse_existing(target, overwrite=overwrite)
+    with _one_line(target):
+        handle, name = tempfile.mkstemp(
+            prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent
+        )
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            temporary.chmod(0o666 & ~_umask())
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def folder_beside(
+    path: str | os.PathLike[str], suffixes: tuple[str, ...], *, overwrite: bool = False
+) -> Iterator[Path]:
+    """Give a temporary folder beside the target, renamed to it when the block ends well.
+
+    A folder that stands is replaced only if told to, and only if every file in it ends in one of
+    ``suffixes``: nothing that we did not make is lost.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    target = Path(path)
+    refuse_existing(target, overwrite=overwrite)
+    with _one_line(target):
+        strange = [
+            p
+            for p in (target.iterdir() if target.is_dir() else ())
+            if not p.name.endswith(suffixes)
+        ]
+        if strange or (target.exists() and not target.is_dir()):
+            raise OutputExists(
+                f"holds {strange[0].name}, which is not ours" if strange else "is not a folder",
+                remedy="choose another name",
+                path=target,
+            )
+        work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+        try:
+            new = work / "new"
+            new.mkdir()
+            yield new
+            if target.exists():
+                target.rename(work / "old")
+            new.rename(target)
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _one_line(target: Path) -> Iterator[None]:
+    """Turn what the system says of a failed output into one line."""
+    try:
+        yield
+    except TrueNewtonError:
+        raise
+    except OSError as error:
+        raise OutputFailed(
+            f"cannot be written ({error.strerror or error})",
+            remedy="choose a folder that exists and can be written",
+            path=target,
+        ) from error
+
+
+def _umask() -> int:
+    """Return the user's umask: temporary files are private, an output is like any other."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def new_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder, or leave the one that stands.
+
+    Raises
+    ------
+    OutputFailed
+    """
+    target = Path(path)
+    with _one_line(target):
+        target.mkdir(exist_ok=True)

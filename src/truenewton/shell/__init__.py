@@ -1,0 +1,1 @@
+"""Tower A: the elastic shell."""

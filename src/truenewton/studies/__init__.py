@@ -1,0 +1,1 @@
+"""Above both towers: what must see the truth and the estimate."""

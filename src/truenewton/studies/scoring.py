@@ -1,0 +1,45 @@
+"""A calibration of simulated data beside the truth that made them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.bench.simulated.truth import Truth
+from truenewton.calibration import Calibration
+
+
+@dataclass(frozen=True)
+class Score:
+    """How far an estimate lies from the truth.
+
+    Attributes
+    ----------
+    rms_error
+        Root mean square of alpha - true alpha over the enabled actuators.
+    scale_error
+        Common relative error: weighted mean of alpha / true alpha, less one.
+    pattern_error
+        Root mean square of what is left when the common scale is taken out, relative.
+    worst
+        Largest |alpha - true alpha| in terms of its E_ALPHA.
+    """
+
+    rms_error: float
+    scale_error: float
+    pattern_error: float
+    worst: float
+
+
+def score(calibration: Calibration, truth: Truth) -> Score:
+    """Compare a calibration with the truth."""
+    on = calibration.layout.enabled
+    alpha, true, error = calibration.alpha[on], truth.alpha[on], calibration.error[on]
+    scale = float(alpha @ true / (true @ true))
+    return Score(
+        rms_error=float(np.sqrt(np.mean((alpha - true) ** 2))),
+        scale_error=scale - 1.0,
+        pattern_error=float(np.sqrt(np.mean((alpha / (scale * true) - 1.0) ** 2))),
+        worst=float(np.max(np.abs(alpha - true) / error)),
+    )

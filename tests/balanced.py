@@ -1,0 +1,98 @@
+"""Small campaigns made by hand: random forces that balance, divided by random alpha."""
+
+import datetime
+from functools import cache
+
+import numpy as np
+
+from truenewton.actuators import rings
+from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.campaign import Campaign
+from truenewton.measurements import Cycle, Load
+from truenewton.mirrors import p45
+
+LAYOUT = rings([0.06, 0.1], [5, 9], nz=[0.999, 0.99])
+START = datetime.datetime(2026, 3, 4, 5, 6, 7, tzinfo=datetime.UTC)
+WEIGHT, BIAS = -2.9, 3.6
+RING = Load("ring", -0.289, 0.005, tool="ring A")
+BARE_AND_RING = (Load("bare"), RING)
+
+
+def arms_of(layout):
+    return np.array([layout.nz, layout.x, layout.y])
+
+
+def balanced_rows(random, a, k, rows, size=0.3):
+    """Return true forces with A f = -k: random ones, their imbalance taken out."""
+    force = size * random.standard_normal((rows, a.shape[1]))
+    return force - (force @ a.T + k) @ np.linalg.pinv(a).T
+
+
+def campaign_of(
+    seed,
+    noise,
+    *,
+    layout=LAYOUT,
+    loads=BARE_AND_RING,
+    cycles=2,
+    shapes=None,
+    disabled=(),
+    invalid=(),
+    weight_error=0.005,
+):
+    """Return a campaign and its truth (alpha, B, then M_y, M_x of each load)."""
+    random = np.random.default_rng(seed)
+    n = layout.n
+    on = ~np.isin(np.arange(n), disabled)
+    layout = type(layout)(layout.id, layout.x, layout.y, layout.nz, on)
+    a = arms_of(layout)[:, on]
+    alpha = random.uniform(0.7, 1.1, n)
+    torques = random.normal(0, 0.05, (len(loads), 2))
+    count = shapes or n
+    elastic = balanced_rows(random, a, np.zeros(3), count)
+    made = []
+    for load, (torque_y, torque_x) in zip(loads, torques, strict=True):
+        w = (WEIGHT + load.added) * np.cos(np.radians(load.tilt))
+        k = np.array([w + BIAS, torque_y, -torque_x])
+        rest = -np.linalg.pinv(a) @ k
+        true_force = np.concatenate([elastic + rest, -elastic + rest])
+        for number in range(1, cycles + 1):
+            c = np.full((2 * count, n), np.nan)
+            c[:, on] = true_force / alpha[on] + noise * random.standard_normal(true_force.shape)
+            valid = ~np.isin(np.arange(2 * count), invalid)
+            c[~valid] = 1e9
+            made.append(
+                Cycle(
+                    instrument="TEST",
+                    date=START,
+                    number=number,
+                    load=load,
+                    weight=WEIGHT,
+                    weight_error=weight_error,
+                    layout=layout,
+                    time=np.arange(2 * count, dtype=float),
+                    shape=np.tile(np.arange(1, count + 1), 2),
+                    sign=np.repeat([1, -1], count),
+                    force=c,
+                    valid=valid,
+                )
+            )
+    return Campaign(tuple(made)), np.concatenate([alpha[on], [BIAS], torques.ravel()])
+
+
+def three_loads(seed, noise, **options):
+    """Return a campaign under the bare mirror, a ring, and a tilt."""
+    loads = (Load("bare"), RING, Load("tilt", -0.1, 0.002, tilt=60.0, tilt_error=0.1))
+    return campaign_of(seed, noise, loads=loads, **options)[0]
+
+
+@cache
+def p45_bench():
+    """Return a simulated P45 at 1 mN."""
+    return static_bench(p45(), seed=1, force_noise=1e-3)
+
+
+@cache
+def p45_campaign(cycles=4):
+    """Return a campaign on it."""
+    return Campaign(tuple(run_cycles(p45_bench(), cycles)))

@@ -1,0 +1,72 @@
+"""The systems C and E, against the paper's eqs. 3 and 4 written out element by element."""
+
+import numpy as np
+import pytest
+from balanced import campaign_of, p45_campaign, three_loads
+
+from truenewton.balance import enabled_arms, system_c, system_e
+
+
+def paper_e(campaign):
+    """Eq. 4 as it stands in the paper, one element at a time."""
+    x, y, nz = campaign.layout.x, campaign.layout.y, campaign.layout.nz
+    on = np.flatnonzero(campaign.layout.enabled)
+    loads = list(campaign.loads)
+    unknowns = len(on) + 1 + 2 * len(loads)
+    rows, right = [], []
+    for place, load in enumerate(loads):
+        shapes = [
+            c.force[j]
+            for c in campaign.cycles
+            if c.load.key == load.key
+            for j in range(len(c.time))
+            if c.valid[j]
+        ]
+        weight = (campaign.weight + load.added) * np.cos(np.radians(load.tilt))
+        for block in range(3):
+            for force in shapes:
+                row = np.zeros(unknowns)
+                for column, i in enumerate(on):
+                    row[column] = force[i] * (nz[i], x[i], y[i])[block]
+                if block == 0:
+                    row[len(on)] = 1.0
+                else:
+                    row[len(on) + 2 * place + block] = (None, 1.0, -1.0)[block]
+                rows.append(-row)
+                right.append(weight if block == 0 else 0.0)
+    return np.array(rows), np.array(right)
+
+
+def test_e_is_the_papers_element_by_element():
+    campaign = three_loads(seed=1, noise=1e-3, disabled=(3,), invalid=(2, 5))
+    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    by_hand, right = paper_e(campaign)
+    assert np.array_equal(e, by_hand)
+    assert r == pytest.approx(right, rel=1e-15)
+
+
+def test_e_has_the_papers_size_for_p45():
+    campaign = p45_campaign()
+    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    assert e.shape == (3 * 8 * 90, 50)
+    assert r.shape == (3 * 8 * 90,)
+
+
+def test_true_values_solve_e_with_bias_and_torques():
+    campaign, truth = campaign_of(seed=2, noise=0.0)
+    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    assert np.all(np.abs(truth[-5:]) > 1e-3)  # zeros would hide every sign
+    assert e @ truth == pytest.approx(r, abs=1e-13)
+
+
+def test_c_is_a_block_of_e_with_the_known_terms_on_the_right():
+    campaign, truth = campaign_of(seed=3, noise=1e-3, cycles=1)
+    a = enabled_arms(campaign.layout)
+    n = a.shape[1]
+    e, r = system_e(campaign, a)
+    force = campaign.cycles[0].used_force
+    weight = campaign.effective_weights[0]
+    c, p = system_c(force, a, weight, *truth[n : n + 3])
+    rows = 3 * len(force)
+    assert np.array_equal(c, e[:rows, :n])
+    assert p == pytest.approx(r[:rows] - e[:rows, n:] @ truth[n:], abs=1e-15)

@@ -1,0 +1,246 @@
+"""Every command, as a person at a terminal or a script would run it."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+import truenewton
+from truenewton.cli import main
+
+README = Path(__file__).parents[1] / "README.md"
+
+
+def run(*words):
+    """Run truenewton in a process of its own; return exit code, output, errors."""
+    command = [sys.executable, "-m", "truenewton", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture
+def inside(monkeypatch, capsys):
+    """Run truenewton in this process; return exit code, output, errors."""
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, words)])
+        with pytest.raises(SystemExit) as left:
+            main()
+        said = capsys.readouterr()
+        return left.value.code, said.out, said.err
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a simulated campaign, made by the command."""
+    path = tmp_path_factory.mktemp("campaign") / "p45"
+    assert run("simulate", "p45", "-o", path, "--cycles", "2") == (
+        0,
+        f"{path}: P45, 2 loads x 2 cycles x 90 shapes; truth in p45.truth.fits\n",
+        "",
+    )
+    return path
+
+
+def test_simulate_writes_the_files_of_the_contract(folder):
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "bare-001.fits", "bare-002.fits", "ring-001.fits", "ring-002.fits",
+    ]  # fmt: skip
+    with fits.open(folder.with_name("p45.truth.fits")) as truth:
+        assert "MEASUREMENTS" not in truth
+
+
+def test_calibrate_writes_a_calibration_near_the_truth(folder, tmp_path):
+    output = tmp_path / "alpha.fits"
+    code, out, err = run("calibrate", folder, "-o", output)
+    assert (code, err) == (0, "")
+    assert f"written: {output}" in out
+    with fits.open(output) as made, fits.open(folder.with_name("p45.truth.fits")) as truth:
+        table, true = made["CALIBRATION"].data, truth["TRUTH"].data["ALPHA"]
+        assert np.all(np.abs(table["ALPHA"] - true) < 4 * table["E_ALPHA"])
+        assert np.abs(table["ALPHA"] - true).max() > 1e-9  # it never saw the truth
+
+
+def test_calibrate_never_opens_the_truth(folder, tmp_path):
+    truth = folder.with_name("p45.truth.fits")
+    aside = truth.rename(tmp_path / "aside.fits")
+    try:
+        assert run("calibrate", folder)[0] == 0
+    finally:
+        aside.rename(truth)
+
+
+def test_calibrate_as_json_is_for_scripts(inside, folder):
+    code, out, _ = inside("calibrate", folder, "--json")
+    values = json.loads(out)
+    assert code == 0
+    assert len(values["actuators"]["alpha"]) == 45
+    assert values["method"] == "svd"
+    assert values["scale"] == "weights"
+    assert values["noise"] == pytest.approx(1e-4, rel=0.05)
+    assert [load["load"] for load in values["loads"]] == ["bare", "ring"]
+
+
+def test_files_one_by_one_are_the_same_as_their_folder(inside, folder):
+    _, one, _ = inside("calibrate", folder, "--json")
+    _, other, _ = inside("calibrate", *sorted(folder.iterdir(), reverse=True), "--json")
+    assert one == other
+
+
+def test_info_says_what_a_folder_holds_and_that_it_is_sound(inside, folder):
+    code, out, _ = inside("info", folder)
+    assert code == 0
+    assert "a campaign of P45: 45 actuators, 4 cycle files, 45 shapes" in out
+    assert "sound: alpha is determined" in out
+
+
+def test_info_says_what_a_single_load_lacks(inside, folder):
+    code, out, _ = inside("info", folder / "bare-001.fits")
+    assert code == 0
+    assert "not enough for alpha: there is only one load, 'bare'" in out
+    _, out, _ = inside("info", folder / "bare-001.fits", "--json")
+    assert json.loads(out)["faults"][0]["remedy"].startswith("add cycles under a load")
+
+
+def test_info_and_figures_take_a_calibration(inside, folder, tmp_path):
+    alpha = tmp_path / "alpha.fits"
+    inside("calibrate", folder, "-o", alpha)
+    code, out, _ = inside("info", alpha)
+    assert code == 0
+    assert out.startswith("a calibration, method svd, scale weights\n")
+    code, out, _ = inside("figures", alpha, "-o", tmp_path / "figures")
+    assert code == 0
+    assert len(out.splitlines()) == 6
+
+
+def test_prove_prints_the_paper_and_passes(inside):
+    code, out, _ = inside("prove", "p45", "--seed", "3")
+    assert code == 0
+    assert out.splitlines()[-1].startswith("alpha comes back to machine precision")
+    _, out, _ = inside("prove", "--json", "--seeds", "3")
+    values = json.loads(out)
+    assert values["passed"] is True
+    assert len(values["proofs"]) == 3 * 8
+    assert values["worst"] == max(p["ratio"] for p in values["proofs"]) <= 20
+
+
+def test_prove_takes_a_layout_from_a_file(inside, folder):
+    code, out, _ = inside("prove", folder / "bare-001.fits")
+    assert code == 0
+    assert "45 of 45" in out
+
+
+def test_prove_exits_with_1_where_the_proof_fails(inside, monkeypatch):
+    from truenewton.studies import proof
+
+    monkeypatch.setattr(proof, "LIMIT", 1e-9)
+    code, out, err = inside("prove")
+    assert code == 1
+    assert "PROOF FAILED" in out
+    assert err == ""
+
+
+def test_demo_tells_the_whole_story(tmp_path, monkeypatch, inside):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = inside("demo")
+    assert (code, err) == (0, "")
+    for words in ("1. A campaign", "2. The calibration", "3. The truth", "4. The figures"):
+        assert words in out
+    made = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    assert "truenewton-demo/alpha.fits" in made
+    assert "truenewton-demo/figures/fig6-alpha-map.pdf" in made
+    code, _, err = inside("demo")
+    assert code == 2
+    assert "exists already" in err
+    assert inside("demo", "--overwrite")[0] == 0
+
+
+def test_version_and_help(inside):
+    assert inside("--version")[:2] == (0, f"truenewton {truenewton.__version__}\n")
+    for words in ((), ("--help",), ("calibrate", "--help")):
+        code, out, _ = inside(*words)
+        assert code == 0
+        assert "Usage: truenewton" in out
+
+
+def test_help_needs_no_numpy():
+    """So that it answers at once; what it imports is what it costs."""
+    code = (
+        "import sys; sys.argv = ['truenewton', '--help']\n"
+        "from truenewton.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print(sorted({'numpy', 'scipy', 'astropy', 'matplotlib'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_a_reader_that_goes_away_is_no_error(folder):
+    command = f"{shlex.quote(sys.executable)} -m truenewton prove --seeds 20 | head -1"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    assert done.returncode == 0
+
+
+def test_a_terminal_without_the_characters_is_no_error(folder):
+    import os
+
+    done = subprocess.run(
+        [sys.executable, "-m", "truenewton", "info", str(folder)],
+        capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert done.stderr == b""
+
+
+def readme_commands():
+    """Return the blocks of shell commands and of Python in the README."""
+    text = README.read_text()
+    return re.findall(r"```(sh|python)\n(.*?)```", text, flags=re.DOTALL)
+
+
+def test_every_command_and_example_in_the_readme_runs(tmp_path, monkeypatch, inside):
+    """In order, in one folder, as a reader would; `make` and installing are tried elsewhere."""
+    monkeypatch.chdir(tmp_path)
+    write_feedforward(tmp_path / "feedforward.fits")
+    ran = 0
+    for language, block in readme_commands():
+        if language == "python":
+            exec(compile(block, "README", "exec"), {})
+            ran += 1
+            continue
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if not words or words[0] in ("make", "pip", "git", "cd", "python3"):
+                continue
+            assert words[0] == "truenewton", line
+            code, _, err = inside(*words[1:])
+            assert (code, err) == (0, ""), line
+            ran += 1
+    assert ran >= 7
+
+
+def write_feedforward(path):
+    """Write what a working mirror has on disk: here from the simulated P45."""
+    from balanced import p45_bench
+
+    from truenewton.bench.simulated.static import START
+
+    truth = p45_bench().truth
+    truenewton.write_stiffness(
+        truenewton.StiffnessMatrix(
+            "P45", START, truth.layout, truth.stiffness / truth.alpha[:, None]
+        ),
+        path,
+    )

@@ -1,0 +1,95 @@
+"""The figures show what they should, in files a journal takes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from balanced import campaign_of, p45_campaign
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from PIL import Image
+
+from truenewton.errors import OutputExists
+from truenewton.estimators import calibrate
+from truenewton.figures import COLUMN, plot_layout, write_figures
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(p45_campaign())
+
+
+def dots(ax):
+    return [c for c in ax.collections if isinstance(c, PatchCollection) and len(c.get_paths())]
+
+
+def test_the_map_shows_every_alpha_once_at_its_place(calibration):
+    ax = calibration.plot_map()
+    [shown] = dots(ax)
+    assert np.array_equal(shown.get_array(), calibration.alpha)
+    centres = np.array([path.vertices.mean(axis=0) for path in shown.get_paths()])
+    places = 1e3 * np.stack([calibration.layout.x, calibration.layout.y], axis=1)
+    assert np.abs(centres - places).max() < 2.0  # millimetres
+    assert {text.get_text() for text in ax.texts} >= {str(k) for k in range(1, 46)}
+
+
+def test_a_disabled_actuator_is_an_open_circle():
+    calibration = calibrate(campaign_of(seed=1, noise=1e-4, disabled=(4,))[0])
+    open_circles, shown = dots(calibration.plot_map())
+    assert len(open_circles.get_paths()) == 1
+    assert len(shown.get_paths()) == calibration.layout.n - 1
+
+
+def test_alpha_stands_with_the_papers_error_bars_ring_by_ring(calibration):
+    ax = calibration.plot_actuators()
+    [bars] = ax.containers
+    assert bars.lines[0].get_ydata() == pytest.approx(calibration.alpha, rel=1e-15)
+    ends = np.array([s[:, 1] for s in bars.lines[2][0].get_segments()])
+    half = 0.5 * (ends[:, 1] - ends[:, 0])
+    assert half == pytest.approx(calibration.cycle_error, rel=1e-9)
+
+
+def test_axes_are_taken_and_returned(calibration):
+    ax = Figure().add_subplot()
+    assert calibration.plot_map(ax) is ax
+    ax = Figure().add_subplot()
+    assert calibration.plot_actuators(ax) is ax
+    ax = Figure().add_subplot()
+    assert plot_layout(calibration.layout, ax) is ax
+
+
+def test_figures_2_5_and_6_as_pdf_and_png_at_column_width(calibration, tmp_path):
+    paths = write_figures(calibration, tmp_path / "figures")
+    names = {path.name for path in paths}
+    stems = ("fig2-actuators", "fig5-alpha", "fig6-alpha-map")
+    assert names == {f"{stem}.{form}" for stem in stems for form in ("pdf", "png")}
+    for path in paths:
+        if path.suffix == ".pdf":
+            assert path.read_bytes().startswith(b"%PDF")
+        else:
+            with Image.open(path) as image:
+                assert image.width == pytest.approx(COLUMN * 300, abs=2)
+                assert len(image.convert("L").getcolors()) > 50  # not an empty page
+
+
+def test_the_same_calibration_draws_the_same_bytes(calibration, tmp_path):
+    one, two = (write_figures(calibration, tmp_path / name) for name in ("one", "two"))
+    assert [p.read_bytes() for p in one] == [p.read_bytes() for p in two]
+
+
+def test_figures_are_not_overwritten_unless_told(calibration, tmp_path):
+    write_figures(calibration, tmp_path / "figures")
+    with pytest.raises(OutputExists):
+        write_figures(calibration, tmp_path / "figures")
+    write_figures(calibration, tmp_path / "figures", overwrite=True)
+    (tmp_path / "figures" / "mine.txt").write_text("keep me")
+    with pytest.raises(OutputExists, match=r"mine\.txt, which is not ours"):
+        write_figures(calibration, tmp_path / "figures", overwrite=True)
+    assert (tmp_path / "figures" / "mine.txt").read_text() == "keep me"
+
+
+def test_without_repeated_cycles_the_bars_are_the_statistical_error(calibration):
+    single = replace(calibration, cycle_error=np.full(45, np.nan))
+    [bars] = single.plot_actuators().containers
+    ends = np.array([s[:, 1] for s in bars.lines[2][0].get_segments()])
+    assert 0.5 * (ends[:, 1] - ends[:, 0]) == pytest.approx(calibration.statistical, rel=1e-9)

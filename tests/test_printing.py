@@ -1,0 +1,48 @@
+"""Numbers as people read them, rounded with their errors (the rule of the Particle Data Group)."""
+
+import json
+
+import numpy as np
+import pytest
+
+from truenewton.cli.printing import percent, print_json, print_table, with_error
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        # The examples of the Review of Particle Physics, section 5.3.
+        (0.827, 0.119, "0.83 ± 0.12"),
+        (0.827, 0.367, "0.8 ± 0.4"),
+        (3.60123, 0.0264, "3.601 ± 0.026"),
+        (3.60123, 0.0354, "3.601 ± 0.035"),
+        (3.60123, 0.0356, "3.60 ± 0.04"),
+        (3.60123, 0.0952, "3.60 ± 0.10"),
+        (-2.92, 0.005, "-2.920 ± 0.005"),
+        (1234.5, 56.0, "1230 ± 60"),
+        (1234.5, 12.0, "1234 ± 12"),
+        (0.0, 1.0, "0.0 ± 1.0"),
+        (2.5, 0.0, "2.5"),
+        (2.5, float("nan"), "2.5"),
+        (float("nan"), 1.0, "unknown"),
+    ],
+)
+def test_a_value_goes_as_far_as_its_error(value, error, text):
+    assert with_error(value, error) == text
+
+
+@pytest.mark.parametrize(
+    ("ratio", "text"), [(0.01734, "1.7 %"), (0.00021, "0.021 %"), (0.5, "50 %"), (1.5, "150 %")]
+)
+def test_percent_has_two_digits(ratio, text):
+    assert percent(ratio) == text
+
+
+def test_json_has_null_for_what_is_not_finite(capsys):
+    print_json({"a": np.array([1.0, np.nan]), "b": [float("inf")], "c": "x", "d": np.int64(3)})
+    assert json.loads(capsys.readouterr().out) == {"a": [1.0, None], "b": [None], "c": "x", "d": 3}
+
+
+def test_a_table_stands_in_columns(capsys):
+    print_table("title", ("name", "x"), [("a", "1.0"), ("long", "10.0")])
+    assert capsys.readouterr().out == "title\n  name     x\n  a      1.0\n  long  10.0\n"

@@ -1,0 +1,62 @@
+"""The proof code of the paper, section 4."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from truenewton import balance
+from truenewton.actuators import layout
+from truenewton.balance import enabled_arms
+from truenewton.errors import GeometryError
+from truenewton.mirrors import lbt672, p45
+from truenewton.studies import proof
+from truenewton.studies.proof import balanced_forces, prove
+
+
+@pytest.mark.parametrize("seed", range(100))
+def test_p45_proves_within_twenty_eps_cond(seed):
+    proofs = prove(p45(), seed)
+    assert [(p.system, p.matrix, p.loaded) for p in proofs] == [
+        (system, matrix, loaded)
+        for loaded in (False, True)
+        for matrix in ("identity", "random")
+        for system in ("C", "E")
+    ]
+    for p in proofs:
+        assert p.rank == p.unknowns == (45 if p.system == "C" else 50)
+        assert p.ratio <= 20
+        assert p.passed
+
+
+def test_lbt672_proves_within_twenty_eps_cond():
+    for p in prove(lbt672(), seed=0):
+        assert p.rank == p.unknowns == (672 if p.system == "C" else 677)
+        assert p.ratio <= 20
+
+
+def test_the_first_columns_are_as_given_and_the_last_three_balance():
+    a = enabled_arms(p45().layout)
+    k = np.array([-2.9, 0.3, 0.2])
+    force = balanced_forces(np.eye(42), a, k)
+    assert np.array_equal(force[:, :42], np.eye(42))
+    assert force @ a.T == pytest.approx(np.tile(-k, (42, 1)), abs=1e-11)
+
+
+def test_a_wrong_sign_of_a_torque_fails_the_proof(monkeypatch):
+    """With B = M = N = 0 the mistake stays hidden: only the loaded half of the proof sees it."""
+    right = balance.external_load
+
+    def wrong(weight, bias, torque_y, torque_x):
+        return right(weight, bias, torque_y, np.negative(torque_x))
+
+    monkeypatch.setattr(proof, "external_load", wrong)
+    proofs = prove(p45(), seed=0)
+    assert all(p.passed for p in proofs if not p.loaded)
+    assert not any(p.passed for p in proofs if p.loaded)
+
+
+def test_a_layout_whose_last_three_are_collinear_is_refused():
+    x, y = np.array([0.0, 1, 0, -1, 0.5, 0.6, 0.7]), np.array([1.0, 0, -1, 0, 0.1, 0.1, 0.1])
+    with pytest.raises(GeometryError, match="last three actuators are collinear"):
+        prove(replace(p45(), layout=layout(x, y)), seed=0)

@@ -1,0 +1,55 @@
+"""Arms and signs, against numbers worked out by hand: off axis, and nothing zero."""
+
+import numpy as np
+import pytest
+
+from truenewton.actuators import layout
+from truenewton.balance import enabled_arms, system_c
+from truenewton.statics import arms, effective_weight, external_load, resultants
+
+# Four actuators, none on an axis, one leaning: (x, y) in metres, forces in Newton.
+FOUR = layout([0.3, -0.1, 0.2, -0.4], [0.1, 0.5, -0.2, -0.3], nz=[1.0, 1.0, 0.5, 1.0])
+FORCE = np.array([1.0, 2.0, -4.0, 3.0])
+# By hand: 1 + 2 - 4 * 0.5 + 3 = 4; 0.3 - 0.2 - 0.8 - 1.2 = -1.9; 0.1 + 1.0 + 0.8 - 0.9 = 1.0.
+TOTAL, MOMENT_OF_X, MOMENT_OF_Y = 4.0, -1.9, 1.0
+
+
+def test_resultants_by_hand():
+    assert resultants(FOUR, FORCE) == pytest.approx([TOTAL, MOMENT_OF_X, MOMENT_OF_Y], abs=1e-15)
+
+
+def test_arms_are_nz_x_y():
+    assert arms(FOUR).tolist() == [
+        [1.0, 1.0, 0.5, 1.0],
+        [0.3, -0.1, 0.2, -0.4],
+        [0.1, 0.5, -0.2, -0.3],
+    ]
+
+
+def test_the_papers_signs_hold_for_bias_and_torques_by_hand():
+    """Paper, eq. 1: -sum f = P + B, -sum x f = M_y, -sum y f = -M_x."""
+    weight = -3.5
+    bias = -TOTAL - weight  # -0.5
+    torque_y, torque_x = 1.9, 1.0
+    assert bias == -0.5
+    k = external_load(weight, bias, torque_y, torque_x)
+    assert k.tolist() == [-4.0, 1.9, -1.0]
+    assert resultants(FOUR, FORCE) + k == pytest.approx([0, 0, 0], abs=1e-15)
+
+
+def test_system_c_holds_for_true_forces_and_fails_for_any_sign_turned():
+    alpha = np.array([0.8, 0.9, 1.1, 1.05])
+    c = np.array([FORCE / alpha])
+    signs = (-3.5, -0.5, 1.9, 1.0)
+    matrix, p = system_c(c, enabled_arms(FOUR), *signs)
+    assert matrix @ alpha == pytest.approx(p, abs=1e-14)
+    for k in range(4):
+        turned = [-value if i == k else value for i, value in enumerate(signs)]
+        _, wrong = system_c(c, enabled_arms(FOUR), *turned)
+        assert np.abs(matrix @ alpha - wrong).max() > 0.9
+
+
+def test_weight_along_the_axis_of_a_tilted_mirror():
+    """cos 60 deg = 1/2: a 60 degree tilt takes away half of P + Q."""
+    w = effective_weight(-2.920, [0.0, -0.289, 0.0], [0.0, 0.0, 60.0])
+    assert w == pytest.approx([-2.920, -3.209, -1.460], rel=1e-15)
