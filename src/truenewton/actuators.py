@@ -78,9 +78,9 @@ class Layout:
                 f"an actuator stands {np.abs([self.x, self.y]).max():.3g} m from the axis",
                 remedy="X and Y are metres; check their unit",
             )
-        if (np.abs(self.nz) > 1.0).any() or (self.nz <= 0.0).any():
+        if (self.nz > 1.0).any() or (self.nz < 0.01).any():
             raise GeometryError(
-                "NZ lies outside (0, 1]", remedy="NZ is the cosine between the force and +z"
+                "NZ lies outside 0.01 to 1", remedy="NZ is the cosine between the force and +z"
             )
         values, count = np.unique(self.id, return_counts=True)
         if (count > 1).any():

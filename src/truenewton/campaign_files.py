@@ -254,7 +254,7 @@ def campaign_from(files: Iterable[FitsFile]) -> Campaign:
         if not is_cycle_file(file):
             raise FormatError(
                 "there is no table MEASUREMENTS",
-                remedy="a campaign's folder holds cycle files only",
+                remedy="a campaign holds cycle files only, a stiffness file an image STIFFNESS",
                 path=file.path,
             )
         cycles.append(cycle_from(file))

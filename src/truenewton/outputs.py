@@ -78,11 +78,16 @@ def folder_beside(
         try:
             new = work / "new"
             new.mkdir()
-            yield new
+            try:
+                yield new
+            except OutputFailed as error:  # it names a file that nobody will find
+                raise OutputFailed(error.fault, remedy=error.remedy, path=target) from error
             if target.exists():
                 target.rename(work / "old")
             new.rename(target)
         finally:
+            if not target.exists() and (work / "old").exists():
+                (work / "old").rename(target)
             shutil.rmtree(work, ignore_errors=True)
 
 

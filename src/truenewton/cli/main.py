@@ -55,7 +55,8 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     try:
         code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False) or 0
-        sys.stdout.flush()
+        if sys.stdout is not None:  # as where a shell closed it
+            sys.stdout.flush()
     except TrueNewtonError as error:
         code = _refuse(str(error))
     except CommandLineError as error:

@@ -1,0 +1,67 @@
+"""Campaigns that several test files share."""
+
+import datetime
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from truenewton.actuators import Layout, rings
+from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.campaign_files import write_campaign
+from truenewton.measurements import Cycle, Load
+from truenewton.mirrors import p45
+
+
+class Tiny(NamedTuple):
+    """Two cycles of a mirror of 12 actuators, balanced exactly by known alpha, B and torques."""
+
+    layout: Layout
+    cycles: tuple[Cycle, Cycle]
+    alpha: np.ndarray
+    bias_force: float
+    torques: np.ndarray  # (2, 2): M_y, M_x of the bare and the ring load
+
+
+@pytest.fixture(scope="session")
+def tiny() -> Tiny:
+    random = np.random.default_rng(7)
+    layout = rings([0.03, 0.07], [4, 8])
+    alpha = random.uniform(0.8, 1.2, 12)
+    bias_force, torques = 0.4, np.array([[0.003, -0.002], [0.005, 0.001]])
+    arms = np.stack([layout.nz, layout.x, layout.y])
+    elastic = 0.3 * scipy.linalg.null_space(arms) @ random.standard_normal((9, 12))
+    shape, sign = np.repeat(np.arange(1, 13), 2), np.tile([1, -1], 12)
+    cycles = []
+    for place, load in enumerate((Load("bare"), Load("ring", -0.5, 0.005, tool="ring A"))):
+        torque_y, torque_x = torques[place]
+        k = np.array([-3.0 + load.added + bias_force, torque_y, -torque_x])
+        true_force = sign[:, None] * elastic.T[shape - 1] - np.linalg.pinv(arms) @ k
+        cycles.append(
+            Cycle(
+                instrument="TINY",
+                date=datetime.datetime(2026, 5, 4, 9 + place, 30, tzinfo=datetime.UTC),
+                number=1,
+                load=load,
+                weight=-3.0,
+                weight_error=0.005,
+                layout=layout,
+                time=0.5 * np.arange(1, 25),
+                shape=shape,
+                sign=sign,
+                force=true_force / alpha,
+                valid=np.ones(24, dtype=bool),
+                temperature=20.0 + 0.01 * np.arange(24),
+                position=1e-6 * random.standard_normal((24, 12)),
+            )
+        )
+    return Tiny(layout, tuple(cycles), alpha, bias_force, torques)
+
+
+@pytest.fixture(scope="session")
+def p45_folder(tmp_path_factory):
+    """P45 without and with the ring, two cycles a load, noise 0.1 mN."""
+    folder = tmp_path_factory.mktemp("p45") / "campaign"
+    write_campaign(run_cycles(static_bench(p45(), 1, force_noise=1e-4), 2), folder)
+    return folder

@@ -1,0 +1,613 @@
+"""What is wrong is refused at the command line: exit code 2, one line, nothing left behind."""
+
+import dataclasses
+import gzip
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from truenewton.actuators import layout
+from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
+from truenewton.cli.main import main
+from truenewton.measurements import Load, StiffnessMatrix
+
+
+@pytest.fixture
+def truenewton(capsys, monkeypatch):
+    """Return a function that runs the command line in process: exit code, stdout, stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        return stop.value.code, *capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def refused(truenewton, tmp_path):
+    """Return a function that runs a command line, which is refused soundly; gives its line."""
+
+    def run(*arguments):
+        before = sorted(tmp_path.rglob("*"))
+        code, out, error = truenewton(*arguments)
+        assert (code, out) == (2, "")
+        assert error.startswith("truenewton: ")
+        assert error.count("\n") == 1
+        assert error.endswith("\n")
+        assert "Traceback" not in error
+        assert sorted(tmp_path.rglob("*")) == before
+        return error
+
+    return run
+
+
+@pytest.fixture
+def folder(tiny, tmp_path):
+    """A sound campaign of two files."""
+    write_campaign(tiny.cycles, tmp_path / "c")
+    return tmp_path / "c"
+
+
+def edit(path, *edits):
+    """Edit the HDUs of a file and write it again, with new checksums."""
+    with fits.open(path) as hdus:
+        for hdu in hdus:
+            hdu.data  # noqa: B018 - astropy loads late
+        for change in edits:
+            change(hdus)
+        hdus.writeto(path, overwrite=True, checksum=True)
+
+
+def keyword(name, value):
+    return lambda hdus: hdus[0].header.set(name, value, "")
+
+
+def no_keyword(name):
+    return lambda hdus: hdus[0].header.remove(name)
+
+
+def no_extension(name):
+    return lambda hdus: hdus.pop(name)
+
+
+def cells(table, name, where, value):
+    def change(hdus):
+        hdus[table].data[name][where] = value
+
+    return change
+
+
+def columns(table, change):
+    """Make a table anew from what ``change`` makes of its columns, as a dictionary."""
+
+    def rebuild(hdus):
+        old = hdus[table]
+        parts = {
+            c.name: {"name": c.name, "format": c.format, "unit": c.unit, "array": old.data[c.name]}
+            for c in old.columns
+        }
+        change(parts)
+        new = [fits.Column(**part) for part in parts.values()]
+        hdus[table] = fits.BinTableHDU.from_columns(new, name=table)
+
+    return rebuild
+
+
+def no_column(table, name):
+    return columns(table, lambda parts: parts.pop(name))
+
+
+def column(table, name, **new):
+    return columns(table, lambda parts: parts[name].update(new))
+
+
+def rows(table, keep):
+    def change(hdus):
+        hdus[table].data = hdus[table].data[keep]
+
+    return change
+
+
+def doubled(name):
+    return lambda hdus: hdus.append(hdus[name].copy())
+
+
+A, M = "ACTUATORS", "MEASUREMENTS"
+REQUIRED = ("INSTRUME", "DATE-OBS", "LOAD", "CYCLE", "WEIGHT", "E_WEIGHT", "ADDED", "E_ADDED")
+NUMBERS = ("WEIGHT", "E_WEIGHT", "ADDED", "E_ADDED", "TILT", "E_TILT", "COILGRAD", "BIASGRAD",
+           "GAP", "FORCERR")  # fmt: skip
+NOT_ONE = "instead of 1"
+
+FILE_FAULTS = {
+    **{f"no {key}": (no_keyword(key), f"no {key}") for key in REQUIRED},
+    **{f"{key} is text": (keyword(key, "-3.0"), f"{key} is '-3.0'") for key in NUMBERS},
+    **{f"{key} is logical": (keyword(key, True), f"{key} is True") for key in NUMBERS},
+    **{f"{key} is a number": (keyword(key, 5), f"{key} is 5") for key in ("INSTRUME", "LOAD")},
+    "TOOL is a number": (keyword("TOOL", 3), "TOOL is 3"),
+    "DATE-OBS is a number": (keyword("DATE-OBS", 2026.5), "DATE-OBS is 2026.5"),
+    "DATE-OBS is no date": (keyword("DATE-OBS", "4 May"), "DATE-OBS is '4 May'"),
+    "DATE-OBS is of no century": (keyword("DATE-OBS", "0001-01-01"), "DATE-OBS is '0001"),
+    "CYCLE is real": (keyword("CYCLE", 1.0), "CYCLE is 1.0"),
+    "CYCLE is text": (keyword("CYCLE", "1"), "CYCLE is '1'"),
+    "CYCLE is logical": (keyword("CYCLE", True), "CYCLE is True"),
+    "CYCLE is zero": (keyword("CYCLE", 0), "CYCLE is 0"),
+    "LOAD is blank": (keyword("LOAD", "   "), "LOAD is blank"),
+    "WEIGHT is positive": (keyword("WEIGHT", 3.0), "WEIGHT is 3 N"),
+    "WEIGHT is zero": (keyword("WEIGHT", 0.0), "WEIGHT is 0 N"),
+    "ADDED is positive": (keyword("ADDED", 0.5), "ADDED is 0.5 N"),
+    "E_WEIGHT is negative": (keyword("E_WEIGHT", -0.1), "E_WEIGHT is -0.1"),
+    "E_ADDED is negative": (keyword("E_ADDED", -0.1), "E_ADDED is -0.1"),
+    "FORCERR is zero": (keyword("FORCERR", 0.0), "FORCERR is 0 N"),
+    "TILT is upright": (keyword("TILT", 90.0), "TILT is 90 deg"),
+    "WEIGHT is huge": (keyword("WEIGHT", -1e300), "WEIGHT is -1e+300 N"),
+    "ADDED is huge": (keyword("ADDED", -1e300), "ADDED is -1e+300 N"),
+    "E_WEIGHT is huge": (keyword("E_WEIGHT", 1e300), "E_WEIGHT is 1e+300"),
+    "E_WEIGHT is a huge integer": (keyword("E_WEIGHT", 10**60), "E_WEIGHT is 1e+60"),
+    "COILGRAD is huge": (keyword("COILGRAD", 1e300), "COILGRAD is 1e+300"),
+    "TILT is huge": (keyword("TILT", 1e300), "TILT is 1e+300"),
+    # tables
+    "no ACTUATORS": (no_extension(A), "no table ACTUATORS"),
+    "no MEASUREMENTS": (no_extension(M), "no table MEASUREMENTS"),
+    "two ACTUATORS": (doubled(A), "two ACTUATORS"),
+    "two MEASUREMENTS": (doubled(M), "two MEASUREMENTS"),
+    **{f"no {n}": (no_column(A, n), f"ACTUATORS has no column {n}") for n in ("ID", "X", "Y")},
+    **{
+        f"no {name}": (no_column(M, name), f"MEASUREMENTS has no column {name}")
+        for name in ("TIME", "SHAPE", "SIGN", "FORCE")
+    },
+    "two columns X": (
+        columns(A, lambda parts: parts["Y"].update(name="x")),
+        "two columns X",
+    ),
+    # types and widths
+    "ID is real": (column(A, "ID", format="D"), "column ID of ACTUATORS holds float64"),
+    "ID is text": (column(A, "ID", format="2A", array=["a"] * 12), "column ID of ACTUATORS holds"),
+    "X is text": (column(A, "X", format="4A", array=["0.01"] * 12), "column X of ACTUATORS holds"),
+    "X is a pair": (column(A, "X", format="2D", array=np.zeros((12, 2))), NOT_ONE),
+    "ENABLED is a number": (
+        column(A, "ENABLED", format="J", array=np.ones(12)),
+        "column ENABLED of ACTUATORS holds int32",
+    ),
+    "VALID is a number": (
+        column(M, "VALID", format="B", array=np.ones(24)),
+        "column VALID of MEASUREMENTS holds uint8",
+    ),
+    "SHAPE is real": (column(M, "SHAPE", format="D"), "column SHAPE of MEASUREMENTS holds"),
+    "SIGN is logical": (
+        column(M, "SIGN", format="L", array=np.ones(24, dtype=bool)),
+        "column SIGN of MEASUREMENTS holds bool",
+    ),
+    "FORCE is complex": (column(M, "FORCE", format="12M"), "FORCE of MEASUREMENTS holds complex"),
+    "FORCE varies in length": (
+        column(M, "FORCE", format="PD()", array=np.array([np.ones(k) for k in range(24)], object)),
+        "FORCE of MEASUREMENTS holds object",
+    ),
+    "FORCE lacks an actuator": (
+        column(M, "FORCE", format="11D", array=np.ones((24, 11))),
+        "11 values a row instead of 12",
+    ),
+    "ACTUATORS lacks a row": (rows(A, slice(11)), "12 values a row instead of 11"),
+    "POSITION is one": (column(M, "POSITION", format="D", array=np.zeros(24)), "instead of 12"),
+    "FORCE is a matrix": (
+        column(M, "FORCE", dim="(4,3)", array=np.ones((24, 3, 4))),
+        "FORCE of MEASUREMENTS",
+    ),
+    # units
+    **{
+        f"{name} declares no unit": (
+            column(table, name, unit=None),
+            f"column {name} of {table} declares no unit",
+        )
+        for table, name in (
+            (A, "X"), (A, "Y"), (M, "TIME"), (M, "TEMPERATURE"), (M, "FORCE"), (M, "POSITION"),
+        )
+    },
+    **{
+        f"{name} in {unit}": (column(table, name, unit=unit), f"{name} of {table} is in '{unit}'")
+        for table, name, unit in (
+            (A, "X", "N"), (A, "Y", "arcsec"), (M, "TIME", "m"), (M, "TEMPERATURE", "C"),
+            (M, "FORCE", "kg"), (M, "FORCE", "counts"), (M, "FORCE", "nonsense"),
+            (M, "FORCE", "mag(N)"), (M, "POSITION", "V"),
+        )
+    },
+    # values that count
+    **{
+        f"{value} in {name}": (cells(table, name, where, value), words)
+        for value in (np.nan, np.inf, -np.inf, 1e300)
+        for table, name, where, words in (
+            (A, "X", 2, "actuator"), (A, "Y", 2, "actuator"), (A, "NZ", 2, "NZ"),
+            (M, "TIME", 7, "TIME in row 8"), (M, "TEMPERATURE", 7, "TEMPERATURE in row 8"),
+            (M, "FORCE", (7, 3), "FORCE in row 8"), (M, "POSITION", (7, 3), "POSITION in row 8"),
+        )
+    },
+    "FORCE overflows in its unit": (
+        lambda hdus: (
+            cells(M, "FORCE", (7, 3), 1e308)(hdus),
+            column(M, "FORCE", unit="kN")(hdus),
+        ),
+        "FORCE in row 8 is inf",
+    ),
+    "SIGN is 2": (cells(M, "SIGN", 4, 2), "SIGN in row 5 is 2"),
+    "SIGN is 0": (cells(M, "SIGN", 4, 0), "SIGN in row 5 is 0"),
+    "SHAPE is 0": (cells(M, "SHAPE", 4, 0), "SHAPE in row 5 is 0"),
+    "no rows": (rows(M, slice(0)), "MEASUREMENTS has no rows"),
+    "no actuators": (rows(A, slice(0)), "there are no actuators"),
+    "no row is valid": (cells(M, "VALID", slice(None), False), "MEASUREMENTS has no valid rows"),
+    "FORCE is zero": (cells(M, "FORCE", slice(None), 0.0), "FORCE is zero throughout"),
+    "an ID stands twice": (cells(A, "ID", 3, 1), "ID 1 stands 2 times"),
+    "two actuators at one place": (
+        lambda hdus: (cells(A, "X", 3, 0.01)(hdus), cells(A, "X", 4, 0.01)(hdus),
+                      cells(A, "Y", 3, 0.01)(hdus), cells(A, "Y", 4, 0.01)(hdus)),
+        "two actuators stand at x = 0.01 m, y = 0.01 m",
+    ),
+    "NZ is negative": (cells(A, "NZ", 3, -1.0), "NZ lies outside"),
+    "NZ is beyond 1": (cells(A, "NZ", 3, 1.1), "NZ lies outside"),
+    "X in mm is called m": (cells(A, "X", slice(None), np.arange(12) * 30.0), "check their unit"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("fault", "words"), FILE_FAULTS.values(), ids=FILE_FAULTS)
+def test_a_cycle_file_with_a_fault_is_refused_by_name(folder, refused, fault, words):
+    edit(folder / "ring-001.fits", fault)
+    line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
+    assert f"{folder}/ring-001.fits: " in line
+    assert words in line
+    assert "; " in line  # the remedy
+
+
+@pytest.mark.parametrize("command", ["info", "figures"])
+def test_every_command_refuses_alike(folder, refused, command):
+    edit(folder / "ring-001.fits", keyword("WEIGHT", 3.0))
+    output = ["-o", folder.parent / "figures"] if command == "figures" else []
+    line = refused(command, folder, *output)
+    assert "ring-001.fits: WEIGHT is 3 N; z points up" in line
+
+
+def test_what_does_not_count_may_hold_anything(folder, truenewton, tiny):
+    for name in ("bare-001.fits", "ring-001.fits"):
+        edit(
+            folder / name,
+            cells(M, "VALID", slice(20, 24), False),
+            cells(M, "FORCE", slice(20, 24), np.nan),
+            cells(M, "TIME", 21, np.inf),
+            cells(M, "TEMPERATURE", 22, -1e300),
+            cells(M, "POSITION", 23, np.nan),
+            cells(M, "SIGN", 20, 77),
+            cells(M, "SHAPE", 20, -5),
+        )
+    code, out, error = truenewton("calibrate", folder)
+    assert (code, error) == (0, "")
+    assert "8 rows not valid left out" in out
+
+
+# --- damaged files -----------------------------------------------------------------------------
+
+
+def lengths(whole):
+    edges = [k * 2880 + d for k in range(whole // 2880 + 1) for d in (-1, 0, 1, 80)]
+    return sorted({n for n in (*range(0, whole, 613), *edges, whole - 1) if 0 <= n < whole})
+
+
+def test_a_truncated_file_is_refused_at_every_length(folder, refused):
+    path = folder / "ring-001.fits"
+    sound = path.read_bytes()
+    cuts = lengths(len(sound))
+    assert len(cuts) > 50
+    for length in cuts:
+        path.write_bytes(sound[:length])
+        line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
+        assert "ring-001.fits: " in line
+        assert any(w in line for w in ("truncated", "damaged", "not a FITS", "no table")), length
+
+
+def test_a_truncated_gzip_file_is_refused_at_every_length(folder, refused):
+    plain, path = folder / "ring-001.fits", folder / "ring-001.fits.gz"
+    packed = gzip.compress(plain.read_bytes(), mtime=0)
+    plain.unlink()
+    for length in range(0, len(packed), 211):
+        path.write_bytes(packed[:length])
+        assert "ring-001.fits.gz: is " in refused("calibrate", folder)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\n", b"SIMPLE", b"time,force\n1,2\n", b"\x1f\x8b", b"\x1f\x8b" + b"x" * 999,
+     b"SIMPLE  = " + b"\0" * 2870, bytes(range(256)) * 90, b"\x1f\x8b" + gzip.compress(b"x")[2:]],
+    ids=["empty", "newline", "SIMPLE", "text", "gzip head", "bad gzip", "nulls", "noise", "gzip"],
+)  # fmt: skip
+def test_what_is_not_fits_is_refused(folder, refused, content):
+    (folder / "ring-001.fits").write_bytes(content)
+    line = refused("calibrate", folder)
+    assert "ring-001.fits: is " in line
+    assert any(words in line for words in ("not a FITS file", "damaged", "truncated"))
+
+
+@pytest.mark.parametrize("place", ["keyword", "comment", "header padding", "data", "data padding"])
+def test_a_changed_byte_anywhere_breaks_the_checksum(folder, refused, place):
+    path = folder / "ring-001.fits"
+    raw = bytearray(path.read_bytes())
+    with fits.open(path) as hdus:
+        table = hdus[M].fileinfo()
+        size = hdus[M].data.nbytes
+    at = {
+        "keyword": raw.index(b"ring A"),
+        "comment": raw.index(b"name of the load"),
+        "header padding": table["datLoc"] - 1,
+        "data": table["datLoc"] + 100,
+        "data padding": table["datLoc"] + size,
+    }[place]
+    raw[at] ^= 1
+    path.write_bytes(raw)
+    line = refused("calibrate", folder)
+    assert "ring-001.fits: a CHECKSUM or DATASUM does not match; " in line
+
+
+def test_bytes_after_the_end_are_refused(folder, refused):
+    with (folder / "ring-001.fits").open("ab") as file:
+        file.write(b"x" * 2880)
+    assert "ring-001.fits: is damaged" in refused("calibrate", folder)
+
+
+def test_a_column_count_beyond_all_reason_is_refused(folder, refused):
+    path = folder / "ring-001.fits"
+    raw = path.read_bytes().replace(b"CHECKSUM=", b"CHECKSUX=")
+    path.write_bytes(raw.replace(b"=                    7 / n", b"=           9999999999 / n"))
+    assert "MEASUREMENTS has over 999 columns; " in refused("calibrate", folder)
+
+
+# --- files that do not belong together ------------------------------------------------------------
+
+DISAGREEMENTS = {
+    "INSTRUME": (keyword("INSTRUME", "P46"), "on INSTRUME (P46 and TINY)"),
+    "WEIGHT": (keyword("WEIGHT", -3.0000001), "on WEIGHT (-3.0000001 and -3.0)"),
+    "E_WEIGHT": (keyword("E_WEIGHT", 0.006), "on E_WEIGHT (0.006 and 0.005)"),
+    "ACTUATORS, order": (rows(A, np.arange(12)[::-1]), "on the ACTUATORS table"),
+    "ACTUATORS, place": (lambda hdus: hdus[A].data["X"].__iadd__(1e-6), "on the ACTUATORS table"),
+    "ACTUATORS, name": (cells(A, "ID", 3, 99), "on the ACTUATORS table"),
+    "ACTUATORS, enabled": (cells(A, "ENABLED", 3, False), "on the ACTUATORS table"),
+    "ADDED": (keyword("ADDED", -0.51), "on ADDED (-0.51 and -0.5)"),
+    "E_ADDED": (keyword("E_ADDED", 0.006), "on E_ADDED (0.006 and 0.005)"),
+    "TILT": (keyword("TILT", 1.0), "on TILT (1.0 and 0.0)"),
+    "CYCLE": (keyword("CYCLE", 1), "LOAD 'ring' has CYCLE 1 twice"),
+}
+
+
+@pytest.mark.parametrize(("fault", "words"), DISAGREEMENTS.values(), ids=DISAGREEMENTS)
+def test_files_that_disagree_are_refused(folder, refused, tiny, fault, words):
+    write_cycle(dataclasses.replace(tiny.cycles[1], number=2), folder / "ring-002.fits")
+    edit(folder / "ring-002.fits", fault)
+    line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
+    assert "ring-002.fits: " in line
+    assert words in line
+    assert "; " in line
+
+
+def test_positions_that_agree_to_a_nanometre_are_accepted(folder, truenewton, tiny):
+    edit(folder / "ring-001.fits", lambda hdus: hdus[A].data["X"].__iadd__(5e-10))
+    assert truenewton("calibrate", folder)[0] == 0
+
+
+@pytest.fixture
+def stiffness(tiny):
+    """A stiffness matrix of rank 9 with alpha in it."""
+    arms = np.stack([tiny.layout.nz, tiny.layout.x, tiny.layout.y])
+    root = np.random.default_rng(5).standard_normal((12, 9)) * 1e3
+    root -= np.linalg.pinv(arms) @ arms @ root
+    return StiffnessMatrix("TINY", tiny.cycles[0].date, tiny.layout, root @ root.T)
+
+
+def test_a_stiffness_file_among_cycle_files_is_refused(folder, refused, stiffness):
+    write_stiffness(stiffness, folder / "k.fits")
+    assert "k.fits: is a stiffness file among others; " in refused("calibrate", folder)
+
+
+def test_a_calibration_among_cycle_files_is_refused(folder, refused, truenewton):
+    truenewton("calibrate", folder, "-o", folder / "alpha.fits")
+    assert "alpha.fits: is a calibration file among others; " in refused("calibrate", folder)
+    alone = refused("calibrate", folder / "alpha.fits")
+    assert "alpha.fits: is a calibration already; " in alone
+
+
+def test_a_fits_file_without_measurements_among_cycle_files_is_refused(folder, refused):
+    fits.PrimaryHDU(np.zeros((3, 3))).writeto(folder / "map.fits")
+    assert "map.fits: there is no table MEASUREMENTS; " in refused("calibrate", folder)
+
+
+STIFFNESS_FAULTS = {
+    "not square": (lambda hdus: setattr(hdus["STIFFNESS"], "data", np.ones((12, 11))), "12 x 11"),
+    "a vector": (lambda hdus: setattr(hdus["STIFFNESS"], "data", np.ones(144)), "144 for 12"),
+    "too small": (lambda hdus: setattr(hdus["STIFFNESS"], "data", np.ones((5, 5))), "5 x 5 for 12"),
+    "empty": (lambda hdus: setattr(hdus["STIFFNESS"], "data", None), "an image STIFFNESS"),
+    "zero": (
+        lambda hdus: setattr(hdus["STIFFNESS"], "data", np.zeros((12, 12))),
+        "STIFFNESS is zero throughout",
+    ),
+    "NaN": (lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), np.nan), "STIFFNESS holds NaN"),
+    "inf": (lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), np.inf), "STIFFNESS holds"),
+    "huge": (lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), 1e300), "STIFFNESS holds"),
+    "no unit": (lambda hdus: hdus["STIFFNESS"].header.remove("BUNIT"), "declares no unit"),
+    "N": (lambda hdus: hdus["STIFFNESS"].header.set("BUNIT", "N"), "STIFFNESS is in 'N'"),
+    "no INSTRUME": (no_keyword("INSTRUME"), "no INSTRUME"),
+    "no DATE-OBS": (no_keyword("DATE-OBS"), "no DATE-OBS"),
+    "no ACTUATORS": (no_extension(A), "no table ACTUATORS"),
+    "NaN in X": (cells(A, "X", 3, np.nan), "X of actuator 4 is not finite"),
+    "two": (doubled("STIFFNESS"), "two STIFFNESS"),
+}
+
+
+@pytest.mark.parametrize(("fault", "words"), STIFFNESS_FAULTS.values(), ids=STIFFNESS_FAULTS)
+def test_a_stiffness_file_with_a_fault_is_refused(tmp_path, refused, stiffness, fault, words):
+    write_stiffness(stiffness, tmp_path / "k.fits")
+    edit(tmp_path / "k.fits", fault)
+    line = refused("calibrate", tmp_path / "k.fits", "-o", tmp_path / "alpha.fits")
+    assert "k.fits: " in line
+    assert words in line
+    assert "; " in line
+
+
+# --- data that do not determine alpha -------------------------------------------------------------
+
+
+def on_a_line(tiny):
+    line = layout(np.linspace(-0.07, 0.07, 12), np.linspace(-0.03, 0.03, 12))
+    return [dataclasses.replace(c, layout=line) for c in tiny.cycles]
+
+
+def with_shapes(tiny, count):
+    keep = slice(2 * count)
+    return [
+        dataclasses.replace(
+            c, time=c.time[keep], shape=c.shape[keep], sign=c.sign[keep], force=c.force[keep],
+            valid=c.valid[keep], temperature=None, position=None,
+        )
+        for c in tiny.cycles
+    ]  # fmt: skip
+
+
+def with_equal_weights(tiny):
+    bare, ring = tiny.cycles
+    return [dataclasses.replace(bare, load=Load("other", -0.5)), ring]
+
+
+def with_one_shape_often(tiny):
+    return [
+        dataclasses.replace(c, force=c.force[(np.arange(24) % 2)], position=None)
+        for c in tiny.cycles
+    ]
+
+
+def with_three_actuators(tiny):
+    three = dataclasses.replace(tiny.layout, enabled=np.arange(12) < 3)
+    return [dataclasses.replace(c, layout=three) for c in tiny.cycles]
+
+
+UNDETERMINED = {
+    "one load": (lambda tiny: tiny.cycles[:1], "only one load, 'bare'", "another known weight"),
+    "equal loads": (with_equal_weights, "2 loads have the same weight", "add a load that differs"),
+    "collinear": (on_a_line, "actuators are collinear", "check X and Y"),
+    "3 shapes": (lambda tiny: with_shapes(tiny, 3), "too few shapes: 3 for 12", "apply 12"),
+    "one shape often": (with_one_shape_often, "1 of the 9 elastic directions", "apply 12"),
+    "three actuators": (with_three_actuators, "only 3 actuators take part", "enable four"),
+}
+
+
+@pytest.mark.parametrize(
+    ("make", "fault", "remedy"), UNDETERMINED.values(), ids=UNDETERMINED.keys()
+)
+def test_data_that_leave_alpha_free_are_refused(tmp_path, tiny, refused, make, fault, remedy):
+    write_campaign(make(tiny), tmp_path / "c")
+    line = refused("calibrate", tmp_path / "c", "-o", tmp_path / "alpha.fits")
+    assert fault in line
+    assert remedy in line.split("; ", 1)[1]
+
+
+# --- paths, outputs, the command line itself ------------------------------------------------------
+
+
+def test_paths_that_cannot_be_read_are_refused(tmp_path, refused):
+    assert "nowhere: cannot be read (No such file" in refused("calibrate", tmp_path / "nowhere")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty" / "notes.txt").write_text("x")
+    assert "empty: holds no FITS files; " in refused("calibrate", tmp_path / "empty")
+    (tmp_path / "folder.fits").mkdir()
+    (tmp_path / "folder.fits" / "sub.fits").mkdir()
+    assert "sub.fits: cannot be read (Is a dir" in refused("calibrate", tmp_path / "folder.fits")
+
+
+def test_an_output_that_stands_is_refused_and_kept(folder, refused, truenewton):
+    target = folder.parent / "alpha.fits"
+    target.write_text("mine")
+    line = refused("calibrate", folder, "-o", target)
+    assert f"{target}: exists already; choose another name or add --overwrite" in line
+    assert target.read_text() == "mine"
+    assert truenewton("calibrate", folder, "-o", target, "--overwrite")[0] == 0
+    assert target.read_bytes().startswith(b"SIMPLE")
+
+
+def test_a_fault_leaves_the_output_that_was_to_be_overwritten(folder, refused):
+    target = folder.parent / "alpha.fits"
+    target.write_text("mine")
+    edit(folder / "ring-001.fits", keyword("WEIGHT", 3.0))
+    refused("calibrate", folder, "-o", target, "--overwrite")
+    assert target.read_text() == "mine"
+
+
+@pytest.mark.parametrize("command", ["simulate", "figures"])
+def test_a_folder_that_stands_is_refused_and_kept(folder, refused, tmp_path, command):
+    target = tmp_path / "out"
+    target.mkdir()
+    (target / "notes.txt").write_text("mine")
+    what = "p45" if command == "simulate" else folder
+    assert "out: exists already; " in refused(command, what, "-o", target)
+    line = refused(command, what, "-o", target, "--overwrite")
+    assert "out: holds notes.txt, which is not ours; choose another name" in line
+    assert (target / "notes.txt").read_text() == "mine"
+
+
+def test_outputs_where_none_can_be_are_refused(folder, refused):
+    missing = folder.parent / "nowhere" / "alpha.fits"
+    line = refused("calibrate", folder, "-o", missing)
+    assert f"{missing}: cannot be written (No such file or directory); choose a folder" in line
+    line = refused("calibrate", folder, "-o", folder, "--overwrite")
+    assert f"{folder}: cannot be written (Is a directory); " in line
+    line = refused("simulate", "p45", "--cycles", 1, "-o", folder.parent / "nowhere" / "c")
+    assert "nowhere/c: cannot be written (No such file or directory); " in line
+
+
+def test_a_full_disk_leaves_no_half_written_output(folder, refused, monkeypatch):
+    write_bytes = Path.write_bytes
+
+    def full(path, data):
+        write_bytes(path, data[:1000])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    target = folder.parent / "alpha.fits"
+    line = refused("calibrate", folder, "-o", target)
+    assert f"{target}: cannot be written (No space left on device); " in line
+    line = refused("simulate", "p45", "--cycles", 1, "-o", folder.parent / "sim")
+    assert f"{folder.parent / 'sim'}: cannot be written (No space left on device); " in line
+
+
+COMMAND_LINES = {
+    "no command like it": (["kalibrate", "x"], "No such command 'kalibrate'"),
+    "no option like it": (["calibrate", "x", "--methud", "svd"], "No such option: --methud"),
+    "no paths": (["calibrate"], "Missing argument 'PATH...'"),
+    "option without value": (["calibrate", "x", "-o"], "requires an argument"),
+    "no number": (["simulate", "p45", "-o", "x", "--seed", "one"], "Invalid value for '--seed'"),
+    "number out of range": (
+        ["simulate", "p45", "-o", "x", "--cycles", 0],
+        "Invalid value for '--cycles'",
+    ),
+    "no mirror like it": (["simulate", "p54", "-o", "x"], "p54"),
+    "no mirror to prove": (["prove", "p54"], "p54"),
+}
+
+
+@pytest.mark.parametrize(("arguments", "words"), COMMAND_LINES.values(), ids=COMMAND_LINES.keys())
+def test_a_wrong_command_line_is_refused(refused, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert words in refused(*arguments)
+
+
+def test_an_unknown_method_is_refused_with_those_there_are(folder, refused):
+    line = refused("calibrate", folder, "--method", "magic", "-o", folder.parent / "a.fits")
+    assert "there is no method 'magic'; choose " in line
+    assert "svd" in line
+
+
+def test_a_name_with_line_breaks_still_makes_one_line(tmp_path, refused):
+    (tmp_path / "two\nlines\x1b[31m.fits").write_bytes(b"no FITS")
+    assert "two\\nlines\\x1b[31m.fits: is not a FITS file; " in refused("calibrate", tmp_path)
+
+
+def test_a_closed_standard_output_is_no_fault(folder, truenewton, monkeypatch):
+    monkeypatch.setattr(sys, "stdout", None)
+    target = folder.parent / "alpha.fits"
+    assert truenewton("calibrate", folder, "-o", target)[0] == 0
+    assert target.exists()
