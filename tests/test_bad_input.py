@@ -523,7 +523,7 @@ def test_an_output_that_stands_is_refused_and_kept(folder, refused, truenewton):
     target = folder.parent / "alpha.fits"
     target.write_text("mine")
     line = refused("calibrate", folder, "-o", target)
-    assert f"{target}: exists already; choose another name or add --overwrite" in line
+    assert f"{target}: exists already; choose another name, or overwrite it" in line
     assert target.read_text() == "mine"
     assert truenewton("calibrate", folder, "-o", target, "--overwrite")[0] == 0
     assert target.read_bytes().startswith(b"SIMPLE")

@@ -86,6 +86,15 @@ def test_a_matrix_that_is_too_soft_is_refused():
         calibrate(soft)
 
 
+def test_a_transposed_matrix_is_warned_of():
+    matrix, _ = commanded_stiffness()
+    turned = StiffnessMatrix("P45", DATE, matrix.layout, matrix.stiffness.T)
+    assert calibrate(matrix).diagnosis.warnings == ()
+    [(fault, remedy)] = calibrate(turned).diagnosis.warnings
+    assert "looks transposed" in fault
+    assert "[i, j], the force of actuator i per displacement of sensor j" in remedy
+
+
 def test_imbalance_is_the_rms_over_modes_and_equations():
     a = np.array([[1.0, 1.0], [2.0, -1.0], [0.0, 3.0]])
     modes = np.array([[0.6, 0.8]])
@@ -108,5 +117,6 @@ def test_on_a_real_lbt672_alpha_restores_balance():
     values = balance_modes(modes, a).singular_values
     assert values[1] / values[0] > 10  # alpha is determined
     calibration = calibrate(matrix)
+    assert calibration.diagnosis.warnings == ()
     assert calibration.alpha.min() > 0.8
     assert calibration.alpha.max() < 1.35

@@ -1,7 +1,5 @@
 """The figures show what they should, in files a journal takes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from balanced import campaign_of, p45_campaign
@@ -40,13 +38,15 @@ def test_a_disabled_actuator_is_an_open_circle():
     assert len(shown.get_paths()) == calibration.layout.n - 1
 
 
-def test_alpha_stands_with_the_papers_error_bars_ring_by_ring(calibration):
+def test_alpha_stands_with_three_sigma_bars_ring_by_ring(calibration):
     ax = calibration.plot_actuators()
     [bars] = ax.containers
     assert bars.lines[0].get_ydata() == pytest.approx(calibration.alpha, rel=1e-15)
     ends = np.array([s[:, 1] for s in bars.lines[2][0].get_segments()])
     half = 0.5 * (ends[:, 1] - ends[:, 0])
-    assert half == pytest.approx(calibration.cycle_error, rel=1e-9)
+    assert half == pytest.approx(3 * calibration.statistical, rel=1e-9)
+    named = {text.get_text() for text in ax.texts}
+    assert named == {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
 
 
 def test_axes_are_taken_and_returned(calibration):
@@ -86,10 +86,3 @@ def test_figures_are_not_overwritten_unless_told(calibration, tmp_path):
     with pytest.raises(OutputExists, match=r"mine\.txt, which is not ours"):
         write_figures(calibration, tmp_path / "figures", overwrite=True)
     assert (tmp_path / "figures" / "mine.txt").read_text() == "keep me"
-
-
-def test_without_repeated_cycles_the_bars_are_the_statistical_error(calibration):
-    single = replace(calibration, cycle_error=np.full(45, np.nan))
-    [bars] = single.plot_actuators().containers
-    ends = np.array([s[:, 1] for s in bars.lines[2][0].get_segments()])
-    assert 0.5 * (ends[:, 1] - ends[:, 0]) == pytest.approx(calibration.statistical, rel=1e-9)

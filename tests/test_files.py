@@ -1,4 +1,4 @@
-"""The three files (FORMAT): what is written is read back bit for bit, by us and by astropy."""
+"""The three kinds of file: what is written is read back bit for bit, by us and by astropy."""
 
 import dataclasses
 import datetime
@@ -95,7 +95,7 @@ def test_a_cycle_file_gives_every_bit_back(full_cycle, tmp_path):
     write_cycle(full_cycle, tmp_path / "c.fits")
     [cycle] = read(tmp_path / "c.fits").cycles
     assert same(cycle, full_cycle)
-    assert cycle.source.file == "c.fits"
+    assert cycle.source.file == str(tmp_path / "c.fits")
 
 
 def test_what_a_cycle_does_not_know_is_neither_written_nor_read(tiny, tmp_path):

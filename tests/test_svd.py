@@ -221,3 +221,20 @@ def test_solve_refuses_a_singular_matrix_and_too_few_equations():
 def test_an_unknown_method_is_named():
     with pytest.raises(UnknownName, match="no method 'magic'; choose svd"):
         calibrate(campaign_of(seed=19, noise=0.0)[0], method="magic")
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        (1e-3, "alpha is about 8.4e+02"),
+        (1e3, "alpha is about 0.0008"),
+        (-1.0, "alpha is negative for"),
+    ],
+)
+def test_an_alpha_that_only_a_slip_explains_is_warned_of(factor, said):
+    campaign, _ = campaign_of(seed=20, noise=0.0)
+    assert calibrate(campaign).diagnosis.warnings == ()
+    slipped = Campaign(tuple(replace(c, force=factor * c.force) for c in campaign.cycles))
+    [(fault, remedy)] = calibrate(slipped).diagnosis.warnings
+    assert fault.startswith(said)
+    assert "FORCE, WEIGHT and ADDED" in remedy

@@ -13,6 +13,8 @@ from truenewton.errors import GeometryError
 
 Array = NDArray[np.float64]
 
+FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit has slipped
+
 
 def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     """Return a read-only contiguous copy of ``values``."""
@@ -21,7 +23,7 @@ def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     return array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Layout:
     """Actuators in the frame of the torques.
 
@@ -73,7 +75,7 @@ class Layout:
                     f"{name.upper()} of actuator {self.id[bad][0]} is not finite",
                     remedy="give the position and direction of every actuator",
                 )
-        if np.abs([self.x, self.y]).max() > 100.0:
+        if np.abs([self.x, self.y]).max() > FARTHEST:
             raise GeometryError(
                 f"an actuator stands {np.abs([self.x, self.y]).max():.3g} m from the axis",
                 remedy="X and Y are metres; check their unit",
@@ -98,13 +100,17 @@ class Layout:
                 remedy="correct their positions",
             )
 
+    def __repr__(self) -> str:
+        off = f", {np.count_nonzero(~self.enabled)} disabled" if not self.enabled.all() else ""
+        return f"<Layout of {self.n} actuators{off}>"
+
     @property
     def n(self) -> int:
         """Number of actuators, disabled ones included."""
         return int(np.size(self.id))
 
     def same_as(self, other: Layout) -> bool:
-        """Tell whether two layouts are one: same order, positions to 1e-9 m (FORMAT)."""
+        """Tell whether two layouts are one: same order, positions to 1e-9 m (docs/files.md)."""
         return (
             np.array_equal(self.id, other.id)
             and np.array_equal(self.enabled, other.enabled)
@@ -123,15 +129,22 @@ def layout(
     nz: ArrayLike | None = None,
     enabled: ArrayLike | None = None,
 ) -> Layout:
-    """Make a layout; names count from 1, forces point along +z, all enabled, unless told."""
+    """Make a layout; names count from 1, forces point along +z, all enabled, unless told.
+
+    ``x`` and ``y`` are numbers in metres or Quantities of any length.
+    """
     n = np.size(x)
     return Layout(
         id=np.arange(1, n + 1) if id is None else np.asarray(id, dtype=np.int64),
-        x=np.asarray(x, dtype=float),
-        y=np.asarray(y, dtype=float),
+        x=_metres(x),
+        y=_metres(y),
         nz=np.ones(n) if nz is None else np.asarray(nz, dtype=float),
         enabled=np.ones(n, dtype=bool) if enabled is None else np.asarray(enabled, dtype=bool),
     )
+
+
+def _metres(values: Any) -> Array:
+    return np.asarray(values.to_value("m") if hasattr(values, "to_value") else values, dtype=float)
 
 
 def rings(radii: Sequence[float], counts: Sequence[int], *, nz: Sequence[float] = ()) -> Layout:
@@ -159,7 +172,7 @@ def spherical_rings(polar_angles: Sequence[float], counts: Sequence[int], radius
     """Lay rings on a spherical shell whose actuators push along its normals.
 
     An actuator at polar angle t has nz = cos t and stands, for the torques, on the circle of
-    radius R sin t: the exact arms for piston and tilts about the vertex (FORMAT, balance).
+    radius R sin t: the exact arms for piston and tilts about the vertex (docs/method.md).
 
     Parameters
     ----------

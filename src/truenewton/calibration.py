@@ -1,4 +1,4 @@
-"""The result of a calibration, and its file (FORMAT, the calibration file)."""
+"""The result of a calibration, and its file (docs/files.md)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class UsedSource:
     rejected: int
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
     """True Newtons per commanded Newton, with what is needed to trust them.
 
@@ -110,6 +110,14 @@ class Calibration:
                      "systematic", "torque_y", "torque_x"):  # fmt: skip
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
+    def __repr__(self) -> str:
+        on = self.layout.enabled
+        return (
+            f"<Calibration of {self.instrument}: {np.count_nonzero(on)} actuators, alpha"
+            f" {self.alpha[on].min():.3g} .. {self.alpha[on].max():.3g}, typical error"
+            f" {np.median(self.error[on]):.2g}, method {self.method}, scale {self.scale}>"
+        )
+
     @property
     def error(self) -> Array:
         """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
@@ -136,6 +144,8 @@ class Calibration:
         table = QTable()
         for name, form, unit, values in self._columns():
             table[name] = np.array(values) if form == "J" else u.Quantity(values, unit or "")
+            if form != "J":
+                table[name].info.format = ".5g"
         table.meta = {"INSTRUME": self.instrument, "METHOD": self.method, "SCALE": self.scale}
         return table
 

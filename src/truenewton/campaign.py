@@ -12,7 +12,7 @@ from truenewton.measurements import Cycle, Load
 from truenewton.statics import effective_weight
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Campaign:
     """Cycles of one mirror, which together are calibrated.
 
@@ -50,6 +50,13 @@ class Campaign:
                     remedy=f"leave one out, or number it anew (the other is {_file(double)})",
                     path=_file(cycle),
                 )
+
+    def __repr__(self) -> str:
+        loads = ", ".join(load.name for load in self.loads)
+        return (
+            f"<Campaign of {self.instrument}: {self.layout.n} actuators,"
+            f" {len(self.cycles)} cycles under {loads}>"
+        )
 
     @property
     def layout(self) -> Layout:

@@ -1,4 +1,4 @@
-"""The cycle file and the stiffness file (FORMAT): between FITS and the measurement records."""
+"""Cycle and stiffness files (docs/files.md): between FITS and the measurement records."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def cycle_from(file: FitsFile) -> Cycle:
             bias_gradient=file.optional_number("BIASGRAD"),
             gap=file.optional_number("GAP"),
             force_error=file.optional_number("FORCERR"),
-            source=Source(Path(file.path).name, file.sha256),
+            source=Source(file.path, file.sha256),
         )
     except TrueNewtonError as error:
         raise located(error, file.path) from None
@@ -114,7 +114,7 @@ def stiffness_from(file: FitsFile) -> StiffnessMatrix:
             date=file.date("DATE-OBS"),
             layout=layout_from(file),
             stiffness=file.image("STIFFNESS").values("N/m"),
-            source=Source(Path(file.path).name, file.sha256),
+            source=Source(file.path, file.sha256),
         )
     except TrueNewtonError as error:
         raise located(error, file.path) from None

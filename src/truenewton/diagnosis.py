@@ -19,12 +19,15 @@ class Diagnosis:
     undetermined
         Number of further patterns that the data cannot tell from noise.
     faults
-        What is missing, each with its remedy; empty when alpha is determined.
+        What is missing, each with its remedy; empty when alpha can be had.
+    warnings
+        What looks wrong, each with its remedy, though alpha could be had.
     """
 
     eigenvalues: tuple[float, ...]
     undetermined: int
     faults: tuple[tuple[str, str], ...]
+    warnings: tuple[tuple[str, str], ...] = ()
 
     @property
     def separation(self) -> float:

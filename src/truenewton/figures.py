@@ -83,9 +83,19 @@ def plot_map(
         )
         dots = PatchCollection(patches[known], cmap=COLOURS, edgecolor=INK, linewidth=0.3)
         dots.set_array(values[known])
+        # Among many, the few farthest out shall not take up the colours of all others.
+        clipped = layout.n > 100
+        if clipped:
+            dots.set_clim(*np.percentile(values[known], [1.0, 99.0]))
         ax.add_collection(dots)
         bar = ax.figure.colorbar(
-            dots, ax=ax, orientation="horizontal", fraction=0.05, pad=0.02, aspect=35
+            dots,
+            ax=ax,
+            orientation="horizontal",
+            fraction=0.05,
+            pad=0.02,
+            aspect=35,
+            extend="both" if clipped else "neither",
         )
         bar.set_label(label)
         bar.outline.set_linewidth(0.4)
@@ -101,30 +111,33 @@ def plot_map(
 def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
-    The bars are the paper's, three times the scatter over the cycles (E_CYCLE), or E_STAT where
-    there is none. The error of the common scale moves all points together: it stands in the corner.
+    The bars are three standard uncertainties from the readings (3 E_STAT), the paper's level. The
+    error of the common scale moves all points together: it stands above.
     """
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.75)
         layout, alpha = calibration.layout, calibration.alpha
-        cycle = np.isfinite(calibration.cycle_error).any()
-        bars = calibration.cycle_error if cycle else calibration.statistical
+        bars = 3 * calibration.statistical
         ring = ring_of(layout)
         order = np.argsort(ring, kind="stable")
         place = np.arange(1, layout.n + 1)
-        size = 2.5 if layout.n <= 100 else 1.0
+        few = layout.n <= 100
         ax.errorbar(
             place, alpha[order], yerr=bars[order], fmt="o", color=ACCENT, ecolor=INK,
-            markersize=size, elinewidth=0.6, capsize=1.2 if layout.n <= 100 else 0.0,
+            markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
         )  # fmt: skip
         edges = np.flatnonzero(np.diff(ring[order])) + 1.5
         for edge in edges:
             ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
-        ax.set_xlim(0.5, layout.n + 0.5)
+        ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
+        for extreme in (np.nanargmin(alpha), np.nanargmax(alpha)):
+            at = (place[order == extreme][0], alpha[extreme])
+            ax.annotate(str(layout.id[extreme]), at, xytext=(3, 0), textcoords="offset points",
+                        fontsize=6.0, va="center")  # fmt: skip
         ax.set_xlabel("actuator, ring by ring from the centre" if len(edges) else "actuator")
         ax.set_ylabel(ALPHA_LABEL)
         ax.margins(y=0.12)
-        note = "bars: 3σ over cycles" if cycle else "bars: 1σ"
+        note = "bars: 3σ, readings"
         if calibration.scale == "weights":
             scale = np.nanmedian(calibration.systematic_error / np.abs(alpha))
             note += f"; common scale ±{100 * scale:.1f} % (1σ)"

@@ -60,7 +60,7 @@ class Table:
         """
         if name not in self.columns:
             raise FormatError(
-                f"{self.name} has no column {name}", remedy="add it (FORMAT)", path=self.path
+                f"{self.name} has no column {name}", remedy="add it (docs/files.md)", path=self.path
             )
         values, has_unit = self.columns[name]
         kinds, dtype, wanted = _KINDS[kind]
@@ -137,14 +137,18 @@ class FitsFile:
         """Return a table, or raise FormatError."""
         self._refuse_unsound(name)
         if name not in self.tables:
-            raise FormatError(f"there is no table {name}", remedy="add it (FORMAT)", path=self.path)
+            raise FormatError(
+                f"there is no table {name}", remedy="add it (docs/files.md)", path=self.path
+            )
         return self.tables[name]
 
     def image(self, name: str) -> Image:
         """Return an image, or raise FormatError."""
         self._refuse_unsound(name)
         if name not in self.images:
-            raise FormatError(f"there is no image {name}", remedy="add it (FORMAT)", path=self.path)
+            raise FormatError(
+                f"there is no image {name}", remedy="add it (docs/files.md)", path=self.path
+            )
         return self.images[name]
 
     def text(self, key: str) -> str:
@@ -196,7 +200,7 @@ class FitsFile:
         value = self.header.get(key)
         if value is None:
             raise FormatError(
-                f"the primary header has no {key}", remedy="add it (FORMAT)", path=self.path
+                f"the primary header has no {key}", remedy="add it (docs/files.md)", path=self.path
             )
         # Python counts True as an integer; a logical is neither number nor text here.
         if isinstance(value, bool) or not sound(value):

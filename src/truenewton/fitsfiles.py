@@ -187,7 +187,7 @@ def write_fits(
     path
         The target; gzipped where it ends in .gz.
     header
-        Primary keywords with value and comment; None and NaN are left out (FORMAT).
+        Primary keywords with value and comment; None and NaN are left out (docs/files.md).
     sheets
         The extensions, in order.
 

@@ -9,7 +9,7 @@ forces are in balance:
 
 The eigenvalues of G in terms of D are squared noise in every pattern that the data leave free, and
 stand above it in every pattern that they hold. The least belongs to alpha itself; every further one
-that does not stand apart from it is a direction that only noise decides (THEORY, sections 2 and 3).
+that does not stand apart from it is a direction that only noise decides (docs/method.md).
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def geometry_faults(a: Array) -> tuple[tuple[str, str], ...]:
                 "a mirror on one line has no torque about it; check X and Y",
             ),
         )
-    # {v : v A in the span of A}, larger than the constants on certain conics (THEORY, section 2).
+    # {v : v A in the span of A}, larger than the constants on certain conics (docs/method.md).
     orthonormal = np.linalg.qr(a.T)[0]
     outside = np.eye(n) - orthonormal @ orthonormal.T
     stacked = np.vstack([outside * row for row in orthonormal.T])

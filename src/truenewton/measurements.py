@@ -19,7 +19,7 @@ LONGEST_TIME = 1e8  # [s]
 
 @dataclass(frozen=True)
 class Source:
-    """Where a record came from."""
+    """Where a record came from: the path of its file, and the digest of its bytes."""
 
     file: str
     sha256: str
@@ -54,9 +54,9 @@ class Load:
         return self.name.strip().casefold()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Cycle:
-    """One run through all shapes under one load (FORMAT, the cycle file).
+    """One run through all shapes under one load (docs/files.md).
 
     Attributes
     ----------
@@ -115,6 +115,7 @@ class Cycle:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen_array(value, dtype))
+        _check_date(self.date)
         self._check_numbers()
         self._check_rows()
 
@@ -212,15 +213,21 @@ class Cycle:
                 got=bad,
             )
 
+    def __repr__(self) -> str:
+        return (
+            f"<Cycle {self.number} of {self.instrument}, load '{self.load.name}':"
+            f" {len(self.time)} rows, {self.layout.n} actuators>"
+        )
+
     @property
     def used_force(self) -> Array:
         """(N_valid, n_enabled) commanded forces of the rows and actuators that count [N]."""
         return np.asarray(self.force[self.valid][:, self.layout.enabled])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StiffnessMatrix:
-    """A measured stiffness or feed-forward matrix (FORMAT, the stiffness file).
+    """A measured stiffness or feed-forward matrix (docs/files.md).
 
     Attributes
     ----------
@@ -241,6 +248,7 @@ class StiffnessMatrix:
     source: Source | None = None
 
     def __post_init__(self) -> None:
+        _check_date(self.date)
         object.__setattr__(self, "stiffness", frozen_array(self.stiffness))
         n = self.layout.n
         if self.stiffness.shape != (n, n):
@@ -257,6 +265,14 @@ class StiffnessMatrix:
             raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
         if not counted.any():
             raise FormatError("STIFFNESS is zero throughout", remedy="measure it first")
+
+    def __repr__(self) -> str:
+        return f"<StiffnessMatrix of {self.instrument}: {self.layout.n} actuators>"
+
+
+def _check_date(date: object) -> None:
+    if not isinstance(date, datetime.datetime):
+        raise FormatError(f"the date is {date!r}", remedy="give a datetime.datetime, UTC", got=date)
 
 
 def located(error: TrueNewtonError, path: object) -> TrueNewtonError:

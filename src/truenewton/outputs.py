@@ -16,7 +16,9 @@ def refuse_existing(target: str | os.PathLike[str], *, overwrite: bool = False) 
     """Raise OutputExists where the target stands and may not be overwritten."""
     if not overwrite and os.path.lexists(target):
         raise OutputExists(
-            "exists already", remedy="choose another name or add --overwrite", path=target
+            "exists already",
+            remedy="choose another name, or overwrite it (--overwrite, overwrite=True)",
+            path=target,
         )
 
 

@@ -41,6 +41,10 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
         if is_stiffness_file(files[0]):
             return stiffness_from(files[0])
     for file in files:
+        if "TRUTH" in file.tables:
+            raise FormatError(
+                "is the truth of a simulation", remedy="give the campaign beside it", path=file.path
+            )
         if is_calibration_file(file) or is_stiffness_file(file):
             raise FormatError(
                 f"is a {'calibration' if is_calibration_file(file) else 'stiffness'} file among"

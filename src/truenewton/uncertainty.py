@@ -27,7 +27,7 @@ class WeightError:
 
 
 def weight_errors(campaign: Campaign) -> tuple[WeightError, ...]:
-    """Return the independent sources of error of W = (P + Q) cos(tilt) (FORMAT, cycle file).
+    """Return the independent sources of error of W = (P + Q) cos(tilt) (docs/files.md).
 
     The error of P is common to all loads; loads with the same TOOL share one error of their added
     weight, each in proportion to its own; every other error is independent.

@@ -44,5 +44,4 @@ def run(
     print_summary(calibration)
     for line in imbalance_lines(judged):
         print(line)
-    if output is not None:
-        print(f"written: {output}")
+    print(f"written: {output}" if output is not None else "not written; -o FILE keeps it")

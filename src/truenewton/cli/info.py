@@ -147,6 +147,10 @@ def _stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]]:
 
 
 def _verdict(diagnosis: Diagnosis) -> list[str]:
+    warnings = [f"  WARNING: {fault}; {remedy}" for fault, remedy in diagnosis.warnings]
     if not diagnosis.faults:
-        return [f"  sound: alpha is determined, and stands apart by {diagnosis.separation:.3g}"]
+        return [
+            f"  enough for alpha, which stands apart by {diagnosis.separation:.3g}",
+            *warnings,
+        ]
     return [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in diagnosis.faults]

@@ -24,12 +24,12 @@ def print_summary(calibration: Calibration) -> None:
     print(
         f"{c.instrument}, {c.date:%Y-%m-%d}: {on.sum()} actuators"
         + (f" ({(~on).sum()} disabled)" if not on.all() else "")
-        + f", {c.shapes_used} {'shapes' if c.loads else 'elastic modes'}"
+        + f", {c.shapes_used} {'rows' if c.loads else 'elastic modes'}"
         + (f" under {len(c.loads)} loads" if c.loads else "")
         + (f", {c.invalid} rows not valid left out" if c.invalid else "")
     )
     rows = [
-        ("alpha", f"{alpha.min():.3f} .. {alpha.max():.3f}", "true N / commanded N"
+        ("alpha", f"{alpha.min():.4g} .. {alpha.max():.4g}", "true N / commanded N"
          + f", lowest actuator {ids[low]}, highest {ids[high]}"),
         ("typical error of alpha", percent(float(np.median(relative))), "E_ALPHA, one sigma"),
     ]  # fmt: skip
@@ -58,6 +58,8 @@ def print_summary(calibration: Calibration) -> None:
     rows.append(("condition", f"{c.condition:.3g}", f"rank {c.rank}"))
     for name, value, note in rows:
         print(f"  {name:<24}{value:<36}{note}".rstrip())
+    for fault, remedy in c.diagnosis.warnings if c.diagnosis else ():
+        print(f"  WARNING: {fault}; {remedy}")
 
 
 def _budget(c: Calibration) -> list[tuple[str, str, str]]:
@@ -99,6 +101,7 @@ def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -
         "condition": c.condition,
         "rank": c.rank,
         "separation": c.diagnosis.separation if c.diagnosis else None,
+        "warnings": [fault for fault, _ in c.diagnosis.warnings] if c.diagnosis else [],
         "bias_force": c.bias_force,
         "e_bias_force": c.bias_force_error,
         "loads": [

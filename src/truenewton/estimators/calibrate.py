@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,11 +93,11 @@ def _from_campaign(campaign: Campaign) -> Calibration:
         degrees_of_freedom=None,
         chi2=float("nan"),
         sources=tuple(
-            UsedSource(c.source.file, c.source.sha256, int(c.valid.sum()), 0)
+            UsedSource(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()), 0)
             for c in campaign.cycles
             if c.source
         ),
-        diagnosis=diagnosis,
+        diagnosis=replace(diagnosis, warnings=_implausible(found.solution[:n])),
     )
 
 
@@ -143,9 +145,32 @@ def _from_stiffness(matrix: StiffnessMatrix) -> Calibration:
         noise=float("nan"),
         degrees_of_freedom=None,
         chi2=float("nan"),
-        sources=(UsedSource(source.file, source.sha256, len(modes), 0),) if source else (),
-        diagnosis=Diagnosis(tuple((found.singular_values**2).tolist()), 0, ()),
+        sources=(UsedSource(Path(source.file).name, source.sha256, len(modes), 0),)
+        if source
+        else (),
+        diagnosis=Diagnosis(
+            tuple((found.singular_values**2).tolist()), 0, (), elastic.orientation_warning(matrix)
+        ),
     )
+
+
+def _implausible(alpha: Array) -> tuple[tuple[str, str], ...]:
+    """Warn of an alpha that only a slip of a unit or a sign explains."""
+    if (alpha <= 0).any():
+        return (
+            (
+                f"alpha is negative for {np.count_nonzero(alpha <= 0)} actuators",
+                "check the signs of FORCE, WEIGHT and ADDED: z points up",
+            ),
+        )
+    if not 0.2 < np.median(alpha) < 5.0:
+        return (
+            (
+                f"alpha is about {np.median(alpha):.2g}",
+                "check the units of FORCE, WEIGHT and ADDED: they are Newton",
+            ),
+        )
+    return ()
 
 
 def _spread(values: Array, on: NDArray[np.bool_]) -> Array:

@@ -17,7 +17,7 @@ from truenewton.balance import balance_rows, enabled_arms
 from truenewton.errors import RankDeficient
 from truenewton.measurements import StiffnessMatrix
 
-# Softer modes mix with the rigid motions through the bias magnets' gradient [N/m] (MIRRORS).
+# Softer modes mix with the rigid motions through the bias magnets' gradient [N/m].
 SOFTEST = 1e3
 
 
@@ -97,7 +97,7 @@ def balance_modes(modes: Array, a: Array) -> ElasticSolution:
         raise RankDeficient(
             f"a second pattern of alpha balances the modes as well ({values[1]:.2g} after"
             f" {values[0]:.2g})",
-            remedy="measure a less noisy stiffness matrix",
+            remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
             got=float(values[1]),
         )
     mean = right[0].mean()
@@ -117,6 +117,25 @@ def balance_modes(modes: Array, a: Array) -> ElasticSolution:
     # The mean is 1 by definition, so what is common to all actuators is no error.
     turned -= np.outer(turned.mean(axis=1), alpha)
     return ElasticSolution(alpha, variance * turned.T @ turned, values)
+
+
+def orientation_warning(matrix: StiffnessMatrix) -> tuple[tuple[str, str], ...]:
+    """Warn of a transposed matrix: a rigid displacement must cost little force.
+
+    K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
+    {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
+    """
+    on = matrix.layout.enabled
+    k, rigid = matrix.stiffness[np.ix_(on, on)], np.linalg.qr(enabled_arms(matrix.layout).T)[0]
+    if np.linalg.norm(rigid.T @ k) >= 0.5 * np.linalg.norm(k @ rigid):
+        return ()
+    return (
+        (
+            "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
+            " balance",
+            "store [i, j], the force of actuator i per displacement of sensor j",
+        ),
+    )
 
 
 def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:

@@ -129,7 +129,7 @@ def static_bench(
         raise LimitExceeded(
             f"holding the mirror alone takes actuator {layout.id[room.argmin()]} beyond the limit"
             f" of {force_limit:g} N",
-            remedy="raise the limit or take a lighter weight",
+            remedy="take a lighter weight, less noise, or a higher limit",
             got=float(np.abs(load_force).max()),
             want=force_limit,
         )
