@@ -23,9 +23,9 @@ format: .venv-test/ready
 	.venv-test/bin/ruff check --fix .
 	.venv-test/bin/ruff format .
 
-.venv-demo/ready: pyproject.toml constraints.txt
+.venv-demo/ready: pyproject.toml constraints.txt $(shell find src -name '*.py')
 	$(PYTHON) -m venv .venv-demo
-	.venv-demo/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	.venv-demo/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt .
 	touch $@
 
 .venv-test/ready: pyproject.toml constraints.txt

@@ -84,7 +84,7 @@ def test_calibrate_as_json_is_for_scripts(inside, folder):
     values = json.loads(out)
     assert code == 0
     assert len(values["actuators"]["alpha"]) == 45
-    assert values["method"] == "svd"
+    assert values["method"] == "ml"
     assert values["scale"] == "weights"
     assert values["noise"] == pytest.approx(1e-4, rel=0.05)
     assert [load["load"] for load in values["loads"]] == ["bare", "ring"]
@@ -116,7 +116,7 @@ def test_info_and_figures_take_a_calibration(inside, folder, tmp_path):
     inside("calibrate", folder, "-o", alpha)
     code, out, _ = inside("info", alpha)
     assert code == 0
-    assert out.startswith("a calibration, method svd, scale weights\n")
+    assert out.startswith("a calibration, method ml, scale weights\n")
     code, out, _ = inside("figures", alpha, "-o", tmp_path / "figures")
     assert code == 0
     assert len(out.splitlines()) == 6

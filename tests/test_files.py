@@ -13,7 +13,6 @@ import pytest
 from astropy.io import fits
 
 from truenewton.actuators import Layout
-from truenewton.calibration import read_calibration
 from truenewton.campaign import Campaign
 from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
 from truenewton.errors import FormatError, OutputExists, OutputFailed
@@ -209,8 +208,10 @@ def test_a_calibration_is_read_as_it_was_written(p45_folder, tmp_path):
     calibration.write(tmp_path / "a.fits")
     # The contract keeps neither TOOL nor E_TILT.
     kept = tuple(dataclasses.replace(load, tool=None) for load in calibration.loads)
-    assert same(read(tmp_path / "a.fits"), dataclasses.replace(calibration, loads=kept))
-    assert same(read_calibration(tmp_path / "a.fits"), read(tmp_path / "a.fits"))
+    assert same(
+        read(tmp_path / "a.fits"),
+        dataclasses.replace(calibration, loads=kept, diagnosis=None, scale_errors=()),
+    )
 
 
 def test_a_disabled_actuator_is_nan_in_the_calibration_file(tiny, tmp_path):

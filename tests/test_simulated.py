@@ -63,7 +63,7 @@ def test_shapes_are_the_stiffness_modes_softest_first():
     assert bench.shapes.shape == (45, 45)
     assert np.all(np.abs(stiffness[:3]) < 1e-5)  # piston and tilts cost nothing
     assert np.all(np.diff(stiffness[3:]) > -1e-3)
-    assert force[3:] == pytest.approx(stiffness[3:, None] * bench.shapes[3:], abs=1e-12)
+    assert force[3:] == pytest.approx(stiffness[3:, None] * bench.shapes[3:], abs=1e-8)
 
 
 def test_a_cycle_is_every_shape_with_both_signs():
@@ -133,7 +133,7 @@ def test_weights_scatter_as_their_errors_say():
 
 def test_noiseless_data_give_the_truth_but_for_the_weight_of_the_ring():
     bench = static_bench(p45(), seed=5, force_noise=0.0)
-    result = score(calibrate(Campaign(tuple(run_cycles(bench, 1)))), bench.truth)
+    result = score(calibrate(Campaign(tuple(run_cycles(bench, 1))), "svd"), bench.truth)
     assert result.pattern_error < 1e-9
     expected = bench.loads[1].added / bench.truth.added[1] - 1
     assert result.scale_error == pytest.approx(expected, rel=1e-8)
@@ -150,4 +150,13 @@ def test_stiffness_modes_are_eigenmodes_of_unit_length():
     assert np.all(np.diff(found.stiffness) >= 0)
     assert found.modes.T @ found.modes == pytest.approx(np.eye(45), abs=1e-12)
     error = stiffness @ found.modes - found.modes * found.stiffness
-    assert np.abs(error).max() < 1e-12 * found.stiffness[-1] * 45
+    assert np.abs(error).max() < 1e-8 * found.stiffness[-1]  # equals are taken together
+
+
+def test_rounding_does_not_choose_the_modes():
+    """Pairs of equal stiffness keep their modes when the matrix is rounded otherwise."""
+    stiffness = p45_bench().truth.stiffness
+    noise = 1e-9 * np.random.default_rng(0).standard_normal(stiffness.shape)
+    once, again = stiffness_modes(stiffness), stiffness_modes(stiffness + noise)
+    assert np.diff(once.stiffness[3:5]) < 1e-6  # a pair
+    assert again.modes == pytest.approx(once.modes, abs=1e-7)

@@ -17,7 +17,14 @@ FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit has slip
 
 
 def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return a read-only contiguous copy of ``values``."""
+    """Return a read-only contiguous copy of ``values``; themselves if they are that already."""
+    if (
+        isinstance(values, np.ndarray)
+        and values.dtype == dtype
+        and values.flags.c_contiguous
+        and not values.flags.writeable
+    ):
+        return values
     array: NDArray[Any] = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array

@@ -5,22 +5,23 @@ from __future__ import annotations
 import datetime
 import os
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from truenewton.actuators import Array, Layout, frozen_array
 from truenewton.campaign_files import iso
-from truenewton.diagnosis import Diagnosis
-from truenewton.errors import FormatError, TrueNewtonError
-from truenewton.fitscontent import FitsFile
-from truenewton.fitsfiles import Sheet, read_fits, write_fits
-from truenewton.measurements import Load, located
+from truenewton.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
+from truenewton.errors import FormatError
+from truenewton.fitsfiles import Sheet, write_fits
+from truenewton.measurements import Load
 
 if TYPE_CHECKING:
     from astropy.table import QTable
     from matplotlib.axes import Axes
+
+
+LARGEST_ALPHA = 1e9  # true Newton / commanded Newton; keeps squares finite
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,12 @@ class Calibration:
         Estimated standard deviation of one reading [N]; DOF; CHI2 against FORCERR.
     sources
         The files.
-    diagnosis
-        How well alpha is determined; None when read from a file.
+    diagnosis, goodness
+        How well alpha is determined, and how well the data fit; None when read from a file.
+    scale_errors
+        What limits the common scale, largest first; empty when read from a file.
+    rejected_rows
+        The rows left out; empty when read from a file.
     """
 
     instrument: str
@@ -104,11 +109,24 @@ class Calibration:
     chi2: float
     sources: tuple[UsedSource, ...]
     diagnosis: Diagnosis | None = None
+    goodness: Goodness | None = None
+    scale_errors: tuple[ScaleError, ...] = ()
+    rejected_rows: tuple[RejectedRow, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("alpha", "statistical", "systematic_error", "cycle_error", "covariance",
                      "systematic", "torque_y", "torque_x"):  # fmt: skip
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        on = self.layout.enabled
+        if not (on.any() and np.isfinite(self.alpha[on]).all() and np.abs(self.alpha[on]).all()):
+            raise FormatError("ALPHA holds no usable numbers", remedy="calibrate again")
+        for name, errors in (("E_STAT", self.statistical), ("E_SYST", self.systematic_error),
+                             ("E_CYCLE", self.cycle_error),
+                             ("COVARIANCE", np.diag(self.covariance))):  # fmt: skip
+            if (errors < 0).any() or np.isinf(errors).any():
+                raise FormatError(f"{name} is negative or infinite", remedy="calibrate again")
+        if not np.isfinite(self.error[on]).all() or np.abs(self.alpha[on]).max() > LARGEST_ALPHA:
+            raise FormatError("ALPHA or its error is absurd", remedy="calibrate again")
 
     def __repr__(self) -> str:
         on = self.layout.enabled
@@ -240,98 +258,3 @@ class Calibration:
 def _ascii(text: str) -> str:
     """FITS holds ASCII only; a file name may hold anything."""
     return text.encode("ascii", "backslashreplace").decode()
-
-
-def is_calibration_file(file: FitsFile) -> bool:
-    """Tell a calibration file from the others by its CALIBRATION."""
-    return file.holds("CALIBRATION")
-
-
-def read_calibration(path: str | os.PathLike[str]) -> Calibration:
-    """Read a calibration file.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
-    return calibration_from(read_fits(Path(path)))
-
-
-def calibration_from(file: FitsFile) -> Calibration:
-    """Return the calibration that a file holds."""
-    table, lines, sources = file.table("CALIBRATION"), file.table("LOADS"), file.table("SOURCES")
-
-    def number(key: str) -> float:
-        value = file.optional_number(key)
-        return float("nan") if value is None else value
-
-    alpha = table.column("ALPHA")
-    count = alpha.size + 1 + 2 * lines.rows
-    images = {name: file.image(name).values() for name in ("COVARIANCE", "SYSTEMATIC")}
-    for name, image in images.items():
-        if image.shape != (count, count):
-            raise FormatError(
-                f"{name} has the shape {image.shape}",
-                remedy=f"it is square, of {count}: n + 1 + 2 L",
-                path=file.path,
-                got=image.shape,
-                want=(count, count),
-            )
-    freedom = file.optional_number("DOF")
-    try:
-        return Calibration(
-            instrument=file.text("INSTRUME"),
-            date=file.date("DATE-OBS"),
-            date_end=file.date("DATE-END"),
-            method=file.text("METHOD"),
-            scale=file.text("SCALE"),
-            layout=Layout(
-                id=table.column("ID", "int"),
-                x=table.column("X", unit="m"),
-                y=table.column("Y", unit="m"),
-                nz=table.column("NZ") if table.has("NZ") else np.ones(table.rows),
-                enabled=np.isfinite(alpha),
-            ),
-            loads=tuple(
-                Load(str(name).strip(), added, added_error, None, tilt)
-                for name, added, added_error, tilt in zip(
-                    lines.column("LOAD", "str"),
-                    lines.column("ADDED", unit="N").tolist(),
-                    lines.column("E_ADDED", unit="N").tolist(),
-                    lines.column("TILT", unit="deg").tolist(),
-                    strict=True,
-                )
-            ),
-            alpha=alpha,
-            statistical=table.column("E_STAT"),
-            systematic_error=table.column("E_SYST"),
-            cycle_error=table.column("E_CYCLE"),
-            covariance=images["COVARIANCE"],
-            systematic=images["SYSTEMATIC"],
-            bias_force=number("BIAS"),
-            torque_y=lines.column("MY", unit="N m"),
-            torque_x=lines.column("MX", unit="N m"),
-            weight=number("WEIGHT"),
-            weight_error=number("E_WEIGHT"),
-            temperature=number("TEMPERAT"),
-            shapes_used=file.integer("NSHAPES"),
-            rejected=file.integer("NREJECT"),
-            invalid=file.integer("NINVALID"),
-            condition=number("CONDITIO"),
-            rank=file.integer("RANK"),
-            noise=number("NOISE"),
-            degrees_of_freedom=None if freedom is None else int(freedom),
-            chi2=number("CHI2"),
-            sources=tuple(
-                UsedSource(str(name).strip(), str(digest).strip(), int(rows), int(rejected))
-                for name, digest, rows, rejected in zip(
-                    sources.column("FILE", "str"),
-                    sources.column("SHA256", "str"),
-                    sources.column("ROWS", "int"),
-                    sources.column("REJECTED", "int"),
-                    strict=True,
-                )
-            ),
-        )
-    except TrueNewtonError as error:
-        raise located(error, file.path) from None

@@ -8,7 +8,7 @@ from typing import Any
 
 from truenewton.actuators import Array, Layout
 from truenewton.errors import CampaignMismatch
-from truenewton.measurements import Cycle, Load
+from truenewton.measurements import Cycle, Load, StiffnessMatrix
 from truenewton.statics import effective_weight
 
 
@@ -20,6 +20,8 @@ class Campaign:
     ----------
     cycles
         Ordered by load, the bare one first, then by number.
+    stiffness
+        A stiffness matrix of the same mirror, which helps to tell its actuators apart; or None.
 
     Raises
     ------
@@ -28,6 +30,7 @@ class Campaign:
     """
 
     cycles: tuple[Cycle, ...]
+    stiffness: StiffnessMatrix | None = None
 
     def __post_init__(self) -> None:
         if not self.cycles:
@@ -50,6 +53,15 @@ class Campaign:
                     remedy=f"leave one out, or number it anew (the other is {_file(double)})",
                     path=_file(cycle),
                 )
+        matrix = self.stiffness
+        if matrix is not None and not (
+            matrix.instrument == self.instrument and matrix.layout.same_as(self.layout)
+        ):
+            raise CampaignMismatch(
+                f"disagrees with {_file(ordered[0])} on INSTRUME or the ACTUATORS table",
+                remedy="give the stiffness matrix of the same mirror",
+                path=matrix.source.file if matrix.source else "stiffness matrix",
+            )
 
     def __repr__(self) -> str:
         loads = ", ".join(load.name for load in self.loads)

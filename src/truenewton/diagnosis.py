@@ -1,4 +1,4 @@
-"""The verdict on whether data fix alpha."""
+"""The verdict on data: what they fix, how well they fit, what was left out, what limits them."""
 
 from __future__ import annotations
 
@@ -14,20 +14,35 @@ class Diagnosis:
     Attributes
     ----------
     eigenvalues
-        Squared imbalance that the data leave in patterns of alpha, ascending; the first belongs to
-        alpha itself and is noise, every pattern that the data hold stands above it.
+        Squared imbalance that the data leave in patterns of alpha, in terms of its noise where that
+        is known, ascending; the first belongs to alpha itself, and every pattern that the data hold
+        stands above it.
     undetermined
         Number of further patterns that the data cannot tell from noise.
     faults
         What is missing, each with its remedy; empty when alpha can be had.
     warnings
-        What looks wrong, each with its remedy, though alpha could be had.
+        What is weak, each with its remedy.
+    weakest
+        The pattern of alpha that the data hold least, in words; its share of the variance E_STAT^2
+        summed over actuators follows.
+    weakest_share
+        That share.
+    leverage
+        (n,) share of each enabled actuator in the noise of the imbalance; they sum to 3. Where it
+        is small a fault of the actuator is hard to see.
+    span
+        Elastic directions in which the shapes stand above the noise; -1 where that was not asked.
     """
 
     eigenvalues: tuple[float, ...]
     undetermined: int
     faults: tuple[tuple[str, str], ...]
     warnings: tuple[tuple[str, str], ...] = ()
+    weakest: str = ""
+    weakest_share: float = float("nan")
+    leverage: tuple[float, ...] = ()
+    span: int = -1
 
     @property
     def separation(self) -> float:
@@ -36,3 +51,67 @@ class Diagnosis:
             return float("nan")
         rounding = np.finfo(float).eps * self.eigenvalues[-1]
         return float(np.sqrt(self.eigenvalues[1] / max(self.eigenvalues[0], rounding)))
+
+
+@dataclass(frozen=True)
+class Goodness:
+    """How well the shapes balance, against what their noise lets expect.
+
+    Attributes
+    ----------
+    chi2, degrees_of_freedom
+        Sum of squared imbalance in terms of its noise; equations less unknowns.
+    against
+        Where the noise comes from: 'repeats', 'FORCERR', or 'minimum' when it fits by definition.
+    probability
+        Of a larger chi2 by chance; NaN against 'minimum'.
+    """
+
+    chi2: float
+    degrees_of_freedom: int
+    against: str
+    probability: float
+
+    @property
+    def reduced(self) -> float:
+        """chi2 over degrees of freedom."""
+        return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom else float("nan")
+
+
+@dataclass(frozen=True)
+class ScaleError:
+    """One source of error of the common scale of alpha.
+
+    Attributes
+    ----------
+    source
+        In words.
+    relative
+        Its part of the relative standard uncertainty of the common scale.
+    """
+
+    source: str
+    relative: float
+
+
+@dataclass(frozen=True)
+class RejectedRow:
+    """A row that was left out.
+
+    Attributes
+    ----------
+    cycle, row
+        Place in the campaign's cycles; row of MEASUREMENTS, from 0.
+    actuator
+        ID of the actuator that stands out.
+    sigmas
+        How far, in standard deviations.
+    against
+        'repeats' of its shape, or 'balance'.
+    """
+
+    cycle: int
+    row: int
+    actuator: int
+    sigmas: float
+    against: str

@@ -76,3 +76,11 @@ class OutputExists(TrueNewtonError, FileExistsError):
 
 class OutputFailed(TrueNewtonError, OSError):
     """An output that could not be written; nothing was left in its place."""
+
+
+class TooManyOutliers(TrueNewtonError, ValueError):
+    """A campaign in which so many rows do not belong that the rest cannot be trusted."""
+
+
+class NotConverged(TrueNewtonError, ArithmeticError):
+    """An iteration that does not settle."""

@@ -214,6 +214,8 @@ def _dot(layout: Layout) -> float:
     """Return the radius of a dot that leaves its neighbours free [mm]."""
     from scipy.spatial import cKDTree
 
+    if layout.n == 1:
+        return 1.0
     points = np.stack([layout.x, layout.y], axis=1) / MILLIMETRE
     distance = np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1]
     return float(0.42 * np.median(distance))

@@ -71,7 +71,14 @@ class Table:
                 path=self.path,
                 got=str(values.dtype),
             )
-        values = values.astype(dtype)
+        try:
+            values = values.astype(dtype)
+        except UnicodeDecodeError:
+            raise FormatError(
+                f"column {name} of {self.name} holds bytes that are not ASCII",
+                remedy="store plain text",
+                path=self.path,
+            ) from None
         if width == 1 and values.ndim == 1:
             values = values[:, None]
         want = (self.rows,) if width is None else (self.rows, width)

@@ -14,7 +14,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -170,7 +170,6 @@ class Sheet:
     columns: tuple[tuple[str, str, str | None, Any], ...] = ()
     data: NDArray[Any] | None = None
     unit: str | None = None
-    header: Mapping[str, Any] = field(default_factory=dict)
 
 
 def write_fits(

@@ -1,15 +1,15 @@
 """What the data can and cannot fix, judged against noise; and what to do about it.
 
-Noise fills null spaces, so the rank of E says nothing. Instead, with equal noise s in all readings
-and the arms made orthonormal (U = (A A')^-1/2 A), alpha is the pattern v for which the centred
+Noise fills null spaces, so the rank of E says nothing. Instead, with noise Sigma in the readings
+and the arms made orthonormal, U = (A Sigma A')^-1/2 A, alpha is the pattern v for which the centred
 forces are in balance:
 
     v' G v / v' D v = least,    G = sum over shapes (c - c_mean)(c - c_mean)' o (U' U),
-                                D = number of shapes * diag(U' U)        (o: elementwise)
+                                D = number of shapes * Sigma o (U' U)           (o: elementwise)
 
-The eigenvalues of G in terms of D are squared noise in every pattern that the data leave free, and
-stand above it in every pattern that they hold. The least belongs to alpha itself; every further one
-that does not stand apart from it is a direction that only noise decides (docs/method.md).
+The eigenvalues of G in terms of D are about 1 in every pattern that the data leave free, and stand
+above it in every pattern that they hold. The least belongs to alpha itself; every further one that
+does not stand apart from it is a direction that only noise decides (docs/method.md).
 """
 
 from __future__ import annotations
@@ -17,26 +17,28 @@ from __future__ import annotations
 import numpy as np
 import scipy.linalg
 
-from truenewton.actuators import Array
+from truenewton.actuators import Array, Layout
 from truenewton.balance import enabled_arms
 from truenewton.campaign import Campaign
 from truenewton.diagnosis import Diagnosis
 from truenewton.errors import RankDeficient
-from truenewton.repeats import RowGroups, row_groups
+from truenewton.moments import Moments
 
 
-def balance_spectrum(force: Array, a: Array) -> Array:
+def balance_spectrum(force: Array, a: Array, variance: Array) -> Array:
     """Return (n,) ascending eigenvalues of G in terms of D.
 
     Parameters
     ----------
     force
-        (shapes, n) commanded forces, centred on their load's mean, times the root of their number.
+        (shapes, n) commanded forces, centred on their load's mean, times the root of their weight.
     a
         (3, n) arms.
+    variance
+        (n,) of one reading, or ones where unknown.
     """
-    gram = a.T @ np.linalg.solve(a @ a.T, a)  # U' U
-    root = np.sqrt(len(force) * np.diag(gram))
+    gram = a.T @ np.linalg.solve((a * variance) @ a.T, a)  # U' U
+    root = np.sqrt(len(force) * np.diag(gram) * variance)
     scaled = (force.T @ force) * gram / np.outer(root, root)
     return np.asarray(np.maximum(scipy.linalg.eigvalsh(scaled), 0.0))
 
@@ -54,50 +56,71 @@ def free_patterns(eigenvalues: Array, shapes: int) -> int:
     return int(np.count_nonzero(eigenvalues[1:] <= factor * noise))
 
 
-def diagnose(campaign: Campaign) -> Diagnosis:
+ENOUGH_REPEATS = 30  # for a noise of each actuator: known to 13 %
+
+
+def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
     """Judge whether a campaign fixes alpha, B and the torques, and name what is missing."""
     a = enabled_arms(campaign.layout)
-    faults = geometry_faults(a) + _load_faults(campaign)
-    if geometry_faults(a):
-        return Diagnosis((), 0, faults)
-    groups = row_groups(campaign)
-    centred = _centred(groups)
-    n = a.shape[1]
-    # Both signs of a shape, and all its loads, are one elastic pattern: three equations.
-    distinct = len(np.unique(groups.labels[:, 1]))
-    if 3 * distinct < n - 1:
-        return Diagnosis((), n - 1 - 3 * distinct, (*faults, _too_few(distinct, n)))
-    eigenvalues = balance_spectrum(centred, a)
+    faults = structural_faults(campaign, moments)
+    n, distinct = a.shape[1], _distinct_shapes(moments)
+    if geometry_faults(a) or 3 * distinct < n - 1:
+        return Diagnosis((), max(n - 1 - 3 * distinct, 0), faults)
+    centred = _centred(moments)
+    variance = np.ones(n)
+    if moments.repeats >= ENOUGH_REPEATS and (moments.scatter > 0).all():
+        variance = moments.scatter / moments.repeats
+    eigenvalues = balance_spectrum(centred, a, variance)
     free = free_patterns(eigenvalues, len(centred) - len(campaign.loads))
+    span = _span(centred / np.sqrt(variance), float(np.sqrt(eigenvalues[: free + 1].mean())))
     if free:
-        noise = float(np.sqrt(eigenvalues[: free + 1].mean()))
-        span = min(_span(centred, noise), n - 3)
         faults += (_drowned(span, free, n),)
-    return Diagnosis(tuple(eigenvalues.tolist()), free, faults)
+    return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span)
 
 
-def _centred(groups: RowGroups) -> Array:
-    """Return the means of repeats, centred for each load and weighted by the root of their number.
+def structural_faults(campaign: Campaign, moments: Moments) -> tuple[tuple[str, str], ...]:
+    """Name what is missing whatever the noise: actuators, loads, the number of shapes."""
+    a = enabled_arms(campaign.layout)
+    faults = geometry_faults(a) + _load_faults(campaign)
+    n, distinct = a.shape[1], _distinct_shapes(moments)
+    if 3 * distinct < n - 1:
+        faults += (
+            (
+                f"there are too few shapes: {distinct} for {n} actuators",
+                f"apply {n} independent shapes, both signs",
+            ),
+        )
+    return faults
+
+
+def _distinct_shapes(moments: Moments) -> int:
+    """Count shapes: both signs, and all loads, are one elastic pattern of three equations."""
+    return len(np.unique(moments.labels[:, 1]))
+
+
+def _centred(moments: Moments) -> Array:
+    """Return the means of repeats, centred for each load and weighted by the root of their weight.
 
     What is common to a load (weight, bias, torques) drops out, as do its unknown B, M_y and M_x.
     """
-    centred = np.empty_like(groups.mean)
-    for load in np.unique(groups.labels[:, 0]):
-        at = groups.labels[:, 0] == load
-        weight = groups.count[at]
-        mean = weight @ groups.mean[at] / weight.sum()
-        centred[at] = (groups.mean[at] - mean) * np.sqrt(weight)[:, None]
+    centred = np.empty_like(moments.mean)
+    for load in np.unique(moments.labels[:, 0]):
+        at = moments.labels[:, 0] == load
+        weight = moments.weight[at]
+        mean = weight @ moments.mean[at] / weight.sum()
+        centred[at] = (moments.mean[at] - mean) * np.sqrt(weight)[:, None]
     return centred
 
 
 def _span(centred: Array, noise: float) -> int:
-    """Return how many directions of force stand above what noise alone would reach.
+    """Return how many elastic directions of force stand above what noise alone would reach.
 
     The largest singular value of N rows of n noisy readings is s (root N + root n).
     """
     values = np.linalg.svd(centred, compute_uv=False)
     edge = noise * np.sum(np.sqrt(centred.shape))
-    return int(np.count_nonzero(values > max(1.1 * edge, 1e-12 * values[0])))
+    above = np.count_nonzero(values > max(1.1 * edge, 1e-12 * values[0]))
+    return int(min(above, centred.shape[1] - 3))
 
 
 def geometry_faults(a: Array) -> tuple[tuple[str, str], ...]:
@@ -114,11 +137,15 @@ def geometry_faults(a: Array) -> tuple[tuple[str, str], ...]:
                 "a mirror on one line has no torque about it; check X and Y",
             ),
         )
-    # {v : v A in the span of A}, larger than the constants on certain conics (docs/method.md).
-    orthonormal = np.linalg.qr(a.T)[0]
-    outside = np.eye(n) - orthonormal @ orthonormal.T
-    stacked = np.vstack([outside * row for row in orthonormal.T])
-    if np.linalg.svd(stacked, compute_uv=False)[-2] <= 1e-9:
+    # v A lies in the span of A if v' F v = 0 with F = sum_k diag(q_k) (1 - Q Q') diag(q_k); beside
+    # the constants that happens on certain conics only.
+    q = np.linalg.qr(a.T)[0]
+    gram = q @ q.T
+    share = np.diag(gram)
+    free = np.diag(share) - gram**2 + share.mean() / n
+    try:
+        np.linalg.cholesky(free - 1e-12 * share.mean() * np.eye(n))
+    except np.linalg.LinAlgError:
         return (
             (
                 "the actuators stand on a conic on which balance leaves alpha free",
@@ -148,14 +175,8 @@ def _load_faults(campaign: Campaign) -> tuple[tuple[str, str], ...]:
     return ()
 
 
-def _too_few(distinct: int, n: int) -> tuple[str, str]:
-    return (
-        f"there are too few shapes: {distinct} for {n} actuators",
-        f"apply {n} independent shapes, both signs",
-    )
-
-
 def _drowned(span: int, free: int, n: int) -> tuple[str, str]:
+    """Say how many patterns the noise decides, and in how many directions shapes stand above it."""
     return (
         f"the shapes stand above the noise in {span} of the {n - 3} elastic directions, too few"
         f" or dependent: {free} pattern{'s' if free > 1 else ''} of alpha left to noise",
@@ -168,3 +189,51 @@ def refuse(diagnosis: Diagnosis) -> None:
     if diagnosis.faults:
         fault, remedy = diagnosis.faults[0]
         raise RankDeficient(fault, remedy=remedy, got=diagnosis.undetermined, want=0)
+
+
+def leverage(arms: Array, variance: Array) -> Array:
+    """Return (n,) the share of each actuator in the noise of the imbalance; they sum to 3.
+
+    Parameters
+    ----------
+    arms
+        (3, n) A diag(alpha).
+    variance
+        (n,) of one reading.
+    """
+    s = (arms * variance) @ arms.T
+    return np.asarray(np.einsum("kn,kn->n", arms, np.linalg.solve(s, arms)) * variance)
+
+
+_SMOOTH = (
+    ("piston-like", lambda x, y: (np.ones_like(x + y),)),
+    ("tilt-like", lambda x, y: (x, y)),
+    ("defocus-like", lambda x, y: (x**2 + y**2,)),
+    ("astigmatism-like", lambda x, y: (x**2 - y**2, x * y)),
+    ("coma-like", lambda x, y: ((x**2 + y**2) * x, (x**2 + y**2) * y)),
+    ("trefoil-like", lambda x, y: (x**3 - 3 * x * y**2, 3 * x**2 * y - y**3)),
+)
+
+
+def in_words(pattern: Array, layout: Layout) -> str:
+    """Describe a pattern over the enabled actuators as a person would.
+
+    One actuator if it holds more than half of the square; else the first smooth shape that, with
+    those before it taken out, holds more than half; else how many actuators share it.
+    """
+    on = layout.enabled
+    square = pattern**2 / np.sum(pattern**2)
+    if square.max() > 0.5:
+        return f"actuator {layout.id[on][square.argmax()]}"
+    radius = np.hypot(layout.x[on], layout.y[on]).max()
+    x, y = layout.x[on] / radius, layout.y[on] / radius
+    rest, size = pattern / np.sqrt(np.sum(pattern**2)), 1.0
+    basis = np.empty((len(x), 0))
+    for name, shape in _SMOOTH:
+        basis = np.linalg.qr(np.column_stack([basis, *shape(x, y)]))[0]
+        left = rest - basis @ (basis.T @ rest)
+        remains = float(left @ left)
+        if size - remains > 0.5:
+            return f"a {name} pattern"
+        size = remains
+    return f"a pattern of about {round(1 / np.sum(square**2))} actuators"

@@ -28,8 +28,17 @@ class StiffnessModes:
 def stiffness_modes(stiffness: Array) -> StiffnessModes:
     """Return the eigenmodes of a symmetric (n, n) stiffness, rigid motions first.
 
-    The sign of a mode is free; the largest component of each is made positive.
+    A symmetric mirror has pairs of equal stiffness, in which rounding would choose the modes. So
+    each set of equals gets the basis nearest to fixed random vectors: the same on every machine,
+    to rounding. That settles the signs as well.
     """
     values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-    largest = np.take_along_axis(vectors, np.abs(vectors).argmax(axis=0)[None], axis=0)
-    return StiffnessModes(values, vectors * np.where(largest < 0, -1.0, 1.0))
+    n = len(values)
+    reference = np.random.default_rng(0).standard_normal((n, n))
+    apart = np.diff(values) > 1e-11 * values[-1] + 1e-6 * np.abs(values[1:])
+    modes = np.empty_like(vectors)
+    for equal in np.split(np.arange(n), np.flatnonzero(apart) + 1):
+        # Polar decomposition of the projected references: no pivots, so no ties.
+        left, _, right = np.linalg.svd(vectors[:, equal].T @ reference[:, equal])
+        modes[:, equal] = vectors[:, equal] @ (left @ right)
+    return StiffnessModes(values, modes)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
-from truenewton.calibration import Calibration, calibration_from, is_calibration_file
+from truenewton.calibration import Calibration
+from truenewton.calibration_files import calibration_from, is_calibration_file
 from truenewton.campaign import Campaign
 from truenewton.campaign_files import (
     campaign_from,
@@ -23,7 +25,7 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
     Parameters
     ----------
     paths
-        Folders of cycle files and single files.
+        Folders of cycle files and single files; a stiffness file may stand among cycle files.
 
     Returns
     -------
@@ -40,19 +42,19 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
             return calibration_from(files[0])
         if is_stiffness_file(files[0]):
             return stiffness_from(files[0])
+    matrices = [file for file in files if is_stiffness_file(file)]
     for file in files:
         if "TRUTH" in file.tables:
             raise FormatError(
                 "is the truth of a simulation", remedy="give the campaign beside it", path=file.path
             )
-        if is_calibration_file(file) or is_stiffness_file(file):
+        if is_calibration_file(file) or file in matrices[1:]:
+            what = "calibration" if is_calibration_file(file) else "second stiffness"
             raise FormatError(
-                f"is a {'calibration' if is_calibration_file(file) else 'stiffness'} file among"
-                " others",
-                remedy="give it alone",
-                path=file.path,
+                f"is a {what} file among others", remedy="give it alone", path=file.path
             )
-    return campaign_from(files)
+    campaign = campaign_from(file for file in files if file not in matrices)
+    return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
 
 
 def read_data(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix:

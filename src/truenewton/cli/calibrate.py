@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.estimators.elastic import Imbalance
 
 NAME = "calibrate"
 
@@ -18,15 +22,22 @@ def run(
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Calibration file to write (FITS)."
     ),
-    method: str = typer.Option("svd", help="Estimator: svd, the paper's."),
+    method: str = typer.Option("ml", help="ml, maximum likelihood; svd, the paper's."),
+    population: bool = typer.Option(
+        False, "--population", help="Take alpha for samples of one normal population (ml)."
+    ),
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
     from truenewton.cli.printing import print_json
-    from truenewton.cli.summary import imbalance_lines, print_summary, summary_values
-    from truenewton.estimators import calibrate
-    from truenewton.estimators.elastic import imbalances
+    from truenewton.cli.summary import (
+        imbalance_lines,
+        print_summary,
+        rejected_lines,
+        summary_values,
+    )
+    from truenewton.estimators import calibrate, held_out
     from truenewton.measurements import StiffnessMatrix
     from truenewton.outputs import refuse_existing
     from truenewton.reading import read_data
@@ -34,14 +45,19 @@ def run(
     if output is not None:
         refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
-    calibration = calibrate(data, method)
-    judged = imbalances(data) if isinstance(data, StiffnessMatrix) else ()
+    calibration = calibrate(data, method, population=population)
+    judged: tuple[Imbalance, ...] = ()
+    if isinstance(data, StiffnessMatrix):
+        judged = held_out(data, method, population=population)
     if output is not None:
         calibration.write(output, overwrite=overwrite)
     if json:
         print_json(summary_values(calibration, judged))
         return
     print_summary(calibration)
+    if not isinstance(data, StiffnessMatrix):
+        for line in rejected_lines(data, calibration.rejected_rows):
+            print(line)
     for line in imbalance_lines(judged):
         print(line)
     print(f"written: {output}" if output is not None else "not written; -o FILE keeps it")

@@ -44,10 +44,12 @@ def _campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str]]:
     import numpy as np
 
     from truenewton.cli.printing import with_error
+    from truenewton.cli.summary import rejected_lines, rejected_values
     from truenewton.identifiability import diagnose
-    from truenewton.repeats import row_groups
+    from truenewton.outliers import against_repeats
 
-    groups, diagnosis = row_groups(campaign), diagnose(campaign)
+    moments, sound, strange = against_repeats(campaign)
+    diagnosis = diagnose(sound, moments)
     loads = []
     for place, (load, weight) in enumerate(
         zip(campaign.loads, campaign.effective_weights.tolist(), strict=True)
@@ -77,9 +79,10 @@ def _campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str]]:
         "weight": campaign.weight,
         "e_weight": campaign.weight_error,
         "loads": loads,
-        "shapes": len(np.unique(groups.labels[:, 1])),
+        "shapes": len(np.unique(moments.labels[:, 1])),
         "largest_force": largest,
-        "noise": groups.noise,
+        "noise": moments.noise,
+        "strange_rows": rejected_values(campaign, strange),
         "separation": diagnosis.separation,
         "faults": [{"fault": fault, "remedy": remedy} for fault, remedy in diagnosis.faults],
     }
@@ -98,11 +101,11 @@ def _campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str]]:
             + invalid
         )
     lines.append(f"  {'largest force':<24}{largest:.3g} N commanded")
-    if np.isfinite(groups.noise):
+    if np.isfinite(moments.noise):
         lines.append(
-            f"  {'noise of one reading':<24}{1e3 * groups.noise:.3g} mN, from repeated shapes"
+            f"  {'noise of one reading':<24}{1e3 * moments.noise:.3g} mN, from repeated shapes"
         )
-    return values, lines + _verdict(diagnosis)
+    return values, lines + list(rejected_lines(campaign, strange)) + _verdict(diagnosis)
 
 
 def _stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]]:
@@ -112,26 +115,23 @@ def _stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]]:
     from truenewton.diagnosis import Diagnosis
     from truenewton.errors import RankDeficient
     from truenewton.estimators import calibrate
-    from truenewton.estimators.elastic import SOFTEST
+    from truenewton.estimators.elastic import SOFTEST, asymmetry, modal_stiffness
 
-    on = matrix.layout.enabled
-    k = matrix.stiffness[np.ix_(on, on)]
-    values = np.linalg.svd(k, compute_uv=False)
+    values, off = modal_stiffness(matrix), int(np.count_nonzero(~matrix.layout.enabled))
     try:
         diagnosis = calibrate(matrix).diagnosis or Diagnosis((), 0, ())
     except RankDeficient as error:
         diagnosis = Diagnosis((), 0, ((error.fault, error.remedy),))
-    asymmetry = float(np.linalg.norm(k - k.T) / np.linalg.norm(k + k.T))
     facts = {
         "holds": "stiffness",
         "instrument": matrix.instrument,
         "actuators": matrix.layout.n,
-        "disabled": int((~on).sum()),
+        "disabled": off,
         "softest": float(values[-1]),
         "median": float(np.median(values)),
         "stiffest": float(values[0]),
         "used_modes": int(np.count_nonzero(values > SOFTEST)),
-        "asymmetry": asymmetry,
+        "asymmetry": asymmetry(matrix),
         "separation": diagnosis.separation,
         "faults": [{"fault": fault, "remedy": remedy} for fault, remedy in diagnosis.faults],
     }
@@ -141,7 +141,7 @@ def _stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]]:
         f"  {'singular values':<24}{values[-1]:.3g} .. {values[0]:.3g} N/m,"
         f" median {np.median(values):.3g}",
         f"  {'elastic modes':<24}{facts['used_modes']} stiffer than {SOFTEST:g} N/m",
-        f"  {'asymmetry':<24}{asymmetry:.2g}, |K - K'| / |K + K'|",
+        f"  {'asymmetry':<24}{facts['asymmetry']:.2g}, |K - K'| / |K + K'|",
     ]
     return facts, lines + _verdict(diagnosis)
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.measurements import Cycle
 
 NAME = "simulate"
 
@@ -31,11 +36,14 @@ def run(
     refuse_existing(truth_path(output), overwrite=overwrite)
     bench = static_bench(known_mirror(mirror), seed, force_noise=noise)
     total = cycles * len(bench.loads)
-    run = run_cycles(bench, cycles)
-    write_campaign(
-        (next(run) for _ in track(range(total), "simulating")), output, overwrite=overwrite
-    )
-    write_truth(bench.truth, truth_path(output), overwrite=overwrite)
+
+    def cycles_then_truth() -> Iterator[Cycle]:
+        """Write the truth when all cycles are, before their folder takes its name."""
+        made = run_cycles(bench, cycles)
+        yield from (next(made) for _ in track(range(total), "simulating"))
+        write_truth(bench.truth, truth_path(output), overwrite=overwrite)
+
+    write_campaign(cycles_then_truth(), output, overwrite=overwrite)
     shapes = 2 * len(bench.shapes)
     print(
         f"{output}: {bench.mirror.name}, {len(bench.loads)} loads x {cycles} cycles x {shapes}"

@@ -8,9 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truenewton.cli.printing import percent, with_error
+from truenewton.uncertainty import READINGS, scale_total, tilt_as_load
 
 if TYPE_CHECKING:
     from truenewton.calibration import Calibration
+    from truenewton.campaign import Campaign
+    from truenewton.diagnosis import RejectedRow
     from truenewton.estimators.elastic import Imbalance
 
 
@@ -50,7 +53,19 @@ def print_summary(calibration: Calibration) -> None:
         rows.append(("common scale", "free", "mean alpha set to 1; weights would fix it"))
     if np.isfinite(c.noise):
         rows.append(("noise of one reading", f"{1e3 * c.noise:.3g} mN", "from repeated shapes"))
-    if c.diagnosis is not None:
+    if c.goodness is not None:
+        rows.append(
+            ("fit", f"chi2/DOF = {c.goodness.reduced:.3g}",
+             f"DOF {c.goodness.degrees_of_freedom}, noise from {c.goodness.against}"
+             + (f", probability {c.goodness.probability:.2g}"
+                if np.isfinite(c.goodness.probability) else ""))
+        )  # fmt: skip
+    if c.diagnosis is not None and c.diagnosis.weakest:
+        rows.append(
+            ("least known", c.diagnosis.weakest,
+             f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2")
+        )  # fmt: skip
+    if c.diagnosis is not None and c.diagnosis.eigenvalues:
         rows.append(
             ("alpha stands apart by", f"{c.diagnosis.separation:.3g}",
              "second over smallest singular value; noise alone gives 1")
@@ -58,6 +73,8 @@ def print_summary(calibration: Calibration) -> None:
     rows.append(("condition", f"{c.condition:.3g}", f"rank {c.rank}"))
     for name, value, note in rows:
         print(f"  {name:<24}{value:<36}{note}".rstrip())
+    for line in scale_advice(c):
+        print(line)
     for fault, remedy in c.diagnosis.warnings if c.diagnosis else ():
         print(f"  WARNING: {fault}; {remedy}")
 
@@ -65,16 +82,75 @@ def print_summary(calibration: Calibration) -> None:
 def _budget(c: Calibration) -> list[tuple[str, str, str]]:
     """Return the lines that say where the error comes from."""
     alpha = np.abs(c.alpha)
+    parts = ", ".join(
+        f"{line.source} {percent(line.relative)}" for line in c.scale_errors if line.relative > 1e-5
+    )
     lines = [
         ("  common scale", percent(float(np.nanmedian(c.systematic_error / alpha))),
          "E_SYST, from the weights"),
         ("  reading noise", percent(float(np.nanmedian(c.statistical / alpha))),
-         "E_STAT, scatter only: svd is biased besides"),
+         "E_STAT" + (", scatter only: svd is biased besides" if c.method == "svd" else "")),
     ]  # fmt: skip
+    if parts:
+        lines.insert(1, ("    budget", parts, ""))
     if np.isfinite(c.cycle_error).any():
         low, high = np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)
         lines.append(("  the paper's error", f"{low:.1e} .. {high:.1e}", "E_CYCLE, 3 sigma"))
     return lines
+
+
+def scale_advice(c: Calibration) -> Iterator[str]:
+    """Yield the sentence that says what limits the common scale and what would help."""
+    if not c.scale_errors or c.scale_errors[0].source == READINGS:
+        return
+    total, largest = scale_total(c.scale_errors), c.scale_errors[0]
+    share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
+    sentence = f"  The common scale is known to {percent(total)}, {share} from the {largest.source}"
+    heaviest = max(c.loads, key=lambda load: load.added_error)
+    if largest.source.startswith(("weight of", "added weight")) and heaviest.added_error:
+        better = np.sqrt(total**2 - 0.99 * largest.relative**2)
+        finer = 1e3 * heaviest.added_error / 10
+        sentence += f": weigh it to {finer:.2g} mN and it falls to {percent(better)}"
+    if not any(load.tilt for load in c.loads):
+        tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
+        if tilted < total:
+            sentence += f"; a 60 degree tilt known to 0.1 degree gives {percent(tilted)}"
+    yield sentence + "."
+
+
+def rejected_values(
+    campaign: Campaign, rejected: Sequence[RejectedRow]
+) -> list[dict[str, int | float | str]]:
+    """Return the rows left out, farthest first, for a script."""
+    return [
+        {
+            "file": cycle_name(campaign, row.cycle),
+            "row": row.row + 1,
+            "actuator": row.actuator,
+            "sigmas": row.sigmas,
+            "against": row.against,
+        }
+        for row in sorted(rejected, key=lambda row: -row.sigmas)
+    ]
+
+
+def cycle_name(campaign: Campaign, place: int) -> str:
+    """Return the file of a cycle, or its load and number where it has none."""
+    cycle = campaign.cycles[place]
+    return cycle.source.file if cycle.source else f"{cycle.load.name} {cycle.number}"
+
+
+def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:
+    """Yield the rows left out, a line each, the farthest first, at most five."""
+    rows = rejected_values(campaign, rejected)
+    for row in rows[:5]:
+        yield (
+            f"  left out: {row['file']} row {row['row']}, {row['sigmas']:.0f} sigma from"
+            f" {'its repeats' if row['against'] == 'repeats' else 'balance'}, actuator"
+            f" {row['actuator']} stands out"
+        )
+    if len(rows) > 5:
+        yield f"  and {len(rows) - 5} rows more"
 
 
 def imbalance_lines(judged: Sequence[Imbalance]) -> Iterator[str]:
@@ -120,6 +196,18 @@ def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -
             "e_syst": c.systematic_error,
             "e_cycle": c.cycle_error,
         },
+        "chi2": c.chi2,
+        "degrees_of_freedom": c.degrees_of_freedom,
+        "goodness": None if c.goodness is None else {
+            "chi2": c.goodness.chi2,
+            "degrees_of_freedom": c.goodness.degrees_of_freedom,
+            "against": c.goodness.against,
+            "probability": c.goodness.probability,
+        },
+        "scale_errors": [
+            {"source": line.source, "relative": line.relative} for line in c.scale_errors
+        ],
+        "weakest": c.diagnosis.weakest if c.diagnosis else "",
         "imbalance": [
             {"modes": line.modes, "before": line.before, "after": line.after} for line in judged
         ],

@@ -1,5 +1,5 @@
 """All methods through one door."""
 
-from truenewton.estimators.calibrate import METHODS, calibrate
+from truenewton.estimators.calibrate import METHODS, calibrate, held_out
 
-__all__ = ["METHODS", "calibrate"]
+__all__ = ["METHODS", "calibrate", "held_out"]

@@ -1,10 +1,11 @@
-"""From data to a calibration: check, solve, and put the numbers where they belong."""
+"""From data to a calibration: one door to all methods, and the numbers where they belong."""
 
 from __future__ import annotations
 
 import datetime
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +13,17 @@ from numpy.typing import NDArray
 from truenewton.actuators import Array
 from truenewton.calibration import Calibration, UsedSource
 from truenewton.campaign import Campaign
-from truenewton.diagnosis import Diagnosis
-from truenewton.errors import RankDeficient, UnknownName
-from truenewton.estimators import elastic, svd
-from truenewton.identifiability import diagnose, geometry_faults, refuse
+from truenewton.errors import UnknownName
+from truenewton.estimators import elastic, elastic_likelihood, maximum_likelihood, svd
+from truenewton.estimators.found import Found
 from truenewton.measurements import StiffnessMatrix
-from truenewton.repeats import row_groups
 
-METHODS = ("svd",)
+METHODS = ("ml", "svd")
 
 
-def calibrate(data: Campaign | StiffnessMatrix, method: str = "svd") -> Calibration:
+def calibrate(
+    data: Campaign | StiffnessMatrix, method: str = "ml", *, population: bool = False
+) -> Calibration:
     """Find alpha of every actuator.
 
     Parameters
@@ -30,14 +31,19 @@ def calibrate(data: Campaign | StiffnessMatrix, method: str = "svd") -> Calibrat
     data
         A campaign under two loads at least, or a measured stiffness matrix (relative alpha).
     method
-        'svd', the paper's.
+        'ml', maximum likelihood; 'svd', the paper's.
+    population
+        Take the actuators for samples of one normal population, whose spread the data give: pulls
+        what the data hardly hold toward the mean. With 'ml' only; the result names it.
 
     Raises
     ------
     RankDeficient
         The data cannot fix alpha; the message says what is missing.
+    TooManyOutliers, NotConverged
+        The data do not fit together.
     UnknownName
-        There is no such method.
+        There is no such method, or it takes no such data.
     TypeError
         The data are neither.
     """
@@ -45,113 +51,125 @@ def calibrate(data: Campaign | StiffnessMatrix, method: str = "svd") -> Calibrat
         raise UnknownName(
             f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method
         )
+    if method == "svd" and (population or (isinstance(data, Campaign) and data.stiffness)):
+        raise UnknownName(
+            "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
+        )
     if isinstance(data, StiffnessMatrix):
-        return _from_stiffness(data)
+        found = elastic.find(data) if method == "svd" else elastic_likelihood.find(data, population)
+        return _from_stiffness(data, found)
     if isinstance(data, Campaign):
-        return _from_campaign(data)
+        found = svd.find(data) if method == "svd" else maximum_likelihood.find(data, population)
+        return _from_campaign(data, found)
     raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
 
 
-def _from_campaign(campaign: Campaign) -> Calibration:
-    diagnosis = diagnose(campaign)
-    refuse(diagnosis)
-    fit = svd.fit(campaign)
-    found = fit.found
-    systematic = svd.weight_covariance(campaign, fit)
-    scatter = svd.scatter_covariance(campaign, fit)
-    layout, loads = campaign.layout, campaign.loads
-    on = layout.enabled
+def held_out(
+    matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
+) -> tuple[elastic.Imbalance, ...]:
+    """Return how well alpha restores the balance of elastic modes, fitted and held out."""
+    if method == "svd":
+        return elastic.imbalances(matrix, lambda modes, a: elastic.balance_modes(modes, a).alpha)
+    return elastic.imbalances(
+        matrix,
+        lambda modes, a: elastic_likelihood.likeliest(modes, a, population=population).alpha,
+    )
+
+
+def _from_campaign(campaign: Campaign, found: Found) -> Calibration:
+    layout, on = campaign.layout, campaign.layout.enabled
     n = int(on.sum())
-    torques = found.solution[n + 1 :].reshape(-1, 2)
+    torques = found.values[n + 1 :].reshape(-1, 2)
     start, end, temperature = _times(campaign)
+    lost = [
+        sum(row.cycle == place for row in found.rejected) for place in range(len(campaign.cycles))
+    ]
+    warnings = found.diagnosis.warnings + _implausible(found.values[:n])
+    matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
         date=start,
         date_end=end,
-        method="svd",
-        scale="weights",
         layout=layout,
-        loads=loads,
-        alpha=_spread(found.solution[:n], on),
-        statistical=_spread(np.sqrt(np.diag(scatter)[:n]), on),
-        systematic_error=_spread(np.sqrt(np.diag(systematic)[:n]), on),
-        cycle_error=_spread(svd.cycle_errors(campaign, found.solution), on),
-        covariance=_spread_square(scatter + systematic, on),
-        systematic=_spread_square(systematic, on),
-        bias_force=float(found.solution[n]),
+        loads=campaign.loads,
+        cycle_error=_spread(svd.cycle_errors(campaign, found.values), on),
+        bias_force=float(found.values[n]),
         torque_y=torques[:, 0],
         torque_x=torques[:, 1],
         weight=campaign.weight,
         weight_error=campaign.weight_error,
         temperature=temperature,
-        shapes_used=sum(int(c.valid.sum()) for c in campaign.cycles),
-        rejected=0,
+        shapes_used=sum(int(c.valid.sum()) for c in campaign.cycles) - len(found.rejected),
+        rejected=len(found.rejected),
         invalid=sum(int((~c.valid).sum()) for c in campaign.cycles),
-        condition=svd.condition_in_units_of_rms(campaign),
-        rank=len(found.solution) - diagnosis.undetermined,
-        noise=row_groups(campaign).noise,
-        degrees_of_freedom=None,
-        chi2=float("nan"),
         sources=tuple(
-            UsedSource(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()), 0)
-            for c in campaign.cycles
+            UsedSource(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()) - less, less)
+            for c, less in zip(campaign.cycles, lost, strict=True)
             if c.source
-        ),
-        diagnosis=replace(diagnosis, warnings=_implausible(found.solution[:n])),
+        )
+        + (_matrix_source(matrix) if matrix else ()),
+        rejected_rows=found.rejected,
+        **_common(replace(found, diagnosis=replace(found.diagnosis, warnings=warnings)), on),
     )
 
 
-def _from_stiffness(matrix: StiffnessMatrix) -> Calibration:
-    layout = matrix.layout
-    on = layout.enabled
-    a = elastic.comparable_arms(matrix)
-    faults = geometry_faults(a)
-    if faults:
-        raise RankDeficient(faults[0][0], remedy=faults[0][1])
-    modes = elastic.elastic_modes(matrix)
-    found = elastic.balance_modes(modes, a)
-    n = int(on.sum())
-    unknown = np.full(n + 1, np.nan)  # B is not to be had from elastic forces
-    covariance = np.full((n + 1, n + 1), np.nan)
-    covariance[:n, :n] = found.covariance
-    systematic = np.zeros((n + 1, n + 1))
-    systematic[n], systematic[:, n] = unknown, unknown
-    source = matrix.source
+def _from_stiffness(matrix: StiffnessMatrix, found: Found) -> Calibration:
+    on = matrix.layout.enabled
+    # B is not to be had from elastic forces.
+    found = replace(
+        found,
+        statistical=np.pad(found.statistical, (0, 1), constant_values=np.nan),
+        systematic=np.pad(found.systematic, (0, 1), constant_values=np.nan),
+    )
     return Calibration(
         instrument=matrix.instrument,
         date=matrix.date,
         date_end=matrix.date,
-        method="svd",
-        scale="mean 1",
-        layout=layout,
+        layout=matrix.layout,
         loads=(),
-        alpha=_spread(found.alpha, on),
-        statistical=_spread(np.sqrt(np.diag(found.covariance)), on),
-        systematic_error=_spread(np.zeros(n), on),
-        cycle_error=np.full(layout.n, np.nan),
-        covariance=_spread_square(covariance, on),
-        systematic=_spread_square(systematic, on),
+        cycle_error=np.full(matrix.layout.n, np.nan),
         bias_force=float("nan"),
         torque_y=np.empty(0),
         torque_x=np.empty(0),
         weight=float("nan"),
         weight_error=float("nan"),
         temperature=float("nan"),
-        shapes_used=len(modes),
+        shapes_used=len(elastic.elastic_modes(matrix)),
         rejected=0,
         invalid=0,
-        condition=float(found.singular_values[-1] / found.singular_values[1]),
-        rank=n - 1,
-        noise=float("nan"),
-        degrees_of_freedom=None,
-        chi2=float("nan"),
-        sources=(UsedSource(Path(source.file).name, source.sha256, len(modes), 0),)
-        if source
-        else (),
-        diagnosis=Diagnosis(
-            tuple((found.singular_values**2).tolist()), 0, (), elastic.orientation_warning(matrix)
-        ),
+        sources=_matrix_source(matrix),
+        **_common(found, on),
     )
+
+
+def _matrix_source(matrix: StiffnessMatrix) -> tuple[UsedSource, ...]:
+    if matrix.source is None:
+        return ()
+    modes = len(elastic.elastic_modes(matrix))
+    return (UsedSource(Path(matrix.source.file).name, matrix.source.sha256, modes, 0),)
+
+
+def _common(found: Found, on: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return what is the same for all data, spread over all actuators."""
+    n = int(on.sum())
+    goodness = found.goodness
+    return {
+        "method": found.method,
+        "scale": found.scale,
+        "alpha": _spread(found.values[:n], on),
+        "statistical": _spread(np.sqrt(np.diag(found.statistical)[:n]), on),
+        "systematic_error": _spread(np.sqrt(np.diag(found.systematic)[:n]), on),
+        "covariance": _spread_square(found.statistical + found.systematic, on),
+        "systematic": _spread_square(found.systematic, on),
+        "condition": found.condition,
+        "rank": found.rank,
+        "noise": found.noise,
+        "degrees_of_freedom": goodness.degrees_of_freedom if goodness else None,
+        "chi2": found.declared_chi2,
+        "diagnosis": found.diagnosis,
+        "goodness": goodness,
+        "scale_errors": found.scale_errors,
+    }
 
 
 def _implausible(alpha: Array) -> tuple[tuple[str, str], ...]:

@@ -7,6 +7,7 @@ smallest singular vector of the stacked A diag(u), its mean set to 1.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +15,11 @@ import scipy.linalg
 
 from truenewton.actuators import Array
 from truenewton.balance import balance_rows, enabled_arms
+from truenewton.decomposition import singular_values_and_vectors
+from truenewton.diagnosis import Diagnosis
 from truenewton.errors import RankDeficient
+from truenewton.estimators.found import Found
+from truenewton.identifiability import geometry_faults, refuse
 from truenewton.measurements import StiffnessMatrix
 
 # Softer modes mix with the rigid motions through the bias magnets' gradient [N/m].
@@ -29,18 +34,11 @@ class ElasticSolution:
     ----------
     alpha
         (n,) with mean 1.
-    error
-        (n,) standard uncertainty from the imbalance that remains, to first order.
     singular_values
         (n,) of the stacked system, ascending; the first belongs to alpha.
-    condition
-        Largest over second smallest: the smallest is the solution.
-    covariance
-        (n, n) of alpha.
     """
 
     alpha: Array
-    covariance: Array
     singular_values: Array
 
 
@@ -56,8 +54,21 @@ class Imbalance:
 def elastic_modes(matrix: StiffnessMatrix) -> Array:
     """Return (m, n_enabled) force patterns of unit length, softest left out, stiffest first."""
     on = matrix.layout.enabled
-    left, values, _ = scipy.linalg.svd(matrix.stiffness[np.ix_(on, on)])
+    left, values, _ = singular_values_and_vectors(matrix.stiffness[np.ix_(on, on)])
     return np.asarray(left[:, values > SOFTEST].T)
+
+
+def modal_stiffness(matrix: StiffnessMatrix) -> Array:
+    """Return (n_enabled,) singular values, stiffest first [N/m]."""
+    on = matrix.layout.enabled
+    return singular_values_and_vectors(matrix.stiffness[np.ix_(on, on)])[1]
+
+
+def asymmetry(matrix: StiffnessMatrix) -> float:
+    """Return |K - K'| / |K + K'|; 0 for calibrated actuators and sensors (Maxwell and Betti)."""
+    on = matrix.layout.enabled
+    k = matrix.stiffness[np.ix_(on, on)]
+    return float(np.linalg.norm(k - k.T) / np.linalg.norm(k + k.T))
 
 
 def comparable_arms(matrix: StiffnessMatrix) -> Array:
@@ -68,12 +79,7 @@ def comparable_arms(matrix: StiffnessMatrix) -> Array:
 
 
 def balance_modes(modes: Array, a: Array) -> ElasticSolution:
-    """Return the alpha that balances the modes best.
-
-    Its error is that of equal noise in all elements of the modes, as large as the imbalance left
-    over says: to first order it turns the smallest singular vector v_1 toward every other v_k by
-    v_k' E' dE v_1 / sigma_k^2, where the three equations of a mode share the covariance
-    S = A diag(alpha^2) A' of their noise dE v_1.
+    """Return the alpha that balances the modes best: the smallest singular vector, its mean 1.
 
     Raises
     ------
@@ -88,11 +94,10 @@ def balance_modes(modes: Array, a: Array) -> ElasticSolution:
             got=len(modes),
             want=n - 3,
         )
-    rows = balance_rows(modes, a)
-    triangle = scipy.linalg.qr(rows, mode="r")[0][:n]
-    _, values, right = scipy.linalg.svd(triangle)
+    triangle = scipy.linalg.qr(balance_rows(modes, a), mode="r")[0][:n]
+    _, values, right = singular_values_and_vectors(triangle)
     values, right = values[::-1], right[::-1]
-    # Below this the second pattern is decided by the same noise as the first.
+    # Nearer than this the second pattern is decided by the same noise as the first.
     if values[1] < 1.5 * max(values[0], 1e-10 * values[-1]):
         raise RankDeficient(
             f"a second pattern of alpha balances the modes as well ({values[1]:.2g} after"
@@ -107,16 +112,75 @@ def balance_modes(modes: Array, a: Array) -> ElasticSolution:
             "the alpha that balances the modes is not positive for every actuator",
             remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
         )
-    s = (a * alpha**2) @ a.T
-    root = np.linalg.cholesky(s).T
-    # Columns: root(S) E v_k / sigma_k, what noise does to the imbalance that each v_k can absorb.
-    absorbed = (root @ (rows @ right[1:].T).reshape(3, -1)).reshape(-1, n - 1) / values[1:]
-    left_over = len(modes) * np.trace(s) - np.sum(absorbed**2)
-    variance = (values[0] / mean) ** 2 / left_over
-    turned = (absorbed / values[1:]) @ right[1:]
-    # The mean is 1 by definition, so what is common to all actuators is no error.
-    turned -= np.outer(turned.mean(axis=1), alpha)
-    return ElasticSolution(alpha, variance * turned.T @ turned, values)
+    return ElasticSolution(alpha, values)
+
+
+def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array) -> Array:
+    """Return the (n, n) covariance of alpha with mean 1, from the imbalance that each mode leaves.
+
+    The noise of a mode need not be that of another: soft ones carry more. So each mode is left out
+    in turn, to first order, and the scatter of what the others then say is the error, which errs
+    on the safe side (the jackknife HC3; MacKinnon and White, J. Econometrics 29, 1985). With e the
+    three equations of a mode, whitened by S, and G = sum e'e, its omission moves alpha by
+    G^-1 e' (1 - e G^-1 e')^-1 e alpha.
+
+    Parameters
+    ----------
+    modes, a, alpha
+        (m, n) modes, (3, n) arms, (n,) alpha.
+    s
+        (3, 3) covariance of the three equations, but for a factor.
+    prior
+        (n, n) information beside the modes, in units of the same factor.
+    """
+    n = len(alpha)
+    root = np.linalg.inv(np.linalg.cholesky(s))
+    e = balance_rows(modes, root @ a).reshape(3, -1, n)
+    information = e.reshape(-1, n).T @ e.reshape(-1, n) + prior
+    # The modes leave the scale free; the mean of alpha is held, so what is common is no error.
+    inverse = np.linalg.inv(information + np.trace(information) / n**2)
+    held = np.eye(n) - np.outer(alpha, np.full(n, 1.0 / n))
+    inverse = held @ inverse @ held.T
+    solved = e @ inverse
+    leverage = np.einsum("kmi,lmi->mkl", solved, e)
+    residual = np.einsum("kmi,i->mk", e, alpha)
+    weighed = np.linalg.solve(np.eye(3) - leverage, residual[:, :, None])[:, :, 0]
+    moved = np.einsum("kmi,mk->mi", solved, weighed)
+    return np.asarray(moved.T @ moved)
+
+
+def find(matrix: StiffnessMatrix) -> Found:
+    """Find relative alpha as the smallest singular vector of the balance of the modes.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    refuse(Diagnosis((), 0, geometry_faults(enabled_arms(matrix.layout))))
+    modes, a = elastic_modes(matrix), comparable_arms(matrix)
+    solved, n = balance_modes(modes, a), a.shape[1]
+    covariance = mode_covariance(modes, a, solved.alpha, np.eye(3), np.zeros((n, n)))
+    return found_from(matrix, "svd", solved.alpha, covariance, solved.singular_values)
+
+
+def found_from(
+    matrix: StiffnessMatrix, method: str, alpha: Array, covariance: Array, singular_values: Array
+) -> Found:
+    """Put a relative alpha into the form that all methods share."""
+    n = len(alpha)
+    return Found(
+        method=method,
+        scale="mean 1",
+        values=alpha,
+        statistical=covariance,
+        systematic=np.zeros((n, n)),
+        noise=float("nan"),
+        condition=float(singular_values[-1] / singular_values[1]),
+        rank=n - 1,
+        diagnosis=Diagnosis(
+            tuple((singular_values**2).tolist()), 0, (), orientation_warning(matrix)
+        ),
+    )
 
 
 def orientation_warning(matrix: StiffnessMatrix) -> tuple[tuple[str, str], ...]:
@@ -143,17 +207,26 @@ def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
     return float(np.sqrt(np.mean((modes * alpha @ a.T) ** 2)))
 
 
-def imbalances(matrix: StiffnessMatrix) -> tuple[Imbalance, ...]:
+def imbalances(
+    matrix: StiffnessMatrix, fit: Callable[[Array, Array], Array]
+) -> tuple[Imbalance, ...]:
     """Return the imbalance with alpha = 1 and with alpha fitted: on all modes, and held out.
 
     Held out: fitted on every second mode and judged on the others, both ways round.
+
+    Parameters
+    ----------
+    matrix
+        The stiffness.
+    fit
+        Returns alpha from modes and arms.
     """
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
     ones = np.ones(a.shape[1])
 
     def judged(name: str, fitted: Array, judge: Array) -> Imbalance:
-        alpha = balance_modes(fitted, a).alpha
-        return Imbalance(name, rms_imbalance(judge, ones, a), rms_imbalance(judge, alpha, a))
+        after = rms_imbalance(judge, fit(fitted, a), a)
+        return Imbalance(name, rms_imbalance(judge, ones, a), after)
 
     even, odd = modes[0::2], modes[1::2]
     return (

@@ -6,10 +6,12 @@ noisy readings it is biased, and its errors here are scatter and weights, withou
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
 from truenewton.actuators import Array
 from truenewton.balance import (
@@ -20,9 +22,12 @@ from truenewton.balance import (
     system_e,
 )
 from truenewton.campaign import Campaign
+from truenewton.decomposition import singular_values_and_vectors
 from truenewton.errors import RankDeficient
-from truenewton.repeats import group_rows, row_labels
-from truenewton.uncertainty import weight_errors
+from truenewton.estimators.found import Found
+from truenewton.identifiability import diagnose, refuse
+from truenewton.moments import campaign_moments
+from truenewton.uncertainty import WeightError, scale_errors, weight_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +80,7 @@ def solve(matrix: Array, right_side: Array) -> Solution:
             want=unknowns,
         )
     triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
-    left, values, right = scipy.linalg.svd(triangle[:, :-1])
+    left, values, right = singular_values_and_vectors(triangle[:, :-1])
     found = Solution(np.empty(0), values, np.empty((0, 0)))
     if found.rank < unknowns:
         raise RankDeficient(
@@ -144,22 +149,34 @@ def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
             for start, rows in fit.blocks
         ]
     )
-    member, groups = group_rows(row_labels(campaign), pull)
-    repeated = groups.count > 1
-    pull -= np.where(repeated[:, None], groups.mean, 0.0)[member]
-    factor = groups.count / np.maximum(groups.count - 1, 1)
-    pull *= np.sqrt(factor[member])[:, None]
+    member = row_groups(campaign)
+    count = np.bincount(member)
+    mean = np.zeros((len(count), pull.shape[1]))
+    np.add.at(mean, member, pull)
+    mean /= count[:, None]
+    pull -= np.where((count > 1)[:, None], mean, 0.0)[member]
+    pull *= np.sqrt(count / np.maximum(count - 1, 1))[member, None]
     return np.asarray(fit.found.inverse @ (pull.T @ pull) @ fit.found.inverse)
 
 
-def weight_covariance(campaign: Campaign, fit: Fit) -> Array:
-    """Return the covariance of the solution from the errors of the weights alone."""
+def row_groups(campaign: Campaign) -> NDArray[np.int64]:
+    """Return (rows,) the group (load, shape, sign) of each row, in the order of E."""
+    labels = [
+        np.stack([np.full(len(c.used_force), place), c.shape[c.valid], c.sign[c.valid]], axis=1)
+        for place in range(len(campaign.loads))
+        for c, at in zip(campaign.cycles, campaign.load_index, strict=True)
+        if at == place
+    ]
+    return np.unique(np.concatenate(labels), axis=0, return_inverse=True)[1].ravel()
+
+
+def weight_changes(fit: Fit, errors: Sequence[WeightError]) -> Array:
+    """Return (errors, unknowns) the change of the solution by each error of the weights."""
     by_load = np.stack(  # d solution / d W of each load
         [fit.found.inverse @ fit.e[start : start + rows].sum(axis=0) for start, rows in fit.blocks]
     )
-    changes = [error.change @ by_load for error in weight_errors(campaign)]
-    stacked = np.array(changes).reshape(-1, len(fit.found.solution))
-    return np.asarray(stacked.T @ stacked)
+    changes = [error.change @ by_load for error in errors]
+    return np.array(changes).reshape(-1, len(fit.found.solution))
 
 
 def cycle_errors(campaign: Campaign, solution: Array) -> Array:
@@ -170,14 +187,16 @@ def cycle_errors(campaign: Campaign, solution: Array) -> Array:
     """
     a = enabled_arms(campaign.layout)
     n = a.shape[1]
-    if len(campaign.cycles) < 2:
-        return np.full(n, np.nan)
     bias_force, torques = float(solution[n]), solution[n + 1 :].reshape(-1, 2)
     weights = campaign.effective_weights.tolist()
     alphas = []
     for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
         c, p = system_c(cycle.used_force, a, weights[place], bias_force, *torques[place].tolist())
-        alphas.append(scipy.linalg.lstsq(c, p)[0])
+        alpha, _, rank, _ = scipy.linalg.lstsq(c, p)
+        if rank == n:  # a cycle that was broken off says nothing of alpha alone
+            alphas.append(alpha)
+    if len(alphas) < 2:
+        return np.full(n, np.nan)
     return np.asarray(3.0 * np.std(alphas, axis=0, ddof=1) / np.sqrt(len(alphas)))
 
 
@@ -186,3 +205,63 @@ def condition_in_units_of_rms(campaign: Campaign) -> float:
     e, _ = system_e(campaign, arms_in_units_of_rms(campaign.layout))
     values = scipy.linalg.svdvals(scipy.linalg.qr(e, mode="r")[0][: e.shape[1]])
     return float(values[0] / values[-1])
+
+
+def bias(campaign: Campaign, fit: Fit, variance: Array) -> Array:
+    """Return the bias of the solution to first order: -(E'E)^-1 D alpha.
+
+    Noise of variance s_i^2 in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2) to E'E and
+    nothing to E'r.
+    """
+    a = enabled_arms(campaign.layout)
+    n = a.shape[1]
+    rows = sum(rows for _, rows in fit.blocks)
+    d = rows * variance * np.sum(a**2, axis=0)
+    return np.asarray(-fit.found.inverse[:, :n] @ (d * fit.found.solution[:n]))
+
+
+def bias_warning(biased: Array, scatter: Array) -> tuple[tuple[str, str], ...]:
+    """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
+    size = np.sqrt(np.mean(biased**2))
+    if not size > 0.2 * np.sqrt(np.mean(scatter**2)):
+        return ()
+    return (
+        (
+            f"svd is biased by {100 * size:.2g} % (RMS over actuators, to first order), which its"
+            " errors leave out",
+            "use ml",
+        ),
+    )
+
+
+def find(campaign: Campaign) -> Found:
+    """Solve E alpha' = r of a campaign, as the paper does.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    moments = campaign_moments(campaign)
+    diagnosis = diagnose(campaign, moments)
+    refuse(diagnosis)
+    fitted, errors = fit(campaign), weight_errors(campaign)
+    solution = fitted.found.solution
+    n = int(campaign.layout.enabled.sum())
+    statistical = scatter_covariance(campaign, fitted)
+    changes = weight_changes(fitted, errors)
+    if moments.repeats:
+        biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
+        warnings = bias_warning(biased, np.sqrt(np.diag(statistical)[:n]))
+        diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
+    return Found(
+        method="svd",
+        scale="weights",
+        values=solution,
+        statistical=statistical,
+        systematic=changes.T @ changes,
+        noise=moments.noise,
+        condition=condition_in_units_of_rms(campaign),
+        rank=len(solution) - diagnosis.undetermined,
+        diagnosis=diagnosis,
+        scale_errors=scale_errors(solution[:n], statistical[:n, :n], changes[:, :n], errors),
+    )

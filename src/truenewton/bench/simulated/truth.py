@@ -81,7 +81,7 @@ def write_truth(truth: Truth, path: str | os.PathLike[str], *, overwrite: bool =
         actuators_sheet(truth.layout),
         Sheet("TRUTH", columns=(("ALPHA", "D", None, truth.alpha),)),
         loads,
-        Sheet("STIFFNESS", data=truth.stiffness, unit="N/m"),
+        Sheet("TRUE_STIFFNESS", data=truth.stiffness, unit="N/m"),
     ]
     write_fits(path, header, sheets, overwrite=overwrite)
 
@@ -94,7 +94,7 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
         instrument=file.text("INSTRUME"),
         layout=layout_from(file),
         alpha=file.table("TRUTH").column("ALPHA"),
-        stiffness=file.image("STIFFNESS").values("N/m"),
+        stiffness=file.image("TRUE_STIFFNESS").values("N/m"),
         weight=file.number("WEIGHT"),
         added=loads.column("ADDED", unit="N"),
         tilt=loads.column("TILT", unit="deg"),

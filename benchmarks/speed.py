@@ -1,0 +1,243 @@
+"""What a calibration costs beside what it cannot do without, all in one run.
+
+    python benchmarks/speed.py [--actuators 45 336 672 1170] [--repeats 5]
+
+The reference is one pass over the bytes, one DSYRK on the distinct shapes of each load, and one
+Cholesky factorisation of order n for each iteration taken. `calibrate` starts from arrays in
+memory; E_CYCLE, which solves every cycle alone, stands in a row of its own, as do reading, the
+checksums and SHA256. Medians of several runs that take turns; wall clock, plain defaults of BLAS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import hashlib
+import sys
+import tempfile
+import time
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from scipy.linalg.blas import dsyrk
+
+import truenewton as tn
+from truenewton.balance import enabled_arms, system_e
+from truenewton.estimators import problem, svd
+from truenewton.statics import arms
+
+CYCLES, NOISE = 5, 1e-4
+GELSD_UP_TO = 672  # actuators; beyond, E alone takes gigabytes
+START = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
+
+
+def ring_layout(n: int) -> tn.Layout:
+    """Return rings of 9 + 6 k as on LBT672, the outermost with what is left of n."""
+    counts: list[int] = []
+    while sum(counts) < n:
+        counts.append(min(9 + 6 * len(counts), n - sum(counts)))
+    return tn.rings([0.043 + 0.0303 * k for k in range(len(counts))], counts)
+
+
+def balanced_campaign(n: int, seed: int = 1) -> tn.Campaign:
+    """Return 5 cycles x 2 loads x 2 n shapes of random forces that balance, and their noise."""
+    random, layout = np.random.default_rng(seed), ring_layout(n)
+    a = arms(layout)
+    inverse = np.linalg.pinv(a)
+    alpha = random.uniform(0.9, 1.1, n)
+    elastic = 0.1 * random.standard_normal((n, n))
+    elastic -= elastic @ a.T @ inverse.T
+    weight, bias = -0.065 * n, 0.097 * n
+    cycles = []
+    for load in (tn.Load("bare"), tn.Load("ring", -0.5, 0.005, tool="ring")):
+        rest = -inverse @ np.array([weight + load.added + bias, 0.02, -0.03])
+        exact = np.stack([rest + elastic, rest - elastic], axis=1).reshape(2 * n, n) / alpha
+        for number in range(1, CYCLES + 1):
+            cycles.append(
+                tn.Cycle(
+                    instrument=f"RING{n}",
+                    date=START + datetime.timedelta(hours=len(cycles)),
+                    number=number,
+                    load=load,
+                    weight=weight,
+                    weight_error=0.02,
+                    layout=layout,
+                    time=0.5 * np.arange(2 * n),
+                    shape=np.repeat(np.arange(1, n + 1), 2),
+                    sign=np.tile([1, -1], n),
+                    force=exact + NOISE * random.standard_normal(exact.shape),
+                    valid=np.ones(2 * n, dtype=bool),
+                    force_error=NOISE,
+                )
+            )
+    return tn.Campaign(tuple(cycles))
+
+
+@contextmanager
+def replaced(module: Any, name: str, value: Any) -> Iterator[None]:
+    """Put another value in place of a module's for a while."""
+    before = getattr(module, name)
+    setattr(module, name, value)
+    try:
+        yield
+    finally:
+        setattr(module, name, before)
+
+
+def without_cycle_errors(campaign: tn.Campaign) -> tn.Calibration:
+    """Calibrate, but for E_CYCLE."""
+    missing = np.full(int(campaign.layout.enabled.sum()), np.nan)
+    with replaced(svd, "cycle_errors", lambda *_: missing):
+        return tn.calibrate(campaign)
+
+
+def iterations_taken(campaign: tn.Campaign) -> int:
+    """Count the steps of all minimisations of one calibration."""
+    taken: list[int] = []
+    minimise = problem.minimise
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        estimate = minimise(*arguments, **options)
+        taken.append(estimate.iterations)
+        return estimate
+
+    with replaced(problem, "minimise", counted):
+        without_cycle_errors(campaign)
+    return sum(taken)
+
+
+def distinct_shapes(campaign: tn.Campaign) -> list[np.ndarray]:
+    """Return (2 n, n) mean forces of each load; every cycle has its shapes in the same order."""
+    return [
+        np.mean(
+            [c.force for c, at in zip(campaign.cycles, campaign.load_index, strict=True)
+             if at == place], axis=0
+        )
+        for place in range(len(campaign.loads))
+    ]  # fmt: skip
+
+
+def reference_steps(campaign: tn.Campaign, iterations: int) -> dict[str, Callable[[], Any]]:
+    """Return what no calibration can do without, as three steps."""
+    means = distinct_shapes(campaign)
+    n = campaign.layout.n
+    regular = np.asfortranarray(dsyrk(1.0, means[0].T) + np.eye(n))
+
+    def factor() -> None:
+        for _ in range(iterations):
+            scipy.linalg.cholesky(regular, check_finite=False)
+
+    return {
+        "one pass over the bytes": lambda: [c.force.sum() for c in campaign.cycles],
+        "one DSYRK a load": lambda: [dsyrk(1.0, mean.T) for mean in means],
+        f"Cholesky x {iterations} iterations": factor,
+    }
+
+
+def reading_steps(campaign: tn.Campaign, folder: Path) -> dict[str, Callable[[], Any]]:
+    """Return what a calibration from files costs besides."""
+    tn.write_campaign(campaign.cycles, folder)
+    paths = sorted(folder.iterdir())
+    contents = [path.read_bytes() for path in paths]
+    return {
+        "reading the bytes": lambda: [path.read_bytes() for path in paths],
+        "SHA256": lambda: [hashlib.sha256(raw).hexdigest() for raw in contents],
+        "one FITS checksum": lambda: [
+            int(np.frombuffer(raw, dtype=">u4").sum(dtype=np.uint64)) for raw in contents
+        ],
+        "tn.read: all of it, and checks": lambda: tn.read(folder),
+    }
+
+
+def gelsd_on_e(campaign: tn.Campaign) -> Callable[[], Any]:
+    """Return LAPACK's gelsd on the explicit E; building E is not counted."""
+    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    return lambda: scipy.linalg.lstsq(e, r, lapack_driver="gelsd", check_finite=False)
+
+
+def medians(steps: dict[str, Callable[[], Any]], repeats: int) -> dict[str, float]:
+    """Return the median seconds of each step, the steps taking turns."""
+    for step in steps.values():
+        step()
+    seconds: dict[str, list[float]] = {name: [] for name in steps}
+    for _ in range(repeats):
+        for name, step in steps.items():
+            start = time.perf_counter()
+            step()
+            seconds[name].append(time.perf_counter() - start)
+    return {name: median(values) for name, values in seconds.items()}
+
+
+def peak_memory(step: Callable[[], Any]) -> float:
+    """Return the peak of what a step allocates [MB]."""
+    tracemalloc.start()
+    step()
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    return peak / 1e6
+
+
+def measure(n: int, repeats: int) -> None:
+    """Measure one mirror and print its table."""
+    print(f"n = {n}: making the campaign", file=sys.stderr)
+    campaign = balanced_campaign(n)
+    size = sum(cycle.force.nbytes for cycle in campaign.cycles) / 1e6
+    iterations = iterations_taken(campaign)
+    reference = reference_steps(campaign, iterations)
+    calibration = without_cycle_errors(campaign)
+    values = np.concatenate(
+        [calibration.alpha, [calibration.bias_force],
+         np.column_stack([calibration.torque_y, calibration.torque_x]).ravel()]
+    )  # fmt: skip
+    print(f"n = {n}: timing", file=sys.stderr)
+    main = {**reference, "calibrate": lambda: without_cycle_errors(campaign)}
+    taken = medians(main, repeats)
+    beside = {"E_CYCLE": lambda: svd.cycle_errors(campaign, values)}
+    if n <= GELSD_UP_TO:
+        beside["gelsd on E"] = gelsd_on_e(campaign)
+    taken |= medians(beside, min(repeats, 3))
+    with tempfile.TemporaryDirectory() as folder:
+        taken |= medians(reading_steps(campaign, Path(folder) / "campaign"), min(repeats, 3))
+    whole = sum(taken[name] for name in reference)
+    peak = peak_memory(main["calibrate"])
+    square = 8e-6 * n**2
+
+    print(
+        f"\n{n} actuators, {CYCLES} cycles x {len(campaign.loads)} loads x {2 * n} shapes:"
+        f" {size:.0f} MB of forces"
+    )
+    lines = [(name, taken[name]) for name in reference]
+    lines += [("reference, the sum of these", whole), ("calibrate", taken["calibrate"])]
+    lines += [(name, taken[name]) for name in taken if name not in main]
+    for name, seconds in lines:
+        print(f"  {name:32s} {1e3 * seconds:9.1f} ms {seconds / whole:8.2f} x reference")
+    shapes = 16e-6 * n**2 * len(campaign.loads)
+    print(
+        f"  peak memory of calibrate beside the forces {peak:.1f} MB"
+        f" = distinct shapes {shapes:.1f} MB + {(peak - shapes) / square:.1f} n^2"
+    )
+    verdict = f"  calibrate / reference = {taken['calibrate'] / whole:.2f} (wanted: 1.5)"
+    if "gelsd on E" in taken:
+        faster = taken["gelsd on E"] / taken["calibrate"]
+        verdict += f"; gelsd / calibrate = {faster:.1f}" + (" (wanted: 10)" if n == 672 else "")
+    print(verdict, flush=True)
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--actuators", type=int, nargs="+", default=[45, 336, 672, 1170])
+    parser.add_argument("--repeats", type=int, default=5)
+    options = parser.parse_args()
+    for n in options.actuators:
+        measure(n, options.repeats)
+
+
+if __name__ == "__main__":
+    main()

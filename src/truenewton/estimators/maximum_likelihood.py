@@ -1,0 +1,217 @@
+"""`ml`: a campaign through the likelihood, its outliers left out, the result judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+
+from truenewton.actuators import Array
+from truenewton.balance import arms_in_units_of_rms
+from truenewton.campaign import Campaign
+from truenewton.diagnosis import Diagnosis, Goodness, RejectedRow
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimators.elastic_likelihood import (
+    population_spread,
+)
+from truenewton.estimators.found import Found
+from truenewton.estimators.likelihood import (
+    Estimate,
+    chi2_at,
+)
+from truenewton.estimators.problem import (
+    Problem,
+    load_data,
+    posed,
+    reading_noise,
+    roughly_scaled,
+    with_noise_from_minimum,
+)
+from truenewton.identifiability import (
+    diagnose,
+    in_words,
+    leverage,
+    refuse,
+    structural_faults,
+)
+from truenewton.moments import WEIGHED_NOISE, Moments, chosen_groups
+from truenewton.outliers import (
+    against_balance,
+    against_repeats,
+    refuse_too_many,
+    rows_of,
+)
+from truenewton.uncertainty import scale_errors
+
+
+def find(campaign: Campaign, population: bool = False) -> Found:
+    """Find the likeliest alpha of a campaign, outliers left out.
+
+    Parameters
+    ----------
+    campaign
+        Cycles under two loads at least, and a stiffness matrix if there is one.
+    population
+        Whether alpha is taken for a sample of one normal population, whose spread the data give.
+
+    Raises
+    ------
+    RankDeficient, TooManyOutliers, NotConverged
+    """
+    rows = sum(int(c.valid.sum()) for c in campaign.cycles)
+    moments, sound, rejected = against_repeats(campaign)
+    refuse(Diagnosis((), 0, structural_faults(sound, moments)))
+    refuse_too_many(len(rejected), rows)
+    problem = roughly_scaled(posed(campaign, reading_noise(sound, moments)), moments)
+    try:
+        kept, distance, estimate = against_balance(
+            moments,
+            problem.fitted,
+            lambda found: problem.distances(found.values, moments),
+            noise_known=problem.noise.source != "minimum",
+        )
+    except (RankDeficient, NotConverged):
+        refuse(diagnose(sound, moments))  # which knows better what is missing
+        raise
+    if not kept.all():
+        actuator = problem.standing_out(estimate.values, moments)
+        rejected += tuple(rows_of(sound, moments, ~kept, distance, actuator))
+        refuse_too_many(len(rejected), rows)
+        moments = chosen_groups(moments, kept)
+    problem, estimate = with_noise_from_minimum(problem, moments, estimate)
+    method = "ml"
+    if population:
+        covariance = estimate.statistical[: problem.n, : problem.n]
+        spread = population_spread(estimate.values[: problem.n], covariance)
+        problem = problem.with_population(spread)
+        estimate = problem.fitted(moments, estimate.values)
+        method = f"ml, population {spread:.2g}"
+    found = _found(method, problem, moments, estimate, rejected)
+    if found.diagnosis.undetermined:
+        judged = diagnose(sound, moments)
+        if 3 * judged.span < problem.n - 1:  # not even without noise
+            refuse(judged)
+    return found
+
+
+def _found(
+    method: str,
+    problem: Problem,
+    moments: Moments,
+    estimate: Estimate,
+    rejected: tuple[RejectedRow, ...],
+) -> Found:
+    """Put the estimate into the form that all methods share."""
+    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
+    chi2, freedom = estimate.chi2, problem.degrees_of_freedom(moments)
+    size = chi2 / freedom if freedom > 0 else float("nan")
+    tested = problem.noise.source != "minimum" and freedom > 0
+    probability = float(scipy.stats.chi2.sf(chi2, freedom)) if tested else float("nan")
+    declared = float("nan")
+    if all(c.force_error for c in campaign.cycles):
+        same = np.full(n, WEIGHED_NOISE**2)
+        declared = chi2_at(
+            problem.a, load_data(campaign, moments, same, problem.errors), estimate.values
+        )
+    diagnosis = _diagnosis(problem, moments, estimate)
+    warnings = diagnosis.warnings + weights_warning(estimate.values[unknowns:], len(campaign.loads))
+    diagnosis = replace(diagnosis, warnings=warnings)
+    return Found(
+        method=method,
+        scale="weights",
+        values=estimate.values[:unknowns],
+        statistical=estimate.statistical,
+        systematic=estimate.changes @ estimate.changes.T,
+        noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
+        condition=condition(campaign, moments),
+        rank=unknowns - diagnosis.undetermined,
+        diagnosis=diagnosis,
+        goodness=Goodness(chi2, freedom, problem.noise.source, probability),
+        declared_chi2=declared,
+        scale_errors=scale_errors(
+            estimate.values[:n],
+            estimate.statistical[:n, :n],
+            estimate.changes[:n].T,
+            problem.errors,
+        ),
+        rejected=rejected,
+    )
+
+
+def weights_warning(errors: Array, loads: int) -> tuple[tuple[str, str], ...]:
+    """Warn of weights that disagree more than their errors allow; two loads cannot tell.
+
+    Parameters
+    ----------
+    errors
+        Of the weights as the data have them, in units of their standard uncertainties.
+    loads
+        L: the common scale and B take up two of them.
+    """
+    size = float(np.sum(errors**2))
+    if loads < 3 or scipy.stats.chi2.sf(size, loads - 2) > 1e-3:
+        return ()
+    return (
+        (
+            f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
+            "check ADDED, TILT and their errors",
+        ),
+    )
+
+
+def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate) -> Diagnosis:
+    """Judge alpha by what its information stands above what noise feigns, and name what is weak."""
+    n, layout = problem.n, problem.campaign.layout
+    covariance = estimate.statistical[:n, :n]
+    m = estimate.m + problem.prior.information
+    held = information_above_noise(m, estimate.feigned, len(moments.rows))
+    value, vector = scipy.linalg.eigh(covariance, subset_by_index=[n - 1, n - 1])
+    weakest = in_words(vector[:, 0], layout)
+    free = int(np.count_nonzero(held < 1.0))
+    warnings: tuple[tuple[str, str], ...] = ()
+    if free:
+        patterns = "pattern of alpha stands" if free == 1 else "patterns of alpha stand"
+        warnings = (
+            (
+                f"{free} {patterns} hardly above the noise, the weakest {weakest}",
+                "repeat more often, use larger forces, or add a stiffness matrix",
+            ),
+        )
+    return Diagnosis(
+        eigenvalues=(),
+        undetermined=free,
+        faults=(),
+        warnings=warnings,
+        weakest=weakest,
+        weakest_share=float(value[0] / np.trace(covariance)),
+        leverage=tuple(leverage(problem.a * estimate.values[:n], problem.noise.variance).tolist()),
+    )
+
+
+def information_above_noise(m: Array, feigned: Array, shapes: int) -> Array:
+    """Return (n,) eigenvalues of M in terms of D on alpha, in units of what noise may reach.
+
+    B and the torques are eliminated. What noise alone feigns spreads by (1 +- root(n / 3 N))^2.
+    """
+    n = len(feigned)
+    schur = m[:n, :n] - m[:n, n:] @ np.linalg.pinv(m[n:, n:]) @ m[n:, :n]
+    reach = 1.1 * (1 + np.sqrt(n / (3 * shapes))) ** 2
+    # D in terms of M: M is the one that is surely regular.
+    feigned_share = scipy.linalg.eigh(feigned, schur, eigvals_only=True, check_finite=False)
+    return np.asarray(1.0 / (reach * np.maximum(feigned_share[::-1], 1e-300)))
+
+
+def condition(campaign: Campaign, moments: Moments) -> float:
+    """Return the condition of E, each coordinate in units of its RMS, from E' E."""
+    a = arms_in_units_of_rms(campaign.layout)
+    n, unknowns = a.shape[1], a.shape[1] + 1 + 2 * len(campaign.loads)
+    gram = np.zeros((unknowns, unknowns))
+    for part in load_data(campaign, moments, np.ones(n), ()):
+        gram[:n, :n] += part.sums.square * (a.T @ a)
+        gram[:n, n:] += part.sums.force[:, None] * (a.T @ part.nuisance)
+        gram[n:, n:] += part.sums.weight * part.nuisance.T @ part.nuisance
+    gram[n:, :n] = gram[:n, n:].T
+    values = scipy.linalg.eigvalsh(gram)
+    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))

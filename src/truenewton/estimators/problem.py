@@ -1,0 +1,225 @@
+"""What the likelihood is asked: data, noise, unknowns and priors of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+from numpy.typing import NDArray
+
+from truenewton.actuators import Array
+from truenewton.balance import enabled_arms
+from truenewton.campaign import Campaign
+from truenewton.estimators.elastic import comparable_arms, elastic_modes
+from truenewton.estimators.elastic_likelihood import (
+    likeliest,
+    mode_data,
+    population_prior,
+)
+from truenewton.estimators.likelihood import (
+    DataSet,
+    Estimate,
+    Prior,
+    minimise,
+    start_values,
+)
+from truenewton.identifiability import (
+    ENOUGH_REPEATS,
+)
+from truenewton.moments import WEIGHED_NOISE, Moments, sums_by_load
+from truenewton.outliers import (
+    squared_distances,
+    standing_out,
+)
+from truenewton.uncertainty import WeightError, weight_errors
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Variance of one reading of weight 1, and what it rests on.
+
+    Attributes
+    ----------
+    variance
+        (n,) [N^2].
+    source
+        'repeats', 'FORCERR', or 'minimum' where only its shape is known and the fit gives its size.
+    """
+
+    variance: Array
+    source: str
+
+
+def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
+    """Return the noise of a reading: from repeats, else as declared, else left to the minimum."""
+    n = moments.mean.shape[1]
+    if moments.repeats:
+        each = moments.scatter / moments.repeats
+        if moments.repeats < ENOUGH_REPEATS:
+            each = np.full(n, each.mean())
+        return Noise(np.maximum(each, least_variance(moments)), "repeats")
+    if all(c.force_error for c in campaign.cycles):
+        return Noise(np.full(n, WEIGHED_NOISE**2), "FORCERR")
+    return Noise(np.full(n, least_variance(moments)), "minimum")
+
+
+def least_variance(moments: Moments) -> float:
+    """Return a variance below which noise is not worth telling from rounding [N^2].
+
+    A millionth of the forces. Against less, what the weights say would drown in rounding.
+    """
+    return float(1e-12 * np.mean(moments.mean**2))
+
+
+def load_data(
+    campaign: Campaign, moments: Moments, variance: Array, errors: Sequence[WeightError]
+) -> list[DataSet]:
+    """Return the shapes of each load with its weight and its unknowns beside alpha."""
+    loads = len(campaign.loads)
+    sets = []
+    for place, sums in enumerate(sums_by_load(moments, loads)):
+        nuisance = np.zeros((3, 1 + 2 * loads + len(errors)))
+        nuisance[0, 0] = 1.0  # B
+        nuisance[1, 1 + 2 * place] = 1.0  # M_y
+        nuisance[2, 2 + 2 * place] = -1.0  # M_x
+        nuisance[0, 1 + 2 * loads :] = [error.change[place] for error in errors]
+        weight = np.array([campaign.effective_weights[place], 0.0, 0.0])
+        sets.append(DataSet(sums, variance, weight, nuisance))
+    return sets
+
+
+def weight_prior(unknowns: int, errors: int, *, held: bool) -> Prior:
+    """Return the prior of the errors of the weights: normal, each in units of its own."""
+    information = np.zeros((unknowns, unknowns))
+    last = np.arange(unknowns - errors, unknowns)
+    information[last, last] = 1.0
+    return Prior(np.zeros(unknowns), information, errors, held)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """All that the likelihood needs besides the moments.
+
+    Attributes
+    ----------
+    campaign, a
+        The campaign and the (3, n) arms of its enabled actuators.
+    errors
+        Of the weights; their size is the last of the unknowns.
+    noise
+        Of a reading.
+    prior
+        Of the errors of the weights, and of alpha where it is one of a population.
+    elastic
+        Shapes from a stiffness matrix.
+    """
+
+    campaign: Campaign
+    a: Array
+    errors: tuple[WeightError, ...]
+    noise: Noise
+    prior: Prior
+    elastic: tuple[DataSet, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of enabled actuators."""
+        return int(self.a.shape[1])
+
+    @property
+    def unknowns(self) -> int:
+        """Number of alphas, B and torques: all but the errors of the weights."""
+        return self.n + 1 + 2 * len(self.campaign.loads)
+
+    def degrees_of_freedom(self, moments: Moments) -> int:
+        """Return equations less unknowns; errors of the weights are measured, so neither."""
+        shapes = len(moments.rows) + sum(part.sums.shapes for part in self.elastic)
+        return 3 * shapes - self.unknowns
+
+    def data(self, moments: Moments) -> list[DataSet]:
+        """Return the shapes of each load, with its weight and unknowns, and the elastic ones."""
+        sets = load_data(self.campaign, moments, self.noise.variance, self.errors)
+        return [*sets, *self.elastic]
+
+    def fitted(self, moments: Moments, start: Array | None = None) -> Estimate:
+        """Return the likeliest values."""
+        data = self.data(moments)
+        begin = start_values(self.a, data, self.prior) if start is None else start
+        return minimise(self.a, data, self.prior, begin)
+
+    def imbalance(self, values: Array, moments: Moments) -> tuple[Array, Array]:
+        """Return (g, 3) rho of the groups, and S."""
+        arms = self.a * values[: self.n]
+        k = np.array(
+            [d.load + d.nuisance @ values[self.n :]
+             for d in load_data(self.campaign, moments, self.noise.variance, self.errors)]
+        )  # fmt: skip
+        rho = moments.mean @ arms.T + moments.known + k[moments.labels[:, 0]]
+        return rho, (arms * self.noise.variance) @ arms.T
+
+    def distances(self, values: Array, moments: Moments) -> Array:
+        """Return (g,) squared Mahalanobis distances of the groups."""
+        rho, s = self.imbalance(values, moments)
+        return squared_distances(rho, moments.weight, s)
+
+    def standing_out(self, values: Array, moments: Moments) -> NDArray[np.int64]:
+        """Return (g,) the ID that would best explain the imbalance of each group."""
+        rho, s = self.imbalance(values, moments)
+        ids = self.campaign.layout.id[self.campaign.layout.enabled]
+        return np.asarray(ids[standing_out(rho, self.a * values[: self.n], s)])
+
+    def with_population(self, spread: float) -> Problem:
+        """Return the problem with alpha drawn from a normal population of unknown mean."""
+        information = self.prior.information.copy()
+        information[: self.n, : self.n] += population_prior(self.n, spread).information
+        return replace(self, prior=replace(self.prior, information=information))
+
+
+def posed(campaign: Campaign, noise: Noise) -> Problem:
+    """Pose the problem of a campaign."""
+    errors = weight_errors(campaign)
+    a = enabled_arms(campaign.layout)
+    count = a.shape[1] + 1 + 2 * len(campaign.loads) + len(errors)
+    elastic: tuple[DataSet, ...] = ()
+    if campaign.stiffness is not None:
+        modes = elastic_modes(campaign.stiffness)
+        data = mode_data(modes, likeliest(modes, comparable_arms(campaign.stiffness)).variance)
+        elastic = (replace(data, nuisance=np.zeros((3, count - a.shape[1]))),)
+    return Problem(
+        campaign,
+        a,
+        errors,
+        noise,
+        weight_prior(count, len(errors), held=len(campaign.loads) < 3),
+        elastic,
+    )
+
+
+def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
+    """Give an unknown noise a first size, from the imbalance that least squares leave."""
+    if problem.noise.source != "minimum":
+        return problem
+    start = start_values(problem.a, problem.data(moments), problem.prior)
+    # From the median, and rather too small: bad rows shall not swell it, lest D outgrow M.
+    size = 0.25 * float(np.median(problem.distances(start, moments))) / scipy.stats.chi2.median(3)
+    return replace(problem, noise=Noise(problem.noise.variance * max(size, 1.0), "minimum"))
+
+
+def with_noise_from_minimum(
+    problem: Problem, moments: Moments, estimate: Estimate
+) -> tuple[Problem, Estimate]:
+    """Give the noise its size from the minimum, where nothing else does; with it D."""
+    freedom = max(problem.degrees_of_freedom(moments), 1)
+    for _ in range(20):
+        size = estimate.chi2 / freedom
+        if problem.noise.source != "minimum" or abs(size - 1.0) < 1e-6:
+            break
+        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
+        if np.array_equal(variance, problem.noise.variance):
+            break
+        problem = replace(problem, noise=Noise(variance, "minimum"))
+        estimate = problem.fitted(moments, estimate.values)
+    return problem, estimate

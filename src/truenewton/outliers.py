@@ -1,0 +1,233 @@
+"""Rows that do not belong: found against their repeats, then against the balance.
+
+Against repeats: a row whose reading of one actuator lies far from the mean of the others of its
+group. The worst row of each group goes first, the scatter is taken anew, until none is left; where
+only two rows disagree neither can be trusted and both go.
+
+Against the balance: shapes whose squared Mahalanobis distance r rho' S^-1 rho (three degrees of
+freedom) is larger than chance allows, from a start on the three quarters of the shapes that fit
+best, which outliers in a tenth of them cannot drag.
+
+Both thresholds let a sound campaign lose a row once in a hundred campaigns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from truenewton.actuators import Array
+from truenewton.balance import enabled_arms
+from truenewton.campaign import Campaign
+from truenewton.diagnosis import RejectedRow
+from truenewton.errors import TooManyOutliers
+from truenewton.moments import (
+    Moments,
+    balanced_rows,
+    campaign_moments,
+    chosen_groups,
+    groups_of,
+    row_weights,
+)
+
+Fit = TypeVar("Fit")
+
+FALSE_ALARM = 0.01  # for the whole campaign
+MOST = 0.3  # of the rows; beyond this the campaign is refused
+MEDIAN_ROWS = 2000
+CORE = 0.75  # of the shapes that make the robust start
+
+
+def against_repeats(campaign: Campaign) -> tuple[Moments, Campaign, tuple[RejectedRow, ...]]:
+    """Leave out rows that lie far from their repeats; return moments, campaign and those rows."""
+    rejected: list[RejectedRow] = []
+    while True:
+        moments = campaign_moments(campaign)
+        if moments.repeats < 2:
+            return moments, campaign, tuple(rejected)
+        found = _worst_rows(campaign, moments)
+        if not found:
+            return moments, campaign, tuple(rejected)
+        rejected += found
+        campaign = without(campaign, found)
+
+
+def _worst_rows(campaign: Campaign, moments: Moments) -> list[RejectedRow]:
+    """Return the worst row of each group that has one too far out; both rows of a pair."""
+    a, ids = enabled_arms(campaign.layout), campaign.layout.id[campaign.layout.enabled]
+    noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(campaign, moments)
+    # The median is less sure than the scatter: it counts where spikes have swollen that.
+    noise = np.where(noise > 1.5 * robust, robust, noise)
+    noise = np.maximum(noise, 1e-12 * np.abs(moments.mean).max())
+    tests = moments.rows.sum() * len(ids)
+    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / tests, max(moments.repeats - 1, 1))
+    worst: dict[int, RejectedRow] = {}
+    pairs: list[RejectedRow] = []
+    weights = row_weights(campaign)
+    for k, (cycle, place) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
+        group = groups_of(cycle, place, moments)
+        total, weight = moments.weight[group], weights[k]
+        alone = moments.rows[group] < 2
+        # The mean holds the row itself: seen from the others it lies further out.
+        further = np.sqrt(total * weight / np.where(alone, np.inf, total - weight))
+        force, _ = balanced_rows(cycle, a)
+        sigmas = np.abs(force - moments.mean[group]) / noise
+        sigmas *= further[:, None]
+        for row in np.flatnonzero(sigmas.max(axis=1) > limit).tolist():
+            g, i = int(group[row]), int(sigmas[row].argmax())
+            found = RejectedRow(
+                k, int(np.flatnonzero(cycle.valid)[row]), int(ids[i]), float(sigmas[row, i]),
+                "repeats",
+            )  # fmt: skip
+            if moments.rows[g] == 2:
+                pairs.append(found)
+            elif g not in worst or worst[g].sigmas < found.sigmas:
+                worst[g] = found
+    return [*worst.values(), *pairs]
+
+
+def _robust(campaign: Campaign, moments: Moments) -> Array:
+    """Return (n,) noise of a reading that an actuator's spikes cannot swell: from the median.
+
+    Of up to a few thousand repeated rows, which tells it to a few per cent.
+    """
+    a, deviations = enabled_arms(campaign.layout), []
+    stride = max(1, moments.rows.sum() // MEDIAN_ROWS)
+    for cycle, place, weight in zip(
+        campaign.cycles, campaign.load_index, row_weights(campaign), strict=True
+    ):
+        group = groups_of(cycle, place, moments)
+        chosen = np.flatnonzero(moments.rows[group] > 1)[::stride]
+        total = moments.weight[group[chosen]]
+        further = np.sqrt(total * weight / (total - weight))[:, None]
+        force = balanced_rows(cycle, a)[0][chosen]
+        deviations.append(np.abs(force - moments.mean[group[chosen]]) * further)
+    return np.asarray(np.median(np.concatenate(deviations), axis=0) / scipy.stats.norm.isf(0.25))
+
+
+def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
+    """Return the campaign with some rows marked as not valid.
+
+    Raises
+    ------
+    TooManyOutliers
+        A cycle would lose all its rows.
+    """
+    cycles = list(campaign.cycles)
+    for k in {row.cycle for row in rows}:
+        valid = cycles[k].valid.copy()
+        valid[[row.row for row in rows if row.cycle == k]] = False
+        if not valid.any():
+            lost = int(cycles[k].valid.sum())
+            raise _too_many(lost, lost, f" in {cycles[k]!r}")
+        cycles[k] = replace(cycles[k], valid=valid)
+    return Campaign(tuple(cycles))
+
+
+def squared_distances(rho: Array, weight: Array, s: Array) -> Array:
+    """Return (g,) r rho' S^-1 rho of (g, 3) imbalances with (g,) weights r."""
+    return np.asarray(weight * np.einsum("gk,gk->g", rho, np.linalg.solve(s, rho.T).T))
+
+
+def standing_out(rho: Array, arms: Array, s: Array) -> NDArray[np.int64]:
+    """Return (g,) the actuator whose reading alone would best explain each imbalance."""
+    weighed = np.linalg.solve(s, arms)
+    pull = (rho @ weighed) ** 2 / np.einsum("kn,kn->n", arms, weighed)
+    return np.asarray(pull.argmax(axis=1))
+
+
+def against_balance(
+    moments: Moments,
+    fit: Callable[[Moments], Fit],
+    distances: Callable[[Fit], Array],
+    *,
+    noise_known: bool,
+) -> tuple[NDArray[np.bool_], Array, Fit]:
+    """Find the groups that balance with the rest.
+
+    Parameters
+    ----------
+    moments
+        All groups.
+    fit
+        Fits some of the groups.
+    distances
+        Returns the squared distances of all groups from a fit, (g,).
+    noise_known
+        Whether their size means something; if not, they are taken in terms of their median.
+
+    Returns
+    -------
+    kept, distance, fit
+        (g,) true for groups that belong; (g,) squared distances from the fit to those; that fit.
+    """
+    limit = scipy.stats.chi2.isf(FALSE_ALARM / len(moments.rows), 3)
+    found = fit(moments)
+    distance = _scaled(distances(found), noise_known)
+    kept = np.ones(len(distance), dtype=bool)
+    if distance.max() <= limit:
+        return kept, distance, found
+    for _ in range(4):
+        core = distance <= np.quantile(distance, CORE)
+        distance = _scaled(distances(fit(chosen_groups(moments, core))), noise_known)
+    for _ in range(20):
+        before, kept = kept, distance <= limit
+        if np.array_equal(before, kept):
+            break
+        found = fit(chosen_groups(moments, kept))
+        distance = _scaled(distances(found), noise_known)
+    return kept, distance, found
+
+
+def _scaled(distance: Array, noise_known: bool) -> Array:
+    """Return the distances in units of their own spread, where noise or model fall short.
+
+    The median of chi^2 with three degrees of freedom is 2.37; a larger one is no outlier's doing.
+    """
+    spread = float(np.median(distance)) / scipy.stats.chi2.median(3)
+    return distance / (max(1.0, spread) if noise_known else max(spread, 1e-300))
+
+
+def rows_of(
+    campaign: Campaign,
+    moments: Moments,
+    lost: NDArray[np.bool_],
+    distance: Array,
+    actuator: NDArray[np.int64],
+) -> list[RejectedRow]:
+    """Return the rows of the groups that are lost, with the ID that stands out in each."""
+    found = []
+    for k, (cycle, place) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
+        group = groups_of(cycle, place, moments)
+        for row in np.flatnonzero(lost[group]).tolist():
+            g = group[row]
+            found.append(
+                RejectedRow(
+                    k,
+                    int(np.flatnonzero(cycle.valid)[row]),
+                    int(actuator[g]),
+                    float(np.sqrt(distance[g])),
+                    "balance",
+                )
+            )
+    return found
+
+
+def refuse_too_many(rejected: int, rows: int) -> None:
+    """Refuse a campaign that has lost more rows than can be explained by accidents."""
+    if rejected > MOST * rows:
+        raise _too_many(rejected, rows)
+
+
+def _too_many(rejected: int, rows: int, where: str = "") -> TooManyOutliers:
+    return TooManyOutliers(
+        f"{rejected} of {rows} rows{where} do not fit their repeats or the balance",
+        remedy="look at what happened during the run, or mark the bad rows as not VALID",
+        got=rejected / rows,
+        want=MOST,
+    )

@@ -1,0 +1,238 @@
+"""Moments: the same however the rows are split, equal to two passes of plain numpy."""
+
+from dataclasses import replace
+from functools import cache, reduce
+
+import numpy as np
+import pytest
+from balanced import BIAS, LAYOUT, RING, arms_of, balanced_rows, campaign_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from truenewton.campaign import Campaign
+from truenewton.estimators import calibrate
+from truenewton.moments import campaign_moments, chosen_groups, groups_of, merge, sums_by_load
+
+
+@cache
+def noisy():
+    """Return three cycles a load at 1 mN; an actuator disabled, two rows not valid."""
+    return campaign_of(seed=1, noise=1e-3, cycles=3, disabled=(4,), invalid=(3, 20))[0]
+
+
+def with_repeats_in_a_cycle(campaign):
+    """Return a campaign in which shape 1 stands for shape 2 too: four rows of it in each cycle."""
+    return Campaign(
+        tuple(replace(c, shape=np.where(c.shape == 2, 1, c.shape)) for c in campaign.cycles)
+    )
+
+
+def with_noises(campaign, errors):
+    """Return a campaign whose cycles declare these FORCERR in turn."""
+    return Campaign(
+        tuple(
+            replace(c, force_error=errors[k % len(errors)]) for k, c in enumerate(campaign.cycles)
+        )
+    )
+
+
+def two_passes(campaign, weights):
+    """Return labels, rows, weight, mean and scatter by loops over groups."""
+    groups = {}
+    for cycle, place, w in zip(campaign.cycles, campaign.load_index, weights, strict=True):
+        for row in np.flatnonzero(cycle.valid):
+            label = (place, int(cycle.shape[row]), int(cycle.sign[row]))
+            force = cycle.force[row][cycle.layout.enabled]
+            groups.setdefault(label, []).append((w, force))
+    mean, scatter = [], 0.0
+    for label in sorted(groups):
+        w, force = (np.array(v) for v in zip(*groups[label], strict=True))
+        mean.append(w @ force / w.sum())
+        scatter = scatter + w @ (force - mean[-1]) ** 2
+    labels = sorted(groups)
+    rows = [len(groups[k]) for k in labels]
+    weight = [sum(w for w, _ in groups[k]) for k in labels]
+    return labels, rows, weight, np.array(mean), scatter
+
+
+def check(moments, labels, rows, weight, mean, scatter):
+    assert moments.labels.tolist() == [list(k) for k in labels]
+    assert moments.rows.tolist() == list(rows)
+    assert moments.weight == pytest.approx(np.asarray(weight), rel=1e-13)
+    assert moments.mean == pytest.approx(mean, rel=1e-12, abs=1e-14)
+    assert moments.scatter == pytest.approx(scatter, rel=1e-10)
+
+
+@pytest.mark.parametrize("repeated", [False, True])
+def test_moments_are_those_of_two_passes(repeated):
+    campaign = with_repeats_in_a_cycle(noisy()) if repeated else noisy()
+    moments = campaign_moments(campaign)
+    check(moments, *two_passes(campaign, [1.0] * 6))
+    assert moments.mean.shape[1] == 13
+    assert moments.rows.sum() == 6 * 26
+    assert moments.rows.max() == (6 if repeated else 3)
+
+
+def test_cycles_weigh_by_their_declared_noise():
+    campaign = with_noises(noisy(), [1e-3, 2e-3, 5e-4])
+    check(campaign_moments(campaign), *two_passes(campaign, [1.0, 0.25, 4.0] * 2))
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    st.lists(st.integers(0, 3), min_size=6 * 28, max_size=6 * 28),
+    st.permutations(range(4)),
+    st.booleans(),
+    st.booleans(),
+)
+def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(owner, order, repeated, tree):
+    whole = with_repeats_in_a_cycle(noisy()) if repeated else noisy()
+    owner = np.reshape(owner, (6, 28))
+    parts = []
+    for part in order:
+        mine = [c.valid & (owner[k] == part) for k, c in enumerate(whole.cycles)]
+        cycles = [replace(c, valid=v) for c, v in zip(whole.cycles, mine, strict=True) if v.any()]
+        if cycles:
+            parts.append(campaign_moments(Campaign(tuple(cycles))))
+    if tree and len(parts) > 2:
+        parts = [merge(parts[0], parts[1]), reduce(merge, parts[2:])]
+    merged, expected = reduce(merge, parts), campaign_moments(whole)
+    check(
+        merged, expected.labels.tolist(), expected.rows, expected.weight, expected.mean,
+        expected.scatter,
+    )  # fmt: skip
+    assert [load.name for load in merged.loads] == ["bare", "ring"]
+    assert merged.known == pytest.approx(expected.known, abs=1e-18)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.permutations(range(6)))
+def test_cycles_with_positions_merge_in_any_order(order):
+    campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5)
+    expected = campaign_moments(campaign)
+    merged = reduce(merge, [campaign_moments(Campaign((campaign.cycles[k],))) for k in order])
+    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
+    assert merged.known == pytest.approx(expected.known, rel=1e-9, abs=1e-15)
+    assert np.abs(expected.known).max() > 1e-6  # there is something to merge
+
+
+def test_parts_whose_files_declare_other_noises_merge_to_the_same():
+    campaign = with_noises(noisy(), [1e-3, 2e-3, 5e-4])
+    parts = [campaign_moments(Campaign((c,))) for c in campaign.cycles]
+    merged, expected = reduce(merge, parts), campaign_moments(campaign)
+    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
+
+
+def test_noise_of_each_actuator_comes_from_repeats():
+    sigma = np.linspace(0.5e-3, 1.5e-3, 14)
+    quiet, _ = campaign_of(seed=5, noise=0.0, cycles=4)
+    random = np.random.default_rng(6)
+    moments = campaign_moments(
+        Campaign(
+            tuple(
+                replace(c, force=c.force + sigma * random.standard_normal(c.force.shape))
+                for c in quiet.cycles
+            )
+        )
+    )
+    assert moments.repeats == 2 * 28 * 3
+    found = np.sqrt(moments.scatter / moments.repeats)
+    # Each known to 1 / root(2 * 168) = 5.5 %: four sigma.
+    assert found == pytest.approx(sigma, rel=4 / np.sqrt(2 * 168))
+    assert moments.noise == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.06)
+
+
+def test_nothing_repeats_in_one_cycle():
+    moments = campaign_moments(campaign_of(seed=7, noise=1e-3, cycles=1)[0])
+    assert moments.repeats == 0
+    assert np.isnan(moments.noise)
+    assert moments.scatter.tolist() == [0.0] * 14
+
+
+def test_groups_of_rows_and_choices_of_groups():
+    campaign, moments = noisy(), campaign_moments(noisy())
+    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
+        labels = moments.labels[groups_of(cycle, place, moments)]
+        assert (labels[:, 0] == place).all()
+        assert labels[:, 1].tolist() == cycle.shape[cycle.valid].tolist()
+        assert labels[:, 2].tolist() == cycle.sign[cycle.valid].tolist()
+    chosen = moments.labels[:, 1] > 3
+    assert (chosen_groups(moments, chosen).mean == moments.mean[chosen]).all()
+
+
+def test_sums_of_a_load_are_sums_over_its_shapes():
+    campaign, _ = gradients(seed=8, noise=1e-3, offset=0.0)
+    moments = campaign_moments(campaign)
+    for place, sums in enumerate(sums_by_load(moments, 2)):
+        at = np.flatnonzero(moments.labels[:, 0] == place)
+        r, c, q = moments.weight[at], moments.mean[at], moments.known[at]
+        assert sums.shapes == len(at)
+        assert sums.weight == r.sum()
+        assert sums.force == pytest.approx(sum(w * v for w, v in zip(r, c, strict=True)))
+        square = sum(w * np.outer(v, v) for w, v in zip(r, c, strict=True))
+        assert sums.square == pytest.approx(square, rel=1e-12, abs=1e-13)
+        for found, one, two in (
+            (sums.known_force, q, c),
+            (sums.known_square, q, q),
+        ):
+            looped = sum(w * np.outer(u, v) for w, u, v in zip(r, one, two, strict=True))
+            assert found == pytest.approx(looped, rel=1e-10, abs=1e-20)
+        assert sums.known == pytest.approx(r @ q, rel=1e-10, abs=1e-18)
+
+
+def gradients(seed, noise, offset, cycles=3):
+    """Return a campaign whose coils and bias magnets feel the displacement, and its alpha.
+
+    f = alpha c (1 + 600 z), and 31 N/m z more from each bias magnet; sensors have offsets. Forces
+    are made here, from FORMAT's equations alone.
+    """
+    coil, bias = 600.0, 31.0
+    plain, truth = campaign_of(seed, 0.0, cycles=cycles)
+    random = np.random.default_rng([seed, 1])
+    a, alpha = arms_of(LAYOUT), truth[:14]
+    elastic = balanced_rows(random, a, np.zeros(3), 14)
+    z = 1e-6 * random.standard_normal((14, 14))
+    z = np.concatenate([z, -z])
+    offsets = offset * random.standard_normal(14)
+    made = []
+    for cycle, place in zip(plain.cycles, plain.load_index, strict=True):
+        torque_y, torque_x = truth[15 + 2 * place : 17 + 2 * place]
+        k = np.array([-2.9 + cycle.load.added + BIAS, torque_y, -torque_x])
+        # All that the bias magnets change, the coils must balance.
+        missing = np.concatenate([elastic, -elastic]) @ a.T + bias * z @ a.T + k
+        f = np.concatenate([elastic, -elastic]) - missing @ np.linalg.pinv(a).T
+        c = f / (alpha * (1 + coil * z))
+        made.append(
+            replace(
+                cycle,
+                force=c + noise * random.standard_normal(c.shape),
+                position=z + offsets,
+                coil_gradient=coil,
+                bias_gradient=bias,
+                force_error=1e-4,
+            )
+        )
+    return Campaign(tuple(made)), alpha
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-4])
+def test_gradients_of_coils_and_bias_magnets_are_taken_out(offset):
+    campaign, alpha = gradients(seed=9, noise=0.0, offset=offset, cycles=1)
+    assert calibrate(campaign).alpha == pytest.approx(alpha, abs=1e-9)
+
+
+@pytest.mark.parametrize("left_out", ["coil_gradient", "bias_gradient", "position"])
+def test_a_gradient_that_is_left_out_is_an_error(left_out):
+    campaign, alpha = gradients(seed=9, noise=0.0, offset=0.0, cycles=1)
+    ignored = Campaign(tuple(replace(c, **{left_out: None}) for c in campaign.cycles))
+    assert np.abs(calibrate(ignored).alpha - alpha).max() > 1e-5
+
+
+def test_rows_that_are_not_valid_do_not_move_the_zero_of_a_sensor():
+    """Without some rows of one sign the mean reading of a cycle is no longer the zero."""
+    campaign, alpha = gradients(seed=10, noise=0.0, offset=1e-4, cycles=1)
+    cycles = [
+        replace(c, valid=c.valid & ((c.sign > 0) | (c.shape > 7) | (c.load.name != RING.name)))
+        for c in campaign.cycles
+    ]
+    assert calibrate(Campaign(tuple(cycles))).alpha == pytest.approx(alpha, abs=1e-9)
