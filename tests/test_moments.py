@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 
 from truenewton.campaign import Campaign
 from truenewton.estimators import calibrate
-from truenewton.moments import campaign_moments, chosen_groups, groups_of, merge, sums_by_load
+from truenewton.moments import (
+    campaign_moments,
+    chosen_groups,
+    groups_of,
+    merge,
+    mirrored,
+)
 
 
 @cache
@@ -160,24 +166,31 @@ def test_groups_of_rows_and_choices_of_groups():
     assert (chosen_groups(moments, chosen).mean == moments.mean[chosen]).all()
 
 
-def test_sums_of_a_load_are_sums_over_its_shapes():
+def test_sums_are_sums_over_shapes():
     campaign, _ = gradients(seed=8, noise=1e-3, offset=0.0)
     moments = campaign_moments(campaign)
-    for place, sums in enumerate(sums_by_load(moments, 2)):
-        at = np.flatnonzero(moments.labels[:, 0] == place)
-        r, c, q = moments.weight[at], moments.mean[at], moments.known[at]
-        assert sums.shapes == len(at)
-        assert sums.weight == r.sum()
-        assert sums.force == pytest.approx(sum(w * v for w, v in zip(r, c, strict=True)))
-        square = sum(w * np.outer(v, v) for w, v in zip(r, c, strict=True))
-        assert sums.square == pytest.approx(square, rel=1e-12, abs=1e-13)
+    r, c, q = moments.weight * np.linspace(1, 2, len(moments.weight)), moments.mean, moments.known
+    for weight in (r, np.full_like(r, 3.0)):
+        sums = replace(moments, weight=weight).sums
+        assert sums.shapes == len(c)
         for found, one, two in (
+            (sums.square, c, c),
             (sums.known_force, q, c),
             (sums.known_square, q, q),
         ):
-            looped = sum(w * np.outer(u, v) for w, u, v in zip(r, one, two, strict=True))
-            assert found == pytest.approx(looped, rel=1e-10, abs=1e-20)
-        assert sums.known == pytest.approx(r @ q, rel=1e-10, abs=1e-18)
+            looped = sum(w * np.outer(u, v) for w, u, v in zip(weight, one, two, strict=True))
+            assert found == pytest.approx(looped, rel=1e-10, abs=1e-13 * np.abs(looped).max())
+        for place in range(2):
+            at = moments.labels[:, 0] == place
+            assert sums.weight[place] == pytest.approx(weight[at].sum())
+            assert sums.force[place] == pytest.approx(weight[at] @ c[at])
+            assert sums.known[place] == pytest.approx(weight[at] @ q[at], rel=1e-10, abs=1e-18)
+
+
+@pytest.mark.parametrize("n", [1, 5, 128, 300])
+def test_a_triangle_is_mirrored(n):
+    upper = np.triu(np.random.default_rng(n).standard_normal((n, n)))
+    assert (mirrored(upper.copy()) == upper + np.triu(upper, 1).T).all()
 
 
 def gradients(seed, noise, offset, cycles=3):

@@ -139,13 +139,7 @@ def geometry_faults(a: Array) -> tuple[tuple[str, str], ...]:
         )
     # v A lies in the span of A if v' F v = 0 with F = sum_k diag(q_k) (1 - Q Q') diag(q_k); beside
     # the constants that happens on certain conics only.
-    q = np.linalg.qr(a.T)[0]
-    gram = q @ q.T
-    share = np.diag(gram)
-    free = np.diag(share) - gram**2 + share.mean() / n
-    try:
-        np.linalg.cholesky(free - 1e-12 * share.mean() * np.eye(n))
-    except np.linalg.LinAlgError:
+    if _all_on_a_conic(np.linalg.qr(a.T)[0]):
         return (
             (
                 "the actuators stand on a conic on which balance leaves alpha free",
@@ -153,6 +147,23 @@ def geometry_faults(a: Array) -> tuple[tuple[str, str], ...]:
             ),
         )
     return ()
+
+
+def _all_on_a_conic(q: Array) -> bool:
+    """Tell whether F + 1 1' is singular, for (n, 3) orthonormal Q.
+
+    F = diag(share) - (Q Q') o (Q Q') differs from a diagonal by the products of two columns of Q,
+    rank 6, so signs of eigenvalues can be counted in 7 dimensions (Haynsworth): K below has one
+    negative for the constants, and one more for each of F + 1 1'.
+    """
+    n = len(q)
+    share = np.sum(q**2, axis=1)
+    first, second = np.triu_indices(3)
+    products = q[:, first] * q[:, second] * np.where(first == second, 1.0, np.sqrt(2.0))
+    columns = np.column_stack([products, np.full(n, np.sqrt(share.mean() / n))])
+    diagonal = share - 1e-12 * share.mean()
+    k = np.diag([1.0] * 6 + [-1.0]) - columns.T @ (columns / diagonal[:, None])
+    return int(np.count_nonzero(np.linalg.eigvalsh(k) < 0.0)) > 1
 
 
 def _load_faults(campaign: Campaign) -> tuple[tuple[str, str], ...]:

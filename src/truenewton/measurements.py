@@ -222,7 +222,8 @@ class Cycle:
     @property
     def used_force(self) -> Array:
         """(N_valid, n_enabled) commanded forces of the rows and actuators that count [N]."""
-        return np.asarray(self.force[self.valid][:, self.layout.enabled])
+        rows = self.force if self.valid.all() else self.force[self.valid]
+        return rows if self.layout.enabled.all() else np.asarray(rows[:, self.layout.enabled])
 
 
 @dataclass(frozen=True, eq=False, repr=False)

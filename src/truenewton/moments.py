@@ -12,10 +12,8 @@ the mean reading of each sensor over the cycle, taken on rows that have their op
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
-from itertools import pairwise
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +21,13 @@ from scipy.linalg.blas import dsyrk
 
 from truenewton.actuators import Array
 from truenewton.balance import enabled_arms
+from truenewton.balanced_rows import BalancedRows, Layer, distinct
 from truenewton.campaign import Campaign
 from truenewton.measurements import Cycle, Load
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
 ROWS_AT_ONCE = 64  # a block of rows stays in the processor's cache
+MIRRORED_AT_ONCE = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +50,10 @@ class Moments:
         (g, 3) mean of what is known of the balance beforehand: A (BIASGRAD z).
     scatter
         (n,) weighted sum of squared deviations of rows from their group's mean [N^2].
+    furthest
+        (n,) largest distance of a row from its group's mean, as seen from the rest of the group
+        and divided by its noise over that of a row of weight 1 [N]; infinite where groups have
+        been merged, so that nobody knows.
     """
 
     loads: tuple[Load, ...]
@@ -59,6 +63,7 @@ class Moments:
     mean: Array
     known: Array
     scatter: Array
+    furthest: Array
 
     @property
     def repeats(self) -> int:
@@ -77,6 +82,12 @@ class Moments:
         """Variance of a typical row in terms of one of weight 1."""
         return float(self.rows.sum() / self.weight.sum())
 
+    @cached_property
+    def sums(self) -> ShapeSums:
+        """The sums over groups; taken once."""
+        load = self.labels[:, 0]
+        return shape_sums(self.mean, self.weight, self.known, load, len(self.loads))
+
 
 def row_weights(campaign: Campaign) -> tuple[float, ...]:
     """Return the weight of a row of each cycle: quieter readings (FORCERR) count for more.
@@ -90,14 +101,65 @@ def row_weights(campaign: Campaign) -> tuple[float, ...]:
 
 
 def campaign_moments(campaign: Campaign) -> Moments:
-    """Return the moments of a campaign's valid rows."""
-    a, weights = enabled_arms(campaign.layout), row_weights(campaign)
-    parts = []
-    for place, load in enumerate(campaign.loads):
-        of_load = [k for k, at in enumerate(campaign.load_index) if at == place]
-        cycles, load_weights = [campaign.cycles[k] for k in of_load], [weights[k] for k in of_load]
-        parts.append(_load_moments(load, cycles, load_weights, a))
-    return reduce(merge, parts)
+    """Return the moments of a campaign's valid rows.
+
+    A block of groups after the other, so that all rows of a group are in the cache while their
+    mean and then their deviations from it are taken.
+    """
+    a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
+    names = [
+        np.column_stack([np.full(int(c.valid.sum()), place), c.shape[c.valid], c.sign[c.valid]])
+        for c, place in zip(campaign.cycles, campaign.load_index, strict=True)
+    ]
+    labels, member = _unique(np.concatenate(names))
+    members = np.split(member, np.cumsum([len(name) for name in names])[:-1])
+    layers = [
+        Layer(rows, some, group[some], weight_of_row)
+        for cycle, group, weight_of_row in zip(
+            campaign.cycles, members, row_weights(campaign), strict=True
+        )
+        for rows in [BalancedRows.of(cycle, a)]
+        for some in distinct(group)
+    ]
+    groups = len(labels)
+    number, weight = np.zeros(groups, dtype=np.int64), np.zeros(groups)
+    for layer in layers:
+        number[layer.group] += 1
+        weight[layer.group] += layer.weight
+    mean, known = np.zeros((groups, n)), np.zeros((groups, 3))
+    scatter, furthest = np.zeros(n), np.zeros(n)
+    for start in range(0, groups, ROWS_AT_ONCE):
+        block = slice(start, min(start + ROWS_AT_ONCE, groups))
+        read = [part for layer in layers if (part := layer.within(block)) is not None]
+        for at, force, balance, w in read:
+            mean[block][at] += force if w == 1.0 else w * force
+            if balance is not None:
+                known[block][at] += w * balance
+        mean[block] /= weight[block, None]
+        known[block] /= weight[block, None]
+        for at, force, _, w in read:
+            apart = force - mean[block][at]
+            apart *= apart
+            scatter += w * (np.ones(len(apart)) @ apart)
+            # The mean holds the row itself: seen from the others it lies further out.
+            total, alone = weight[block][at], number[block][at] < 2
+            further = np.where(alone, 0.0, w * total / np.where(alone, 1.0, total - w))
+            if (further != further[0]).any():
+                apart *= (further / further.max())[:, None]
+            np.maximum(furthest, apart.max(axis=0) * further.max(), out=furthest)
+    loads, furthest = campaign.loads, np.sqrt(furthest)
+    return Moments(loads, labels, number, weight, mean, known, scatter, furthest)
+
+
+def _unique(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sorted distinct (place, SHAPE, SIGN) and which of them each row has."""
+    span = int(labels[:, 1].max()) + 1
+    if span > 2**40:  # shapes may be numbered at will
+        unique, member = np.unique(labels, axis=0, return_inverse=True)
+        return unique, member.ravel()
+    codes = 2 * (span * labels[:, 0] + labels[:, 1]) + (labels[:, 2] > 0)
+    _, first, member = np.unique(codes, return_index=True, return_inverse=True)
+    return labels[first], member.ravel()
 
 
 def groups_of(cycle: Cycle, place: int, moments: Moments) -> NDArray[np.int64]:
@@ -109,7 +171,7 @@ def groups_of(cycle: Cycle, place: int, moments: Moments) -> NDArray[np.int64]:
 
 
 def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:
-    """Return the moments of some of the groups; the scatter stays that of all."""
+    """Return the moments of some of the groups; scatter and furthest stay those of all."""
     return replace(
         moments,
         labels=moments.labels[chosen],
@@ -118,65 +180,6 @@ def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:
         mean=moments.mean[chosen],
         known=moments.known[chosen],
     )
-
-
-def _load_moments(
-    load: Load, cycles: Sequence[Cycle], weights: Sequence[float], a: Array
-) -> Moments:
-    """Return the moments of the cycles of one load, each row of a cycle with its weight."""
-    names = [np.stack([c.shape[c.valid], c.sign[c.valid]], axis=1) for c in cycles]
-    unique, member = np.unique(np.concatenate(names), axis=0, return_inverse=True)
-    members = np.split(member.ravel(), np.cumsum([len(name) for name in names])[:-1])
-    groups, n = len(unique), a.shape[1]
-    rows, weight = np.zeros(groups, dtype=np.int64), np.zeros(groups)
-    mean, known, scatter = np.zeros((groups, n)), np.zeros((groups, 3)), np.zeros(n)
-    for cycle, group, w in zip(cycles, members, weights, strict=True):
-        force, balance = balanced_rows(cycle, a)
-        for some in _distinct(group):
-            for start in range(0, len(some), ROWS_AT_ONCE):
-                chosen = some[start : start + ROWS_AT_ONCE]
-                at = group[chosen]
-                share = w / (weight[at] + w)
-                apart = force[chosen] - mean[at]
-                scatter += np.einsum("g,gi,gi->i", weight[at] * share, apart, apart)
-                apart *= share[:, None]
-                mean[at] += apart
-                known[at] += share[:, None] * (balance[chosen] - known[at])
-                weight[at] += w
-                rows[at] += 1
-    labels = np.column_stack([np.zeros(groups, dtype=np.int64), unique])
-    return Moments((load,), labels, rows, weight, mean, known, scatter)
-
-
-def balanced_rows(cycle: Cycle, a: Array) -> tuple[Array, Array]:
-    """Return c (1 + COILGRAD z), (N, n), and A (BIASGRAD z), (N, 3), of the valid rows."""
-    force = cycle.used_force
-    if cycle.position is None:
-        return force, np.zeros((len(force), 3))
-    z = cycle.position[cycle.valid][:, cycle.layout.enabled]
-    z = z - z[_paired(cycle)].mean(axis=0)
-    if cycle.coil_gradient:
-        force = force * (1.0 + cycle.coil_gradient * z)
-    return force, (cycle.bias_gradient or 0.0) * z @ a.T
-
-
-def _paired(cycle: Cycle) -> NDArray[np.bool_]:
-    """Return (N,) true for valid rows whose opposite is valid too; all rows where none has one.
-
-    Their mean is the flat mirror, whatever rows are missing.
-    """
-    code = cycle.sign[cycle.valid] * cycle.shape[cycle.valid]
-    paired = np.isin(-code, code)
-    return paired if paired.any() else np.ones_like(paired)
-
-
-def _distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Yield sets of rows in none of which a group stands twice; mostly one set of all rows."""
-    rest = np.argsort(group, kind="stable")
-    while rest.size:
-        first = np.concatenate([[True], np.diff(group[rest]) > 0])
-        yield rest[first]
-        rest = rest[~first]
 
 
 def merge(one: Moments, other: Moments) -> Moments:
@@ -202,7 +205,9 @@ def merge(one: Moments, other: Moments) -> Moments:
     known[second] += share[:, None] * (other.known - known[second])
     weight[second] += other.weight
     rows[second] += other.rows
-    return Moments(loads, labels, rows, weight, mean, known, scatter)
+    apart_still = len(labels) == len(one.labels) + len(other.labels)
+    furthest = np.maximum(one.furthest, other.furthest) if apart_still else np.full(n, np.inf)
+    return Moments(loads, labels, rows, weight, mean, known, scatter, furthest)
 
 
 def _relabelled(moments: Moments, loads: tuple[Load, ...]) -> NDArray[np.int64]:
@@ -212,25 +217,24 @@ def _relabelled(moments: Moments, loads: tuple[Load, ...]) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True, eq=False)
-class LoadSums:
-    """Sums over the shapes of one load, each counted with its weight r.
+class ShapeSums:
+    """Sums over shapes under L loads, each shape counted with its weight r.
 
     Attributes
     ----------
     shapes
         Number of distinct shapes: each brings its own noise.
-    weight
-        Sum of r.
-    force
-        (n,) sum of r c.
+    weight, force, known
+        (L,), (L, n) and (L, 3) sums of r, r c and r q, each load by itself; q is the balance known
+        beforehand.
     square
-        (n, n) sum of r c c'.
-    known, known_force, known_square
-        (3,), (3, n) and (3, 3) sums of r q, r q c', r q q' of the balance known beforehand.
+        (n, n) sum of r c c' over all loads.
+    known_force, known_square
+        (3, n) and (3, 3) sums of r q c' and r q q' over all loads.
     """
 
     shapes: int
-    weight: float
+    weight: Array
     force: Array
     square: Array
     known: Array
@@ -238,25 +242,37 @@ class LoadSums:
     known_square: Array
 
 
-def load_sums(mean: Array, weight: Array, known: Array) -> LoadSums:
-    """Return the sums over (g, n) means with (g,) weights and (g, 3) known balance."""
-    heavy = mean * np.sqrt(weight)[:, None]
-    square = dsyrk(1.0, heavy.T)  # the upper triangle of heavy' heavy
-    square = square + np.triu(square, 1).T
+def shape_sums(
+    mean: Array, weight: Array, known: Array, load: NDArray[np.int64], loads: int = 1
+) -> ShapeSums:
+    """Return the sums over (g, n) means with (g,) weights, (g, 3) known balance and (g,) loads."""
+    even = bool((weight == weight[0]).all())
+    heavy = mean if even else mean * np.sqrt(weight)[:, None]
+    square = mirrored(dsyrk(float(weight[0]) if even else 1.0, heavy.T)).T  # in the order of C
+    of_load = np.where(load == np.arange(loads)[:, None], weight, 0.0)
     q = known * weight[:, None]
-    return LoadSums(
+    anything = bool(q.any())
+    return ShapeSums(
         shapes=len(mean),
-        weight=float(weight.sum()),
-        force=weight @ mean,
+        weight=of_load.sum(axis=1),
+        force=of_load @ mean,
         square=square,
-        known=q.sum(axis=0),
-        known_force=q.T @ mean,
+        known=of_load @ known,
+        known_force=q.T @ mean if anything else np.zeros((3, mean.shape[1])),
         known_square=q.T @ known,
     )
 
 
-def sums_by_load(moments: Moments, loads: int) -> tuple[LoadSums, ...]:
-    """Return the sums of each load of a campaign."""
-    starts = np.searchsorted(moments.labels[:, 0], np.arange(loads + 1))
-    blocks = [slice(start, end) for start, end in pairwise(starts.tolist())]
-    return tuple(load_sums(moments.mean[b], moments.weight[b], moments.known[b]) for b in blocks)
+def mirrored(upper: Array) -> Array:
+    """Copy the upper triangle of a square matrix into the lower one, in place; return the matrix.
+
+    By blocks, since a transposed copy of the whole would miss the cache at every element.
+    """
+    for start in range(0, len(upper), MIRRORED_AT_ONCE):
+        end = start + MIRRORED_AT_ONCE
+        block = upper[start:end, start:end]
+        block[...] = np.triu(block) + np.triu(block, 1).T
+        for right in range(end, len(upper), MIRRORED_AT_ONCE):
+            columns = slice(right, right + MIRRORED_AT_ONCE)
+            upper[columns, start:end] = upper[start:end, columns].T
+    return upper

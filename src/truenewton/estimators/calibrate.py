@@ -200,6 +200,8 @@ def _spread(values: Array, on: NDArray[np.bool_]) -> Array:
 
 def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
     """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
+    if on.all():
+        return values
     rest = len(values) - int(on.sum())
     kept = np.concatenate([on, np.ones(rest, dtype=bool)])
     out = np.full((kept.size, kept.size), np.nan)

@@ -18,18 +18,19 @@ from truenewton.estimators.elastic import (
     found_from,
     mode_covariance,
 )
+from truenewton.estimators.estimate import DataSet, Prior
 from truenewton.estimators.found import Found
-from truenewton.estimators.likelihood import DataSet, Prior, minimise
+from truenewton.estimators.likelihood import minimise
 from truenewton.identifiability import geometry_faults, refuse
 from truenewton.measurements import StiffnessMatrix
-from truenewton.moments import load_sums
+from truenewton.moments import shape_sums
 
 
 def mode_data(modes: Array, variance: float) -> DataSet:
     """Return elastic modes as shapes without any external load, for the likelihood."""
-    sums = load_sums(modes, np.ones(len(modes)), np.zeros((len(modes), 3)))
-    n = modes.shape[1]
-    return DataSet(sums, np.full(n, variance), np.zeros(3), np.zeros((3, 0)))
+    m, n = modes.shape
+    sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.zeros(m, dtype=np.int64))
+    return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ V = Sigma - Sigma diag(alpha) A' S^-1 A diag(alpha) Sigma, which feigns, for eac
     D = (A' S^-1 A) o V        on alpha                                   (o: elementwise)
 
 H = M - D is the information, and H^-1 M H^-1 the covariance. Everything is written in sums over
-shapes (`moments.LoadSums`), so that an iteration costs O(n^3) whatever the number of shapes.
+shapes (`moments.ShapeSums`), so that an iteration costs O(n^3) whatever the number of shapes.
 """
 
 from __future__ import annotations
@@ -24,10 +24,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from truenewton.actuators import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.moments import LoadSums
+from truenewton.estimators.estimate import DataSet, Estimate, Feigned, Prior
+from truenewton.moments import ROWS_AT_ONCE, ShapeSums, mirrored
 
 STEPS = 60
 SMALL = 1e-10  # squared step in standard errors at which the iteration ends
@@ -35,87 +38,18 @@ NEAR = 1e-3  # below which no step is shortened
 
 
 @dataclass(frozen=True, eq=False)
-class DataSet:
-    """Shapes that share one external load and one noise.
-
-    Attributes
-    ----------
-    sums
-        The shapes.
-    variance
-        (n,) of one reading of weight 1, the diagonal of Sigma.
-    load
-        (3,) the part of k known beforehand: (W, 0, 0).
-    nuisance
-        (3, p) derivative of k with respect to the unknowns beside alpha.
-    """
-
-    sums: LoadSums
-    variance: Array
-    load: Array
-    nuisance: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """What is known of the unknowns besides the data.
-
-    Attributes
-    ----------
-    mean, information
-        (u,) and (u, u) of all unknowns, normal; information may be singular.
-    measured
-        How many of the last unknowns are errors of the weights: measured as 0 +- 1.
-    held
-        Whether they stay 0: under two loads B and the common scale take up whatever they are, and
-        the data say nothing of them.
-    """
-
-    mean: Array
-    information: Array
-    measured: int = 0
-    held: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The minimum and what it is worth; t unknowns without the errors of the weights.
-
-    Attributes
-    ----------
-    values
-        (u,) alpha, then the unknowns beside it.
-    chi2
-        Sum of r rho' S^-1 rho over the data, prior left out.
-    m
-        (u, u) M, the data's part of the information, noise included.
-    feigned
-        (n, n) D, the part of M on alpha that noise alone would feign.
-    statistical
-        (t, t) covariance from the readings (and from a population).
-    changes
-        (t, measured) change of the values by one standard uncertainty of each error of the weights.
-    iterations
-        Steps taken.
-    """
-
-    values: Array
-    chi2: float
-    m: Array
-    feigned: Array
-    statistical: Array
-    changes: Array
-    iterations: int
-
-
-@dataclass(frozen=True, eq=False)
 class _Terms:
-    """The sums at one point: twice the objective, gradient, M, and D on alpha."""
+    """The sums at one point: twice the objective, gradient, H without the prior, and D."""
 
     chi2: float
     gradient: Array
-    m: Array
-    d: Array
+    h: Array
+    feigned: Feigned
+
+    @property
+    def m(self) -> Array:
+        """(u, u) M."""
+        return self.feigned.taken_from(self.h, -1.0)
 
 
 def chi2_at(a: Array, data: Sequence[DataSet], values: Array) -> float:
@@ -123,56 +57,81 @@ def chi2_at(a: Array, data: Sequence[DataSet], values: Array) -> float:
     n = a.shape[1]
     total = 0.0
     for part in data:
-        k = part.load + part.nuisance @ values[n:]
         arms = a * values[:n]
-        _, _, rho_rho = _imbalance(part.sums, arms, k)
+        _, _, rho_rho = _imbalance(part.sums, arms, part.external(values[n:]))
         total += float(np.trace(np.linalg.solve((arms * part.variance) @ arms.T, rho_rho)))
     return max(total, 0.0)
 
 
-def _imbalance(sums: LoadSums, arms: Array, k: Array) -> tuple[Array, Array, Array]:
-    """Return the sums of r rho (3,), r rho c' (3, n) and r rho rho' (3, 3)."""
+def _imbalance(sums: ShapeSums, arms: Array, k: Array) -> tuple[Array, Array, Array]:
+    """Return the sums of r rho (L, 3) by load, and r rho c' (3, n) and r rho rho' (3, 3) of all."""
     product = arms @ sums.square
     cross = arms @ sums.known_force.T
-    mean = arms @ sums.force + sums.known
-    rho_c = product + sums.known_force + np.outer(k, sums.force)
+    mean = sums.force @ arms.T + sums.known
+    rho_c = product + sums.known_force + k.T @ sums.force
     rho_rho = (
         product @ arms.T + cross + cross.T + sums.known_square
-        + np.outer(mean, k) + np.outer(k, mean) + sums.weight * np.outer(k, k)
+        + mean.T @ k + k.T @ mean + (k.T * sums.weight) @ k
     )  # fmt: skip
-    return mean + sums.weight * k, rho_c, rho_rho
+    return mean + sums.weight[:, None] * k, rho_c, rho_rho
 
 
 def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
-    """Evaluate objective, gradient, M and D at a point."""
+    """Evaluate objective, gradient, H and D at a point."""
     n, u = a.shape[1], len(values)
     alpha, psi = values[:n], values[n:]
     arms = a * alpha
-    chi2, gradient, m, d = 0.0, np.zeros(u), np.zeros((u, u)), np.zeros((n, n))
+    chi2, gradient, h = 0.0, np.zeros(u), np.zeros((u, u))
+    diagonal, roots = np.zeros(n), []
     for part in data:
         sums = part.sums
-        rho, rho_c, rho_rho = _imbalance(sums, arms, part.load + part.nuisance @ psi)
+        rho, rho_c, rho_rho = _imbalance(sums, arms, part.external(psi))
         noisy = arms * part.variance  # A diag(alpha) Sigma
-        s_inverse = np.linalg.inv(noisy @ arms.T)
-        weighed = s_inverse @ a  # S^-1 A
+        s_inverse = np.asarray(np.linalg.inv(noisy @ arms.T), dtype=np.float64)
+        root = np.linalg.cholesky(s_inverse).T  # S^-1 = root' root
+        white, taken = root @ a, root @ noisy  # A' S^-1 A = white' white; V = Sigma - taken' taken
         p = noisy.T @ s_inverse
-        # c^ = c - P rho, summed: rho c^' and c^ c^'.
+        # c^ = c - P rho, summed: rho c^' and c^ c^' = c c' - P half - half' P'.
         rho_fitted = rho_c - rho_rho @ p.T
-        half = p @ (rho_c - 0.5 * rho_rho @ p.T)
-        fitted_square = sums.square - half - half.T
-        fitted = sums.force - p @ rho
-        gram = a.T @ weighed  # A' S^-1 A
+        half = rho_c - 0.5 * rho_rho @ p.T
+        fitted = sums.force - rho @ p.T
         chi2 += float(np.sum(s_inverse * rho_rho))
-        gradient[:n] += np.sum(weighed * rho_fitted, axis=0)
-        gradient[n:] += part.nuisance.T @ (s_inverse @ rho)
-        m[:n, :n] += fitted_square * gram
-        m[:n, n:] += fitted[:, None] * (weighed.T @ part.nuisance)
-        m[n:, n:] += sums.weight * part.nuisance.T @ s_inverse @ part.nuisance
-        v = -p @ noisy
-        v[np.diag_indices(n)] += part.variance
-        d += sums.shapes * gram * v
-    m[n:, :n] = m[:n, n:].T
-    return _Terms(max(chi2, 0.0), gradient, m, d)  # in perfect balance rounding may leave less
+        gradient[:n] += np.sum((s_inverse @ a) * rho_fitted, axis=0)
+        # H: c^ c^' less, for each shape, V.
+        left = np.concatenate([p, half.T, -sums.shapes * taken.T], axis=1)
+        _add_product(h, white, sums.square, left, np.concatenate([half, p.T, taken]))
+        once = sums.shapes * np.sum(white**2, axis=0) * part.variance
+        h[np.arange(n), np.arange(n)] -= once
+        diagonal += once
+        roots.append(np.sqrt(sums.shapes) * (white[:, None] * taken).reshape(9, n))
+        gradient[n:] += _add_nuisance(h, part, s_inverse, a, fitted, rho)
+    h[n:, :n] = h[:n, n:].T
+    # In perfect balance rounding may leave less than nothing.
+    return _Terms(max(chi2, 0.0), gradient, h, Feigned(diagonal, np.concatenate(roots)))
+
+
+def _add_product(matrix: Array, white: Array, square: Array, left: Array, right: Array) -> None:
+    """Add (white' white) o (square - left right) to the leading block, some rows at a time."""
+    n = white.shape[1]
+    for start in range(0, n, ROWS_AT_ONCE):
+        rows = slice(start, min(start + ROWS_AT_ONCE, n))
+        block = left[rows] @ right
+        np.subtract(square[rows], block, out=block)
+        block *= white[:, rows].T @ white
+        matrix[rows, :n] += block
+
+
+def _add_nuisance(
+    matrix: Array, part: DataSet, s_inverse: Array, a: Array, force: Array, rho: Array
+) -> Array:
+    """Add what (L, n) summed forces say of the unknowns beside alpha; return their gradient."""
+    n, gradient = a.shape[1], np.zeros(len(matrix) - a.shape[1])
+    for f, r, weight, nuisance in zip(force, rho, part.sums.weight, part.nuisance, strict=True):
+        pull = nuisance.T @ s_inverse
+        matrix[:n, n:] += f[:, None] * (pull @ a).T
+        matrix[n:, n:] += weight * pull @ nuisance
+        gradient += pull @ r
+    return gradient
 
 
 def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> Estimate:
@@ -194,20 +153,19 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> E
     NotConverged
         The iteration does not settle.
     """
-    n = a.shape[1]
     values, before = start.copy(), np.inf
     for iteration in range(1, STEPS + 1):
         terms = _terms(a, data, values)
         apart = values - prior.mean
-        gradient = terms.gradient + prior.information @ apart
-        step, decrement = _step(terms, prior, gradient, n)
+        pull = prior.information @ apart
+        step, decrement, factor = _step(terms, prior, terms.gradient + pull)
         # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.
         if decrement < SMALL or (decrement < NEAR and decrement > 0.25 * before):
-            return _estimate(terms, prior, values, n, iteration)
+            return _estimate(terms, prior, values, factor, iteration)
         before = decrement
         if decrement >= NEAR:
-            objective = terms.chi2 + apart @ prior.information @ apart
-            step = step * _shortening(a, data, prior, values, step, float(objective))
+            objective = float(terms.chi2 + apart @ pull)
+            step = step * _shortening(a, data, prior, values, step, objective)
         values = values - step
     raise NotConverged(
         f"the likelihood has not settled after {STEPS} steps",
@@ -229,59 +187,66 @@ def _shortening(
     return 0.5**halving
 
 
-def _step(terms: _Terms, prior: Prior, gradient: Array, n: int) -> tuple[Array, float]:
-    """Return the step of Newton and its squared length in standard errors.
+def _step(terms: _Terms, prior: Prior, gradient: Array) -> tuple[Array, float, Array | None]:
+    """Return the step of Newton, its squared length in standard errors, and the factor of H.
 
-    H where it is positive definite, as it is near the minimum; M while far.
+    H where it is positive definite, as it is near the minimum; M while far, and no factor.
     """
     free = len(gradient) - (prior.measured if prior.held else 0)
-    m = (terms.m + prior.information)[:free, :free]
-    h = m.copy()
-    h[:n, :n] -= terms.d
-    for matrix in (h, m):
-        try:
-            factor = scipy.linalg.cho_factor(matrix, check_finite=False)
-            break
-        except np.linalg.LinAlgError:
-            continue
-    else:
-        raise _no_more_than_noise()
+    h = terms.h[:free, :free] + prior.information[:free, :free]
+    factor, failed = dpotrf(h.T, clean=False)
+    used = factor
+    if failed:
+        used, failed_too = dpotrf(terms.feigned.taken_from(h, -1.0), clean=False)
+        if failed_too:
+            raise _no_more_than_noise()
     step = np.zeros_like(gradient)
-    step[:free] = scipy.linalg.cho_solve(factor, gradient[:free], check_finite=False)
-    return step, float(gradient @ step)
+    step[:free] = scipy.linalg.cho_solve((used, False), gradient[:free], check_finite=False)
+    return step, float(gradient @ step), None if failed else factor
 
 
-def _estimate(terms: _Terms, prior: Prior, values: Array, n: int, iterations: int) -> Estimate:
+def _estimate(
+    terms: _Terms, prior: Prior, values: Array, factor: Array | None, iterations: int
+) -> Estimate:
     """Return the minimum with its covariance, H^-1 M H^-1, from readings and weights apart.
 
     The errors of the weights are eliminated: against quiet readings they are all but degenerate
     with the common scale, and H^-1 of all unknowns would drown in rounding what the readings say.
-    With theta the other unknowns and T = H_tt^-1 M_tu, the scores g move theta by
-    H_tt^-1 g_t - T C (g_u - T' g_t), C = (1 + M_uu - M_ut T)^-1.
+    With theta the other unknowns, which come first in the factor, and T = H_tt^-1 M_tu, the scores
+    g move theta by H_tt^-1 g_t - T C (g_u - T' g_t), C = (1 + M_uu - M_ut T)^-1.
     """
-    t = len(values) - prior.measured
-    known = prior.information[:t, :t]
-    score = terms.m[:t, :t] + known  # covariance of g_t
-    h = score.copy()
-    h[:n, :n] -= terms.d
-    try:
-        factor = scipy.linalg.cho_factor(h, check_finite=False)
-    except np.linalg.LinAlgError:
-        raise _no_more_than_noise() from None
-    inverse = scipy.linalg.cho_solve(factor, np.eye(t), check_finite=False)
-    m_tu, m_uu = terms.m[:t, t:], terms.m[t:, t:]
+    if factor is None:
+        raise _no_more_than_noise()
+    n, t = len(terms.feigned.diagonal), len(values) - prior.measured
+    inverse = mirrored(dpotri(factor[:t, :t])[0])
+    m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
     turn = inverse @ m_tu
+    left = _not_negative(m_uu - m_tu.T @ turn)
+    measured = np.linalg.inv(np.eye(prior.measured) + left)
+    changes = -turn @ measured
+    # M = H + D, so H^-1 M H^-1 = H^-1 + H^-1 D H^-1; likewise in what follows.
+    feigned_turn = terms.feigned @ turn[:n]
+    by_turn = _not_negative(turn[:n].T @ feigned_turn)
+    rest = left + by_turn
+    cross = -inverse[:, :n] @ feigned_turn @ changes.T
+    wide = np.sqrt(terms.feigned.diagonal)[:, None] * inverse[:n]
+    less = terms.feigned.root @ inverse[:n]
+    share = float(
+        terms.feigned.diagonal @ np.diagonal(inverse)[:n]
+        - np.sum(less[:, :n] * terms.feigned.root)
+        + np.sum(measured * by_turn)
+    )
+    whole = dsyrk(1.0, wide, trans=True, beta=1.0, c=inverse, overwrite_c=True)
+    whole = dsyrk(-1.0, less, trans=True, beta=1.0, c=whole, overwrite_c=True)
     if prior.held:
-        return Estimate(
-            values, terms.chi2, terms.m, terms.d, inverse @ score @ inverse, -turn, iterations
-        )
-    c = np.linalg.inv(np.eye(prior.measured) + _not_negative(m_uu - m_tu.T @ turn))
-    changes = -turn @ c
-    with_rest = m_tu - score @ turn  # covariance of g_t with g_u - T' g_t
-    rest = _not_negative(m_uu - turn.T @ m_tu - m_tu.T @ turn + turn.T @ score @ turn)
-    cross = inverse @ with_rest @ changes.T
-    statistical = inverse @ score @ inverse + cross + cross.T + changes @ rest @ changes.T
-    return Estimate(values, terms.chi2, terms.m, terms.d, statistical, changes, iterations)
+        changes = -turn
+    else:
+        whole += cross + cross.T + changes @ rest @ changes.T
+    information = terms.h + prior.information
+    whole = mirrored(whole).T  # in the order of C
+    return Estimate(
+        values, terms.chi2, information, terms.feigned, share, whole, changes, iterations
+    )
 
 
 def _not_negative(matrix: Array) -> Array:
@@ -294,31 +259,32 @@ def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
     """Return weighted least squares, the noise taken out: alpha = 1 in S, linear in the rest."""
     n = a.shape[1]
     matrix, right = prior.information.copy(), prior.information @ prior.mean
+    nothing = np.zeros((n, 0))
     for part in data:
         sums = part.sums
-        s_inverse = np.linalg.inv((a * part.variance) @ a.T)
-        weighed = s_inverse @ a
-        gram = a.T @ weighed
-        square = sums.square.copy()
-        square[np.diag_indices(n)] -= sums.shapes * part.variance
-        mixed = weighed.T @ part.nuisance
-        matrix[:n, :n] += square * gram
-        matrix[:n, n:] += sums.force[:, None] * mixed
-        matrix[n:, :n] += (sums.force[:, None] * mixed).T
-        matrix[n:, n:] += sums.weight * part.nuisance.T @ s_inverse @ part.nuisance
-        given = np.outer(part.load, sums.force) + sums.known_force
-        right[:n] -= np.sum(weighed * given, axis=0)
-        right[n:] -= part.nuisance.T @ s_inverse @ (sums.weight * part.load + sums.known)
+        s_inverse = np.asarray(np.linalg.inv((a * part.variance) @ a.T), dtype=np.float64)
+        white, weighed = np.linalg.cholesky(s_inverse).T @ a, s_inverse @ a
+        _add_product(matrix, white, sums.square, nothing, nothing.T)
+        at = np.arange(n)
+        matrix[at, at] -= sums.shapes * part.variance * np.sum(white**2, axis=0)
+        rho = sums.weight[:, None] * part.load + sums.known
+        right[n:] -= _add_nuisance(matrix, part, s_inverse, a, sums.force, rho)
+        right[:n] -= np.sum(weighed * (part.load.T @ sums.force + sums.known_force), axis=0)
+    matrix[n:, :n] = matrix[:n, n:].T
     # What is known beforehand stays so for a start: against little noise it is all but degenerate.
     known = np.diag(prior.information) > 0
     found = prior.mean.copy()
     right = right - matrix @ np.where(known, prior.mean, 0.0)
+    first = int(np.count_nonzero(~known))
+    some = matrix[:first, :first] if known[first:].all() else matrix[np.ix_(~known, ~known)]
+    factor, failed = dpotrf(some.T, clean=False)
+    if not failed:
+        found[~known] = scipy.linalg.cho_solve((factor, False), right[~known], check_finite=False)
+        return found
     with warnings.catch_warnings():
         warnings.simplefilter("error", scipy.linalg.LinAlgWarning)
         try:
-            found[~known] = scipy.linalg.solve(
-                matrix[np.ix_(~known, ~known)], right[~known], assume_a="sym"
-            )
+            found[~known] = scipy.linalg.solve(some, right[~known], assume_a="sym")
         except (scipy.linalg.LinAlgWarning, np.linalg.LinAlgError):
             raise _no_more_than_noise() from None
     return found
@@ -329,3 +295,14 @@ def _no_more_than_noise() -> RankDeficient:
         "the data hold no more than noise along some pattern of alpha",
         remedy="apply more shapes, larger or more often, or add a stiffness matrix",
     )
+
+
+def gram_of_e(a: Array, part: DataSet) -> Array:
+    """Return E' E of the paper's eq. 4 from the sums, with arms a."""
+    n = a.shape[1]
+    gram = np.zeros((n + part.nuisance.shape[2],) * 2)
+    nothing = np.zeros((n, 0))
+    _add_product(gram, a, part.sums.square, nothing, nothing.T)
+    _add_nuisance(gram, part, np.eye(3), a, part.sums.force, np.zeros_like(part.load))
+    gram[n:, :n] = gram[:n, n:].T
+    return gram

@@ -7,20 +7,21 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 import scipy.stats
+from scipy.linalg.lapack import dpotrf
+from scipy.sparse.linalg import LinearOperator
 
 from truenewton.actuators import Array
 from truenewton.balance import arms_in_units_of_rms
 from truenewton.campaign import Campaign
+from truenewton.decomposition import largest_eigenvalue
 from truenewton.diagnosis import Diagnosis, Goodness, RejectedRow
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimators.elastic_likelihood import (
     population_spread,
 )
+from truenewton.estimators.estimate import Estimate
 from truenewton.estimators.found import Found
-from truenewton.estimators.likelihood import (
-    Estimate,
-    chi2_at,
-)
+from truenewton.estimators.likelihood import chi2_at, gram_of_e
 from truenewton.estimators.problem import (
     Problem,
     load_data,
@@ -112,9 +113,8 @@ def _found(
     declared = float("nan")
     if all(c.force_error for c in campaign.cycles):
         same = np.full(n, WEIGHED_NOISE**2)
-        declared = chi2_at(
-            problem.a, load_data(campaign, moments, same, problem.errors), estimate.values
-        )
+        at_declared = load_data(campaign, moments, same, problem.errors)
+        declared = chi2_at(problem.a, [at_declared], estimate.values)
     diagnosis = _diagnosis(problem, moments, estimate)
     warnings = diagnosis.warnings + weights_warning(estimate.values[unknowns:], len(campaign.loads))
     diagnosis = replace(diagnosis, warnings=warnings)
@@ -165,11 +165,9 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate) -> Diagno
     """Judge alpha by what its information stands above what noise feigns, and name what is weak."""
     n, layout = problem.n, problem.campaign.layout
     covariance = estimate.statistical[:n, :n]
-    m = estimate.m + problem.prior.information
-    held = information_above_noise(m, estimate.feigned, len(moments.rows))
-    value, vector = scipy.linalg.eigh(covariance, subset_by_index=[n - 1, n - 1])
-    weakest = in_words(vector[:, 0], layout)
-    free = int(np.count_nonzero(held < 1.0))
+    free = patterns_near_noise(estimate, len(moments.rows))
+    value, vector = largest_eigenvalue(covariance)
+    weakest = in_words(vector, layout)
     warnings: tuple[tuple[str, str], ...] = ()
     if free:
         patterns = "pattern of alpha stands" if free == 1 else "patterns of alpha stand"
@@ -185,33 +183,39 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate) -> Diagno
         faults=(),
         warnings=warnings,
         weakest=weakest,
-        weakest_share=float(value[0] / np.trace(covariance)),
+        weakest_share=value / float(np.trace(covariance)),
         leverage=tuple(leverage(problem.a * estimate.values[:n], problem.noise.variance).tolist()),
     )
 
 
-def information_above_noise(m: Array, feigned: Array, shapes: int) -> Array:
-    """Return (n,) eigenvalues of M in terms of D on alpha, in units of what noise may reach.
+def patterns_near_noise(estimate: Estimate, shapes: int) -> int:
+    """Count the patterns of alpha in which M reaches less than what noise alone may.
 
-    B and the torques are eliminated. What noise alone feigns spreads by (1 +- root(n / 3 N))^2.
+    What noise alone feigns, D, spreads by (1 +- root(n / 3 N))^2; so count the negative eigenvalues
+    of M - reach D, B and the torques eliminated. There is none if all of D together is too small,
+    as mostly, or if there is a Cholesky factor.
     """
-    n = len(feigned)
-    schur = m[:n, :n] - m[:n, n:] @ np.linalg.pinv(m[n:, n:]) @ m[n:, :n]
+    n = len(estimate.feigned.diagonal)
     reach = 1.1 * (1 + np.sqrt(n / (3 * shapes))) ** 2
-    # D in terms of M: M is the one that is surely regular.
-    feigned_share = scipy.linalg.eigh(feigned, schur, eigvals_only=True, check_finite=False)
-    return np.asarray(1.0 / (reach * np.maximum(feigned_share[::-1], 1e-300)))
+    if (reach - 1.0) * estimate.feigned_share < 0.9:
+        return 0
+    less = estimate.feigned.taken_from(estimate.information, reach - 1.0)  # M = H + D
+    if dpotrf(less, clean=False)[1] == 0:
+        return 0
+    schur = less[:n, :n] - less[:n, n:] @ np.linalg.pinv(less[n:, n:]) @ less[n:, :n]
+    return int(np.count_nonzero(scipy.linalg.eigvalsh(schur, lower=False) <= 0.0))
 
 
 def condition(campaign: Campaign, moments: Moments) -> float:
     """Return the condition of E, each coordinate in units of its RMS, from E' E."""
     a = arms_in_units_of_rms(campaign.layout)
-    n, unknowns = a.shape[1], a.shape[1] + 1 + 2 * len(campaign.loads)
-    gram = np.zeros((unknowns, unknowns))
-    for part in load_data(campaign, moments, np.ones(n), ()):
-        gram[:n, :n] += part.sums.square * (a.T @ a)
-        gram[:n, n:] += part.sums.force[:, None] * (a.T @ part.nuisance)
-        gram[n:, n:] += part.sums.weight * part.nuisance.T @ part.nuisance
-    gram[n:, :n] = gram[:n, n:].T
-    values = scipy.linalg.eigvalsh(gram)
-    return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
+    part = load_data(campaign, moments, np.ones(a.shape[1]), ())
+    gram = gram_of_e(a, part)
+    factor, failed = dpotrf(gram.T, clean=False)
+    if failed:
+        values = scipy.linalg.eigvalsh(gram)
+        return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
+    inverse = LinearOperator(
+        gram.shape, lambda v: scipy.linalg.cho_solve((factor, False), v, check_finite=False)
+    )
+    return float(np.sqrt(largest_eigenvalue(gram)[0] * largest_eigenvalue(inverse)[0]))

@@ -19,17 +19,12 @@ from truenewton.estimators.elastic_likelihood import (
     mode_data,
     population_prior,
 )
-from truenewton.estimators.likelihood import (
-    DataSet,
-    Estimate,
-    Prior,
-    minimise,
-    start_values,
-)
+from truenewton.estimators.estimate import DataSet, Estimate, Prior
+from truenewton.estimators.likelihood import minimise, start_values
 from truenewton.identifiability import (
     ENOUGH_REPEATS,
 )
-from truenewton.moments import WEIGHED_NOISE, Moments, sums_by_load
+from truenewton.moments import WEIGHED_NOISE, Moments
 from truenewton.outliers import (
     squared_distances,
     standing_out,
@@ -71,24 +66,24 @@ def least_variance(moments: Moments) -> float:
 
     A millionth of the forces. Against less, what the weights say would drown in rounding.
     """
-    return float(1e-12 * np.mean(moments.mean**2))
+    return float(1e-12 * np.vdot(moments.mean, moments.mean) / moments.mean.size)
 
 
 def load_data(
     campaign: Campaign, moments: Moments, variance: Array, errors: Sequence[WeightError]
-) -> list[DataSet]:
-    """Return the shapes of each load with its weight and its unknowns beside alpha."""
+) -> DataSet:
+    """Return the shapes of all loads with their weights and the unknowns beside alpha."""
     loads = len(campaign.loads)
-    sets = []
-    for place, sums in enumerate(sums_by_load(moments, loads)):
-        nuisance = np.zeros((3, 1 + 2 * loads + len(errors)))
-        nuisance[0, 0] = 1.0  # B
-        nuisance[1, 1 + 2 * place] = 1.0  # M_y
-        nuisance[2, 2 + 2 * place] = -1.0  # M_x
-        nuisance[0, 1 + 2 * loads :] = [error.change[place] for error in errors]
-        weight = np.array([campaign.effective_weights[place], 0.0, 0.0])
-        sets.append(DataSet(sums, variance, weight, nuisance))
-    return sets
+    place = np.arange(loads)
+    nuisance = np.zeros((loads, 3, 1 + 2 * loads + len(errors)))
+    nuisance[:, 0, 0] = 1.0  # B
+    nuisance[place, 1, 1 + 2 * place] = 1.0  # M_y
+    nuisance[place, 2, 2 + 2 * place] = -1.0  # M_x
+    for at, error in enumerate(errors):
+        nuisance[:, 0, 1 + 2 * loads + at] = error.change
+    weight = np.zeros((loads, 3))
+    weight[:, 0] = campaign.effective_weights
+    return DataSet(moments.sums, variance, weight, nuisance)
 
 
 def weight_prior(unknowns: int, errors: int, *, held: bool) -> Prior:
@@ -141,8 +136,8 @@ class Problem:
 
     def data(self, moments: Moments) -> list[DataSet]:
         """Return the shapes of each load, with its weight and unknowns, and the elastic ones."""
-        sets = load_data(self.campaign, moments, self.noise.variance, self.errors)
-        return [*sets, *self.elastic]
+        of_loads = load_data(self.campaign, moments, self.noise.variance, self.errors)
+        return [of_loads, *self.elastic]
 
     def fitted(self, moments: Moments, start: Array | None = None) -> Estimate:
         """Return the likeliest values."""
@@ -153,10 +148,8 @@ class Problem:
     def imbalance(self, values: Array, moments: Moments) -> tuple[Array, Array]:
         """Return (g, 3) rho of the groups, and S."""
         arms = self.a * values[: self.n]
-        k = np.array(
-            [d.load + d.nuisance @ values[self.n :]
-             for d in load_data(self.campaign, moments, self.noise.variance, self.errors)]
-        )  # fmt: skip
+        of_loads = load_data(self.campaign, moments, self.noise.variance, self.errors)
+        k = of_loads.external(values[self.n :])
         rho = moments.mean @ arms.T + moments.known + k[moments.labels[:, 0]]
         return rho, (arms * self.noise.variance) @ arms.T
 
@@ -187,7 +180,7 @@ def posed(campaign: Campaign, noise: Noise) -> Problem:
     if campaign.stiffness is not None:
         modes = elastic_modes(campaign.stiffness)
         data = mode_data(modes, likeliest(modes, comparable_arms(campaign.stiffness)).variance)
-        elastic = (replace(data, nuisance=np.zeros((3, count - a.shape[1]))),)
+        elastic = (replace(data, nuisance=np.zeros((1, 3, count - a.shape[1]))),)
     return Problem(
         campaign,
         a,

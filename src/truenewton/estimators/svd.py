@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg.blas import dsyrk
+from scipy.linalg.lapack import dpocon, dpotrf
 
 from truenewton.actuators import Array
 from truenewton.balance import (
@@ -27,6 +29,7 @@ from truenewton.errors import RankDeficient
 from truenewton.estimators.found import Found
 from truenewton.identifiability import diagnose, refuse
 from truenewton.moments import campaign_moments
+from truenewton.statics import external_load
 from truenewton.uncertainty import WeightError, scale_errors, weight_errors
 
 
@@ -191,13 +194,33 @@ def cycle_errors(campaign: Campaign, solution: Array) -> Array:
     weights = campaign.effective_weights.tolist()
     alphas = []
     for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
-        c, p = system_c(cycle.used_force, a, weights[place], bias_force, *torques[place].tolist())
-        alpha, _, rank, _ = scipy.linalg.lstsq(c, p)
-        if rank == n:  # a cycle that was broken off says nothing of alpha alone
+        external = (weights[place], bias_force, *torques[place].tolist())
+        alpha = _from_one_cycle(cycle.used_force, a, external)
+        if alpha is not None:  # a cycle that was broken off says nothing of alpha alone
             alphas.append(alpha)
     if len(alphas) < 2:
         return np.full(n, np.nan)
     return np.asarray(3.0 * np.std(alphas, axis=0, ddof=1) / np.sqrt(len(alphas)))
+
+
+def _from_one_cycle(
+    force: Array, a: Array, external: tuple[float, float, float, float]
+) -> Array | None:
+    """Solve C alpha = p of one cycle; None where its rank is short.
+
+    From C' C = (A' A) o (sum of c c') where that is far from singular, which costs a tenth; else by
+    singular values.
+    """
+    n = a.shape[1]
+    square = dsyrk(1.0, force.T)  # the upper triangle
+    square *= a.T @ a
+    right = -np.sum(a * external_load(*external)[:, None], axis=0) * force.sum(axis=0)
+    norm = float(np.abs(square).sum(axis=0).max())  # of one triangle: half at least
+    factor, failed = dpotrf(square, clean=False)
+    if not failed and dpocon(factor, norm)[0] > 1e-10:
+        return np.asarray(scipy.linalg.cho_solve((factor, False), right, check_finite=False))
+    alpha, _, rank, _ = scipy.linalg.lstsq(*system_c(force, a, *external))
+    return np.asarray(alpha) if rank == n else None
 
 
 def condition_in_units_of_rms(campaign: Campaign) -> float:
