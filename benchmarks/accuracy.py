@@ -314,7 +314,7 @@ def run(
             scales.append(heavier)
         except TrueNewtonError as error:
             failures.append(f"campaign {number}: {type(error).__name__}: {error}")
-    alpha = np.array([answer.alpha for answer in answers])
+    alpha = np.array([answer.alpha for answer in answers]).reshape(-1, len(simulated.alpha))
     return Errors(
         known=alpha * np.array(scales)[:, None] - simulated.alpha,
         whole=alpha - simulated.alpha,
