@@ -1,6 +1,7 @@
 """Small campaigns made by hand: random forces that balance, divided by random alpha."""
 
 import datetime
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -96,3 +97,16 @@ def p45_bench():
 def p45_campaign(cycles=4):
     """Return a campaign on it."""
     return Campaign(tuple(run_cycles(p45_bench(), cycles)))
+
+
+def noisy(quiet, sigma, seed):
+    """Return a campaign with noise of (n,) standard deviations, or of one for each cycle."""
+    random = np.random.default_rng(seed)
+    sigma = np.broadcast_to(sigma, (len(quiet.cycles), quiet.layout.n))
+    return Campaign(
+        tuple(
+            replace(c, force=c.force + s * random.standard_normal(c.force.shape))
+            for c, s in zip(quiet.cycles, sigma, strict=True)
+        ),
+        quiet.stiffness,
+    )

@@ -1,6 +1,7 @@
 """Campaigns that several test files share."""
 
 import datetime
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import scipy.linalg
 from truenewton.actuators import Layout, rings
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.campaign_files import write_campaign
+from truenewton.cli.main import main
 from truenewton.measurements import Cycle, Load
 from truenewton.mirrors import p45
 
@@ -65,3 +67,16 @@ def p45_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("p45") / "campaign"
     write_campaign(run_cycles(static_bench(p45(), 1, force_noise=1e-4), 2), folder)
     return folder
+
+
+@pytest.fixture
+def inside(capsys, monkeypatch):
+    """Return a function that runs the command line in process: exit code, stdout, stderr."""
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        return stop.value.code, *capsys.readouterr()
+
+    return run

@@ -11,30 +11,16 @@ from astropy.io import fits
 
 from truenewton.actuators import layout
 from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
-from truenewton.cli.main import main
 from truenewton.measurements import Load, StiffnessMatrix
 
 
 @pytest.fixture
-def truenewton(capsys, monkeypatch):
-    """Return a function that runs the command line in process: exit code, stdout, stderr."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-        return stop.value.code, *capsys.readouterr()
-
-    return run
-
-
-@pytest.fixture
-def refused(truenewton, tmp_path):
+def refused(inside, tmp_path):
     """Return a function that runs a command line, which is refused soundly; gives its line."""
 
     def run(*arguments):
         before = sorted(tmp_path.rglob("*"))
-        code, out, error = truenewton(*arguments)
+        code, out, error = inside(*arguments)
         assert (code, out) == (2, "")
         assert error.startswith("truenewton: ")
         assert error.count("\n") == 1
@@ -268,7 +254,7 @@ def test_every_command_refuses_alike(folder, refused, command):
     assert "ring-001.fits: WEIGHT is 3 N; z points up" in line
 
 
-def test_what_does_not_count_may_hold_anything(folder, truenewton, tiny):
+def test_what_does_not_count_may_hold_anything(folder, inside, tiny):
     for name in ("bare-001.fits", "ring-001.fits"):
         edit(
             folder / name,
@@ -280,7 +266,7 @@ def test_what_does_not_count_may_hold_anything(folder, truenewton, tiny):
             cells(M, "SIGN", 20, 77),
             cells(M, "SHAPE", 20, -5),
         )
-    code, out, error = truenewton("calibrate", folder)
+    code, out, error = inside("calibrate", folder)
     assert (code, error) == (0, "")
     assert "8 rows not valid left out" in out
 
@@ -387,9 +373,9 @@ def test_files_that_disagree_are_refused(folder, refused, tiny, fault, words):
     assert "; " in line
 
 
-def test_positions_that_agree_to_a_nanometre_are_accepted(folder, truenewton, tiny):
+def test_positions_that_agree_to_a_nanometre_are_accepted(folder, inside, tiny):
     edit(folder / "ring-001.fits", lambda hdus: hdus[A].data["X"].__iadd__(5e-10))
-    assert truenewton("calibrate", folder)[0] == 0
+    assert inside("calibrate", folder)[0] == 0
 
 
 @pytest.fixture
@@ -410,8 +396,8 @@ def test_a_second_stiffness_file_or_that_of_another_mirror_is_refused(folder, re
     assert "l.fits: is a second stiffness file among others; " in refused("calibrate", folder)
 
 
-def test_a_calibration_among_cycle_files_is_refused(folder, refused, truenewton):
-    truenewton("calibrate", folder, "-o", folder / "alpha.fits")
+def test_a_calibration_among_cycle_files_is_refused(folder, refused, inside):
+    inside("calibrate", folder, "-o", folder / "alpha.fits")
     assert "alpha.fits: is a calibration file among others; " in refused("calibrate", folder)
     alone = refused("calibrate", folder / "alpha.fits")
     assert "alpha.fits: is a calibration already; " in alone
@@ -523,13 +509,13 @@ def test_paths_that_cannot_be_read_are_refused(tmp_path, refused):
     assert "sub.fits: cannot be read (Is a dir" in refused("calibrate", tmp_path / "folder.fits")
 
 
-def test_an_output_that_stands_is_refused_and_kept(folder, refused, truenewton):
+def test_an_output_that_stands_is_refused_and_kept(folder, refused, inside):
     target = folder.parent / "alpha.fits"
     target.write_text("mine")
     line = refused("calibrate", folder, "-o", target)
     assert f"{target}: exists already; choose another name, or overwrite it" in line
     assert target.read_text() == "mine"
-    assert truenewton("calibrate", folder, "-o", target, "--overwrite")[0] == 0
+    assert inside("calibrate", folder, "-o", target, "--overwrite")[0] == 0
     assert target.read_bytes().startswith(b"SIMPLE")
 
 
@@ -610,8 +596,8 @@ def test_a_name_with_line_breaks_still_makes_one_line(tmp_path, refused):
     assert "two\\nlines\\x1b[31m.fits: is not a FITS file; " in refused("calibrate", tmp_path)
 
 
-def test_a_closed_standard_output_is_no_fault(folder, truenewton, monkeypatch):
+def test_a_closed_standard_output_is_no_fault(folder, inside, monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     target = folder.parent / "alpha.fits"
-    assert truenewton("calibrate", folder, "-o", target)[0] == 0
+    assert inside("calibrate", folder, "-o", target)[0] == 0
     assert target.exists()

@@ -12,7 +12,6 @@ import pytest
 from astropy.io import fits
 
 import truenewton
-from truenewton.cli import main
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -23,20 +22,6 @@ def run(*words):
     command = [sys.executable, "-m", "truenewton", *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     return done.returncode, done.stdout, done.stderr
-
-
-@pytest.fixture
-def inside(monkeypatch, capsys):
-    """Run truenewton in this process; return exit code, output, errors."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["truenewton", *map(str, words)])
-        with pytest.raises(SystemExit) as left:
-            main()
-        said = capsys.readouterr()
-        return left.value.code, said.out, said.err
-
-    return call
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.stats
-from balanced import BARE_AND_RING, LAYOUT, RING, START, arms_of, campaign_of, p45_bench
+from balanced import BARE_AND_RING, LAYOUT, RING, START, arms_of, campaign_of, noisy, p45_bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -273,19 +273,6 @@ def information(quiet, truth, sigma, weights=None):
             left = slope - span @ (span.T @ slope)
             total += left.T @ left
     return total
-
-
-def noisy(quiet, sigma, seed):
-    """Return a campaign with noise of (n,) standard deviations, or of one for each cycle."""
-    random = np.random.default_rng(seed)
-    sigma = np.broadcast_to(sigma, (len(quiet.cycles), quiet.layout.n))
-    return Campaign(
-        tuple(
-            replace(c, force=c.force + s * random.standard_normal(c.force.shape))
-            for c, s in zip(quiet.cycles, sigma, strict=True)
-        ),
-        quiet.stiffness,
-    )
 
 
 def check_calibrated(found, truth, fisher):

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from balanced import RING, campaign_of, p45_campaign, three_loads
+from balanced import RING, campaign_of, noisy, p45_campaign, three_loads
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -123,14 +123,8 @@ def test_stated_scatter_is_the_scatter_over_campaigns():
     alphas, stated = [], []
     quiet, _ = campaign_of(seed=12, noise=0.0, cycles=4)
     for k in range(300):
-        random = np.random.default_rng([99, k])
-        noisy = Campaign(
-            tuple(
-                replace(c, force=c.force + 2e-3 * random.standard_normal(c.force.shape))
-                for c in quiet.cycles
-            )
-        )
-        calibration = calibrate(noisy)
+        campaign = noisy(quiet, 2e-3, [99, k])
+        calibration = calibrate(campaign)
         alphas.append(calibration.alpha)
         stated.append(calibration.statistical**2)
     scatter = np.std(alphas, axis=0, ddof=1)
@@ -250,22 +244,16 @@ def test_the_bias_to_first_order_is_the_bias():
     solutions, predicted = [], []
     n = quiet.layout.n
     for k in range(200):
-        random = np.random.default_rng([98, k])
-        noisy = Campaign(
-            tuple(
-                replace(c, force=c.force + 2e-3 * random.standard_normal(c.force.shape))
-                for c in quiet.cycles
-            )
-        )
-        fitted = fit(noisy)
+        campaign = noisy(quiet, 2e-3, [98, k])
+        fitted = fit(campaign)
         solutions.append(fitted.found.solution)
-        predicted.append(bias(noisy, fitted, np.full(n, 4e-6)))
+        predicted.append(bias(campaign, fitted, np.full(n, 4e-6)))
     measured = (np.mean(solutions, axis=0) - truth)[:n]
     error = (np.std(solutions, axis=0) / np.sqrt(200))[:n]
     expected = np.mean(predicted, axis=0)[:n]
     assert np.abs(expected).max() > 5 * error.max()  # it can be seen
     assert np.all(np.abs(measured - expected) < 5 * error + 0.1 * np.abs(expected).max())
-    [(fault, remedy)] = calibrate(noisy).diagnosis.warnings
+    [(fault, remedy)] = calibrate(campaign).diagnosis.warnings
     assert "svd is biased by" in fault
     assert remedy == "use ml"
     assert calibrate(campaign_of(seed=21, noise=1e-6)[0]).diagnosis.warnings == ()

@@ -65,8 +65,8 @@ def find(campaign: Campaign, population: bool = False) -> Found:
     moments, sound, rejected = against_repeats(campaign)
     refuse(Diagnosis((), 0, structural_faults(sound, moments)))
     refuse_too_many(len(rejected), rows)
-    problem = roughly_scaled(posed(campaign, reading_noise(sound, moments)), moments)
     try:
+        problem = roughly_scaled(posed(campaign, reading_noise(sound, moments)), moments)
         kept, distance, estimate = against_balance(
             moments,
             problem.fitted,
