@@ -168,6 +168,18 @@ def test_a_row_wrong_in_all_repeats_is_found_against_the_balance():
     assert np.sqrt(np.mean(error**2)) < 2.5
 
 
+@pytest.mark.parametrize("declared", [None, 1e-3])
+def test_a_tenth_of_rows_without_repeats_cannot_drag_the_start(declared):
+    for seed in range(6):
+        campaign, truth = small([17, seed], cycles=1)
+        bad, places = spiked(campaign, 0.1, seed, low=0.1, high=0.5)
+        bad = Campaign(tuple(replace(c, force_error=declared) for c in bad.cycles))
+        found = calibrate(bad)
+        assert {(row.cycle, row.row) for row in found.rejected_rows} >= set(places)
+        assert len(found.rejected_rows) <= len(places) + 2
+        assert np.sqrt(np.mean(((found.alpha - truth[:14]) / found.error) ** 2)) < 2.5
+
+
 @pytest.mark.parametrize("of", [3, 4])
 def test_a_cycle_of_the_wrong_sign_is_thrown_out_or_refused(of):
     for seed in range(8):

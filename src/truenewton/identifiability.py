@@ -37,10 +37,25 @@ def balance_spectrum(force: Array, a: Array, variance: Array) -> Array:
     variance
         (n,) of one reading, or ones where unknown.
     """
+    scaled, _ = _in_terms_of_noise(force, a, variance)
+    return np.asarray(np.maximum(scipy.linalg.eigvalsh(scaled), 0.0))
+
+
+def balance_patterns(force: Array, a: Array, variance: Array, count: int) -> tuple[Array, Array]:
+    """Return the (count,) least eigenvalues of G in terms of D, and their (n, count) patterns.
+
+    Parameters as in `balance_spectrum`.
+    """
+    scaled, root = _in_terms_of_noise(force, a, variance)
+    values, vectors = scipy.linalg.eigh(scaled, subset_by_index=(0, count - 1))
+    return values, vectors / root[:, None]
+
+
+def _in_terms_of_noise(force: Array, a: Array, variance: Array) -> tuple[Array, Array]:
+    """Return D^-1/2 G D^-1/2 and the (n,) roots of D."""
     gram = a.T @ np.linalg.solve((a * variance) @ a.T, a)  # U' U
     root = np.sqrt(len(force) * np.diag(gram) * variance)
-    scaled = (force.T @ force) * gram / np.outer(root, root)
-    return np.asarray(np.maximum(scipy.linalg.eigvalsh(scaled), 0.0))
+    return (force.T @ force) * gram / np.outer(root, root), root
 
 
 def free_patterns(eigenvalues: Array, shapes: int) -> int:
@@ -66,7 +81,7 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
     n, distinct = a.shape[1], _distinct_shapes(moments)
     if geometry_faults(a) or 3 * distinct < n - 1:
         return Diagnosis((), max(n - 1 - 3 * distinct, 0), faults)
-    centred = _centred(moments)
+    centred = centred_means(moments)
     variance = np.ones(n)
     if moments.repeats >= ENOUGH_REPEATS and (moments.scatter > 0).all():
         variance = moments.scatter / moments.repeats
@@ -98,7 +113,7 @@ def _distinct_shapes(moments: Moments) -> int:
     return len(np.unique(moments.labels[:, 1]))
 
 
-def _centred(moments: Moments) -> Array:
+def centred_means(moments: Moments) -> Array:
     """Return the means of repeats, centred for each load and weighted by the root of their weight.
 
     What is common to a load (weight, bias, torques) drops out, as do its unknown B, M_y and M_x.

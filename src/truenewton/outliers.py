@@ -6,7 +6,8 @@ only two rows disagree neither can be trusted and both go.
 
 Against the balance: shapes whose squared Mahalanobis distance r rho' S^-1 rho (three degrees of
 freedom) is larger than chance allows, from a start on the three quarters of the shapes that fit
-best, which outliers in a tenth of them cannot drag.
+best, which outliers in a tenth of them cannot drag; the very first of them agree with their
+opposites.
 
 Both thresholds let a sound campaign lose a row once in a hundred campaigns.
 """
@@ -26,8 +27,15 @@ from truenewton.balance import enabled_arms
 from truenewton.balanced_rows import BalancedRows
 from truenewton.campaign import Campaign
 from truenewton.diagnosis import RejectedRow
-from truenewton.errors import TooManyOutliers
-from truenewton.moments import Moments, campaign_moments, chosen_groups, groups_of, row_weights
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.moments import (
+    ROWS_AT_ONCE,
+    Moments,
+    campaign_moments,
+    chosen_groups,
+    groups_of,
+    row_weights,
+)
 
 Fit = TypeVar("Fit")
 
@@ -35,6 +43,7 @@ FALSE_ALARM = 0.01  # for the whole campaign
 MOST = 0.3  # of the rows; beyond this the campaign is refused
 MEDIAN_ROWS = 500
 CORE = 0.75  # of the shapes that make the robust start
+STRANGE = 10.0  # median deviations, 6.7 sigma: for a start only
 
 
 def against_repeats(campaign: Campaign) -> tuple[Moments, Campaign, tuple[RejectedRow, ...]]:
@@ -162,23 +171,60 @@ def against_balance(
     -------
     kept, distance, fit
         (g,) true for groups that belong; (g,) squared distances from the fit to those; that fit.
+
+    Raises
+    ------
+    RankDeficient, NotConverged, TooManyOutliers
     """
     limit = scipy.stats.chi2.isf(FALSE_ALARM / len(moments.rows), 3)
-    found = fit(moments)
-    distance = _scaled(distances(found), noise_known)
-    kept = np.ones(len(distance), dtype=bool)
-    if distance.max() <= limit:
-        return kept, distance, found
-    for _ in range(4):
-        core = distance <= np.quantile(distance, CORE)
+    kept = np.ones(len(moments.rows), dtype=bool)
+    try:
+        found = fit(moments)
+        distance = _scaled(distances(found), noise_known)
+        if distance.max() <= limit:
+            return kept, distance, found
+        core = alike_opposites(moments)
+    except (RankDeficient, NotConverged):
+        core = alike_opposites(moments)
+        if core.all():
+            raise
+    for _ in range(5):
         distance = _scaled(distances(fit(chosen_groups(moments, core))), noise_known)
+        core = distance <= np.quantile(distance, CORE)
+    kept = distance <= limit
     for _ in range(20):
+        refuse_too_many(int(np.count_nonzero(~kept)), len(kept))
+        found = fit(chosen_groups(moments, kept))
+        distance = _scaled(distances(found), noise_known)
         before, kept = kept, distance <= limit
         if np.array_equal(before, kept):
             break
-        found = fit(chosen_groups(moments, kept))
-        distance = _scaled(distances(found), noise_known)
     return kept, distance, found
+
+
+def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
+    """Tell which groups agree with their opposites, as those of most shapes do.
+
+    A shape and its negative together leave the static forces, which are the same for all shapes of
+    a load. No model enters, so a start from these groups is one that bad rows cannot drag.
+    """
+    labels, alike = moments.labels, np.ones(len(moments.labels), dtype=bool)
+    first = np.flatnonzero((labels[1:, :2] == labels[:-1, :2]).all(axis=1))
+    rounding = 1e-9 * max(moments.mean.max(), -moments.mean.min())
+    for place in np.unique(labels[first, 0]):
+        pair = first[labels[first, 0] == place]
+        furthest = np.zeros(len(pair))
+        for start in range(0, moments.mean.shape[1], ROWS_AT_ONCE):
+            some = slice(start, start + ROWS_AT_ONCE)
+            static = moments.mean[pair, some] + moments.mean[pair + 1, some]
+            static -= np.median(static, axis=0)
+            np.abs(static, out=static)
+            typical = np.median(static, axis=0)
+            static /= np.maximum(typical, rounding)
+            np.maximum(furthest, static.max(axis=1), out=furthest)
+        strange = pair[furthest > STRANGE]
+        alike[strange] = alike[strange + 1] = False
+    return alike
 
 
 def _scaled(distance: Array, noise_known: bool) -> Array:

@@ -271,20 +271,17 @@ def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
         right[n:] -= _add_nuisance(matrix, part, s_inverse, a, sums.force, rho)
         right[:n] -= np.sum(weighed * (part.load.T @ sums.force + sums.known_force), axis=0)
     matrix[n:, :n] = matrix[:n, n:].T
-    # What is known beforehand stays so for a start: against little noise it is all but degenerate.
-    known = np.diag(prior.information) > 0
-    found = prior.mean.copy()
-    right = right - matrix @ np.where(known, prior.mean, 0.0)
-    first = int(np.count_nonzero(~known))
-    some = matrix[:first, :first] if known[first:].all() else matrix[np.ix_(~known, ~known)]
+    # Errors of the weights stay 0 for a start: against little noise they are all but degenerate.
+    found, free = prior.mean.copy(), len(right) - prior.measured
+    some, right = matrix[:free, :free], right[:free] - matrix[:free, free:] @ found[free:]
     factor, failed = dpotrf(some.T, clean=False)
     if not failed:
-        found[~known] = scipy.linalg.cho_solve((factor, False), right[~known], check_finite=False)
+        found[:free] = scipy.linalg.cho_solve((factor, False), right, check_finite=False)
         return found
     with warnings.catch_warnings():
         warnings.simplefilter("error", scipy.linalg.LinAlgWarning)
         try:
-            found[~known] = scipy.linalg.solve(some, right[~known], assume_a="sym")
+            found[:free] = scipy.linalg.solve(some, right, assume_a="sym")
         except (scipy.linalg.LinAlgWarning, np.linalg.LinAlgError):
             raise _no_more_than_noise() from None
     return found

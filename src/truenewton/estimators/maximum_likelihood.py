@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 import scipy.stats
+from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 from scipy.sparse.linalg import LinearOperator
 
@@ -15,10 +16,14 @@ from truenewton.balance import arms_in_units_of_rms
 from truenewton.campaign import Campaign
 from truenewton.decomposition import largest_eigenvalue
 from truenewton.diagnosis import Diagnosis, Goodness, RejectedRow
-from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimators.elastic_likelihood import (
-    population_spread,
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.estimators.drowned import (
+    drowned_patterns,
+    held_even,
+    tolerable,
+    with_unknown_patterns,
 )
+from truenewton.estimators.elastic_likelihood import population_spread
 from truenewton.estimators.estimate import Estimate
 from truenewton.estimators.found import Found
 from truenewton.estimators.likelihood import chi2_at, gram_of_e
@@ -65,36 +70,72 @@ def find(campaign: Campaign, population: bool = False) -> Found:
     moments, sound, rejected = against_repeats(campaign)
     refuse(Diagnosis((), 0, structural_faults(sound, moments)))
     refuse_too_many(len(rejected), rows)
-    try:
-        problem = roughly_scaled(posed(campaign, reading_noise(sound, moments)), moments)
-        kept, distance, estimate = against_balance(
-            moments,
-            problem.fitted,
-            lambda found: problem.distances(found.values, moments),
-            noise_known=problem.noise.source != "minimum",
-        )
-    except (RankDeficient, NotConverged):
-        refuse(diagnose(sound, moments))  # which knows better what is missing
-        raise
+    free = posed(campaign, reading_noise(sound, moments))
+    kept, distance, (problem, estimate), patterns = _fitted(free, sound, moments)
     if not kept.all():
         actuator = problem.standing_out(estimate.values, moments)
         rejected += tuple(rows_of(sound, moments, ~kept, distance, actuator))
         refuse_too_many(len(rejected), rows)
         moments = chosen_groups(moments, kept)
     problem, estimate = with_noise_from_minimum(problem, moments, estimate)
+    if patterns.size:
+        estimate = with_unknown_patterns(estimate, patterns)
     method = "ml"
     if population:
         covariance = estimate.statistical[: problem.n, : problem.n]
         spread = population_spread(estimate.values[: problem.n], covariance)
-        problem = problem.with_population(spread)
+        problem = replace(problem, prior=free.prior).with_population(spread)
         estimate = problem.fitted(moments, estimate.values)
         method = f"ml, population {spread:.2g}"
-    found = _found(method, problem, moments, estimate, rejected)
+    found = _found(method, problem, moments, estimate, rejected, patterns.shape[1])
     if found.diagnosis.undetermined:
         judged = diagnose(sound, moments)
         if 3 * judged.span < problem.n - 1:  # not even without noise
             refuse(judged)
     return found
+
+
+Fitted = tuple[Problem, Estimate]
+
+
+def _fitted(
+    problem: Problem, campaign: Campaign, moments: Moments
+) -> tuple[NDArray[np.bool_], Array, Fitted, Array]:
+    """Fit the groups that belong; return these, distances, the fit, and patterns held even.
+
+    None is held unless the data hold no more than noise along some.
+    """
+    nothing = np.empty((problem.n, 0))
+    try:
+        return *_fitted_groups(problem, moments), nothing
+    except (RankDeficient, NotConverged, TooManyOutliers):
+        judged = diagnose(campaign, moments)  # which knows better what is missing
+        if not judged.undetermined or not tolerable(judged, problem.n):
+            refuse(judged)
+            raise
+    for count in range(judged.undetermined, 2 * judged.undetermined + 2):
+        patterns = drowned_patterns(problem, moments, count)
+        try:
+            return *_fitted_groups(held_even(problem, patterns), moments), patterns
+        except (RankDeficient, NotConverged):
+            continue
+    fault, remedy = judged.faults[0]
+    raise RankDeficient(fault, remedy=remedy, got=judged.undetermined, want=0)
+
+
+def _fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:
+    """Fit the groups that belong; return these, the distances of all, and the fit."""
+
+    def fit(groups: Moments) -> Fitted:
+        scaled = roughly_scaled(problem, groups)
+        return scaled, scaled.fitted(groups)
+
+    def distances(fitted: Fitted) -> Array:
+        scaled, estimate = fitted
+        return scaled.distances(estimate.values, moments)
+
+    known = problem.noise.source != "minimum"
+    return against_balance(moments, fit, distances, noise_known=known)
 
 
 def _found(
@@ -103,6 +144,7 @@ def _found(
     moments: Moments,
     estimate: Estimate,
     rejected: tuple[RejectedRow, ...],
+    held: int,
 ) -> Found:
     """Put the estimate into the form that all methods share."""
     campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
@@ -115,7 +157,7 @@ def _found(
         same = np.full(n, WEIGHED_NOISE**2)
         at_declared = load_data(campaign, moments, same, problem.errors)
         declared = chi2_at(problem.a, [at_declared], estimate.values)
-    diagnosis = _diagnosis(problem, moments, estimate)
+    diagnosis = _diagnosis(problem, moments, estimate, held)
     warnings = diagnosis.warnings + weights_warning(estimate.values[unknowns:], len(campaign.loads))
     diagnosis = replace(diagnosis, warnings=warnings)
     return Found(
@@ -161,11 +203,14 @@ def weights_warning(errors: Array, loads: int) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate) -> Diagnosis:
-    """Judge alpha by what its information stands above what noise feigns, and name what is weak."""
+def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate, held: int) -> Diagnosis:
+    """Judge alpha by what its information stands above what noise feigns, and name what is weak.
+
+    So many patterns as are held even drown for sure.
+    """
     n, layout = problem.n, problem.campaign.layout
     covariance = estimate.statistical[:n, :n]
-    free = patterns_near_noise(estimate, len(moments.rows))
+    free = held + patterns_near_noise(estimate, len(moments.rows))
     value, vector = largest_eigenvalue(covariance)
     weakest = in_words(vector, layout)
     warnings: tuple[tuple[str, str], ...] = ()
@@ -175,6 +220,16 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate) -> Diagno
             (
                 f"{free} {patterns} hardly above the noise, the weakest {weakest}",
                 "repeat more often, use larger forces, or add a stiffness matrix",
+            ),
+        )
+    if held:
+        error = np.sqrt(value / n)
+        each = "pattern of alpha drowns" if held == 1 else "patterns of alpha drown"
+        warnings += (
+            (
+                f"{held} {each} in noise: held even over the mirror, each uncertain by as much as"
+                f" alpha varies otherwise, {100 * error:.2g} % of it RMS",
+                "trust E_ALPHA, and differences along other patterns by COVARIANCE",
             ),
         )
     return Diagnosis(

@@ -1,0 +1,70 @@
+"""Patterns of alpha that drown in noise: held even, named, and not claimed to be known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from balanced import p45_bench
+
+from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.campaign import Campaign
+from truenewton.estimators import calibrate
+from truenewton.estimators.drowned import drowned_patterns, held_even, with_unknown_patterns
+from truenewton.estimators.problem import posed, reading_noise
+from truenewton.mirrors import p45
+from truenewton.moments import campaign_moments
+
+
+def faint(seed, size=0.05):
+    """Return a P45 campaign whose shapes hardly stand above the noise, and alpha as Q has it."""
+    bench = static_bench(p45(), seed=seed, force_noise=1e-3)
+    campaign = Campaign(tuple(run_cycles(replace(bench, shapes=size * bench.shapes), 4)))
+    return campaign, bench.truth.alpha * bench.loads[1].added / bench.truth.added[1]
+
+
+def test_patterns_that_drown_are_named_and_the_errors_hold():
+    covered, drowned = [], []
+    for seed in (0, 1, 2, 3, 7):
+        campaign, alpha = faint(seed)
+        found = calibrate(campaign)
+        covered.append(np.mean(np.abs(found.alpha - alpha) < 1.96 * found.statistical))
+        drowned.append(found.diagnosis.undetermined)
+        faults = " ".join(fault for fault, _ in found.diagnosis.warnings)
+        assert "drown in noise: held even over the mirror" in faults
+        assert found.rank == 50 - found.diagnosis.undetermined
+    assert min(drowned) >= 2
+    assert min(covered) >= 0.9
+
+
+def test_what_does_not_drown_is_as_well_known_as_it_says():
+    """Along patterns orthogonal to those held even, errors are neither large nor overstated."""
+    squares = []
+    for seed in range(6):
+        campaign, alpha = faint(seed, 0.07)
+        found = calibrate(campaign)
+        covariance = (found.covariance - found.systematic)[:45, :45]
+        size, pattern = np.linalg.eigh(covariance)
+        z = pattern.T @ (found.alpha - alpha) / np.sqrt(size)
+        squares.append(np.mean(z[:-6] ** 2))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
+
+
+def test_drowned_patterns_have_no_mean_and_leave_the_common_scale_alone():
+    campaign, _ = faint(0)
+    moments = campaign_moments(campaign)
+    problem = posed(campaign, reading_noise(campaign, moments))
+    patterns = drowned_patterns(problem, moments, 4)
+    assert patterns.T @ patterns == pytest.approx(np.eye(4), abs=1e-12)
+    assert patterns.mean(axis=0) == pytest.approx(np.zeros(4), abs=1e-12)
+    held = held_even(problem, patterns)
+    estimate = held.fitted(moments)
+    assert patterns.T @ estimate.values[:45] == pytest.approx(np.zeros(4), abs=1e-4)
+    wider = with_unknown_patterns(estimate, patterns)
+    more = patterns.T @ (wider.statistical - estimate.statistical)[:45, :45] @ patterns
+    assert more == pytest.approx(45 * np.var(estimate.values[:45]) * np.eye(4), rel=1e-3, abs=1e-4)
+
+
+def test_a_sound_campaign_has_none():
+    found = calibrate(Campaign(tuple(run_cycles(p45_bench(), 1))))
+    assert found.diagnosis.undetermined == 0
+    assert found.diagnosis.warnings == ()
