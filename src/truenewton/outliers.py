@@ -41,7 +41,7 @@ Fit = TypeVar("Fit")
 
 FALSE_ALARM = 0.01  # for the whole campaign
 MOST = 0.3  # of the rows; beyond this the campaign is refused
-MEDIAN_ROWS = 500
+MEDIAN_ROWS = 200
 CORE = 0.75  # of the shapes that make the robust start
 STRANGE = 10.0  # median deviations, 6.7 sigma: for a start only
 
@@ -99,7 +99,7 @@ def _worst_rows(campaign: Campaign, moments: Moments) -> list[RejectedRow]:
 def _robust(campaign: Campaign, moments: Moments) -> Array:
     """Return (n,) noise of a reading that an actuator's spikes cannot swell: from the median.
 
-    Of some 500 repeated rows, which tells it to 4 per cent.
+    Of some 200 repeated rows, which tells it to 8 per cent.
     """
     a, deviations = enabled_arms(campaign.layout), []
     stride = max(1, moments.rows.sum() // MEDIAN_ROWS)

@@ -270,7 +270,9 @@ def condition(campaign: Campaign, moments: Moments) -> float:
     if failed:
         values = scipy.linalg.eigvalsh(gram)
         return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-    inverse = LinearOperator(
-        gram.shape, lambda v: scipy.linalg.cho_solve((factor, False), v, check_finite=False)
-    )
+
+    def solved(right: Array) -> Array:
+        return np.asarray(scipy.linalg.cho_solve((factor, False), right, check_finite=False))
+
+    inverse = LinearOperator(gram.shape, solved, matmat=solved)
     return float(np.sqrt(largest_eigenvalue(gram)[0] * largest_eigenvalue(inverse)[0]))
