@@ -154,7 +154,13 @@ def _metres(values: Any) -> Array:
     return np.asarray(values.to_value("m") if hasattr(values, "to_value") else values, dtype=float)
 
 
-def rings(radii: Sequence[float], counts: Sequence[int], *, nz: Sequence[float] = ()) -> Layout:
+def rings(
+    radii: Sequence[float],
+    counts: Sequence[int],
+    *,
+    nz: Sequence[float] = (),
+    turned: Sequence[float] = (),
+) -> Layout:
     """Lay actuators evenly on concentric rings, one of each ring on the +y axis.
 
     Numbered from the innermost ring outward, counter-clockwise from +y. With counts divisible by
@@ -168,14 +174,25 @@ def rings(radii: Sequence[float], counts: Sequence[int], *, nz: Sequence[float] 
         Actuators on each ring.
     nz
         Cosine between force and +z on each ring; 1 when not given.
+    turned
+        Angle by which each ring is turned, counter-clockwise [rad]; 0 when not given.
     """
-    angle = np.concatenate([0.5 * np.pi + 2 * np.pi * np.arange(k) / k for k in counts])
+    start = 0.5 * np.pi + (np.asarray(turned) if len(turned) else np.zeros(len(counts)))
+    angle = np.concatenate(
+        [first + 2 * np.pi * np.arange(k) / k for first, k in zip(start, counts, strict=True)]
+    )
     radius = np.repeat(radii, counts)
     cosines = np.repeat(nz, counts) if len(nz) else None
     return layout(radius * np.cos(angle), radius * np.sin(angle), nz=cosines)
 
 
-def spherical_rings(polar_angles: Sequence[float], counts: Sequence[int], radius: float) -> Layout:
+def spherical_rings(
+    polar_angles: Sequence[float],
+    counts: Sequence[int],
+    radius: float,
+    *,
+    turned: Sequence[float] = (),
+) -> Layout:
     """Lay rings on a spherical shell whose actuators push along its normals.
 
     An actuator at polar angle t has nz = cos t and stands, for the torques, on the circle of
@@ -189,9 +206,11 @@ def spherical_rings(polar_angles: Sequence[float], counts: Sequence[int], radius
         Actuators on each ring.
     radius
         Radius of curvature R [m].
+    turned
+        As in `rings`.
     """
     t = np.asarray(polar_angles, dtype=float)
-    return rings(list(radius * np.sin(t)), counts, nz=list(np.cos(t)))
+    return rings(list(radius * np.sin(t)), counts, nz=list(np.cos(t)), turned=turned)
 
 
 def ring_of(layout: Layout) -> NDArray[np.int64]:

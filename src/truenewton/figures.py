@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from truenewton.actuators import Array, Layout, ring_of
-from truenewton.outputs import folder_beside
+from truenewton.errors import OutputFailed
+from truenewton.outputs import file_beside, folder_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -166,11 +167,30 @@ def write_figures(
         for name, draw in figures.items():
             figure = _figure_of(draw())
             for suffix in (".pdf", ".png"):
-                # Without a date in it, the same data give the same bytes.
-                metadata = {"CreationDate": None} if suffix == ".pdf" else {}
-                figure.savefig(temporary / (name + suffix), dpi=300, metadata=metadata)
+                _save(figure, temporary / (name + suffix))
                 names.append(name + suffix)
     return [Path(folder) / name for name in names]
+
+
+def write_figure(ax: Axes, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Write the figure of some axes as PNG, PDF or SVG, whatever the name ends in.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    if Path(path).suffix not in (".png", ".pdf", ".svg"):
+        raise OutputFailed(
+            "is no name for a figure", remedy="let it end in .png, .pdf or .svg", path=path
+        )
+    with file_beside(path, overwrite=overwrite) as temporary:
+        _save(_figure_of(ax), temporary)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Save a figure without a date in it: the same data give the same bytes."""
+    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+    figure.savefig(path, dpi=300, metadata=undated.get(path.suffix, {}))
 
 
 def _figure_of(ax: Axes) -> Figure:

@@ -7,15 +7,17 @@ engineering value nobody vouches for.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.actuators import Layout, rings, spherical_rings
+from truenewton.actuators import Layout, spherical_rings
 from truenewton.errors import UnknownName
 
 GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
+MOST_ACTUATORS = 5352
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,9 @@ class Shell:
     ----------
     inner_radius, outer_radius, thickness
         Dimensions [m].
+    radius_of_curvature
+        Of its middle surface [m], positive where the shell rises toward +z away from the axis;
+        infinite for a plate.
     young_modulus
         E [Pa]; Zerodur 90.3 GPa [conf].
     poisson_ratio
@@ -37,6 +42,7 @@ class Shell:
     inner_radius: float
     outer_radius: float
     thickness: float
+    radius_of_curvature: float = np.inf
     young_modulus: float = 90.3e9
     poisson_ratio: float = 0.24
     density: float = 2530.0
@@ -77,6 +83,10 @@ class Mirror:
         Lowest and highest true Newton / commanded Newton that the simulation draws.
     gap
         Nominal distance from the reference plate [m].
+    puck_radius
+        Radius over which a magnet's puck spreads its force on the glass [m]; 5 mm [guess].
+    sensor_annulus
+        Inner and outer radius of a capacitive sensor around its magnet [m]; 8 and 12.5 mm [conf].
     """
 
     name: str
@@ -90,20 +100,22 @@ class Mirror:
     magnet_mass: float
     alpha_range: tuple[float, float]
     gap: float
+    puck_radius: float = 5e-3
+    sensor_annulus: tuple[float, float] = (8e-3, 12.5e-3)
 
 
 def p45() -> Mirror:
     """Return the paper's mirror.
 
     45 actuators in rings of 9, 15, 21, shell 1.6 mm, P = -2.920 +- 0.005 N, Q = -0.289 +- 0.005 N,
-    gap 68 um, alpha 0.70 to 1.10 [paper]; ring radii 43.04, 73.34, 103.62 mm and the shell's
-    27.5 to 120.005 mm [conf]; bias 97 mN an actuator, magnets 2.75 g [conf of LBT, same design].
-    The statics are the paper's: a flat mirror, nz = 1.
+    gap 68 um, alpha 0.70 to 1.10 [paper]; ring radii 43.04, 73.34, 103.62 mm, the shell's 27.5 to
+    120.005 mm and 1955 mm of curvature [conf]; bias 97 mN an actuator, magnets 2.75 g [conf of LBT,
+    same design]. The paper takes it for flat, nz = 1; here nz = 0.9998 to 0.9986.
     """
     return Mirror(
         name="P45",
-        layout=rings(list(1.955 * np.sin(np.radians([1.2615, 2.1499, 3.0383]))), [9, 15, 21]),
-        shell=Shell(inner_radius=27.5e-3, outer_radius=120.005e-3, thickness=1.6e-3),
+        layout=_lbt_rings(3),
+        shell=Shell(27.5e-3, 120.005e-3, 1.6e-3, radius_of_curvature=1.955),
         weight=-2.920,
         weight_error=0.005,
         added_weight=-0.289,
@@ -115,6 +127,12 @@ def p45() -> Mirror:
     )
 
 
+def _lbt_rings(count: int) -> Layout:
+    """Return the first rings of an LBT secondary: 9 + 6k actuators at 1.2615 + 0.8884 k degrees."""
+    k = np.arange(count)
+    return spherical_rings(list(np.radians(1.2615 + 0.8884 * k)), list(9 + 6 * k), 1.955)
+
+
 def lbt672() -> Mirror:
     """Return an adaptive secondary of the Large Binocular Telescope.
 
@@ -123,11 +141,10 @@ def lbt672() -> Mirror:
     [derived]; alpha scatters by 2-5 % [derived from measured matrices]; a weight tool of -0.5 N, as
     much as its three wedges may bring to the inner ring, and all uncertainties [guess].
     """
-    k = np.arange(14)
     return Mirror(
         name="LBT672",
-        layout=spherical_rings(list(np.radians(1.2615 + 0.8884 * k)), list(9 + 6 * k), 1.955),
-        shell=Shell(inner_radius=27.5e-3, outer_radius=455.5e-3, thickness=1.6e-3),
+        layout=_lbt_rings(14),
+        shell=Shell(27.5e-3, 455.5e-3, 1.6e-3, radius_of_curvature=1.955),
         weight=-44.0,
         weight_error=0.02,
         added_weight=-0.5,
@@ -139,7 +156,118 @@ def lbt672() -> Mirror:
     )
 
 
-KNOWN: dict[str, Callable[[], Mirror]] = {"p45": p45, "lbt672": lbt672}
+def mag585() -> Mirror:
+    """Return the adaptive secondary of the Magellan telescope.
+
+    The first 13 rings of LBT672, 585 actuators, shell 27.5 to 425.35 mm, 1.6 mm thick, bias 97 mN,
+    gap 60 um [conf]; alpha scatters by 3 % [derived]; the weight is that of shell and magnets; the
+    weight tool and all uncertainties [guess].
+    """
+    layout = _lbt_rings(13)
+    shell = Shell(27.5e-3, 425.35e-3, 1.6e-3, radius_of_curvature=1.955)
+    return Mirror(
+        name="MAG585",
+        layout=layout,
+        shell=shell,
+        weight=_weight(shell, layout),
+        weight_error=0.02,
+        added_weight=-0.5,
+        added_weight_error=0.005,
+        bias_force=0.097,
+        magnet_mass=2.75e-3,
+        alpha_range=(0.95, 1.05),
+        gap=60e-6,
+    )
+
+
+def mmt336() -> Mirror:
+    """Return the adaptive secondary of the MMT.
+
+    336 actuators on rings of 6, 12, ... 48, 60, 60 from 42.1 to 313.1 mm, the ninth turned by 3
+    degrees [conf]; shell 2.0 mm thick [lit, +-10 %], 27.5 to 321 mm, convex with radius 1700 mm
+    [guess]; no bias magnets [paper: they were new on P45]; gap 40 um, alpha within 5 %, a tool of
+    -0.5 N, all uncertainties [guess]; the weight is that of shell and magnets.
+    """
+    radii = [42.1, 73.4, 104.8, 136.1, 167.5, 198.8, 230.1, 261.5, 290.8, 313.1]
+    curvature, counts = 1.7, [6, 12, 18, 24, 30, 36, 42, 48, 60, 60]
+    turned = [0.0] * 8 + [np.radians(3.0), 0.0]
+    angles = np.arcsin(1e-3 * np.array(radii) / curvature)
+    layout = spherical_rings(list(angles), counts, curvature, turned=turned)
+    shell = Shell(27.5e-3, 321e-3, 2.0e-3, radius_of_curvature=-curvature)
+    return Mirror(
+        name="MMT336",
+        layout=layout,
+        shell=shell,
+        weight=_weight(shell, layout),
+        weight_error=0.02,
+        added_weight=-0.5,
+        added_weight_error=0.005,
+        bias_force=0.0,
+        magnet_mass=2.75e-3,
+        alpha_range=(0.915, 1.085),
+        gap=40e-6,
+    )
+
+
+def ring(actuators: int) -> Mirror:
+    """Return a member of the family ring4 ... ring5352: rings of 9 + 6k, 30.3 mm apart.
+
+    The rings, glass and magnets of LBT672 carried on to any number of actuators, the outermost ring
+    with what is left over; the radius of curvature grows with the mirror beyond LBT672, so that its
+    edge is as steep; a tool of 1 % of the weight [guess, all that LBT672 does not vouch for].
+
+    Parameters
+    ----------
+    actuators
+        4 to 5,352.
+
+    Raises
+    ------
+    UnknownName
+        There is no such member.
+    """
+    if not 4 <= actuators <= MOST_ACTUATORS:
+        raise UnknownName(
+            f"there is no mirror of {actuators} rings of actuators",
+            remedy=f"give ring4 to ring{MOST_ACTUATORS}",
+            got=actuators,
+        )
+    counts: list[int] = []
+    while sum(counts) < actuators:
+        counts.append(min(9 + 6 * len(counts), actuators - sum(counts)))
+    spacing = 1.955 * np.radians(0.8884)
+    arc = 1.42 * spacing + spacing * np.arange(len(counts))
+    edge = arc[-1] + 18.4e-3
+    curvature = max(1.955, edge * 1.955 / 0.4555)
+    shell = Shell(27.5e-3, float(edge), 1.6e-3, radius_of_curvature=float(curvature))
+    layout = spherical_rings(list(arc / curvature), counts, float(curvature))
+    weight = _weight(shell, layout)
+    return Mirror(
+        name=f"RING{actuators}",
+        layout=layout,
+        shell=shell,
+        weight=weight,
+        weight_error=round(-weight * 5e-4, 4),
+        added_weight=round(weight * 0.01, 4),
+        added_weight_error=round(-weight * 1e-4, 5),
+        bias_force=0.097,
+        magnet_mass=2.75e-3,
+        alpha_range=(0.90, 1.10),
+        gap=65e-6,
+    )
+
+
+def _weight(shell: Shell, layout: Layout) -> float:
+    """Return the weight of shell and magnets of 2.75 g [N]."""
+    return -round((shell.mass + 2.75e-3 * layout.n) * GRAVITY, 2)
+
+
+KNOWN: dict[str, Callable[[], Mirror]] = {
+    "p45": p45,
+    "mmt336": mmt336,
+    "mag585": mag585,
+    "lbt672": lbt672,
+}
 
 
 def mirror(name: str) -> Mirror:
@@ -150,11 +278,15 @@ def mirror(name: str) -> Mirror:
     UnknownName
         No mirror is called so.
     """
-    if name.lower() not in KNOWN:
-        raise UnknownName(
-            f"no mirror is called '{name}'",
-            remedy=f"the known ones are {', '.join(KNOWN)}",
-            got=name,
-            want=tuple(KNOWN),
-        )
-    return KNOWN[name.lower()]()
+    known = name.lower()
+    if known in KNOWN:
+        return KNOWN[known]()
+    if re.fullmatch(r"ring\d{1,9}", known):
+        return ring(int(known[4:]))
+    raise UnknownName(
+        f"no mirror is called '{name}'",
+        remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MOST_ACTUATORS};"
+        " or give a file",
+        got=name,
+        want=tuple(KNOWN),
+    )

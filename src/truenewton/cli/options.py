@@ -17,13 +17,14 @@ PATHS = typer.Argument(
 
 
 def mirror_or_file(name: str) -> Mirror:
-    """Return a known mirror, or P45's numbers on the layout of a FITS file."""
+    """Return a mirror by name or TOML file, or P45's numbers on the layout of a FITS file."""
     import dataclasses
     from pathlib import Path
 
-    from truenewton.campaign_files import read_layout
-    from truenewton.mirrors import KNOWN, mirror, p45
+    from truenewton.campaign_files import SUFFIXES, read_layout
+    from truenewton.mirror_files import mirror_from
+    from truenewton.mirrors import p45
 
-    if name.lower() in KNOWN or not Path(name).exists():
-        return mirror(name)
-    return dataclasses.replace(p45(), name=Path(name).name, layout=read_layout(name))
+    if name.endswith(SUFFIXES) and Path(name).exists():
+        return dataclasses.replace(p45(), name=Path(name).name, layout=read_layout(name))
+    return mirror_from(name)

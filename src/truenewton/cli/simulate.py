@@ -17,7 +17,7 @@ NAME = "simulate"
 
 
 def run(
-    mirror: str = typer.Argument(..., help="A known mirror: p45, lbt672."),
+    mirror: str = typer.Argument(..., help="A known mirror, or its TOML file."),
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the cycle files."),
     cycles: int = typer.Option(4, min=1, max=999, help="Cycles for each load."),
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
@@ -29,12 +29,12 @@ def run(
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.campaign_files import write_campaign
     from truenewton.cli.printing import track
-    from truenewton.mirrors import mirror as known_mirror
+    from truenewton.mirror_files import mirror_from
     from truenewton.outputs import refuse_existing
 
     refuse_existing(output, overwrite=overwrite)
     refuse_existing(truth_path(output), overwrite=overwrite)
-    bench = static_bench(known_mirror(mirror), seed, force_noise=noise)
+    bench = static_bench(mirror_from(mirror), seed, force_noise=noise)
     total = cycles * len(bench.loads)
 
     def cycles_then_truth() -> Iterator[Cycle]:

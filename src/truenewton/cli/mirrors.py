@@ -1,0 +1,82 @@
+"""`truenewton mirrors`: the known mirrors and their sources."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.mirrors import Mirror
+
+NAME = "mirrors"
+
+
+def run(
+    mirror: str = typer.Argument("", help="A mirror to tell more of: its name, or a TOML file."),
+    plot: bool = typer.Option(False, "--plot", help="Draw its actuators (figure 2) as PNG."),
+    output: Path | None = typer.Option(
+        None, "-o", "--output", help="Name of the drawing; MIRROR.png unless told."
+    ),
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+) -> None:
+    """List the known mirrors with the sources of their numbers, or draw one."""
+    from truenewton.cli.printing import print_json, print_table
+    from truenewton.figures import plot_layout, write_figure
+    from truenewton.mirror_files import mirror_from
+    from truenewton.mirrors import KNOWN, MOST_ACTUATORS, ring
+
+    if not mirror:
+        if plot or output:
+            raise typer.BadParameter("name a mirror to draw")
+        every = [make() for make in KNOWN.values()]
+        if json:
+            print_json({"mirrors": [_numbers(one) for one in every]})
+            return
+        head = ("name", "actuators", "glass, mm", "thick, mm", "curvature, m", "weight, N")
+        rows = [_row(one) for one in (*every, ring(MOST_ACTUATORS))]
+        print_table("The known mirrors, and the last of the family ring4, ring5, ...:", head, rows)
+        print("`truenewton mirrors NAME` tells where the numbers come from.")
+        return
+    known = mirror_from(mirror)
+    if json:
+        print_json(_numbers(known))
+    else:
+        for name, value in _numbers(known).items():
+            print(f"  {name:<22}{value}")
+        source = KNOWN.get(mirror.lower(), ring if mirror.lower().startswith("ring") else None)
+        if source:
+            print()
+            for line in (inspect.getdoc(source) or "").split("Parameters\n")[0].split("\n")[2:]:
+                print(f"  {line}".rstrip())
+    if plot:
+        path = output or Path(f"{known.name.lower()}.png")
+        write_figure(plot_layout(known.layout), path, overwrite=overwrite)
+        if not json:
+            print(path)
+
+
+def _row(mirror: Mirror) -> tuple[str, ...]:
+    shell = mirror.shell
+    return (
+        mirror.name,
+        str(mirror.layout.n),
+        f"{1e3 * shell.inner_radius:.4g} .. {1e3 * shell.outer_radius:.6g}",
+        f"{1e3 * shell.thickness:.2g}",
+        f"{shell.radius_of_curvature:.4g}",
+        f"{mirror.weight:.4g}",
+    )
+
+
+def _numbers(mirror: Mirror) -> dict[str, object]:
+    """Return all that is known of a mirror but its layout, in SI units."""
+    numbers = dataclasses.asdict(mirror)
+    shell = numbers.pop("shell")
+    del numbers["layout"]
+    return {"name": numbers.pop("name"), "actuators": mirror.layout.n, **shell, **numbers}

@@ -1,0 +1,140 @@
+"""The known mirrors, their family, and mirrors from a file."""
+
+import json
+
+import numpy as np
+import pytest
+
+from truenewton import mirrors
+from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
+from truenewton.mirror_files import check_glass, mirror_from, read_mirror
+from truenewton.settings import read_toml
+
+MINE = """
+name = "MINE"
+actuators = "actuators.csv"
+weight = -1.0
+weight_error = 0.002
+added_weight = -0.1
+added_weight_error = 0.002
+
+[shell]
+inner_radius = 0.02
+outer_radius = 0.1
+thickness = 1.6e-3
+"""
+TABLE = "X,Y\n" + "\n".join(f"{0.05 * np.cos(k)},{0.05 * np.sin(k)}" for k in range(6))
+
+
+@pytest.fixture
+def mine(tmp_path):
+    (tmp_path / "actuators.csv").write_text(TABLE)
+    path = tmp_path / "mine.toml"
+    path.write_text(MINE)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "n"),
+    [("p45", 45), ("mmt336", 336), ("mag585", 585), ("LBT672", 672), ("ring5352", 5352)],
+)
+def test_known_mirrors_stand_on_their_glass(name, n):
+    mirror = mirrors.mirror(name)
+    assert mirror.layout.n == n
+    check_glass(mirror)
+    shell = mirror.shell
+    # NZ is the cosine of the normal where the actuator stands.
+    r = np.hypot(mirror.layout.x, mirror.layout.y)
+    assert mirror.layout.nz == pytest.approx(np.sqrt(1 - (r / shell.radius_of_curvature) ** 2))
+    # Shell and magnets weigh what the mirror is said to, P45's to the paper's 5 mN and the spread
+    # of its magnets' mass.
+    mass = shell.mass + mirror.magnet_mass * n
+    assert -mirror.weight == pytest.approx(mass * mirrors.GRAVITY, rel=0.02)
+
+
+def test_rings_of_the_mmt():
+    layout = mirrors.mmt336().layout
+    radius = np.hypot(layout.x, layout.y)
+    values, counts = np.unique(np.round(1e3 * radius, 1), return_counts=True)
+    assert values.tolist() == [42.1, 73.4, 104.8, 136.1, 167.5, 198.8, 230.1, 261.5, 290.8, 313.1]
+    assert counts.tolist() == [6, 12, 18, 24, 30, 36, 42, 48, 60, 60]
+    ninth = np.flatnonzero(np.round(1e3 * radius, 1) == 290.8)[0]
+    assert np.degrees(np.arctan2(layout.y[ninth], layout.x[ninth])) == pytest.approx(93.0)
+
+
+def test_the_family_carries_the_rings_of_lbt672_on():
+    one, other = mirrors.ring(672), mirrors.lbt672()
+    assert one.layout.x == pytest.approx(other.layout.x, rel=1e-4, abs=1e-6)
+    assert one.weight == pytest.approx(other.weight, rel=0.01)
+    for name in ("ring3", "ring5353", "ring", "ringo"):
+        with pytest.raises(UnknownName):
+            mirrors.mirror(name)
+
+
+def test_a_mirror_from_a_file(mine):
+    mirror = mirror_from(mine)
+    assert (mirror.name, mirror.layout.n, mirror.weight) == ("MINE", 6, -1.0)
+    assert mirror.shell == mirrors.Shell(0.02, 0.1, 1.6e-3)
+    assert mirror.layout.x[1] == pytest.approx(0.05 * np.cos(1))
+    assert mirror.sensor_annulus == (8e-3, 12.5e-3)
+
+
+def test_a_table_with_units_and_names(mine):
+    from astropy.table import QTable
+
+    table = QTable({"ID": [7, 8, 9, 11], "X": [-50.0, 50, 0, 0], "Y": [0.0, 0, 50, -50],
+                    "ENABLED": [True, True, False, True]})  # fmt: skip
+    table["X"].unit = table["Y"].unit = "mm"
+    table.write(mine.parent / "actuators.ecsv")
+    mine.write_text(MINE.replace(".csv", ".ecsv"))
+    layout = read_mirror(mine).layout
+    assert layout.id.tolist() == [7, 8, 9, 11]
+    assert layout.y.tolist() == pytest.approx([0.0, 0.0, 0.05, -0.05])
+    assert layout.enabled.tolist() == [True, True, False, True]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error", "said"),
+    [
+        ('name = "MINE"', "name = 3", FormatError, "name is 3; give text"),
+        ("weight = -1.0", "weight = 1.0", FormatError, "weight is 1; weights are negative"),
+        ("weight = -1.0", "weight = nan", FormatError, "weight is nan; give a number"),
+        ("weight = -1.0", "weigth = -1.0", FormatError, "knows no 'weigth'"),
+        ("weight = -1.0", "", FormatError, "lacks 'weight'"),
+        ("weight = -1.0", "weight = ", UnreadableFile, "is not TOML"),
+        ("thickness = 1.6e-3", "thickness = 0", GeometryError, "0 m thick"),
+        ("inner_radius = 0.02", "inner_radius = 0.06", GeometryError, "actuator 1 stands 0.05 m"),
+        ("inner_radius = 0.02", "inner_radius = 0.2", GeometryError, "from 0.2 m to 0.1 m"),
+        ("thickness", "radius_of_curvature = -0.05\nthickness", GeometryError, "cannot carry"),
+        ("[shell]", "sensor_annulus = [0.1]\n[shell]", FormatError, "give 2 values"),
+        ("actuators.csv", "nowhere.csv", UnreadableFile, "cannot be read"),
+        ("actuators.csv", "mine.toml", FormatError, "lacks column 'X'"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_file_is_said_in_one_line(mine, old, new, error, said):
+    mine.write_text(MINE.replace(old, new, 1))
+    with pytest.raises(error) as refused:
+        read_mirror(mine)
+    assert said in str(refused.value)
+    assert ".toml: " in str(refused.value) or ".csv: " in str(refused.value)
+
+
+def test_a_folder_or_nothing_is_no_toml(tmp_path):
+    for path in (tmp_path, tmp_path / "nothing.toml"):
+        with pytest.raises(UnreadableFile):
+            read_toml(path)
+
+
+def test_the_command_lists_tells_and_draws(inside, tmp_path, monkeypatch, mine):
+    monkeypatch.chdir(tmp_path)
+    _, listed, _ = inside("mirrors")
+    assert all(name in listed for name in ("P45", "MMT336", "MAG585", "LBT672", "RING5352"))
+    code, told, _ = inside("mirrors", "p45", "--plot")
+    assert code == 0
+    assert "weight                -2.92" in told
+    assert "[paper]" in told
+    assert (tmp_path / "p45.png").read_bytes().startswith(b"\x89PNG")
+    assert inside("mirrors", "p45", "--plot")[0] == 2
+    assert json.loads(inside("mirrors", mine, "--json")[1])["actuators"] == 6
+    assert inside("mirrors", "p45", "--plot", "-o", "p45.doc")[0] == 2
+    assert inside("mirrors", "nobody")[2].startswith("truenewton: no mirror is called 'nobody'")
