@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from truenewton import errors, mirrors
     from truenewton.actuators import Layout, layout, rings, spherical_rings
+    from truenewton.bench.simulated.simulated_bench import SimulatedBench
     from truenewton.bench.simulated.static import run_cycles, static_bench
     from truenewton.calibration import Calibration
     from truenewton.campaign import Campaign
@@ -35,6 +36,7 @@ __all__ = [
     "Cycle",
     "Layout",
     "Load",
+    "SimulatedBench",
     "StiffnessMatrix",
     "calibrate",
     "errors",
@@ -58,6 +60,7 @@ _HOMES = {
     "Cycle": "measurements",
     "Layout": "actuators",
     "Load": "measurements",
+    "SimulatedBench": "bench.simulated.simulated_bench",
     "StiffnessMatrix": "measurements",
     "calibrate": "estimators",
     "layout": "actuators",

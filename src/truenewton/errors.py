@@ -84,3 +84,7 @@ class TooManyOutliers(TrueNewtonError, ValueError):
 
 class NotConverged(TrueNewtonError, ArithmeticError):
     """An iteration that does not settle."""
+
+
+class BenchFault(TrueNewtonError, RuntimeError):
+    """A bench that stopped itself: a coil saturated, a gap closed, a sensor out of range."""

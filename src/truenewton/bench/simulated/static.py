@@ -171,11 +171,7 @@ def _scaled_modes(stiffness: Array, stroke: float, room: Array) -> Array:
 
 
 def run_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
-    """Yield the cycles of a campaign: every shape and its negative, under each load in turn.
-
-    The noise of a row depends on seed, load, cycle, shape and sign only, so that rows can be taken
-    again in any order.
-    """
+    """Yield the cycles of a campaign: every shape and its negative, under each load in turn."""
     start = START
     for place in range(len(bench.loads)):
         for number in range(1, cycles + 1):
@@ -183,6 +179,11 @@ def run_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
             yield cycle
             start += datetime.timedelta(seconds=SECONDS_PER_SHAPE * (len(cycle.time) + 1))
         start += PAUSE
+
+
+def row_noise(seed: int, load: Load, cycle: int, shape: int, sign: int) -> np.random.Generator:
+    """Return the noise of one row: its own, so that rows can be taken again in any order."""
+    return np.random.default_rng([seed, 1, zlib.crc32(load.key.encode()), cycle, shape, sign + 1])
 
 
 def _cycle(bench: StaticBench, place: int, number: int, start: datetime.datetime) -> Cycle:
@@ -194,9 +195,7 @@ def _cycle(bench: StaticBench, place: int, number: int, start: datetime.datetime
     true_force = position @ truth.stiffness + bench.load_force[place]
     noise = np.array(
         [
-            np.random.default_rng(
-                [truth.seed, 1, zlib.crc32(load.key.encode()), number, k, s + 1]
-            ).standard_normal(2 * n)
+            row_noise(truth.seed, load, number, k, s).standard_normal(2 * n)
             for k, s in zip(shape.tolist(), sign.tolist(), strict=True)
         ]
     )
