@@ -9,7 +9,7 @@ from PIL import Image
 
 from truenewton.errors import OutputExists
 from truenewton.estimators import calibrate
-from truenewton.figures import COLUMN, plot_layout, write_figures
+from truenewton.figures import COLUMN, plot_layout, plot_step_responses, write_figures
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +49,20 @@ def test_alpha_stands_with_three_sigma_bars_ring_by_ring(calibration):
     assert named == {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
 
 
+def test_steps_stand_in_milliseconds_with_the_stiffness_of_their_modes():
+    time = np.linspace(0.0, 3e-3, 50)
+    position = 1 - np.exp(-np.outer(time, [1e3, 2e3, 4e3]))
+    ax = plot_step_responses(time, position, np.array([4.53e3, 6.9e5, 2.2e6]))
+    curves = [line for line in ax.lines if len(line.get_xdata()) == 50]
+    assert [line.get_xdata()[-1] for line in curves] == pytest.approx([3.0] * 3)
+    drawn = np.stack([line.get_ydata() for line in curves], axis=1)
+    assert drawn == pytest.approx(position)
+    assert len({(tuple(line.get_color()), line.get_linestyle()) for line in curves}) == 3
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert all(k in label for k, label in zip(("4.5", "6.9", "2.2"), labels, strict=True))
+    assert "10^3" in labels[0]
+
+
 def test_axes_are_taken_and_returned(calibration):
     ax = Figure().add_subplot()
     assert calibration.plot_map(ax) is ax
@@ -56,6 +70,8 @@ def test_axes_are_taken_and_returned(calibration):
     assert calibration.plot_actuators(ax) is ax
     ax = Figure().add_subplot()
     assert plot_layout(calibration.layout, ax) is ax
+    ax = Figure().add_subplot()
+    assert plot_step_responses(np.arange(2.0), np.eye(2), np.array([1e3, 1e6]), ax) is ax
 
 
 def test_figures_2_5_and_6_as_pdf_and_png_at_column_width(calibration, tmp_path):

@@ -88,3 +88,7 @@ class NotConverged(TrueNewtonError, ArithmeticError):
 
 class BenchFault(TrueNewtonError, RuntimeError):
     """A bench that stopped itself: a coil saturated, a gap closed, a sensor out of range."""
+
+
+class LoopUnstable(BenchFault):
+    """Gains that the loop cannot hold: refused beforehand, or found out as its noise grows."""

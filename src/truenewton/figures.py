@@ -148,6 +148,41 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
     return ax
 
 
+def plot_step_responses(
+    time: Array, position: Array, stiffness: Array, ax: Axes | None = None
+) -> Axes:
+    """Draw how modes answer a step of the closed loop.
+
+    Parameters
+    ----------
+    time
+        (steps,) since the command [s].
+    position
+        (steps, m) displacement in units of what was commanded.
+    stiffness
+        (m,) of the modes [N/m].
+    ax
+        Axes to draw on; their own unless given.
+    """
+    with mpl.rc_context(STYLE):
+        ax = ax or new_axes(0.72)
+        ax.axhspan(0.9, 1.1, color=FAINT, alpha=0.25, linewidth=0)
+        ax.axhline(1.0, color=FAINT, linewidth=0.5)
+        # Even in lightness apart, and told apart by their dashes in print.
+        looks = zip(mpl.colormaps[COLOURS](np.linspace(0.0, 0.8, len(stiffness))),
+                    ("-", "--", "-.") * len(stiffness), strict=False)  # fmt: skip
+        for response, k, (colour, dashes) in zip(position.T, stiffness, looks, strict=True):
+            power = int(np.floor(np.log10(k)))
+            label = rf"${k / 10.0**power:.1f} \times 10^{power}$ N/m"
+            ax.plot(1e3 * time, response, color=colour, linestyle=dashes, label=label)
+        ax.set_xlabel("time since the command (ms)")
+        ax.set_ylabel("displacement / command")
+        ax.set_xlim(0, 1e3 * time[-1])
+        ax.legend(title="stiffness of the mode", frameon=False, fontsize=6.5, title_fontsize=6.5)
+        ax.set_title("band: ±10 %", loc="right", fontsize=6.5, color=INK)
+    return ax
+
+
 def write_figures(
     calibration: Calibration, folder: str | os.PathLike[str], *, overwrite: bool = False
 ) -> list[Path]:

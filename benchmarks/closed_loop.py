@@ -1,0 +1,138 @@
+"""Where the noise of the closed loop comes from, how fast it is simulated, how soon it settles.
+
+    python benchmarks/closed_loop.py [--shapes 360] [--threads 2] [--figure PNG]
+
+A P45 with its mass lumped (weight / g, evenly), recorded from 20 ms after the command on. To the
+noise of a sensor the mirror truly moves, and the glass balances what moves it: so the sum and the
+torques of all true forces are far quieter than those of so many independent readings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from truenewton.bench.simulated.coils import Coils
+from truenewton.bench.simulated.control import Control
+from truenewton.bench.simulated.loop import Loop, closed_loop, equilibrium, record, row_noise
+from truenewton.bench.simulated.plant import film_damping
+from truenewton.bench.simulated.sensors import draw_sensors
+from truenewton.bench.simulated.step_response import settling_time, step_responses
+from truenewton.figures import plot_step_responses
+from truenewton.mirrors import GRAVITY, p45
+from truenewton.modes import stiffness_modes
+from truenewton.shell.fourier import stiffness
+from truenewton.statics import arms
+
+QUIET_COILS = {"dac_step": 1e-15, "driver_noise": 0.0}
+QUIET_SENSORS = {"noise": 0.0, "codes": 2**40}
+SOURCES = {
+    "sensor noise, 3 nm": ((), ("noise",)),
+    "ADC counts, 2.2 nm": ((), ("codes",)),
+    "DAC steps, 41.6 uN": (("dac_step",), ()),
+    "driver noise, 30 uN": (("driver_noise",), ()),
+    "sensor noise, ADC": ((), ("noise", "codes")),
+    "sensor noise, ADC, DAC": (("dac_step",), ("noise", "codes")),
+    "all": (("dac_step", "driver_noise"), ("noise", "codes")),
+}
+
+
+def p45_loop() -> tuple[Loop, np.ndarray]:
+    """Return the loop, its feed-forward true, and the stiffness of the glass."""
+    mirror, random = p45(), np.random.default_rng(1)
+    n = mirror.layout.n
+    k = stiffness(mirror.shell, mirror.layout.x, mirror.layout.y)
+    coils = Coils(random.uniform(*mirror.alpha_range, n), np.full(n, mirror.bias_force))
+    sensors = draw_sensors(n, mirror.gap, random)
+    feed_forward = (k - coils.bias_gradient * np.eye(n)) / coils.alpha[:, None] * sensors.gain
+    mass = np.full(n, -mirror.weight / GRAVITY / n)
+    damping = np.full(n, film_damping(mirror.gap))
+    return closed_loop(k, mass, damping, coils, sensors, Control(feed_forward)), k
+
+
+def only(loop: Loop, of_coils: tuple[str, ...], of_sensors: tuple[str, ...]) -> Loop:
+    """Return the loop with these sources of noise and no others."""
+    coils = {name: value for name, value in QUIET_COILS.items() if name not in of_coils}
+    sensors = {name: value for name, value in QUIET_SENSORS.items() if name not in of_sensors}
+    return replace(
+        loop, coils=replace(loop.coils, **coils), sensors=replace(loop.sensors, **sensors)
+    )
+
+
+def rms(values: np.ndarray, axis: int | None = None) -> np.ndarray:
+    return np.sqrt(np.mean(values**2, axis=axis))
+
+
+def print_noise(loop: Loop, shapes: int) -> None:
+    """Print the table of sources; the flat mirror, bare, again and again."""
+    mirror = p45()
+    n = mirror.layout.n
+    load = np.full((n, shapes), -mirror.weight / n - mirror.bias_force)
+    a = arms(mirror.layout) * loop.coils.alpha
+    _, exact = equilibrium(loop, np.zeros((n, shapes)), load)
+    print(f"{shapes} records of 2,048 samples, rms about the noiseless force; the sum and a torque")
+    print("of all true forces beside what independent readings as noisy would make of them")
+    print(f"{'':24}{'mean force, uN':>22}{'sample':>8}{'mean / white':>14}{'sum, uN':>16}"
+          f"{'torque, uN m':>17}")  # fmt: skip
+    for name, (of_coils, of_sensors) in SOURCES.items():
+        rows = [row_noise(1, "bare", 1, k, 1) for k in range(shapes)]
+        found = record(only(loop, of_coils, of_sensors), np.zeros((n, shapes)), load, rows)
+        error = 1e6 * (found.force - exact)
+        each, sample = rms(error, axis=1), 1e6 * rms(found.force_scatter)
+        whole, apart = rms(a @ error, axis=1), np.sqrt(a**2 @ each**2)
+        mean = f"{rms(each):.2f} ({each.min():.2f} - {each.max():.2f})"
+        white = rms(each) / (sample / np.sqrt(2048))
+        print(f"{name:24}{mean:>22}{sample:8.0f}{white:14.2f}"
+              f"{whole[0]:9.2f} /{apart[0]:5.0f}{whole[1]:10.2f} /{apart[1]:5.1f}")  # fmt: skip
+
+
+def print_settling(loop: Loop, glass: np.ndarray) -> None:
+    """Print when steps of modes have settled, in longer steps the pseudo-integrator too."""
+    steps = step_responses(loop, glass, duration=5e-3)
+    print("\nstep of a mode: settled to 10 %, 5 % after")
+    for k, position in zip(steps.stiffness, steps.position.T, strict=True):
+        ten, five = (1e3 * settling_time(steps.time, position[:, None], b)[0] for b in (0.1, 0.05))
+        print(f"{k:12.4g} N/m {ten:8.2f} ms {five:8.2f} ms; most {position.max():.3f}")
+
+
+def print_speed(loop: Loop, glass: np.ndarray, threads: int) -> None:
+    """Print the time of 4 cycles of 90 shapes under 2 loads, a batch for each cycle pair."""
+    modes = stiffness_modes(glass).modes
+    force = np.abs(glass @ modes).max(axis=0)
+    modes = modes * np.minimum(1e-6 / np.abs(modes).max(axis=0), 0.25 / np.maximum(force, 1.0))
+    shapes = np.concatenate([modes, -modes] * 2, axis=1)
+
+    def batch(number: int) -> bool:
+        load = np.full((len(glass), 1), 2.92 / len(glass) - 0.097)
+        rows = [row_noise(1, f"load {number}", 1 + k // 90, k % 45, 1) for k in range(180)]
+        return bool(record(loop, shapes, load, rows).settled.all())
+
+    started = time.perf_counter()
+    with ThreadPoolExecutor(threads) as pool:
+        settled = all(pool.map(batch, range(4)))
+    spent = time.perf_counter() - started
+    print(f"\n720 shapes, {threads} threads: {spent:.1f} s; all settled: {settled}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--shapes", type=int, default=360)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--figure", help="write the step responses to this PDF or PNG")
+    arguments = parser.parse_args()
+    loop, glass = p45_loop()
+    print_noise(loop, arguments.shapes)
+    print_settling(loop, glass)
+    print_speed(loop, glass, arguments.threads)
+    if arguments.figure:
+        steps = step_responses(loop, glass)
+        axes = plot_step_responses(steps.time, steps.position, steps.stiffness)
+        axes.figure.savefig(arguments.figure, dpi=300)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""Capacitive sensors: from the distance of the glass to counts, and back to a displacement.
+
+    distance = d0 / (v ADC / codes - c)            reading = gap - distance, along +z (plate above)
+
+True displacement = gain x reading, but for an offset of each sensor.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.actuators import Array
+
+GAIN_SCATTER = 0.004  # relative, after calibration: 0.25-0.5 % [derived], 2 % before
+OFFSET_SCATTER = 0.5e-6  # of what a sensor reads on the flat mirror [m, guess]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """The sensors of a mirror as they truly are, and the law that the electronics apply.
+
+    Attributes
+    ----------
+    gain
+        (n,) true displacement / reading.
+    offset
+        (n,) reading of the flat mirror [m].
+    gap
+        Distance of the flat mirror [m]; 68 um on P45 [paper].
+    noise
+        Standard deviation of one sample [m]; 3 nm [paper].
+    d0, c, v, codes
+        Of the law: d0 about 65 um, c 0.1364, v 2, 16 bit [conf]; one count is 2.2 nm at 68 um.
+    """
+
+    gain: Array
+    offset: Array
+    gap: float
+    noise: float = 3e-9
+    d0: float = 65e-6
+    c: float = 0.1364
+    v: float = 2.0
+    codes: int = 65536
+
+
+def draw_sensors(n: int, gap: float, random: np.random.Generator) -> Sensors:
+    """Draw the gains and offsets of n calibrated sensors at a nominal gap [m]."""
+    return Sensors(
+        gain=random.normal(1.0, GAIN_SCATTER, n),
+        offset=random.normal(0.0, OFFSET_SCATTER, n),
+        gap=gap,
+    )
+
+
+def counts(sensors: Sensors, displacement: Array, noise: Array | float = 0.0) -> Array:
+    """Return what the ADC gives: whole numbers, out of range where the ADC would be.
+
+    Parameters
+    ----------
+    sensors
+        The n sensors.
+    displacement
+        (n, batch) true, along +z [m].
+    noise
+        (n, batch) of unit standard deviation.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n, batch) counts; infinite where the gap is closed. Those beyond codes - 1 an ADC does
+        not have: see `out_of_range`.
+    """
+    distance = (sensors.gap - sensors.offset)[:, None] - displacement / sensors.gain[:, None]
+    distance = distance + sensors.noise * noise
+    with np.errstate(divide="ignore"):
+        inverse = np.where(distance > 0, sensors.d0 / distance, np.inf)
+    return np.asarray(np.rint((inverse + sensors.c) * (sensors.codes / sensors.v)))
+
+
+def out_of_range(sensors: Sensors, counted: Array) -> Array:
+    """Return which (n, batch) counts the ADC does not have: the glass is too near, or touches."""
+    return np.asarray(~(counted <= sensors.codes - 1))
+
+
+def reading(sensors: Sensors, counted: Array) -> Array:
+    """Return the displacement along +z [m] that the electronics make of counts."""
+    return np.asarray(
+        sensors.gap - sensors.d0 / (counted * (sensors.v / sensors.codes) - sensors.c)
+    )
+
+
+def count_step(sensors: Sensors, distance: float) -> float:
+    """Return the change of distance that one count means [m]: distance^2 v / (d0 codes)."""
+    return distance**2 * sensors.v / (sensors.d0 * sensors.codes)

@@ -1,0 +1,133 @@
+"""Whether gains hold the loop: the spectral radius of everything that goes round in it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import eigh
+
+from truenewton.actuators import Array
+from truenewton.bench.simulated.plant import advance
+from truenewton.errors import LoopUnstable
+
+if TYPE_CHECKING:
+    from truenewton.bench.simulated.coils import Coils
+    from truenewton.bench.simulated.control import Control
+    from truenewton.bench.simulated.sensors import Sensors
+
+DENSE = 100  # actuators, up to which the whole matrix is taken
+
+
+def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control) -> Array:
+    """Return what takes the closed loop, at rest commands, from one sample to the next.
+
+    The state is (z, period z', both filters of the derivative, the pseudo-integrator, the forces
+    on their way), each (n,). Coils' gradient, steps and limits are left out: they are not linear.
+
+    Parameters
+    ----------
+    step
+        (..., 2n, 3n) of the glass, from `plant.advance`.
+    alpha, sensor_gain
+        (..., n) true / commanded force, true displacement / reading.
+    control
+        The gains.
+
+    Returns
+    -------
+    numpy.ndarray
+        (..., (5 + delay) n, (5 + delay) n).
+    """
+    n, delay = step.shape[-2] // 2, control.delay
+    size = (5 + delay) * n
+    z, once, twice, slow_error = (slice(k * n, (k + 1) * n) for k in (0, 2, 3, 4))
+    swift, slow = 1 - control.derivative_decay, 1 - control.slow_decay
+    now = np.broadcast_to(np.eye(size), (*step.shape[:-2], size, size))
+    # Rows: what each quantity is, in terms of the state before.
+    y = now[..., z, :] / sensor_gain[..., None]
+    once_after = (1 - swift) * now[..., once, :] + swift * y
+    change = swift * (once_after - now[..., twice, :])
+    slow_after = (1 - slow) * now[..., slow_error, :] - slow * y
+    force = (
+        control.proportional * (-y + (control.slow_gain - 1) * slow_after)
+        - control.derivative * control.rate * change
+    )
+    queue = [now[..., (5 + k) * n : (6 + k) * n, :] for k in range(delay)] + [force]
+    pushed = alpha[..., None] * queue[0]
+    glass = step @ np.concatenate([now[..., : 2 * n, :], pushed], axis=-2)
+    twice_after = now[..., twice, :] + change
+    return np.concatenate([glass, once_after, twice_after, slow_after, *queue[1:]], axis=-2)
+
+
+def roots(
+    stiffness: Array,
+    mass: Array,
+    damping: Array,
+    coils: Coils,
+    sensors: Sensors,
+    control: Control,
+) -> Array:
+    """Return the roots of the closed loop in z; it is stable while all are within the unit circle.
+
+    Of up to `DENSE` actuators these are the eigenvalues of the whole. Of more, each mode of the
+    glass is taken alone, with the lowest and with the highest alpha / sensor gain of all actuators
+    and with its own part of damping: exact where mass, damping, alpha and gain are even, an
+    approximation otherwise.
+
+    Parameters
+    ----------
+    stiffness, mass, damping
+        (n, n) K with the bias magnets' gradient taken off [N/m], M [kg], C [N s/m].
+    coils, sensors, control
+        What closes the loop.
+    """
+    n = len(stiffness)
+    if n <= DENSE:
+        step = advance(stiffness, mass, damping, control.period)
+        matrix = state_matrix(step, coils.alpha, sensors.gain, control)
+        return np.asarray(np.linalg.eigvals(matrix))
+    values, modes = eigh(stiffness, mass)  # modes' M modes = 1
+    own_damping = np.einsum("ik,ij,jk->k", modes, damping, modes, optimize=True)
+    step = advance(
+        values[:, None, None], np.ones((n, 1, 1)), own_damping[:, None, None], control.period
+    )
+    reach = np.sum(modes**2, axis=0)[:, None]
+    strength = coils.alpha / sensors.gain
+    return np.concatenate(
+        [
+            np.linalg.eigvals(state_matrix(step, extreme * reach, np.ones((n, 1)), control))
+            for extreme in (strength.min(), strength.max())
+        ],
+        axis=None,
+    )
+
+
+def require_stable(
+    stiffness: Array,
+    mass: Array,
+    damping: Array,
+    coils: Coils,
+    sensors: Sensors,
+    control: Control,
+) -> None:
+    """Refuse gains that do not hold the loop; parameters as of `roots`.
+
+    Raises
+    ------
+    LoopUnstable
+        A root on or outside the unit circle.
+    """
+    found = roots(stiffness, mass, damping, coils, sensors, control)
+    worst = found[np.abs(found).argmax()]
+    radius, frequency = float(np.abs(worst)), abs(np.angle(worst)) * control.rate / (2 * np.pi)
+    if not radius < 1:
+        raise LoopUnstable(
+            f"the loop does not hold: a motion at {frequency:.0f} Hz grows by a factor of"
+            f" {radius:.4g} a sample",
+            remedy="lower the gains, shorten the delay or damp the glass more"
+            if frequency > 0
+            else "raise the proportional gain",
+            got=radius,
+            want=1.0,
+        )
