@@ -2,6 +2,7 @@
 
 import dataclasses
 import gzip
+import io
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from truenewton import reading
 from truenewton.actuators import layout
 from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
 from truenewton.measurements import Load, StiffnessMatrix
@@ -237,8 +239,12 @@ FILE_FAULTS = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("in_memory", [2**28, -1], ids=["in memory", "on disk"])
 @pytest.mark.parametrize(("fault", "words"), FILE_FAULTS.values(), ids=FILE_FAULTS)
-def test_a_cycle_file_with_a_fault_is_refused_by_name(folder, refused, fault, words):
+def test_a_cycle_file_with_a_fault_is_refused_by_name(
+    folder, refused, monkeypatch, in_memory, fault, words
+):
+    monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
     edit(folder / "ring-001.fits", fault)
     line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
     assert f"{folder}/ring-001.fits: " in line
@@ -279,7 +285,9 @@ def lengths(whole):
     return sorted({n for n in (*range(0, whole, 613), *edges, whole - 1) if 0 <= n < whole})
 
 
-def test_a_truncated_file_is_refused_at_every_length(folder, refused):
+@pytest.mark.parametrize("in_memory", [2**28, -1], ids=["in memory", "on disk"])
+def test_a_truncated_file_is_refused_at_every_length(folder, refused, monkeypatch, in_memory):
+    monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
     path = folder / "ring-001.fits"
     sound = path.read_bytes()
     cuts = lengths(len(sound))
@@ -313,8 +321,12 @@ def test_what_is_not_fits_is_refused(folder, refused, content):
     assert any(words in line for words in ("not a FITS file", "damaged", "truncated"))
 
 
+@pytest.mark.parametrize("in_memory", [2**28, -1], ids=["in memory", "on disk"])
 @pytest.mark.parametrize("place", ["keyword", "comment", "header padding", "data", "data padding"])
-def test_a_changed_byte_anywhere_breaks_the_checksum(folder, refused, place):
+def test_a_changed_byte_anywhere_breaks_the_checksum(
+    folder, refused, monkeypatch, in_memory, place
+):
+    monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
     path = folder / "ring-001.fits"
     raw = bytearray(path.read_bytes())
     with fits.open(path) as hdus:
@@ -550,13 +562,15 @@ def test_outputs_where_none_can_be_are_refused(folder, refused):
 
 
 def test_a_full_disk_leaves_no_half_written_output(folder, refused, monkeypatch):
-    write_bytes = Path.write_bytes
+    class Full(io.FileIO):
+        def write(self, data):
+            super().write(bytes(data[:1000]))
+            raise OSError(28, "No space left on device")
 
-    def full(path, data):
-        write_bytes(path, data[:1000])
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(Path, "write_bytes", full)
+    sound = Path.open
+    monkeypatch.setattr(
+        Path, "open", lambda path, mode: (Full if mode == "wb" else sound)(path, mode)
+    )
     target = folder.parent / "alpha.fits"
     line = refused("calibrate", folder, "-o", target)
     assert f"{target}: cannot be written (No space left on device); " in line

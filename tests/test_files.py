@@ -19,10 +19,13 @@ from truenewton.errors import FormatError, OutputExists, OutputFailed
 from truenewton.estimators import calibrate
 from truenewton.measurements import Load, StiffnessMatrix
 from truenewton.reading import read
+from truenewton.stored_rows import StoredRows
 
 
 def same(a, b):
     """Tell whether two records are equal bit for bit, NaN included, the source aside."""
+    if isinstance(a, StoredRows) or isinstance(b, StoredRows):
+        return same(np.asarray(a), np.asarray(b))
     if dataclasses.is_dataclass(a):
         return type(a) is type(b) and all(
             same(getattr(a, f.name), getattr(b, f.name))

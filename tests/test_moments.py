@@ -163,7 +163,10 @@ def test_groups_of_rows_and_choices_of_groups():
         assert labels[:, 1].tolist() == cycle.shape[cycle.valid].tolist()
         assert labels[:, 2].tolist() == cycle.sign[cycle.valid].tolist()
     chosen = moments.labels[:, 1] > 3
-    assert (chosen_groups(moments, chosen).mean == moments.mean[chosen]).all()
+    some = chosen_groups(moments, chosen)
+    assert some.groups == some.sums.shapes == np.count_nonzero(chosen)
+    assert some.repeats == 2 * some.groups
+    assert some.sums.square == pytest.approx(3 * moments.mean[chosen].T @ moments.mean[chosen])
 
 
 def test_sums_are_sums_over_shapes():

@@ -20,6 +20,7 @@ from astropy.io import fits
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
+from truenewton import reading
 from truenewton.campaign_files import write_cycle
 from truenewton.cli.main import main
 from truenewton.errors import TrueNewtonError
@@ -266,12 +267,18 @@ def bench(sound, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("sealing", "examples", "least_refused", "least_right"),
-    [("stale", 400, 300, 5), ("anew", 1300, 500, 200), ("absent", 1300, 500, 200)],
+    ("sealing", "examples", "least_refused", "least_right", "in_memory"),
+    [
+        ("stale", 400, 300, 5, 2**28),
+        ("anew", 1300, 500, 200, 2**28),
+        ("absent", 1300, 500, 200, 2**28),
+        ("anew", 400, 150, 60, -1),  # FORCE and POSITION are left on disk
+    ],
 )
 def test_a_mutated_file_is_refused_or_gives_the_right_result(
-    sound, bench, sealing, examples, least_refused, least_right
+    sound, bench, monkeypatch, sealing, examples, least_refused, least_right, in_memory
 ):
+    monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
     bases = sound.unsealed if sealing == "absent" else sound.sealed
     change = changes(len(bases[0]), cards_of(bases[0]))
     verdicts = Counter()

@@ -18,39 +18,24 @@ class BalancedRows:
 
     Attributes
     ----------
-    force
-        (N, n) commanded forces c [N].
-    displacement
-        (N, n) z [m], or None where nothing depends on it.
-    coil_gradient, bias_gradient
-        COILGRAD [1/m] and BIASGRAD [N/m].
+    cycle
+        The cycle.
     a
-        (3, n) arms.
+        (3, n) arms of its enabled actuators.
     """
 
-    force: Array
-    displacement: Array | None
-    coil_gradient: float
-    bias_gradient: float
+    cycle: Cycle
     a: Array
-
-    @classmethod
-    def of(cls, cycle: Cycle, a: Array) -> BalancedRows:
-        """Return the rows of a cycle."""
-        coil, bias = cycle.coil_gradient or 0.0, cycle.bias_gradient or 0.0
-        z = None
-        if cycle.position is not None and (coil or bias):
-            z = cycle.position[cycle.valid][:, cycle.layout.enabled]
-            z = z - z[_paired(cycle)].mean(axis=0)
-        return cls(cycle.used_force, z, coil, bias, a)
 
     def at(self, rows: slice | NDArray[np.int64]) -> tuple[Array, Array | None]:
         """Return c (1 + COILGRAD z), (m, n), and A (BIASGRAD z), (m, 3), of some rows."""
-        force = self.force[rows]
-        if self.displacement is None:
+        cycle = self.cycle
+        force = cycle.used(cycle.force, rows)
+        coil, bias = cycle.coil_gradient or 0.0, cycle.bias_gradient or 0.0
+        if cycle.position is None or not (coil or bias):
             return force, None
-        z = self.displacement[rows]
-        return force * (1.0 + self.coil_gradient * z), self.bias_gradient * z @ self.a.T
+        z = cycle.used(cycle.position, rows) - cycle.rest_position
+        return force * (1.0 + coil * z), bias * z @ self.a.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,16 +60,6 @@ class Layer:
         inorder = (np.diff(some) == 1).all()
         force, balance = self.rows.at(slice(some[0], some[-1] + 1) if inorder else some)
         return at, force, balance, self.weight
-
-
-def _paired(cycle: Cycle) -> NDArray[np.bool_]:
-    """Return (N,) true for valid rows whose opposite is valid too; all rows where none has one.
-
-    Their mean is the flat mirror, whatever rows are missing.
-    """
-    code = cycle.sign[cycle.valid] * cycle.shape[cycle.valid]
-    paired = np.isin(-code, code)
-    return paired if paired.any() else np.ones_like(paired)
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:

@@ -49,7 +49,7 @@ def layout_from(file: FitsFile) -> Layout:
 
 def read_layout(path: str | os.PathLike[str]) -> Layout:
     """Read the ACTUATORS table of any FITS file that has one."""
-    return layout_from(read_fits(path))
+    return layout_from(read_fits(path, whole=False))
 
 
 def cycle_from(file: FitsFile) -> Cycle:
@@ -179,13 +179,13 @@ def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool =
         ("TIME", "D", "s", cycle.time),
         ("SHAPE", "J", None, cycle.shape),
         ("SIGN", "J", None, cycle.sign),
-        ("FORCE", f"{n}D", "N", cycle.force),
+        ("FORCE", f"{n}D", "N", np.asarray(cycle.force)),
         ("VALID", "L", None, cycle.valid),
     ]
     if cycle.temperature is not None:
         columns.insert(3, ("TEMPERATURE", "D", "deg_C", cycle.temperature))
     if cycle.position is not None:
-        columns.insert(-1, ("POSITION", f"{n}D", "m", cycle.position))
+        columns.insert(-1, ("POSITION", f"{n}D", "m", np.asarray(cycle.position)))
     sheets = [actuators_sheet(cycle.layout), Sheet("MEASUREMENTS", columns=tuple(columns))]
     write_fits(path, header, sheets, overwrite=overwrite)
 

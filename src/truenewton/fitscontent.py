@@ -6,7 +6,8 @@ import datetime
 import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Literal
 
 import astropy.units as u
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, TrueNewtonError
+from truenewton.stored_rows import StoredRows
 
 Kind = Literal["float", "int", "bool", "str"]
 
@@ -36,13 +38,14 @@ class Table:
     rows
         Number of rows.
     columns
-        Values in native byte order with their unit, by upper-case name.
+        Values in native byte order, or where they stay in the file, with their unit; by upper-case
+        name.
     """
 
     path: str
     name: str
     rows: int
-    columns: Mapping[str, tuple[NDArray[Any], str | None]]
+    columns: Mapping[str, tuple[NDArray[Any] | StoredRows, str | None]]
 
     def has(self, name: str) -> bool:
         """Tell whether there is such a column."""
@@ -50,7 +53,7 @@ class Table:
 
     def column(
         self, name: str, kind: Kind = "float", unit: str | None = None, width: int | None = None
-    ) -> NDArray[Any]:
+    ) -> Any:
         """Return a column, (rows,) or (rows, width), converted to ``unit``.
 
         Raises
@@ -63,37 +66,43 @@ class Table:
                 f"{self.name} has no column {name}", remedy="add it (docs/files.md)", path=self.path
             )
         values, has_unit = self.columns[name]
+        what = f"column {name} of {self.name}"
         kinds, dtype, wanted = _KINDS[kind]
         if values.dtype.kind not in kinds:
             raise FormatError(
-                f"column {name} of {self.name} holds {values.dtype}",
+                f"{what} holds {values.dtype}",
                 remedy=f"store {wanted}",
                 path=self.path,
                 got=str(values.dtype),
             )
-        try:
-            values = values.astype(dtype)
-        except UnicodeDecodeError:
-            raise FormatError(
-                f"column {name} of {self.name} holds bytes that are not ASCII",
-                remedy="store plain text",
-                path=self.path,
-            ) from None
-        if width == 1 and values.ndim == 1:
-            values = values[:, None]
+        if not isinstance(values, StoredRows):
+            try:
+                values = values.astype(dtype, copy=False)
+            except UnicodeDecodeError:
+                raise FormatError(
+                    f"{what} holds bytes that are not ASCII",
+                    remedy="store plain text",
+                    path=self.path,
+                ) from None
+            if width == 1 and values.ndim == 1:
+                values = values[:, None]
         want = (self.rows,) if width is None else (self.rows, width)
         if values.shape != want:
+            size = math.prod(values.shape[1:]) if self.rows else 0
             raise FormatError(
-                f"column {name} of {self.name} has {values[0].size if self.rows else 0} values"
-                f" a row instead of {width or 1}",
+                f"{what} has {size} values a row instead of {width or 1}",
                 remedy="store one for each actuator" if width else "store one",
                 path=self.path,
                 got=values.shape,
                 want=want,
             )
-        if unit is not None:
-            values = convert(values, has_unit, unit, f"column {name} of {self.name}", self.path)
-        return values
+        if unit is None:
+            return values
+        in_unit = partial(convert, has=has_unit, want=unit, what=what, path=self.path)
+        if isinstance(values, StoredRows):
+            in_unit(np.empty(0))  # refuses a unit before any use
+            return replace(values, in_unit=in_unit)
+        return in_unit(values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +118,7 @@ class Image:
         """Return the pixels in numpy order as float64, converted to ``unit``."""
         if self.data.dtype.kind not in "fiu":
             raise FormatError(f"{self.name} is not numeric", remedy="store D", path=self.path)
-        values = self.data.astype(np.float64)
+        values = self.data.astype(np.float64, copy=False)
         return values if unit is None else convert(values, self.unit, unit, self.name, self.path)
 
 

@@ -1,8 +1,8 @@
 """FITS in and out, safely: the only importer of astropy.io.fits.
 
-Reading takes the whole file at once, verifies CHECKSUM and DATASUM where they stand, converts
-units and byte order, and turns whatever is wrong into one line that names the file. The same data
-written twice give the same bytes.
+Reading takes the whole file at once, or leaves long rows where they are; it verifies CHECKSUM and
+DATASUM where they stand, converts units and byte order, and turns whatever is wrong into one line
+that names the file. The same data written twice give the same bytes.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import warnings
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,21 @@ from numpy.typing import NDArray
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
 from truenewton.fitscontent import FitsFile, Image, Table
 from truenewton.outputs import file_beside
+from truenewton.stored_rows import StoredRows, blocks, state_of
+from truenewton.stored_tables import long_rows, without_columns
+
+GZIP, START = b"\x1f\x8b", b"SIMPLE"
 
 
-def read_fits(path: str | os.PathLike[str]) -> FitsFile:
-    """Read a FITS file, plain or gzipped, whole.
+def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
+    """Read a FITS file, plain or gzipped.
+
+    Parameters
+    ----------
+    path
+        The file.
+    whole
+        If false, vector columns of tables are left in the file, unless it is gzipped.
 
     Raises
     ------
@@ -37,30 +49,31 @@ def read_fits(path: str | os.PathLike[str]) -> FitsFile:
     """
     path = os.fspath(path)
     try:
-        raw = Path(path).read_bytes()
+        with Path(path).open("rb") as file:
+            state = None if whole or file.peek(2)[:2] == GZIP else state_of(file)
+            raw = file.read() if state is None else b""
+            digest = hashlib.sha256(raw) if raw else hashlib.file_digest(file, "sha256")
     except OSError as error:
         raise UnreadableFile(
             f"cannot be read ({error.strerror or error})", remedy="check the path", path=path
         ) from error
-    digest = hashlib.sha256(raw).hexdigest()
     try:
-        if raw[:2] == b"\x1f\x8b":
+        if raw[:2] == GZIP:
             raw = gzip.decompress(raw)
-        if raw[:6] != b"SIMPLE":
-            raise UnreadableFile("is not a FITS file", remedy="give FITS files", path=path)
-        with warnings.catch_warnings(record=True) as caught:
+        with (
+            io.BytesIO(raw) if state is None else Path(path).open("rb") as stream,
+            warnings.catch_warnings(record=True) as caught,
+        ):
             warnings.simplefilter("always")
-            with fits.open(io.BytesIO(raw)) as hdus:
+            if stream.read(len(START)) != START:
+                raise UnreadableFile("is not a FITS file", remedy="give FITS files", path=path)
+            stream.seek(0)
+            with fits.open(stream, memmap=False) as hdus:
                 hdus.readall()
-                if any("truncated" in str(w.message) for w in caught):
-                    raise UnreadableFile("is truncated", remedy="fetch it again", path=path)
-                if any("corrupted" in str(w.message) for w in caught):
-                    raise UnreadableFile(
-                        "is damaged, or bytes follow its end", remedy="fetch it again", path=path
-                    )
+                _refuse_damage(caught, path)
                 for hdu in hdus:
-                    _verify(raw, hdu, path)
-                return _take(path, digest, hdus)
+                    _verify(stream, hdu, path)
+                return _take(_Opened(path, digest.hexdigest(), stream, state), hdus)
     except (UnreadableFile, FormatError):
         raise
     except Exception as error:
@@ -70,17 +83,39 @@ def read_fits(path: str | os.PathLike[str]) -> FitsFile:
         ) from error
 
 
-def _verify(raw: bytes, hdu: Any, path: str) -> None:
+@dataclass(frozen=True)
+class _Opened:
+    """A file that is being read; ``state`` where long rows are to stay in it, else None."""
+
+    path: str
+    digest: str
+    stream: BufferedIOBase
+    state: tuple[int, int] | None
+
+
+def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
+    """Refuse a file of which astropy only warns that its length is wrong."""
+    said = " ".join(str(warning.message) for warning in caught)
+    if "truncated" in said:
+        raise UnreadableFile("is truncated", remedy="fetch it again", path=path)
+    if "corrupted" in said:
+        raise UnreadableFile(
+            "is damaged, or bytes follow its end", remedy="fetch it again", path=path
+        )
+
+
+def _verify(stream: BufferedIOBase, hdu: Any, path: str) -> None:
     """Compare CHECKSUM and DATASUM, where they stand, with the bytes as they are on disk.
 
     Astropy sums what it would write itself, and so misses damage to the padding.
     """
-    at = hdu.fileinfo()
-    data, end = at["datLoc"], at["datLoc"] + at["datSpan"]
     whole, wanted = hdu.header.get("CHECKSUM"), hdu.header.get("DATASUM")
-    if (whole and _sum32(raw[at["hdrLoc"] : end]) != 0xFFFFFFFF) or (
-        wanted and str(_sum32(raw[data:end])) != str(wanted).strip()
-    ):
+    if not (whole or wanted):
+        return
+    at = hdu.fileinfo()
+    of_data = _sum32(stream, at["datLoc"], at["datSpan"])
+    total = _folded(_sum32(stream, at["hdrLoc"], at["datLoc"] - at["hdrLoc"]) + of_data)
+    if (whole and total != 0xFFFFFFFF) or (wanted and str(of_data) != str(wanted).strip()):
         raise UnreadableFile(
             "a CHECKSUM or DATASUM does not match",
             remedy="the file was changed or damaged: fetch it again",
@@ -88,16 +123,26 @@ def _verify(raw: bytes, hdu: Any, path: str) -> None:
         )
 
 
-def _sum32(raw: bytes) -> int:
+def _sum32(stream: BufferedIOBase, start: int, length: int) -> int:
     """Return the sum of 32-bit words in ones' complement (FITS standard, appendix J)."""
-    total = int(np.frombuffer(raw, dtype=">u4").sum(dtype=np.uint64))
+    stream.seek(start)
+    total = 0
+    for some in blocks(length // 4, 4):  # of whole words
+        words = np.frombuffer(stream.read(4 * (some.stop - some.start)), dtype=">u4")
+        total += int(words.sum(dtype=np.uint64))
+    return _folded(total)
+
+
+def _folded(total: int) -> int:
+    """Return a sum in ones' complement of 32 bits: what overflows comes in again below."""
     while total >> 32:
         total = (total & 0xFFFFFFFF) + (total >> 32)
     return total
 
 
-def _take(path: str, digest: str, hdus: Any) -> FitsFile:
+def _take(opened: _Opened, hdus: Any) -> FitsFile:
     """Copy everything out of open HDUs; what is wrong with an extension waits until asked for."""
+    path = opened.path
     tables: dict[str, Table] = {}
     images: dict[str, Image] = {}
     unsound: dict[str, TrueNewtonError] = {}
@@ -109,7 +154,7 @@ def _take(path: str, digest: str, hdus: Any) -> FitsFile:
         try:
             _refuse_doubles(hdu.header.keys(), "keywords", path)
             if isinstance(hdu, fits.BinTableHDU):
-                tables[name] = _table(hdu, path, name)
+                tables[name] = _table(opened, hdu, name)
             elif isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
                 unit = hdu.header.get("BUNIT")
                 data = _native(hdu.data)
@@ -123,7 +168,7 @@ def _take(path: str, digest: str, hdus: Any) -> FitsFile:
     header = hdus[0].header
     _refuse_doubles(header.keys(), "keywords", path)
     plain = {k: v for k, v in header.items() if not isinstance(v, fits.card.Undefined)}
-    return FitsFile(path, digest, plain, tables, images, unsound)
+    return FitsFile(path, opened.digest, plain, tables, images, unsound)
 
 
 def _refuse_doubles(names: Iterable[str], what: str, path: str) -> None:
@@ -133,17 +178,22 @@ def _refuse_doubles(names: Iterable[str], what: str, path: str) -> None:
             raise FormatError(f"there are two {what} {name}", remedy="keep one", path=path)
 
 
-def _table(hdu: Any, path: str, name: str) -> Table:
+def _table(opened: _Opened, hdu: Any, name: str) -> Table:
+    path = opened.path
     if hdu.header["TFIELDS"] > 999:  # the standard's limit; a damaged count may be billions
         raise FormatError(f"{name} has over 999 columns", remedy="leave some out", path=path)
     _refuse_doubles([str(key).upper() for key in hdu.columns.names], "columns", path)
-    columns = {
-        str(column.name).upper(): (
-            _native(np.asarray(hdu.data[column.name])),
-            None if column.unit is None else str(column.unit),
-        )
-        for column in hdu.columns
-    }
+    left: dict[str, StoredRows] = {}
+    if opened.state:
+        left = long_rows(hdu, path, opened.state)
+        hdu = without_columns(opened.stream, hdu, left)
+    columns: dict[str, tuple[NDArray[Any] | StoredRows, str | None]] = {}
+    for column in hdu.columns:
+        values: NDArray[Any] | StoredRows | None = left.get(column.name)
+        if values is None:
+            values = _native(np.asarray(hdu.data[column.name]))
+        unit = None if column.unit is None else str(column.unit)
+        columns[str(column.name).upper()] = values, unit
     return Table(path, name, len(hdu.data), columns)
 
 
@@ -214,13 +264,36 @@ def write_fits(
     for hdu in hdus:
         # astropy would note the time of writing: the same data shall give the same bytes.
         hdu.add_checksum(when="data unit checksum")
-    buffer = io.BytesIO()
-    hdus.writeto(buffer)
-    data = buffer.getvalue()
-    if os.fspath(path).endswith(".gz"):
-        data = gzip.compress(data, mtime=0)
-    with file_beside(path, overwrite=overwrite) as temporary:
-        temporary.write_bytes(data)
+    with file_beside(path, overwrite=overwrite) as temporary, temporary.open("wb") as file:
+        if os.fspath(path).endswith(".gz"):
+            with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed:
+                _write(hdus, packed)
+        else:
+            _write(hdus, file)
+
+
+def _write(hdus: fits.HDUList, file: BufferedIOBase) -> None:
+    """Write HDUs; a full disk shows as the system's own error, of which astropy makes a riddle."""
+    sink = _Sink(file)
+    try:
+        hdus.writeto(sink)
+    except Exception as error:
+        raise sink.failure or error from None
+
+
+class _Sink:
+    """A file that astropy can only write to, by Python's own means, and why it could not."""
+
+    def __init__(self, file: BufferedIOBase) -> None:
+        self.file, self.flush, self.tell = file, file.flush, file.tell
+        self.failure: OSError | None = None
+
+    def write(self, data: bytes) -> int:
+        try:
+            return self.file.write(data)
+        except OSError as error:
+            self.failure = error
+            raise
 
 
 def _card(key: str, value: Any, comment: str) -> Any:

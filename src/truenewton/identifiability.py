@@ -87,7 +87,8 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
         variance = moments.scatter / moments.repeats
     eigenvalues = balance_spectrum(centred, a, variance)
     free = free_patterns(eigenvalues, len(centred) - len(campaign.loads))
-    span = _span(centred / np.sqrt(variance), float(np.sqrt(eigenvalues[: free + 1].mean())))
+    centred /= np.sqrt(variance)  # in place: it is as large as all means
+    span = _span(centred, float(np.sqrt(eigenvalues[: free + 1].mean())))
     if free:
         faults += (_drowned(span, free, n),)
     return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span)
@@ -110,7 +111,7 @@ def structural_faults(campaign: Campaign, moments: Moments) -> tuple[tuple[str, 
 
 def _distinct_shapes(moments: Moments) -> int:
     """Count shapes: both signs, and all loads, are one elastic pattern of three equations."""
-    return len(np.unique(moments.labels[:, 1]))
+    return len(np.unique(moments.labels[moments.rows > 0, 1]))
 
 
 def centred_means(moments: Moments) -> Array:
@@ -118,21 +119,24 @@ def centred_means(moments: Moments) -> Array:
 
     What is common to a load (weight, bias, torques) drops out, as do its unknown B, M_y and M_x.
     """
-    centred = np.empty_like(moments.mean)
-    for load in np.unique(moments.labels[:, 0]):
-        at = moments.labels[:, 0] == load
-        weight = moments.weight[at]
-        mean = weight @ moments.mean[at] / weight.sum()
-        centred[at] = (moments.mean[at] - mean) * np.sqrt(weight)[:, None]
+    counted = moments.rows > 0
+    centred, load = moments.mean[counted], moments.labels[counted, 0]
+    root = np.sqrt(moments.weight[counted])
+    for place in np.unique(load):
+        first, end = np.searchsorted(load, [place, place + 1])
+        some, weight = centred[first:end], root[first:end] ** 2
+        some -= weight @ some / weight.sum()
+    centred *= root[:, None]
     return centred
 
 
 def _span(centred: Array, noise: float) -> int:
     """Return how many elastic directions of force stand above what noise alone would reach.
 
-    The largest singular value of N rows of n noisy readings is s (root N + root n).
+    The largest singular value of N rows of n noisy readings is s (root N + root n). What
+    ``centred`` holds is lost.
     """
-    values = np.linalg.svd(centred, compute_uv=False)
+    values = scipy.linalg.svdvals(centred.T, overwrite_a=True, check_finite=False)
     edge = noise * np.sum(np.sqrt(centred.shape))
     above = np.count_nonzero(values > max(1.1 * edge, 1e-12 * values[0]))
     return int(min(above, centred.shape[1] - 3))

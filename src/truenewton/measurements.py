@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.actuators import Array, Layout, frozen_array
 from truenewton.errors import FormatError, TrueNewtonError
+from truenewton.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 
 # Beyond these a value is a slip of the unit, not a mirror; they also keep squares finite.
 LARGEST_FORCE = 1e6  # [N]
@@ -72,9 +75,10 @@ class Cycle:
         (N,) seconds since ``date``; index of the shape from 1; +1 or -1; false for rows that take
         no part, whatever they hold.
     force
-        (N, n) commanded forces c [N].
+        (N, n) commanded forces c [N]; of a campaign larger than memory `StoredRows`, which
+        ``numpy.asarray`` reads.
     temperature, position
-        (N,) [deg C] and (N, n) [m], or None.
+        (N,) [deg C] and (N, n) [m], as ``force``; or None.
     coil_gradient, bias_gradient
         COILGRAD [1/m] and BIASGRAD [N/m], or None.
     gap, force_error
@@ -98,10 +102,10 @@ class Cycle:
     time: Array
     shape: NDArray[np.int64]
     sign: NDArray[np.int64]
-    force: Array
+    force: Rows
     valid: NDArray[np.bool_]
     temperature: Array | None = None
-    position: Array | None = None
+    position: Rows | None = None
     coil_gradient: float | None = None
     bias_gradient: float | None = None
     gap: float | None = None
@@ -113,7 +117,7 @@ class Cycle:
                             ("force", float), ("valid", bool), ("temperature", float),
                             ("position", float)):  # fmt: skip
             value = getattr(self, name)
-            if value is not None:
+            if value is not None and not isinstance(value, StoredRows):
                 object.__setattr__(self, name, frozen_array(value, dtype))
         _check_date(self.date)
         self._check_numbers()
@@ -189,8 +193,7 @@ class Cycle:
         self._check_finite("temperature", self.temperature, 1e4)
         self._check_finite("force", self.force, LARGEST_FORCE)
         self._check_finite("position", self.position, LARGEST_LENGTH)
-        counted = self.force[self.valid][:, self.layout.enabled]
-        if counted.size and not counted.any():
+        if self.layout.enabled.any() and not self.largest_force:
             raise FormatError("FORCE is zero throughout", remedy="record the commanded forces")
 
     def row_where(self, fault: NDArray[np.bool_]) -> int | None:
@@ -198,15 +201,15 @@ class Cycle:
         rows = np.flatnonzero(fault & self.valid)
         return int(rows[0]) if rows.size else None
 
-    def _check_finite(self, name: str, value: Array | None, largest: float) -> None:
+    def _check_finite(self, name: str, value: Rows | None, largest: float) -> None:
         if value is None:
             return
-        fault = np.asarray(~np.isfinite(value) | (np.abs(value) > largest))
-        if value.ndim == 2:
-            fault = fault & self.layout.enabled
-        row = self.row_where(np.asarray(fault.reshape(len(fault), -1).any(axis=1)))
+        counted = self.layout.enabled if value.ndim == 2 else np.ones(1, dtype=bool)
+        rows = value if value.ndim == 2 else np.asarray(value)[:, None]
+        row = self.row_where(~(largest_in_rows(rows, counted) <= largest))
         if row is not None:
-            bad = np.ravel(value[row])[np.ravel(fault[row])][0]
+            some = rows[row][counted]
+            bad = some[~(np.abs(some) <= largest)][0]
             raise FormatError(
                 f"{name.upper()} in row {row + 1} is {bad:g}",
                 remedy="mark the row as not VALID, or correct it",
@@ -222,8 +225,38 @@ class Cycle:
     @property
     def used_force(self) -> Array:
         """(N_valid, n_enabled) commanded forces of the rows and actuators that count [N]."""
-        rows = self.force if self.valid.all() else self.force[self.valid]
-        return rows if self.layout.enabled.all() else np.asarray(rows[:, self.layout.enabled])
+        return self.used(self.force, slice(None))
+
+    def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
+        """Return FORCE or POSITION of some of the rows that count, enabled actuators only."""
+        chosen = values[rows if self.valid.all() else np.flatnonzero(self.valid)[rows]]
+        return chosen if self.layout.enabled.all() else chosen[:, self.layout.enabled]
+
+    def used_blocks(self) -> Iterator[slice]:
+        """Cut the rows that count into blocks that are taken at once."""
+        return blocks(int(self.valid.sum()), 8 * self.layout.n)
+
+    @property
+    def largest_force(self) -> float:
+        """Largest magnitude of a commanded force that counts [N]."""
+        return float(largest_in_rows(self.force, self.layout.enabled)[self.valid].max())
+
+    @cached_property
+    def rest_position(self) -> Array:
+        """(n_enabled,) mean reading of each sensor over rows that have their opposite [m].
+
+        All rows count where none has one. That mean is the flat mirror, whatever rows are missing;
+        0 without POSITION.
+        """
+        total = np.zeros(int(self.layout.enabled.sum()))
+        if self.position is None:
+            return total
+        code = self.sign[self.valid] * self.shape[self.valid]
+        paired = np.isin(-code, code)
+        paired |= ~paired.any()
+        for some in self.used_blocks():
+            total += self.used(self.position, some)[paired[some]].sum(axis=0)
+        return total / np.count_nonzero(paired)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -24,6 +24,7 @@ from truenewton.balance import enabled_arms
 from truenewton.balanced_rows import BalancedRows, Layer, distinct
 from truenewton.campaign import Campaign
 from truenewton.measurements import Cycle, Load
+from truenewton.stored_rows import BLOCK_BYTES, blocks
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
 ROWS_AT_ONCE = 64  # a block of rows stays in the processor's cache
@@ -41,7 +42,7 @@ class Moments:
     labels
         (g, 3) place of the load, SHAPE, SIGN; sorted.
     rows
-        (g,) number of rows.
+        (g,) number of rows; 0, as its weight, for a group that is left out.
     weight
         (g,) sum of the weights of the rows; their number where no file declares its noise.
     mean
@@ -66,9 +67,14 @@ class Moments:
     furthest: Array
 
     @property
+    def groups(self) -> int:
+        """Number of groups that are not left out: of distinct shapes, each with its own noise."""
+        return int(np.count_nonzero(self.rows))
+
+    @property
     def repeats(self) -> int:
         """Rows less groups: the degrees of freedom of the scatter of one actuator."""
-        return int((self.rows - 1).sum())
+        return int(self.rows.sum()) - self.groups
 
     @property
     def noise(self) -> float:
@@ -103,8 +109,8 @@ def row_weights(campaign: Campaign) -> tuple[float, ...]:
 def campaign_moments(campaign: Campaign) -> Moments:
     """Return the moments of a campaign's valid rows.
 
-    A block of groups after the other, so that all rows of a group are in the cache while their
-    mean and then their deviations from it are taken.
+    A block of groups after the other, so that all rows of a group are in the cache, and of those
+    on disk no more in memory, while their mean and then their deviations from it are taken.
     """
     a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
     names = [
@@ -118,7 +124,7 @@ def campaign_moments(campaign: Campaign) -> Moments:
         for cycle, group, weight_of_row in zip(
             campaign.cycles, members, row_weights(campaign), strict=True
         )
-        for rows in [BalancedRows.of(cycle, a)]
+        for rows in [BalancedRows(cycle, a)]
         for some in distinct(group)
     ]
     groups = len(labels)
@@ -128,8 +134,9 @@ def campaign_moments(campaign: Campaign) -> Moments:
         weight[layer.group] += layer.weight
     mean, known = np.zeros((groups, n)), np.zeros((groups, 3))
     scatter, furthest = np.zeros(n), np.zeros(n)
-    for start in range(0, groups, ROWS_AT_ONCE):
-        block = slice(start, min(start + ROWS_AT_ONCE, groups))
+    at_once = int(np.clip(BLOCK_BYTES // (8 * n * number.max()), 1, ROWS_AT_ONCE))
+    for start in range(0, groups, at_once):
+        block = slice(start, min(start + at_once, groups))
         read = [part for layer in layers if (part := layer.within(block)) is not None]
         for at, force, balance, w in read:
             mean[block][at] += force if w == 1.0 else w * force
@@ -171,15 +178,12 @@ def groups_of(cycle: Cycle, place: int, moments: Moments) -> NDArray[np.int64]:
 
 
 def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:
-    """Return the moments of some of the groups; scatter and furthest stay those of all."""
-    return replace(
-        moments,
-        labels=moments.labels[chosen],
-        rows=moments.rows[chosen],
-        weight=moments.weight[chosen],
-        mean=moments.mean[chosen],
-        known=moments.known[chosen],
-    )
+    """Return moments in which only the (g,) chosen groups count; scatter stays that of all.
+
+    The others keep their place and lose their rows and weight, so that no mean is copied.
+    """
+    rows, weight = np.where(chosen, moments.rows, 0), np.where(chosen, moments.weight, 0.0)
+    return replace(moments, rows=rows, weight=weight)
 
 
 def merge(one: Moments, other: Moments) -> Moments:
@@ -198,7 +202,8 @@ def merge(one: Moments, other: Moments) -> Moments:
     rows[first], weight[first], mean[first], known[first] = (
         one.rows, one.weight, one.mean, one.known,
     )  # fmt: skip
-    share = other.weight / (weight[second] + other.weight)
+    total = weight[second] + other.weight
+    share = other.weight / np.where(total > 0.0, total, 1.0)
     apart = other.mean - mean[second]
     scatter = one.scatter + other.scatter + (weight[second] * share) @ apart**2
     mean[second] += share[:, None] * apart
@@ -246,19 +251,25 @@ def shape_sums(
     mean: Array, weight: Array, known: Array, load: NDArray[np.int64], loads: int = 1
 ) -> ShapeSums:
     """Return the sums over (g, n) means with (g,) weights, (g, 3) known balance and (g,) loads."""
-    even = bool((weight == weight[0]).all())
-    heavy = mean if even else mean * np.sqrt(weight)[:, None]
-    square = mirrored(dsyrk(float(weight[0]) if even else 1.0, heavy.T)).T  # in the order of C
+    n = mean.shape[1]
+    if (weight == weight[0]).all():
+        square = dsyrk(float(weight[0]), mean.T)
+    else:
+        square = np.zeros((n, n), order="F")
+        for some in blocks(len(mean), 8 * n):
+            heavy = mean[some] * np.sqrt(weight[some])[:, None]
+            square = dsyrk(1.0, heavy.T, beta=1.0, c=square, overwrite_c=True)
+    square = mirrored(square).T  # in the order of C
     of_load = np.where(load == np.arange(loads)[:, None], weight, 0.0)
     q = known * weight[:, None]
     anything = bool(q.any())
     return ShapeSums(
-        shapes=len(mean),
+        shapes=int(np.count_nonzero(weight)),
         weight=of_load.sum(axis=1),
         force=of_load @ mean,
         square=square,
         known=of_load @ known,
-        known_force=q.T @ mean if anything else np.zeros((3, mean.shape[1])),
+        known_force=q.T @ mean if anything else np.zeros((3, n)),
         known_square=q.T @ known,
     )
 

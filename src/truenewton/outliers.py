@@ -14,8 +14,8 @@ Both thresholds let a sound campaign lose a row once in a hundred campaigns.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -44,6 +44,7 @@ MOST = 0.3  # of the rows; beyond this the campaign is refused
 MEDIAN_ROWS = 200
 CORE = 0.75  # of the shapes that make the robust start
 STRANGE = 10.0  # median deviations, 6.7 sigma: for a start only
+MOST_PASSES = 20  # until the groups that belong are settled
 
 
 def against_repeats(campaign: Campaign) -> tuple[Moments, Campaign, tuple[RejectedRow, ...]]:
@@ -51,18 +52,62 @@ def against_repeats(campaign: Campaign) -> tuple[Moments, Campaign, tuple[Reject
     rejected: list[RejectedRow] = []
     while True:
         moments = campaign_moments(campaign)
-        if moments.repeats < 2:
-            return moments, campaign, tuple(rejected)
-        found = _worst_rows(campaign, moments)
+        found = _worst_rows(campaign, moments) if moments.repeats >= 2 else []
         if not found:
             return moments, campaign, tuple(rejected)
         rejected += found
         campaign = without(campaign, found)
+        del moments  # there is no room for two where the mirror is large
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """The rows that count of one cycle, beside the groups that they repeat.
+
+    Attributes
+    ----------
+    place
+        Of the cycle in the campaign.
+    row, group
+        (N,) row of MEASUREMENTS and group of each.
+    weight
+        Of a row.
+    rows
+        As they balance.
+    """
+
+    place: int
+    row: NDArray[np.int64]
+    group: NDArray[np.int64]
+    weight: float
+    rows: BalancedRows
+
+    def deviations(self, moments: Moments, some: slice | NDArray[np.int64]) -> Array:
+        """Return (m, n) distances of some rows from the others of their groups, at weight 1 [N].
+
+        The mean holds the row itself: seen from the others it lies further out. 0 for a row without
+        others.
+        """
+        group = self.group[some]
+        alone, total = moments.rows[group] < 2, moments.weight[group]
+        further = np.sqrt(total * self.weight / np.where(alone, np.inf, total - self.weight))
+        apart = self.rows.at(some)[0] - moments.mean[group]
+        np.abs(apart, out=apart)
+        apart *= further[:, None]
+        return apart
+
+
+def _parts(campaign: Campaign, moments: Moments) -> Iterator[_Part]:
+    """Walk through the cycles."""
+    a, weights = enabled_arms(campaign.layout), row_weights(campaign)
+    for k, (cycle, place) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
+        row, group = np.flatnonzero(cycle.valid), groups_of(cycle, place, moments)
+        yield _Part(k, row, group, weights[k], BalancedRows(cycle, a))
 
 
 def _worst_rows(campaign: Campaign, moments: Moments) -> list[RejectedRow]:
     """Return the worst row of each group that has one too far out; both rows of a pair."""
-    a, ids = enabled_arms(campaign.layout), campaign.layout.id[campaign.layout.enabled]
+    ids = campaign.layout.id[campaign.layout.enabled]
     noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(campaign, moments)
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(noise > 1.5 * robust, robust, noise)
@@ -73,26 +118,18 @@ def _worst_rows(campaign: Campaign, moments: Moments) -> list[RejectedRow]:
         return []
     worst: dict[int, RejectedRow] = {}
     pairs: list[RejectedRow] = []
-    weights = row_weights(campaign)
-    for k, (cycle, place) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
-        group = groups_of(cycle, place, moments)
-        total, weight = moments.weight[group], weights[k]
-        alone = moments.rows[group] < 2
-        # The mean holds the row itself: seen from the others it lies further out.
-        further = np.sqrt(total * weight / np.where(alone, np.inf, total - weight))
-        force, _ = BalancedRows.of(cycle, a).at(slice(None))
-        sigmas = np.abs(force - moments.mean[group]) / noise
-        sigmas *= further[:, None]
-        for row in np.flatnonzero(sigmas.max(axis=1) > limit).tolist():
-            g, i = int(group[row]), int(sigmas[row].argmax())
-            found = RejectedRow(
-                k, int(np.flatnonzero(cycle.valid)[row]), int(ids[i]), float(sigmas[row, i]),
-                "repeats",
-            )  # fmt: skip
-            if moments.rows[g] == 2:
-                pairs.append(found)
-            elif g not in worst or worst[g].sigmas < found.sigmas:
-                worst[g] = found
+    for part in _parts(campaign, moments):
+        for some in part.rows.cycle.used_blocks():
+            sigmas = part.deviations(moments, some)
+            sigmas /= noise
+            for at in np.flatnonzero(sigmas.max(axis=1) > limit).tolist():
+                row, i = some.start + at, int(sigmas[at].argmax())
+                g, far = int(part.group[row]), float(sigmas[at, i])
+                found = RejectedRow(part.place, int(part.row[row]), int(ids[i]), far, "repeats")
+                if moments.rows[g] == 2:
+                    pairs.append(found)
+                elif g not in worst or worst[g].sigmas < far:
+                    worst[g] = found
     return [*worst.values(), *pairs]
 
 
@@ -101,18 +138,14 @@ def _robust(campaign: Campaign, moments: Moments) -> Array:
 
     Of some 200 repeated rows, which tells it to 8 per cent.
     """
-    a, deviations = enabled_arms(campaign.layout), []
     stride = max(1, moments.rows.sum() // MEDIAN_ROWS)
-    for cycle, place, weight in zip(
-        campaign.cycles, campaign.load_index, row_weights(campaign), strict=True
-    ):
-        group = groups_of(cycle, place, moments)
-        chosen = np.flatnonzero(moments.rows[group] > 1)[::stride]
-        total = moments.weight[group[chosen]]
-        further = np.sqrt(total * weight / (total - weight))[:, None]
-        force, _ = BalancedRows.of(cycle, a).at(chosen)
-        deviations.append(np.abs(force - moments.mean[group[chosen]]) * further)
-    by_actuator = np.ascontiguousarray(np.concatenate(deviations).T)
+    deviations = np.concatenate(
+        [
+            part.deviations(moments, np.flatnonzero(moments.rows[part.group] > 1)[::stride])
+            for part in _parts(campaign, moments)
+        ]
+    )
+    by_actuator = np.ascontiguousarray(deviations.T)
     return np.asarray(np.median(by_actuator, axis=1) / scipy.stats.norm.isf(0.25))
 
 
@@ -183,6 +216,7 @@ def against_balance(
         distance = _scaled(distances(found), noise_known)
         if distance.max() <= limit:
             return kept, distance, found
+        del found  # an estimate holds matrices of all unknowns; the next one needs their room
         core = alike_opposites(moments)
     except (RankDeficient, NotConverged):
         core = alike_opposites(moments)
@@ -191,15 +225,15 @@ def against_balance(
     for _ in range(5):
         distance = _scaled(distances(fit(chosen_groups(moments, core))), noise_known)
         core = distance <= np.quantile(distance, CORE)
-    kept = distance <= limit
-    for _ in range(20):
+    kept, passes = distance <= limit, 1
+    while True:
         refuse_too_many(int(np.count_nonzero(~kept)), len(kept))
         found = fit(chosen_groups(moments, kept))
         distance = _scaled(distances(found), noise_known)
-        before, kept = kept, distance <= limit
-        if np.array_equal(before, kept):
-            break
-    return kept, distance, found
+        if passes == MOST_PASSES or np.array_equal(distance <= limit, kept):
+            return kept, distance, found
+        kept, passes = distance <= limit, passes + 1
+        del found
 
 
 def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
@@ -244,21 +278,14 @@ def rows_of(
     actuator: NDArray[np.int64],
 ) -> list[RejectedRow]:
     """Return the rows of the groups that are lost, with the ID that stands out in each."""
-    found = []
-    for k, (cycle, place) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
-        group = groups_of(cycle, place, moments)
-        for row in np.flatnonzero(lost[group]).tolist():
-            g = group[row]
-            found.append(
-                RejectedRow(
-                    k,
-                    int(np.flatnonzero(cycle.valid)[row]),
-                    int(actuator[g]),
-                    float(np.sqrt(distance[g])),
-                    "balance",
-                )
-            )
-    return found
+    return [
+        RejectedRow(
+            part.place, int(part.row[at]), int(actuator[g]), float(np.sqrt(distance[g])), "balance"
+        )
+        for part in _parts(campaign, moments)
+        for at in np.flatnonzero(lost[part.group])
+        for g in [part.group[at]]
+    ]
 
 
 def refuse_too_many(rejected: int, rows: int) -> None:

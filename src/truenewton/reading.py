@@ -18,6 +18,8 @@ from truenewton.errors import FormatError
 from truenewton.fitsfiles import read_fits
 from truenewton.measurements import StiffnessMatrix
 
+IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
+
 
 def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibration:
     """Read cycle files, a stiffness file, or a calibration.
@@ -36,7 +38,9 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
     ------
     UnreadableFile, FormatError, CampaignMismatch
     """
-    files = [read_fits(path) for path in fits_paths(paths)]
+    found = fits_paths(paths)
+    whole = sum(path.stat().st_size for path in found if path.is_file()) <= IN_MEMORY
+    files = [read_fits(path, whole=whole) for path in found]
     if len(files) == 1:
         if is_calibration_file(files[0]):
             return calibration_from(files[0])

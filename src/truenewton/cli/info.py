@@ -69,7 +69,7 @@ def _campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str]]:
                 "invalid": sum(int((~c.valid).sum()) for c in cycles),
             }
         )
-    largest = max(float(np.abs(c.used_force).max()) for c in campaign.cycles)
+    largest = max(cycle.largest_force for cycle in campaign.cycles)
     values = {
         "holds": "campaign",
         "instrument": campaign.instrument,

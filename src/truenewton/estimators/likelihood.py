@@ -228,7 +228,7 @@ def _estimate(
     feigned_turn = terms.feigned @ turn[:n]
     by_turn = _not_negative(turn[:n].T @ feigned_turn)
     rest = left + by_turn
-    cross = -inverse[:, :n] @ feigned_turn @ changes.T
+    cross = -(inverse[:, :n] @ feigned_turn)
     wide = np.sqrt(terms.feigned.diagonal)[:, None] * inverse[:n]
     less = terms.feigned.root @ inverse[:n]
     share = float(
@@ -237,11 +237,12 @@ def _estimate(
         + np.sum(measured * by_turn)
     )
     whole = dsyrk(1.0, wide, trans=True, beta=1.0, c=inverse, overwrite_c=True)
+    del wide  # as large as all of H
     whole = dsyrk(-1.0, less, trans=True, beta=1.0, c=whole, overwrite_c=True)
     if prior.held:
         changes = -turn
     else:
-        whole += cross + cross.T + changes @ rest @ changes.T
+        whole += cross @ changes.T + changes @ cross.T + changes @ rest @ changes.T
     information = terms.h + prior.information
     whole = mirrored(whole).T  # in the order of C
     return Estimate(

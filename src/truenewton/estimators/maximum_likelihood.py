@@ -160,6 +160,7 @@ def _found(
     diagnosis = _diagnosis(problem, moments, estimate, held)
     warnings = diagnosis.warnings + weights_warning(estimate.values[unknowns:], len(campaign.loads))
     diagnosis = replace(diagnosis, warnings=warnings)
+    e_condition = condition(campaign, moments)  # while there is room for its matrices
     return Found(
         method=method,
         scale="weights",
@@ -167,7 +168,7 @@ def _found(
         statistical=estimate.statistical,
         systematic=estimate.changes @ estimate.changes.T,
         noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
-        condition=condition(campaign, moments),
+        condition=e_condition,
         rank=unknowns - diagnosis.undetermined,
         diagnosis=diagnosis,
         goodness=Goodness(chi2, freedom, problem.noise.source, probability),
@@ -210,7 +211,7 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate, held: int
     """
     n, layout = problem.n, problem.campaign.layout
     covariance = estimate.statistical[:n, :n]
-    free = held + patterns_near_noise(estimate, len(moments.rows))
+    free = held + patterns_near_noise(estimate, moments.groups)
     value, vector = largest_eigenvalue(covariance)
     weakest = in_words(vector, layout)
     warnings: tuple[tuple[str, str], ...] = ()

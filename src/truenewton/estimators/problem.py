@@ -66,7 +66,8 @@ def least_variance(moments: Moments) -> float:
 
     A millionth of the forces. Against less, what the weights say would drown in rounding.
     """
-    return float(1e-12 * np.vdot(moments.mean, moments.mean) / moments.mean.size)
+    sums = moments.sums
+    return float(1e-12 * np.mean(np.diag(sums.square)) / sums.weight.sum())
 
 
 def load_data(
@@ -131,7 +132,7 @@ class Problem:
 
     def degrees_of_freedom(self, moments: Moments) -> int:
         """Return equations less unknowns; errors of the weights are measured, so neither."""
-        shapes = len(moments.rows) + sum(part.sums.shapes for part in self.elastic)
+        shapes = moments.groups + sum(part.sums.shapes for part in self.elastic)
         return 3 * shapes - self.unknowns
 
     def data(self, moments: Moments) -> list[DataSet]:
@@ -197,7 +198,8 @@ def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
         return problem
     start = start_values(problem.a, problem.data(moments), problem.prior)
     # From the median, and rather too small: bad rows shall not swell it, lest D outgrow M.
-    size = 0.25 * float(np.median(problem.distances(start, moments))) / scipy.stats.chi2.median(3)
+    distance = problem.distances(start, moments)[moments.rows > 0]
+    size = 0.25 * float(np.median(distance)) / scipy.stats.chi2.median(3)
     return replace(problem, noise=Noise(problem.noise.variance * max(size, 1.0), "minimum"))
 
 

@@ -28,6 +28,7 @@ from truenewton.decomposition import singular_values_and_vectors
 from truenewton.errors import RankDeficient
 from truenewton.estimators.found import Found
 from truenewton.identifiability import diagnose, refuse
+from truenewton.measurements import Cycle
 from truenewton.moments import campaign_moments
 from truenewton.statics import external_load
 from truenewton.uncertainty import WeightError, scale_errors, weight_errors
@@ -165,7 +166,7 @@ def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
 def row_groups(campaign: Campaign) -> NDArray[np.int64]:
     """Return (rows,) the group (load, shape, sign) of each row, in the order of E."""
     labels = [
-        np.stack([np.full(len(c.used_force), place), c.shape[c.valid], c.sign[c.valid]], axis=1)
+        np.stack([np.full(int(c.valid.sum()), place), c.shape[c.valid], c.sign[c.valid]], axis=1)
         for place in range(len(campaign.loads))
         for c, at in zip(campaign.cycles, campaign.load_index, strict=True)
         if at == place
@@ -195,7 +196,7 @@ def cycle_errors(campaign: Campaign, solution: Array) -> Array:
     alphas = []
     for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
         external = (weights[place], bias_force, *torques[place].tolist())
-        alpha = _from_one_cycle(cycle.used_force, a, external)
+        alpha = _from_one_cycle(cycle, a, external)
         if alpha is not None:  # a cycle that was broken off says nothing of alpha alone
             alphas.append(alpha)
     if len(alphas) < 2:
@@ -204,22 +205,31 @@ def cycle_errors(campaign: Campaign, solution: Array) -> Array:
 
 
 def _from_one_cycle(
-    force: Array, a: Array, external: tuple[float, float, float, float]
+    cycle: Cycle, a: Array, external: tuple[float, float, float, float]
 ) -> Array | None:
     """Solve C alpha = p of one cycle; None where its rank is short.
 
     From C' C = (A' A) o (sum of c c') where that is far from singular, which costs a tenth; else by
-    singular values.
+    singular values. Either way a block of rows after the other, so that C is never whole.
     """
     n = a.shape[1]
-    square = dsyrk(1.0, force.T)  # the upper triangle
+    square, total = np.zeros((n, n), order="F"), np.zeros(n)
+    for rows in cycle.used_blocks():
+        force = cycle.used(cycle.force, rows)
+        square = dsyrk(1.0, force.T, beta=1.0, c=square, overwrite_c=True)  # the upper triangle
+        total += force.sum(axis=0)
     square *= a.T @ a
-    right = -np.sum(a * external_load(*external)[:, None], axis=0) * force.sum(axis=0)
-    norm = float(np.abs(square).sum(axis=0).max())  # of one triangle: half at least
-    factor, failed = dpotrf(square, clean=False)
+    right = -np.sum(a * external_load(*external)[:, None], axis=0) * total
+    norm = float(scipy.linalg.norm(square, 1, check_finite=False))  # of one triangle: half at least
+    factor, failed = dpotrf(square, clean=False, overwrite_a=True)
     if not failed and dpocon(factor, norm)[0] > 1e-10:
         return np.asarray(scipy.linalg.cho_solve((factor, False), right, check_finite=False))
-    alpha, _, rank, _ = scipy.linalg.lstsq(*system_c(force, a, *external))
+    del square, factor
+    triangle = np.empty((0, n + 1))
+    for rows in cycle.used_blocks():
+        block = np.column_stack(system_c(cycle.used(cycle.force, rows), a, *external))
+        triangle = scipy.linalg.qr(np.vstack([triangle, block]), mode="r")[0][: n + 1]
+    alpha, _, rank, _ = scipy.linalg.lstsq(triangle[:, :-1], triangle[:, -1])
     return np.asarray(alpha) if rank == n else None
 
 

@@ -1,0 +1,173 @@
+"""What `truenewton calibrate` takes of memory for a campaign that may be larger than it.
+
+    python benchmarks/memory.py [--actuators 1170] [--cycles 5]
+
+Cycle files with FORCE, POSITION and both gradients are written one by one into a temporary folder
+(5352 actuators: 9 GB), then calibrated by a process of its own, whose peak is what the system says
+of it (ru_maxrss). Stages show their seconds and the peak until their end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+LOADS = 2
+UNIT = 1 if sys.platform == "darwin" else 1024  # of ru_maxrss, in bytes
+
+
+def write_files(n: int, cycles: int, folder: Path) -> None:
+    """Write random forces that balance, and their noise, a cycle after the other."""
+    import numpy as np
+    from speed import NOISE, START, ring_layout
+
+    import truenewton as tn
+    from truenewton.statics import arms
+
+    random, layout = np.random.default_rng(1), ring_layout(n)
+    a = arms(layout)
+    inverse = np.linalg.pinv(a)
+    alpha, coil, bias = random.uniform(0.9, 1.1, n), 600.0, 31.0
+    weight, bias_force = -0.065 * n, 0.097 * n
+    elastic = 0.1 * random.standard_normal((n, n))
+    z = 1e-6 * random.standard_normal((n, n))
+    folder.mkdir()
+    number = 0
+    for load in (tn.Load("bare"), tn.Load("ring", -0.5, 0.005, tool="ring")):
+        k = np.array([weight + load.added + bias_force, 0.02, -0.03])
+        exact = np.empty((n, 2, n))
+        for at, sign in enumerate((1.0, -1.0)):
+            # All that the bias magnets change, the coils must balance.
+            exact[:, at] = sign * elastic
+            exact[:, at] -= (exact[:, at] @ a.T + sign * bias * z @ a.T + k) @ inverse.T
+            exact[:, at] /= alpha * (1.0 + sign * coil * z)
+        exact = exact.reshape(2 * n, n)
+        for cycle in range(1, cycles + 1):
+            force = random.standard_normal(exact.shape)
+            force *= NOISE
+            force += exact
+            position = np.stack([z, -z], axis=1).reshape(2 * n, n)
+            position += 1e-5 * random.standard_normal(n)  # where each sensor has its zero
+            for array in (force, position):
+                array.setflags(write=False)
+            number += 1
+            tn.write_cycle(
+                tn.Cycle(
+                    instrument=f"RING{n}",
+                    date=START,
+                    number=cycle,
+                    load=load,
+                    weight=weight,
+                    weight_error=0.02,
+                    layout=layout,
+                    time=0.5 * np.arange(2 * n),
+                    shape=np.repeat(np.arange(1, n + 1), 2),
+                    sign=np.tile([1, -1], n),
+                    force=force,
+                    position=position,
+                    valid=np.ones(2 * n, dtype=bool),
+                    coil_gradient=coil,
+                    bias_gradient=bias,
+                ),
+                folder / f"{load.name}-{cycle:03d}.fits",
+            )
+            print(f"  written: {number} of {LOADS * cycles} files", file=sys.stderr)
+
+
+def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function, which says what it took."""
+
+    def run(*arguments: Any, **options: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return function(*arguments, **options)
+        finally:
+            taken = time.perf_counter() - start
+            peak = UNIT * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            print(f"  {name:36s} {taken:8.1f} s   peak so far {1e-6 * peak:7.0f} MB", flush=True)
+
+    return run
+
+
+def calibrate(folder: Path) -> None:
+    """Run `truenewton calibrate`, its stages timed."""
+    import truenewton.calibration
+    import truenewton.estimators
+    import truenewton.reading
+    from truenewton.cli.main import main as command
+    from truenewton.estimators import maximum_likelihood, problem, svd
+
+    for name, module, function in (
+        ("tn.read: checksums, SHA256, checks", truenewton.reading, "read_data"),
+        ("means of repeats, rows far from them", maximum_likelihood, "against_repeats"),
+        ("  a minimisation", problem, "minimise"),
+        ("shapes against the balance", maximum_likelihood, "against_balance"),
+        ("maximum likelihood, all of it", maximum_likelihood, "find"),
+        ("E_CYCLE", svd, "cycle_errors"),
+        ("calibrate, all of it", truenewton.estimators, "calibrate"),
+        ("writing the calibration", truenewton.calibration.Calibration, "write"),
+    ):
+        setattr(module, function, timed(name, getattr(module, function)))
+    sys.argv = ["truenewton", "calibrate", str(folder), "-o", str(folder.parent / "alpha.fits")]
+    command()
+
+
+def child(*arguments: object) -> tuple[float, float]:
+    """Run this file in a process of its own; return its seconds and its peak [bytes].
+
+    Nothing large may have been imported here: a child begins with the size of its parent.
+    """
+    start = time.perf_counter()
+    process = subprocess.Popen([sys.executable, __file__, *map(str, arguments)])
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        sys.exit(f"exit code {process.returncode}")
+    return time.perf_counter() - start, UNIT * used.ru_maxrss
+
+
+def measure(n: int, cycles: int) -> None:
+    """Make a campaign, calibrate it and print what that took."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "campaign"
+        child("--make", folder, "--actuators", n, "--cycles", cycles)
+        size = sum(path.stat().st_size for path in folder.iterdir())
+        print(f"{n} actuators, {cycles} cycles x {LOADS} loads x {2 * n} rows: {size / 1e6:.0f} MB")
+        sys.stdout.flush()
+        taken, peak = child("--calibrate", folder)
+    square = 8e-6 * n**2
+    shapes = LOADS * 2 * square
+    print(
+        f"  {taken:.0f} s; peak {1e-6 * peak:.0f} MB = distinct shapes {shapes:.0f} MB"
+        f" + {(1e-6 * peak - shapes) / square:.1f} n^2 of {square:.0f} MB;"
+        f" {size / peak:.2f} bytes of files for one of memory"
+        + (" (wanted: under 2500 MB)" if n == 5352 else "")
+    )
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--actuators", type=int, default=1170)
+    parser.add_argument("--cycles", type=int, default=5)
+    parser.add_argument("--make", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--calibrate", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.make:
+        write_files(options.actuators, options.cycles, options.make)
+    elif options.calibrate:
+        calibrate(options.calibrate)
+    else:
+        measure(options.actuators, options.cycles)
+
+
+if __name__ == "__main__":
+    main()
