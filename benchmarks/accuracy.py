@@ -96,7 +96,7 @@ def simulation(mirror: Mirror, loads: Sequence[tn.Load], noise: float) -> Simula
         bench=declared,
         loads=tuple(loads),
         weight_error=mirror.weight_error,
-        elastic=shapes @ declared.truth.stiffness / declared.truth.alpha,
+        elastic=shapes @ declared.truth.stiffness.T / declared.truth.alpha,
         changes=np.array([other.load_force - declared.load_force for other in others]),
     )
 

@@ -87,10 +87,15 @@ def three_loads(seed, noise, **options):
     return campaign_of(seed, noise, loads=loads, **options)[0]
 
 
+def ungraded(bench):
+    """Return a bench whose forces do not change with the gap: exact without its sensors."""
+    return replace(bench, coils=replace(bench.coils, coil_gradient=0.0, bias_gradient=0.0))
+
+
 @cache
 def p45_bench():
-    """Return a simulated P45 at 1 mN."""
-    return static_bench(p45(), seed=1, force_noise=1e-3)
+    """Return a simulated P45 at 1 mN, no gradients."""
+    return ungraded(static_bench(p45(), seed=1, force_noise=1e-3))
 
 
 @cache

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from balanced import p45_bench
+from balanced import p45_bench, ungraded
 
+from truenewton.actuators import layout
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.campaign import Campaign
 from truenewton.estimators import calibrate
@@ -15,24 +16,35 @@ from truenewton.mirrors import p45
 from truenewton.moments import campaign_moments
 
 
-def faint(seed, size=0.05):
-    """Return a P45 campaign whose shapes hardly stand above the noise, and alpha as Q has it."""
-    bench = static_bench(p45(), seed=seed, force_noise=1e-3)
+def faint(seed, size=0.04):
+    """Return a campaign of a flat P45 whose shapes hardly stand above the noise, and its alpha.
+
+    Alpha as Q has it; a flat shell holds its smooth patterns more poorly than a curved one.
+    """
+    curved = p45()
+    flat = replace(
+        curved,
+        shell=replace(curved.shell, radius_of_curvature=np.inf),
+        layout=layout(curved.layout.x, curved.layout.y),
+    )
+    bench = ungraded(static_bench(flat, seed=seed, force_noise=1e-3))
     campaign = Campaign(tuple(run_cycles(replace(bench, shapes=size * bench.shapes), 4)))
     return campaign, bench.truth.alpha * bench.loads[1].added / bench.truth.added[1]
 
 
 def test_patterns_that_drown_are_named_and_the_errors_hold():
-    covered, drowned = [], []
+    covered, drowned, held = [], [], []
     for seed in (0, 1, 2, 3, 7):
         campaign, alpha = faint(seed)
         found = calibrate(campaign)
         covered.append(np.mean(np.abs(found.alpha - alpha) < 1.96 * found.statistical))
         drowned.append(found.diagnosis.undetermined)
         faults = " ".join(fault for fault, _ in found.diagnosis.warnings)
-        assert "drown in noise: held even over the mirror" in faults
+        held.append("drown in noise: held even over the mirror" in faults)
+        assert "hardly above the noise" in faults
         assert found.rank == 50 - found.diagnosis.undetermined
     assert min(drowned) >= 2
+    assert sum(held) >= 3  # in the others they are just not lost
     assert min(covered) >= 0.9
 
 

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from balanced import LAYOUT, RING, WEIGHT, campaign_of, p45_bench
+from balanced import LAYOUT, RING, WEIGHT, campaign_of, p45_bench, ungraded
 
 from truenewton import estimators
 from truenewton.actuators import layout
@@ -29,7 +29,7 @@ def judged(campaign):
 
 def campaign_with_shapes(shapes, noise, cycles=2):
     """Return a P45 campaign that applies only the given displacements."""
-    bench = static_bench(p45(), seed=1, force_noise=noise)
+    bench = ungraded(static_bench(p45(), seed=1, force_noise=noise))
     return Campaign(tuple(run_cycles(replace(bench, shapes=shapes), cycles)))
 
 
@@ -92,7 +92,7 @@ def test_forty_five_shapes_out_of_ten_modes_are_dependent(noise):
 
 def test_two_thirds_of_the_modes_suffice_and_alpha_is_right():
     """Three equations a shape: n / 3 patterns can do, and thirty of forty-two do."""
-    bench = static_bench(p45(), seed=1, force_noise=0.0)
+    bench = ungraded(static_bench(p45(), seed=1, force_noise=0.0))
     campaign = campaign_with_shapes(bench.shapes[3:33], 0.0)
     scale = bench.loads[1].added / bench.truth.added[1]
     assert calibrate(campaign).alpha == pytest.approx(scale * bench.truth.alpha, rel=1e-7)

@@ -440,7 +440,7 @@ def test_soft_middle_and_stiff_modes_settle_in_one_and_a_half_and_in_less_than_o
     assert 1.2 < soft < 1.8
     assert 0.5 < stiff < middle < 1.0
     assert steps.position.max() < 1.05
-    assert steps.stiffness == pytest.approx([4533, 6.92e5, 2.23e6], rel=0.01)
+    assert steps.stiffness == pytest.approx([4632, 6.92e5, 2.23e6], rel=0.01)
     assert steps.position[0] == pytest.approx(0.0, abs=1e-9)
 
 

@@ -76,7 +76,7 @@ def test_a_mirror_from_a_file(mine):
     assert (mirror.name, mirror.layout.n, mirror.weight) == ("MINE", 6, -1.0)
     assert mirror.shell == mirrors.Shell(0.02, 0.1, 1.6e-3)
     assert mirror.layout.x[1] == pytest.approx(0.05 * np.cos(1))
-    assert mirror.sensor_annulus == (8e-3, 12.5e-3)
+    assert mirror.sensor == mirrors.Annulus(8e-3, 12.5e-3)
 
 
 def test_a_table_with_units_and_names(mine):
@@ -106,7 +106,9 @@ def test_a_table_with_units_and_names(mine):
         ("inner_radius = 0.02", "inner_radius = 0.06", GeometryError, "actuator 1 stands 0.05 m"),
         ("inner_radius = 0.02", "inner_radius = 0.2", GeometryError, "from 0.2 m to 0.1 m"),
         ("thickness", "radius_of_curvature = -0.05\nthickness", GeometryError, "cannot carry"),
-        ("[shell]", "sensor_annulus = [0.1]\n[shell]", FormatError, "give 2 values"),
+        ("[shell]", "alpha_range = [0.1]\n[shell]", FormatError, "give 2 values"),
+        ("[shell]", "[sensor]\nouter_radius = 0.001\n[shell]", GeometryError, "a sensor from"),
+        ("[shell]", "[sensor]\nouter_radius = 0.05\n[shell]", GeometryError, "its sensor reaches"),
         ("actuators.csv", "nowhere.csv", UnreadableFile, "cannot be read"),
         ("actuators.csv", "mine.toml", FormatError, "lacks column 'X'"),
     ],

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from balanced import p45_bench, p45_campaign
+from balanced import p45_bench, p45_campaign, ungraded
 
-from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.bench.simulated.static import rows_of_cycle, run_cycles, static_bench
 from truenewton.bench.simulated.truth import read_truth, truth_path, write_truth
 from truenewton.campaign import Campaign
 from truenewton.campaign_files import write_campaign
@@ -17,6 +17,11 @@ from truenewton.mirrors import lbt672, p45
 from truenewton.modes import stiffness_modes
 from truenewton.statics import effective_weight, external_load, resultants
 from truenewton.studies.scoring import score
+
+
+def symmetric(stiffness):
+    return 0.5 * (stiffness + stiffness.T)
+
 
 LOADS = (
     Load("bare"),
@@ -33,7 +38,9 @@ def test_true_forces_balance_weight_bias_and_torques_in_every_shape(mirror):
     k = external_load(w, truth.bias_force, truth.torque_y, truth.torque_x)
     size = np.abs(k).max()
     for place, cycle in enumerate(run_cycles(bench, 1)):
-        total = resultants(mirror.layout, truth.alpha * cycle.force)
+        z = truth.sensor_gain * rows_of_cycle(bench)[2]
+        true_force = truth.alpha * cycle.force * (1 + cycle.coil_gradient * z)
+        total = resultants(mirror.layout, true_force + cycle.bias_gradient * z)
         assert total == pytest.approx(np.tile(-k[place], (len(total), 1)), abs=1e-10 * size)
 
 
@@ -58,12 +65,14 @@ def test_stroke_and_force_stay_within_their_limits_and_reach_them(seed):
 
 def test_shapes_are_the_stiffness_modes_softest_first():
     bench = p45_bench()
-    force = bench.shapes @ bench.truth.stiffness
+    force = bench.shapes @ bench.truth.stiffness.T
     stiffness = np.sum(force * bench.shapes, axis=1) / np.sum(bench.shapes**2, axis=1)
     assert bench.shapes.shape == (45, 45)
     assert np.all(np.abs(stiffness[:3]) < 1e-5)  # piston and tilts cost nothing
-    assert np.all(np.diff(stiffness[3:]) > -1e-3)
-    assert force[3:] == pytest.approx(stiffness[3:, None] * bench.shapes[3:], abs=1e-8)
+    assert np.all(np.diff(stiffness[3:]) > -1e-4 * stiffness[4:])
+    # Sensors beside pucks make the stiffness a little unlike its transpose, whose part is not seen.
+    expected = stiffness[3:, None] * bench.shapes[3:]
+    assert np.abs(force[3:] - expected).max() < 0.01 * np.abs(expected).max()
 
 
 def test_a_cycle_is_every_shape_with_both_signs():
@@ -132,7 +141,7 @@ def test_weights_scatter_as_their_errors_say():
 
 
 def test_noiseless_data_give_the_truth_but_for_the_weight_of_the_ring():
-    bench = static_bench(p45(), seed=5, force_noise=0.0)
+    bench = ungraded(static_bench(p45(), seed=5, force_noise=0.0))
     result = score(calibrate(Campaign(tuple(run_cycles(bench, 1))), "svd"), bench.truth)
     assert result.pattern_error < 1e-9
     expected = bench.loads[1].added / bench.truth.added[1] - 1
@@ -145,17 +154,17 @@ def test_a_load_too_heavy_for_the_limit_is_refused():
 
 
 def test_stiffness_modes_are_eigenmodes_of_unit_length():
-    stiffness = p45_bench().truth.stiffness
+    stiffness = symmetric(p45_bench().truth.stiffness)
     found = stiffness_modes(stiffness)
     assert np.all(np.diff(found.stiffness) >= 0)
     assert found.modes.T @ found.modes == pytest.approx(np.eye(45), abs=1e-12)
     error = stiffness @ found.modes - found.modes * found.stiffness
-    assert np.abs(error).max() < 1e-8 * found.stiffness[-1]  # equals are taken together
+    assert np.abs(error).max() < 1e-6 * found.stiffness[-1]  # equals are taken together
 
 
 def test_rounding_does_not_choose_the_modes():
     """Pairs of equal stiffness keep their modes when the matrix is rounded otherwise."""
-    stiffness = p45_bench().truth.stiffness
+    stiffness = symmetric(p45_bench().truth.stiffness)
     noise = 1e-9 * np.random.default_rng(0).standard_normal(stiffness.shape)
     once, again = stiffness_modes(stiffness), stiffness_modes(stiffness + noise)
     assert np.diff(once.stiffness[3:5]) < 1e-6  # a pair

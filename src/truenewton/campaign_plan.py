@@ -170,14 +170,7 @@ def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
     ------
     UnreadableFile, FormatError, LimitExceeded
     """
-    try:
-        return filled(CampaignPlan, read_toml(path), path)
-    except (FormatError, LimitExceeded) as error:
-        if error.path is not None:
-            raise
-        raise type(error)(
-            error.fault, remedy=error.remedy, path=path, got=error.got, want=error.want
-        ) from None
+    return filled(CampaignPlan, read_toml(path), path)
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from truenewton.actuators import Layout, layout
 from truenewton.campaign_files import SUFFIXES, read_layout
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile
-from truenewton.mirrors import KNOWN, Mirror, Shell, mirror
+from truenewton.mirrors import KNOWN, Annulus, Mirror, Shell, mirror
 from truenewton.settings import filled, read_toml
 
 
@@ -35,7 +35,7 @@ class _Written:
     alpha_range: tuple[float, float] = (0.9, 1.1)
     gap: float = 65e-6
     puck_radius: float = 5e-3
-    sensor_annulus: tuple[float, float] = (8e-3, 12.5e-3)
+    sensor: Annulus = field(default_factory=Annulus)
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
@@ -69,9 +69,9 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
                 path=path,
             )
     values: dict[str, Any] = {
-        field.name: getattr(written, field.name)
-        for field in fields(_Written)
-        if field.name != "actuators"
+        part.name: getattr(written, part.name)
+        for part in fields(_Written)
+        if part.name != "actuators"
     }
     made = Mirror(layout=read_actuators(Path(path).parent / written.actuators), **values)
     try:
@@ -124,7 +124,7 @@ def check_glass(mirror: Mirror) -> None:
     ------
     GeometryError
     """
-    shell, r = mirror.shell, np.hypot(mirror.layout.x, mirror.layout.y)
+    shell = mirror.shell
     if not 0 < shell.inner_radius < shell.outer_radius < np.inf or not shell.thickness > 0:
         raise GeometryError(
             f"the glass reaches from {shell.inner_radius:g} m to {shell.outer_radius:g} m, "
@@ -138,11 +138,13 @@ def check_glass(mirror: Mirror) -> None:
             f" {shell.outer_radius:g} m",
             remedy="give a larger one, with sign; leave it out for a plate",
         )
-    arc = radius * np.arcsin(np.minimum(r / radius, 1.0)) if np.isfinite(radius) else r
-    off = np.flatnonzero((arc < shell.inner_radius) | (arc > shell.outer_radius))
+    r = np.hypot(*shell.along(mirror.layout.x, mirror.layout.y))
+    reach = max(mirror.puck_radius, mirror.sensor.outer_radius)
+    off = np.flatnonzero((r - reach < shell.inner_radius) | (r + reach > shell.outer_radius))
     if off.size:
         raise GeometryError(
-            f"actuator {mirror.layout.id[off[0]]} stands {arc[off[0]]:.4g} m from the axis, off the"
-            f" glass",
-            remedy=f"it reaches from {shell.inner_radius:g} m to {shell.outer_radius:g} m",
+            f"actuator {mirror.layout.id[off[0]]} stands {r[off[0]]:.4g} m from the axis: it or its"
+            " sensor reaches off the glass",
+            remedy=f"that is from {shell.inner_radius:g} m to {shell.outer_radius:g} m; the sensor"
+            f" reaches {reach:g} m",
         )

@@ -13,39 +13,69 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.actuators import Layout, spherical_rings
-from truenewton.errors import UnknownName
+from truenewton.actuators import Array, Layout, spherical_rings
+from truenewton.errors import GeometryError, UnknownName
 
 GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
 MOST_ACTUATORS = 5352
 
 
 @dataclass(frozen=True)
+class Annulus:
+    """The electrode of a capacitive sensor, round the magnet of its actuator.
+
+    A reading is the mean displacement over it. 8 to 12.5 mm [conf].
+
+    Attributes
+    ----------
+    inner_radius, outer_radius
+        From the axis of the actuator [m]; equal, they make a circle.
+
+    Raises
+    ------
+    GeometryError
+        Radii that make neither.
+    """
+
+    inner_radius: float = 8e-3
+    outer_radius: float = 12.5e-3
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.inner_radius <= self.outer_radius and 0 < self.outer_radius < np.inf):
+            raise GeometryError(
+                f"a sensor from {self.inner_radius:.6g} m to {self.outer_radius:.6g} m",
+                remedy="give its inner radius, then its outer one",
+                got=(self.inner_radius, self.outer_radius),
+            )
+
+
+@dataclass(frozen=True)
 class Shell:
-    """The glass: a thin annulus of even thickness.
+    """The glass: a thin annulus of even thickness, flat or cut from a sphere.
 
     Attributes
     ----------
     inner_radius, outer_radius, thickness
-        Dimensions [m].
-    radius_of_curvature
-        Of its middle surface [m], positive where the shell rises toward +z away from the axis;
-        infinite for a plate.
+        Dimensions [m]; radii along the glass, arcs on a sphere.
     young_modulus
         E [Pa]; Zerodur 90.3 GPa [conf].
     poisson_ratio
         nu; Zerodur 0.24 [conf].
     density
         [kg/m3]; Zerodur 2530 [conf].
+    radius_of_curvature
+        R [m]; positive where the side toward +z is hollow (concave), negative where it bulges
+        (convex), infinite on a flat mirror. Normal forces and displacements know no difference
+        between concave and convex.
     """
 
     inner_radius: float
     outer_radius: float
     thickness: float
-    radius_of_curvature: float = np.inf
     young_modulus: float = 90.3e9
     poisson_ratio: float = 0.24
     density: float = 2530.0
+    radius_of_curvature: float = np.inf
 
     @property
     def bending_stiffness(self) -> float:
@@ -57,6 +87,27 @@ class Shell:
         """Mass of the glass [kg]."""
         area = np.pi * (self.outer_radius**2 - self.inner_radius**2)
         return float(area * self.thickness * self.density)
+
+    def along(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return positions along the glass, R asin(r / R) from the axis, of points seen along it.
+
+        Layouts give what the balance needs, the distance from the axis; the model of the shell
+        wants the way along the glass. On a flat shell they are the same.
+
+        Raises
+        ------
+        GeometryError
+            A point beside the sphere.
+        """
+        sine = np.hypot(x, y) / abs(self.radius_of_curvature)
+        if not (sine <= 1).all():
+            raise GeometryError(
+                f"a point lies beside the sphere of radius {abs(self.radius_of_curvature):.6g} m",
+                remedy="correct the radius of curvature or the position",
+            )
+        # asin(s) / s, 1 at the axis
+        longer = np.divide(np.arcsin(sine), sine, out=np.ones_like(sine), where=sine > 0)
+        return x * longer, y * longer
 
 
 @dataclass(frozen=True)
@@ -84,9 +135,9 @@ class Mirror:
     gap
         Nominal distance from the reference plate [m].
     puck_radius
-        Radius over which a magnet's puck spreads its force on the glass [m]; 5 mm [guess].
-    sensor_annulus
-        Inner and outer radius of a capacitive sensor around its magnet [m]; 8 and 12.5 mm [conf].
+        Of the circle on which a magnet's puck pushes the glass [m]; 5 mm [guess].
+    sensor
+        Over which a reading is the mean displacement.
     """
 
     name: str
@@ -101,7 +152,7 @@ class Mirror:
     alpha_range: tuple[float, float]
     gap: float
     puck_radius: float = 5e-3
-    sensor_annulus: tuple[float, float] = (8e-3, 12.5e-3)
+    sensor: Annulus = Annulus()
 
 
 def p45() -> Mirror:
@@ -186,7 +237,8 @@ def mmt336() -> Mirror:
     336 actuators on rings of 6, 12, ... 48, 60, 60 from 42.1 to 313.1 mm, the ninth turned by 3
     degrees [conf]; shell 2.0 mm thick [lit, +-10 %], 27.5 to 321 mm, convex with radius 1700 mm
     [guess]; no bias magnets [paper: they were new on P45]; gap 40 um, alpha within 5 %, a tool of
-    -0.5 N, all uncertainties [guess]; the weight is that of shell and magnets.
+    -0.5 N, sensors of 3.5 to 6 mm that fit between the outermost ring and the edge, pucks of 3 mm,
+    all uncertainties [guess]; the weight is that of shell and magnets.
     """
     radii = [42.1, 73.4, 104.8, 136.1, 167.5, 198.8, 230.1, 261.5, 290.8, 313.1]
     curvature, counts = 1.7, [6, 12, 18, 24, 30, 36, 42, 48, 60, 60]
@@ -206,6 +258,8 @@ def mmt336() -> Mirror:
         magnet_mass=2.75e-3,
         alpha_range=(0.915, 1.085),
         gap=40e-6,
+        puck_radius=3e-3,
+        sensor=Annulus(3.5e-3, 6e-3),
     )
 
 

@@ -83,16 +83,15 @@ class _Part:
     rows: BalancedRows
 
     def deviations(self, moments: Moments, some: slice | NDArray[np.int64]) -> Array:
-        """Return (m, n) distances of some rows from the others of their groups, at weight 1 [N].
+        """Return (m, n) deviations of some rows from the others of their groups, at weight 1 [N].
 
-        The mean holds the row itself: seen from the others it lies further out. 0 for a row without
-        others.
+        The mean holds the row itself: seen from the others it lies further out, so that these have
+        the variance of a reading of weight 1. 0 for a row without others.
         """
         group = self.group[some]
         alone, total = moments.rows[group] < 2, moments.weight[group]
         further = np.sqrt(total * self.weight / np.where(alone, np.inf, total - self.weight))
         apart = self.rows.at(some)[0] - moments.mean[group]
-        np.abs(apart, out=apart)
         apart *= further[:, None]
         return apart
 
@@ -121,6 +120,7 @@ def _worst_rows(campaign: Campaign, moments: Moments) -> list[RejectedRow]:
     for part in _parts(campaign, moments):
         for some in part.rows.cycle.used_blocks():
             sigmas = part.deviations(moments, some)
+            np.abs(sigmas, out=sigmas)
             sigmas /= noise
             for at in np.flatnonzero(sigmas.max(axis=1) > limit).tolist():
                 row, i = some.start + at, int(sigmas[at].argmax())
@@ -138,15 +138,23 @@ def _robust(campaign: Campaign, moments: Moments) -> Array:
 
     Of some 200 repeated rows, which tells it to 8 per cent.
     """
-    stride = max(1, moments.rows.sum() // MEDIAN_ROWS)
-    deviations = np.concatenate(
+    by_actuator = np.ascontiguousarray(repeat_deviations(campaign, moments, MEDIAN_ROWS).T)
+    np.abs(by_actuator, out=by_actuator)
+    return np.asarray(np.median(by_actuator, axis=1) / scipy.stats.norm.isf(0.25))
+
+
+def repeat_deviations(campaign: Campaign, moments: Moments, count: int) -> Array:
+    """Return (m, n) deviations of some ``count`` repeated rows from their groups, at weight 1 [N].
+
+    They stand evenly among all repeated rows.
+    """
+    stride = max(1, moments.rows.sum() // count)
+    return np.concatenate(
         [
             part.deviations(moments, np.flatnonzero(moments.rows[part.group] > 1)[::stride])
             for part in _parts(campaign, moments)
         ]
     )
-    by_actuator = np.ascontiguousarray(deviations.T)
-    return np.asarray(np.median(by_actuator, axis=1) / scipy.stats.norm.isf(0.25))
 
 
 def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:

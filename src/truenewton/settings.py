@@ -11,7 +11,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from truenewton.errors import FormatError, UnreadableFile
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
 
 Filled = TypeVar("Filled")
 
@@ -54,6 +54,8 @@ def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: st
     ------
     FormatError
         A key that is unknown, missing, or of the wrong kind.
+    TrueNewtonError
+        What the dataclass itself refuses.
     """
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     place = f"[{where}] " if where else ""
@@ -70,7 +72,12 @@ def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: st
             values[name] = _value(hints[name], table[name], path, inside)
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise FormatError(f"{place}lacks '{name}'", remedy="add it", path=path, want=name)
-    return kind(**values)
+    try:
+        return kind(**values)
+    except TrueNewtonError as error:
+        raise type(error)(
+            f"{place}{error.fault}", remedy=error.remedy, path=path, got=error.got, want=error.want
+        ) from None
 
 
 def _value(kind: Any, value: Any, path: object, where: str) -> Any:

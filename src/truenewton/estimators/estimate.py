@@ -19,17 +19,21 @@ class DataSet:
     sums
         The shapes.
     variance
-        (n,) of one reading of weight 1, the diagonal of Sigma.
+        (n,) of one reading of weight 1, the diagonal of Sigma, as the balance feels it.
     load
         (L, 3) the part of k known beforehand: (W, 0, 0).
     nuisance
         (L, 3, p) derivative of k with respect to the unknowns beside alpha.
+    excess
+        All of the variance of a reading in terms of ``variance``: more than 1 where the mirror's
+        own motion, which balances, makes part of the noise.
     """
 
     sums: ShapeSums
     variance: Array
     load: Array
     nuisance: Array
+    excess: float = 1.0
 
     def external(self, psi: Array) -> Array:
         """Return (L, 3) k of every load."""

@@ -12,8 +12,10 @@ V = Sigma - Sigma diag(alpha) A' S^-1 A diag(alpha) Sigma, which feigns, for eac
 
     D = (A' S^-1 A) o V        on alpha                                   (o: elementwise)
 
-H = M - D is the information, and H^-1 M H^-1 the covariance. Everything is written in sums over
-shapes (`moments.ShapeSums`), so that an iteration costs O(n^3) whatever the number of shapes.
+H = M - D is the information, and H^-1 M H^-1 the covariance. Noise need not be independent: motion
+of the mirror itself balances, so that less of Sigma reaches rho and P; V has all of it. Everything
+is written in sums over shapes (`moments.ShapeSums`), so that an iteration costs O(n^3) whatever the
+number of shapes.
 """
 
 from __future__ import annotations
@@ -100,7 +102,7 @@ def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
         # H: c^ c^' less, for each shape, V.
         left = np.concatenate([p, half.T, -sums.shapes * taken.T], axis=1)
         _add_product(h, white, sums.square, left, np.concatenate([half, p.T, taken]))
-        once = sums.shapes * np.sum(white**2, axis=0) * part.variance
+        once = sums.shapes * part.excess * np.sum(white**2, axis=0) * part.variance
         h[np.arange(n), np.arange(n)] -= once
         diagonal += once
         roots.append(np.sqrt(sums.shapes) * (white[:, None] * taken).reshape(9, n))
@@ -267,7 +269,7 @@ def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
         white, weighed = np.linalg.cholesky(s_inverse).T @ a, s_inverse @ a
         _add_product(matrix, white, sums.square, nothing, nothing.T)
         at = np.arange(n)
-        matrix[at, at] -= sums.shapes * part.variance * np.sum(white**2, axis=0)
+        matrix[at, at] -= sums.shapes * part.excess * part.variance * np.sum(white**2, axis=0)
         rho = sums.weight[:, None] * part.load + sums.known
         right[n:] -= _add_nuisance(matrix, part, s_inverse, a, sums.force, rho)
         right[:n] -= np.sum(weighed * (part.load.T @ sums.force + sums.known_force), axis=0)

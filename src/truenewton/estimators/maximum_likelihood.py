@@ -34,6 +34,7 @@ from truenewton.estimators.problem import (
     reading_noise,
     roughly_scaled,
     with_noise_from_minimum,
+    with_share_in_balance,
 )
 from truenewton.identifiability import (
     diagnose,
@@ -72,6 +73,9 @@ def find(campaign: Campaign, population: bool = False) -> Found:
     refuse_too_many(len(rejected), rows)
     free = posed(campaign, reading_noise(sound, moments))
     kept, distance, (problem, estimate), patterns = _fitted(free, sound, moments)
+    free = with_share_in_balance(free, sound, moments, estimate.values[: free.n])
+    if free.noise.share != 1.0:
+        kept, distance, (problem, estimate), patterns = _fitted(free, sound, moments)
     if not kept.all():
         actuator = problem.standing_out(estimate.values, moments)
         rejected += tuple(rows_of(sound, moments, ~kept, distance, actuator))

@@ -25,11 +25,10 @@ from truenewton.identifiability import (
     ENOUGH_REPEATS,
 )
 from truenewton.moments import WEIGHED_NOISE, Moments
-from truenewton.outliers import (
-    squared_distances,
-    standing_out,
-)
+from truenewton.outliers import repeat_deviations, squared_distances, standing_out
 from truenewton.uncertainty import WeightError, weight_errors
+
+SHARE_ROWS = 1000  # which tell the share to 3 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,10 +41,19 @@ class Noise:
         (n,) [N^2].
     source
         'repeats', 'FORCERR', or 'minimum' where only its shape is known and the fit gives its size.
+    share
+        How much of it reaches the balance, in terms of independent actuators: less than 1 where the
+        mirror's own motion makes part of it, more where something pushes many actuators at once.
     """
 
     variance: Array
     source: str
+    share: float = 1.0
+
+    @property
+    def in_balance(self) -> Array:
+        """(n,) variance of one reading as the balance feels it [N^2]."""
+        return self.variance * self.share
 
 
 def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
@@ -137,8 +145,8 @@ class Problem:
 
     def data(self, moments: Moments) -> list[DataSet]:
         """Return the shapes of each load, with its weight and unknowns, and the elastic ones."""
-        of_loads = load_data(self.campaign, moments, self.noise.variance, self.errors)
-        return [of_loads, *self.elastic]
+        of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
+        return [replace(of_loads, excess=1.0 / self.noise.share), *self.elastic]
 
     def fitted(self, moments: Moments, start: Array | None = None) -> Estimate:
         """Return the likeliest values."""
@@ -149,10 +157,10 @@ class Problem:
     def imbalance(self, values: Array, moments: Moments) -> tuple[Array, Array]:
         """Return (g, 3) rho of the groups, and S."""
         arms = self.a * values[: self.n]
-        of_loads = load_data(self.campaign, moments, self.noise.variance, self.errors)
+        of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
         k = of_loads.external(values[self.n :])
         rho = moments.mean @ arms.T + moments.known + k[moments.labels[:, 0]]
-        return rho, (arms * self.noise.variance) @ arms.T
+        return rho, (arms * self.noise.in_balance) @ arms.T
 
     def distances(self, values: Array, moments: Moments) -> Array:
         """Return (g,) squared Mahalanobis distances of the groups."""
@@ -201,6 +209,26 @@ def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
     distance = problem.distances(start, moments)[moments.rows > 0]
     size = 0.25 * float(np.median(distance)) / scipy.stats.chi2.median(3)
     return replace(problem, noise=Noise(problem.noise.variance * max(size, 1.0), "minimum"))
+
+
+def with_share_in_balance(
+    problem: Problem, campaign: Campaign, moments: Moments, alpha: Array
+) -> Problem:
+    """Return the problem with the share of the repeats' scatter that reaches the balance.
+
+    From the imbalance of deviations from the mean, A diag(alpha) (c - c_mean), of some repeated
+    rows; 1 unless they say otherwise by more than four standard errors.
+    """
+    if problem.noise.source != "repeats":
+        return problem
+    arms = problem.a * alpha
+    rho = repeat_deviations(campaign, moments, SHARE_ROWS) @ arms.T
+    s = (arms * problem.noise.variance) @ arms.T
+    share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
+    share = max(share, least_variance(moments) / problem.noise.variance.mean())
+    if abs(share - 1.0) < 4 * np.sqrt(2 / (3 * len(rho))):
+        return problem
+    return replace(problem, noise=replace(problem.noise, share=share))
 
 
 def with_noise_from_minimum(

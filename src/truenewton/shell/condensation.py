@@ -22,13 +22,16 @@ class Condensed:
     reaction
         (n, 3) R; -R T_q are the forces that bear a load of resultants T_q with the actuators'
         points held still, apart from the load's own displacement.
+    motion
+        (3, n) rigid motion, as multiples of the tilts, that goes with displacements [1/m per m].
     """
 
     stiffness: Array
     reaction: Array
+    motion: Array
 
 
-def condense(compliance: Array, tilts: Array) -> Condensed:
+def condense(compliance: Array, tilts: Array, *, reciprocal: bool = True) -> Condensed:
     """Turn influences, right for balanced forces, into the forces that hold displacements.
 
     Inverts the bordered system [[G, T'], [T, 0]] (forces f and a rigid motion c such that
@@ -39,7 +42,10 @@ def condense(compliance: Array, tilts: Array) -> Condensed:
     compliance
         (n, n) G, displacement at the actuators per unit force [m/N], up to rigid motions.
     tilts
-        (3, n) T, rows 1, x, y at the actuators [-, m, m].
+        (3, n) T, rows 1, x, y at the actuators [-, m, m]: the rigid motions, and the arms of the
+        forces that the compliance is right for.
+    reciprocal
+        Whether displacements are read just as forces act, so that the stiffness is symmetric.
 
     Returns
     -------
@@ -66,8 +72,39 @@ def condense(compliance: Array, tilts: Array) -> Condensed:
         )
     # The inverse, not a solve: balanced' tilts' = 0 then makes rigid motions free to rounding.
     stiffness: Array = balanced @ np.linalg.inv(flexibility) @ balanced.T
-    stiffness = 0.5 * (stiffness + stiffness.T)
-    return Condensed(stiffness, arms - stiffness @ (compliance @ arms))
+    if reciprocal:
+        stiffness = 0.5 * (stiffness + stiffness.T)
+    motion = arms.T - (arms.T @ compliance) @ stiffness
+    return Condensed(stiffness, arms - stiffness @ (compliance @ arms), motion)
+
+
+def rearming(tilts: Array, arms: Array) -> Array:
+    """Return the displacements of a sphere for those of a shallow shell, z = J w.
+
+    A shallow shell is free to move as 1, x, y along the glass; a sphere is free to move as nz and
+    the distances from the axis, the arms of the balance (`statics.arms`), 2.5 % from the former at
+    the edge of LBT672. Only the rigid part of w is exchanged,
+
+        J = 1 + (arms - tilts)' (T T')^-1 T
+
+    so that J T' are the arms and what has no rigid part stays as it is. By virtual work the shell
+    feels the forces J' f, balanced over the tilts just where f is over the arms. So with G of the
+    shallow shell J G J' is the compliance to `condense` with the arms, and J w_q the influence of a
+    load on what holds it. Without J, forces balanced over the arms leave the shell unbalanced, and
+    whatever springs hold it shows in the result.
+
+    Parameters
+    ----------
+    tilts, arms
+        (3, n) T, rigid motions of the shallow shell, and what to put in their place.
+
+    Returns
+    -------
+    numpy.ndarray
+        (n, n) J.
+    """
+    exchanged: Array = np.eye(tilts.shape[1]) + (arms - tilts).T @ np.linalg.pinv(tilts).T
+    return exchanged
 
 
 def holding_forces(

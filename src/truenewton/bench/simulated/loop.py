@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import repeat
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from truenewton.actuators import Array
 from truenewton.bench.simulated.coils import (
@@ -115,7 +115,7 @@ class Record:
     position: Array
     position_scatter: Array
     drift: Array
-    settled: Array
+    settled: NDArray[np.bool_]
 
 
 def row_noise(seed: int, load: str, cycle: int, shape: int, sign: int) -> np.random.Generator:

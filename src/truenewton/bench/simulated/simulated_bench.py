@@ -15,6 +15,7 @@ from truenewton.bench.simulated.static import (
     SECONDS_PER_SHAPE,
     SENSOR_NOISE,
     START,
+    held_command,
     row_noise,
     static_bench,
 )
@@ -102,15 +103,14 @@ class SimulatedBench:
         shape, bench, n = self._shape, self._bench, self.layout.n
         if shape is None:
             raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
-        truth = bench.truth
-        exact = shape.position @ truth.stiffness + bench.load_force[self._place]
-        random = row_noise(truth.seed, shape.load, shape.cycle, shape.number, shape.sign)
+        exact = held_command(bench, self._place, shape.position)
+        random = row_noise(bench.truth.seed, shape.load, shape.cycle, shape.number, shape.sign)
         noise = random.standard_normal(2 * n) * np.sqrt(SAMPLES / samples)
         self._counter += 1
         self._clock += datetime.timedelta(seconds=SECONDS_PER_SHAPE)
         return Reading(
             time=self._clock,
-            force=exact / truth.alpha + bench.force_noise * noise[:n],
+            force=exact + bench.force_noise * noise[:n],
             position=shape.position + SENSOR_NOISE * noise[n:],
             force_scatter=np.full(n, bench.force_noise * np.sqrt(SAMPLES)),
             position_scatter=np.full(n, SENSOR_NOISE * np.sqrt(SAMPLES)),

@@ -1,8 +1,9 @@
-"""A bench in static equilibrium: every shape is held exactly, the readings are noisy.
+"""The simulated mirror in static equilibrium: every shape is held exactly, the readings are noisy.
 
 A shape z is held by the true forces f = K z + f_load, where f_load carries what else acts on the
 shell: the weight of the glass, spread evenly; magnets and bias magnets, each at its actuator; the
-weight tool on three wedges. The electronics record c = f / alpha. The shell is a flat plate.
+weight tool on three wedges. The bias magnets change by BIASGRAD z, and the electronics record
+c = f / (alpha (1 + COILGRAD z)).
 """
 
 from __future__ import annotations
@@ -13,21 +14,23 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.actuators import Array
+from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
+from truenewton.bench.simulated.sensors import Sensors, draw_sensors
 from truenewton.bench.simulated.truth import Truth
-from truenewton.errors import LimitExceeded
+from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.measurements import Cycle, Load
 from truenewton.mirrors import GRAVITY, Mirror
 from truenewton.modes import stiffness_modes
-from truenewton.shell.condensation import condense, holding_forces
-from truenewton.shell.fourier import influence, uniform_influence
-from truenewton.statics import arms, resultants
+from truenewton.shell.held_glass import HeldGlass, forces_under, held_glass
+from truenewton.statics import resultants
 
 START = datetime.datetime(2026, 1, 1, 9, 0, tzinfo=datetime.UTC)  # of the simulated clock
 SECONDS_PER_SHAPE = 0.5
 PAUSE = datetime.timedelta(minutes=30)  # in which someone lifts the glass to put the ring on it
-WEDGE_MARGIN = 2.5e-3  # wedges of the tool outside the inner edge of the shell [m, guess]
+WEDGE_MARGIN = 1.5e-3  # wedges of the tool outside the inner edge of the shell [m, guess]
 CENTRING_ERROR = 0.3e-3  # of the tool, each axis [m, guess]
 BIAS_SCATTER = 0.05  # relative, of the bias magnets [guess]
 SENSOR_NOISE = 3e-9 / np.sqrt(2048)  # 3 nm a sample [paper], the mean of 2,048 [conf]
@@ -41,22 +44,30 @@ class StaticBench:
     ----------
     mirror, truth
         What is known of it, and what is true.
+    glass, coils, sensors
+        What holds and reads it, as it truly is.
     loads
         The loads, as declared.
     shapes
-        (shapes, n) displacements along z [m]: stiffness modes, softest first.
+        (shapes, n) readings along z [m]: stiffness modes, softest first.
     load_force
         (L, n) true forces that hold the flat mirror under each load [N].
     force_noise
         Standard deviation of one commanded-force reading [N].
+    temperature
+        [deg C]
     """
 
     mirror: Mirror
     truth: Truth
+    glass: HeldGlass
+    coils: Coils
+    sensors: Sensors
     loads: tuple[Load, ...]
     shapes: Array
     load_force: Array
     force_noise: float
+    temperature: float
 
 
 def static_bench(
@@ -67,6 +78,7 @@ def static_bench(
     stroke: float = 1e-6,
     force_limit: float = 0.4,
     force_noise: float = 1e-4,
+    temperature: float = REFERENCE_TEMPERATURE,
 ) -> StaticBench:
     """Draw the truth of a mirror and plan its stiffness modes within stroke and force.
 
@@ -75,8 +87,8 @@ def static_bench(
     mirror
         What is known of the mirror.
     seed
-        Decides everything random: alpha, the bias magnets, the true weights within their errors,
-        how the tool is centred, the noise.
+        Decides everything random: alpha, the bias magnets, sensors, the true weights within their
+        errors, how the tool is centred, the noise.
     loads
         The loads as declared; without and with the mirror's own tool unless told.
     stroke
@@ -85,9 +97,13 @@ def static_bench(
         Largest force, true and commanded, of an actuator in any shape [N].
     force_noise
         Standard deviation of one commanded-force reading [N].
+    temperature
+        Of magnets and coils [deg C].
 
     Raises
     ------
+    GeometryError
+        A shell or actuators that cannot be.
     LimitExceeded
         The static forces alone are too large.
     """
@@ -97,6 +113,13 @@ def static_bench(
         Load("bare"),
         Load("ring", mirror.added_weight, mirror.added_weight_error, tool="ring"),
     )
+    if mirror.gap - stroke <= 0:
+        raise GeometryError(
+            f"a stroke of {stroke:g} m closes the gap of {mirror.gap:g} m",
+            remedy="take smaller shapes or a larger gap",
+            got=stroke,
+            want=mirror.gap,
+        )
     alpha = random.uniform(*mirror.alpha_range, n)
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
@@ -104,27 +127,24 @@ def static_bench(
     added = [load.added + load.added_error * wrong[load.tool or load.key] for load in loads]
     tilt = [load.tilt + load.tilt_error * random.standard_normal() for load in loads]
 
-    at = (layout.x, layout.y)
-    condensed = condense(influence(mirror.shell, at, at), arms(layout))
+    glass = held_glass(mirror)
     magnets = np.full(n, -mirror.magnet_mass * GRAVITY)
-    glass = weight - magnets.sum()
-    even = uniform_influence(mirror.shell, at)
     held, external = [], []
     for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):
-        wedges = _wedges(mirror, random)
+        spread, wedges = cosine * (weight - magnets.sum()), _wedges(mirror, random)
         on_wedge = np.full(3, cosine * q / 3)
-        bent = cosine * glass * even + influence(mirror.shell, at, wedges) @ on_wedge
-        spread = np.array([cosine * glass, 0.0, 0.0]) + np.array(
-            [on_wedge.sum(), wedges[0] @ on_wedge, wedges[1] @ on_wedge]
-        )
         # Taken up by each actuator itself, along its normal.
         local = cosine * magnets / layout.nz + bias
-        held.append(holding_forces(condensed, np.zeros(n), bent, spread) - local)
-        external.append(spread + resultants(layout, local))
+        held.append(forces_under(glass, spread, wedges, on_wedge) - local)
+        of_tool = [spread + on_wedge.sum(), wedges[0] @ on_wedge, wedges[1] @ on_wedge]
+        external.append(of_tool + resultants(layout, local))
     k = np.array(external)  # (W + B, M_y, -M_x) of each load
     load_force = np.array(held)
+    coils = Coils(alpha, bias)
+    sensors = draw_sensors(n, mirror.gap, random)
+    warm = gain(coils, temperature)[:, 0]
     # What is recorded stays under the limit too, with room for its noise.
-    room = force_limit * np.minimum(alpha, 1.0) - 5 * force_noise - np.abs(load_force).max(axis=0)
+    room = force_limit * np.minimum(warm, 1.0) - 5 * force_noise - np.abs(load_force).max(axis=0)
     if (room <= 0).any():
         raise LimitExceeded(
             f"holding the mirror alone takes actuator {layout.id[room.argmin()]} beyond the limit"
@@ -136,8 +156,9 @@ def static_bench(
     truth = Truth(
         instrument=mirror.name,
         layout=layout,
-        alpha=alpha,
-        stiffness=condensed.stiffness,
+        alpha=warm,
+        stiffness=glass.stiffness,
+        sensor_gain=sensors.gain,
         weight=weight,
         added=np.array(added),
         tilt=np.array(tilt),
@@ -147,8 +168,12 @@ def static_bench(
         torque_x=-k[:, 2],
         seed=seed,
     )
-    shapes = _scaled_modes(condensed.stiffness, stroke, room)
-    return StaticBench(mirror, truth, loads, shapes, load_force, force_noise)
+    held_by = (glass.stiffness - coils.bias_gradient * np.eye(n)) * sensors.gain
+    room /= 1 + coils.coil_gradient * stroke
+    shapes = _scaled_modes(glass.stiffness, held_by, stroke, room)
+    return StaticBench(
+        mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise, temperature
+    )
 
 
 def _wedges(mirror: Mirror, random: np.random.Generator) -> tuple[Array, Array]:
@@ -159,10 +184,13 @@ def _wedges(mirror: Mirror, random: np.random.Generator) -> tuple[Array, Array]:
     return radius * np.cos(angle) + off_x, radius * np.sin(angle) + off_y
 
 
-def _scaled_modes(stiffness: Array, stroke: float, room: Array) -> Array:
-    """Return the stiffness modes, each as large as stroke and force allow."""
+def _scaled_modes(stiffness: Array, held_by: Array, stroke: float, room: Array) -> Array:
+    """Return the stiffness modes, each as large as stroke and force allow.
+
+    Forces are (n, n) ``held_by`` times the readings.
+    """
     modes = stiffness_modes(stiffness).modes.T
-    force = np.abs(modes @ stiffness)
+    force = np.abs(modes @ held_by.T)
     largest = np.abs(modes).max(axis=1)
     amplitude = np.minimum(
         stroke / largest, (room / np.maximum(force, 1e-12 * room.max())).min(axis=1)
@@ -170,15 +198,12 @@ def _scaled_modes(stiffness: Array, stroke: float, room: Array) -> Array:
     return np.asarray(modes * amplitude[:, None])
 
 
-def run_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
-    """Yield the cycles of a campaign: every shape and its negative, under each load in turn."""
-    start = START
-    for place in range(len(bench.loads)):
-        for number in range(1, cycles + 1):
-            cycle = _cycle(bench, place, number, start)
-            yield cycle
-            start += datetime.timedelta(seconds=SECONDS_PER_SHAPE * (len(cycle.time) + 1))
-        start += PAUSE
+def held_command(bench: StaticBench, place: int, position: Array) -> Array:
+    """Return the (rows, n) commands that hold (rows, n) readings under a load, noiseless [N]."""
+    z = position * bench.sensors.gain
+    true_force = z @ bench.glass.stiffness.T + bench.load_force[place]
+    true_force -= bench.coils.bias_gradient * z
+    return np.asarray(true_force / (bench.truth.alpha * (1 + bench.coils.coil_gradient * z)))
 
 
 def row_noise(seed: int, load: Load, cycle: int, shape: int, sign: int) -> np.random.Generator:
@@ -186,34 +211,70 @@ def row_noise(seed: int, load: Load, cycle: int, shape: int, sign: int) -> np.ra
     return np.random.default_rng([seed, 1, zlib.crc32(load.key.encode()), cycle, shape, sign + 1])
 
 
-def _cycle(bench: StaticBench, place: int, number: int, start: datetime.datetime) -> Cycle:
-    truth, load, mirror = bench.truth, bench.loads[place], bench.mirror
-    count, n = bench.shapes.shape
-    shape = np.repeat(np.arange(1, count + 1), 2)
-    sign = np.tile([1, -1], count)
-    position = sign[:, None] * bench.shapes[shape - 1]
-    true_force = position @ truth.stiffness + bench.load_force[place]
-    noise = np.array(
-        [
-            row_noise(truth.seed, load, number, k, s).standard_normal(2 * n)
-            for k, s in zip(shape.tolist(), sign.tolist(), strict=True)
-        ]
-    )
+def run_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
+    """Yield the cycles of a campaign: every shape and its negative, under each load in turn."""
+    for place, number, start in schedule(bench, cycles):
+        shape, sign, position = rows_of_cycle(bench)
+        n = bench.shapes.shape[1]
+        noise = np.array(
+            [
+                row_noise(bench.truth.seed, bench.loads[place], number, k, s).standard_normal(2 * n)
+                for k, s in zip(shape.tolist(), sign.tolist(), strict=True)
+            ]
+        )
+        force = held_command(bench, place, position) + bench.force_noise * noise[:, :n]
+        read = position + SENSOR_NOISE * noise[:, n:]
+        settled = np.ones(len(shape), dtype=bool)
+        yield cycle_of(bench, place, number, start, force, read, settled, bench.force_noise)
+
+
+def schedule(bench: StaticBench, cycles: int) -> Iterator[tuple[int, int, datetime.datetime]]:
+    """Yield place of the load, number and start of each cycle."""
+    start = START
+    for place in range(len(bench.loads)):
+        for number in range(1, cycles + 1):
+            yield place, number, start
+            start += datetime.timedelta(seconds=SECONDS_PER_SHAPE * (2 * len(bench.shapes) + 1))
+        start += PAUSE
+
+
+def rows_of_cycle(bench: StaticBench) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    """Return SHAPE, SIGN (N,) and the (N, n) readings asked for [m]."""
+    count = len(bench.shapes)
+    shape, sign = np.repeat(np.arange(1, count + 1), 2), np.tile([1, -1], count)
+    return shape, sign, np.asarray(sign[:, None] * bench.shapes[shape - 1])
+
+
+def cycle_of(
+    bench: StaticBench,
+    place: int,
+    number: int,
+    start: datetime.datetime,
+    force: Array,
+    position: Array,
+    valid: NDArray[np.bool_],
+    force_error: float,
+) -> Cycle:
+    """Return the record of one cycle, with what the files declare of the mirror."""
+    shape, sign, _ = rows_of_cycle(bench)
+    mirror = bench.mirror
     return Cycle(
         instrument=mirror.name,
         date=start,
         number=number,
-        load=load,
+        load=bench.loads[place],
         weight=mirror.weight,
         weight_error=mirror.weight_error,
         layout=mirror.layout,
-        time=SECONDS_PER_SHAPE * np.arange(1, 2 * count + 1),
+        time=SECONDS_PER_SHAPE * np.arange(1.0, len(shape) + 1),
         shape=shape,
         sign=sign,
-        force=true_force / truth.alpha + bench.force_noise * noise[:, :n],
-        valid=np.ones(2 * count, dtype=bool),
-        temperature=np.full(2 * count, 20.0),
-        position=position + SENSOR_NOISE * noise[:, n:],
+        force=force,
+        valid=valid,
+        temperature=np.full(len(shape), bench.temperature),
+        position=position,
         gap=mirror.gap,
-        force_error=bench.force_noise or None,
+        force_error=force_error or None,
+        coil_gradient=bench.coils.coil_gradient,
+        bias_gradient=bench.coils.bias_gradient,
     )

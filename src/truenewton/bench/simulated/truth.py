@@ -24,7 +24,9 @@ class Truth:
     alpha
         (n,) true Newton / commanded Newton.
     stiffness
-        (n, n) true force per true displacement [N/m].
+        (n, n) true force per true displacement [N/m], bias magnets not counted.
+    sensor_gain
+        (n,) true displacement / reading.
     weight
         True P [N].
     added, tilt
@@ -43,6 +45,7 @@ class Truth:
     layout: Layout
     alpha: Array
     stiffness: Array
+    sensor_gain: Array
     weight: float
     added: Array
     tilt: Array
@@ -79,7 +82,13 @@ def write_truth(truth: Truth, path: str | os.PathLike[str], *, overwrite: bool =
     )
     sheets = [
         actuators_sheet(truth.layout),
-        Sheet("TRUTH", columns=(("ALPHA", "D", None, truth.alpha),)),
+        Sheet(
+            "TRUTH",
+            columns=(
+                ("ALPHA", "D", None, truth.alpha),
+                ("SENSOR_GAIN", "D", None, truth.sensor_gain),
+            ),
+        ),
         loads,
         Sheet("TRUE_STIFFNESS", data=truth.stiffness, unit="N/m"),
     ]
@@ -94,6 +103,7 @@ def read_truth(path: str | os.PathLike[str]) -> Truth:
         instrument=file.text("INSTRUME"),
         layout=layout_from(file),
         alpha=file.table("TRUTH").column("ALPHA"),
+        sensor_gain=file.table("TRUTH").column("SENSOR_GAIN"),
         stiffness=file.image("TRUE_STIFFNESS").values("N/m"),
         weight=file.number("WEIGHT"),
         added=loads.column("ADDED", unit="N"),
