@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truenewton.actuators import Array
 from truenewton.bench.simulated.control import Control
 from truenewton.bench.simulated.loop import Loop, closed_loop, record, row_noise
 from truenewton.bench.simulated.plant import film_damping
