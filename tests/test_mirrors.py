@@ -109,6 +109,7 @@ def test_a_table_with_units_and_names(mine):
         ("[shell]", "alpha_range = [0.1]\n[shell]", FormatError, "give 2 values"),
         ("[shell]", "[sensor]\nouter_radius = 0.001\n[shell]", GeometryError, "a sensor from"),
         ("[shell]", "[sensor]\nouter_radius = 0.05\n[shell]", GeometryError, "its sensor reaches"),
+        ("[shell]", "alpha_range = [0.0, 1.1]\n[shell]", FormatError, "alpha_range is [0.0, 1.1]"),
         ("actuators.csv", "nowhere.csv", UnreadableFile, "cannot be read"),
         ("actuators.csv", "mine.toml", FormatError, "lacks column 'X'"),
     ],

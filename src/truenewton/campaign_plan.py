@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
+import importlib.resources
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from truenewton.actuators import Array
+from truenewton.actuators import Array, Layout
 from truenewton.campaign_files import is_stiffness_file, stiffness_from
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.fitsfiles import read_fits
-from truenewton.measurements import Load
+from truenewton.measurements import Load, check_load
 from truenewton.mirror_files import mirror_from
 from truenewton.mirrors import Mirror
 from truenewton.modes import stiffness_modes
 from truenewton.settings import filled, read_toml
-from truenewton.shell.fourier import stiffness
+from truenewton.shell.held_glass import held_glass
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,8 @@ class PlannedShapes:
     stroke
         Largest displacement of an actuator in any shape [m].
     force
-        Largest force of an actuator that a shape may take, static forces aside [N].
+        Largest force of an actuator that a shape may take, static forces aside [N]: true by the
+        model, commanded by a measured matrix.
     """
 
     source: str = "modes"
@@ -112,6 +115,8 @@ class CampaignPlan:
         Of one reading.
     settling
         Time given to the mirror after each command [s].
+    pause
+        Time that it takes to change the load [s]; for the prediction only.
     force_noise
         Standard deviation of one reading that the prediction reckons with [N].
     shapes, limits, bench
@@ -123,6 +128,7 @@ class CampaignPlan:
     cycles: int = 4
     samples: int = 2048
     settling: float = 0.02
+    pause: float = 1800.0
     force_noise: float = 1e-4
     shapes: PlannedShapes = PlannedShapes()
     limits: Limits = Limits()
@@ -132,25 +138,38 @@ class CampaignPlan:
         for name, low, high in (("cycles", 1, 999), ("samples", 1, 10**9)):
             if not low <= getattr(self, name) <= high:
                 raise _wrong(name, getattr(self, name), f"give {low} to {high}")
-        for part, name in (
-            (self, "settling"), (self, "force_noise"), (self.shapes, "stroke"),
-            (self.shapes, "force"), (self.limits, "force"), (self.limits, "displacement"),
-            (self.limits, "gap"),
+        shapes, limits, bench = self.shapes, self.limits, self.bench
+        for name, value in (
+            ("force_noise", self.force_noise), ("shapes.stroke", shapes.stroke),
+            ("shapes.force", shapes.force), ("limits.force", limits.force),
+            ("limits.displacement", limits.displacement),
         ):  # fmt: skip
-            if not 0 <= getattr(part, name) < np.inf:
-                raise _wrong(name, getattr(part, name), "give a positive number")
-        if self.shapes.count < 0:
-            raise _wrong("shapes.count", self.shapes.count, "give a number of shapes, 0 for all")
-        if not self.limits.temperature[0] < self.limits.temperature[1]:
-            raise _wrong("limits.temperature", list(self.limits.temperature), "lowest first")
-        if self.bench.kind not in KINDS:
-            raise _wrong("bench.kind", self.bench.kind, f"choose {', '.join(KINDS)}")
+            if not 0 < value < np.inf:
+                raise _wrong(name, value, "give a positive number")
+        for name, value in (
+            ("settling", self.settling), ("pause", self.pause), ("limits.gap", limits.gap),
+            ("shapes.count", shapes.count), ("bench.seed", bench.seed),
+            ("bench.force_noise", bench.force_noise),
+        ):  # fmt: skip
+            if not 0 <= value < np.inf:
+                raise _wrong(name, value, "give zero or more")
+        if not limits.temperature[0] < limits.temperature[1]:
+            raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
+        if bench.kind not in KINDS:
+            raise _wrong("bench.kind", bench.kind, f"choose {', '.join(KINDS)}")
+        for load in self.loads:
+            try:
+                check_load(load)
+            except FormatError as error:
+                raise FormatError(
+                    f"load '{load.name}': {error.fault}", remedy=error.remedy, got=error.got
+                ) from None
         names = [load.key for load in self.loads]
         if not names or len(set(names)) < len(names):
             raise _wrong("loads", names, "give every load once, with a name of its own")
         for what, limit, planned in (
-            ("stroke", self.limits.displacement, self.shapes.stroke),
-            ("force", self.limits.force, self.shapes.force),
+            ("stroke", limits.displacement, shapes.stroke),
+            ("force", limits.force, shapes.force),
         ):
             if planned > limit:
                 raise LimitExceeded(
@@ -171,6 +190,11 @@ def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
     UnreadableFile, FormatError, LimitExceeded
     """
     return filled(CampaignPlan, read_toml(path), path)
+
+
+def template() -> str:
+    """Return a commented plan (TOML), valid as it stands: P45 without and with the ring."""
+    return (importlib.resources.files("truenewton") / "plan.toml").read_text(encoding="utf-8")
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:
@@ -217,10 +241,40 @@ def planned_shapes(
     ------
     UnreadableFile, FormatError
     """
-    if plan.shapes.source == "modes":
-        model = stiffness(mirror.shell, mirror.layout.x, mirror.layout.y)
-        return scaled_shapes(stiffness_modes(model).modes.T, model, plan.shapes)
+    return shapes_and_forces(plan, mirror, folder)[0]
+
+
+def expected_alpha(mirror: Mirror) -> float:
+    """Return the true over commanded Newton that a plan reckons with: the middle of its range."""
+    return float(np.mean(mirror.alpha_range))
+
+
+def shapes_and_forces(
+    plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str] = "."
+) -> tuple[Array, Array]:
+    """Return the shapes of a plan, and the forces that the electronics may be expected to command.
+
+    Disabled actuators take no part: their displacement and force are 0.
+
+    Returns
+    -------
+    shapes
+        (shapes, n) displacements [m], each to be taken with both signs.
+    force
+        (shapes, n) commanded forces, those of the loads aside [N]: by the measured matrix where
+        that gives the shapes, else by the model over `expected_alpha`.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    on = mirror.layout.enabled
     path = Path(folder) / plan.shapes.source
+    if plan.shapes.source == "modes":
+        true = model_stiffness(mirror)
+        modes = stiffness_modes(true).modes.T
+        scaled = scaled_shapes(modes, true, plan.shapes)
+        return _spread(scaled, true / expected_alpha(mirror), on)
     file = read_fits(path)
     if is_stiffness_file(file):
         matrix = stiffness_from(file)
@@ -230,13 +284,40 @@ def planned_shapes(
                 remedy="plan with the measured matrix of the same mirror",
                 path=path,
             )
-        modes = np.linalg.svd(matrix.stiffness)[2][::-1]
-        return scaled_shapes(modes, matrix.stiffness, plan.shapes)
+        measured = matrix.stiffness[np.ix_(on, on)]
+        modes = np.linalg.svd(measured)[2][::-1]
+        return _spread(scaled_shapes(modes, measured, plan.shapes), measured, on)
     shapes = file.image("SHAPES").values("m")
-    if shapes.ndim != 2 or shapes.shape[1] != mirror.layout.n:
+    if shapes.ndim != 2 or shapes.shape[1] != on.size or not len(shapes):
         raise FormatError(
-            f"SHAPES is {shapes.shape}",
-            remedy=f"give shapes x {mirror.layout.n} actuators",
-            path=path,
+            f"SHAPES is {shapes.shape}", remedy=f"give shapes x {on.size} actuators", path=path
         )
-    return shapes[: plan.shapes.count or None]
+    chosen = shapes[: plan.shapes.count or None, on]
+    if not np.isfinite(chosen).all():
+        raise FormatError("SHAPES holds NaN or inf", remedy="correct it", path=path)
+    return _spread(chosen, model_stiffness(mirror) / expected_alpha(mirror), on)
+
+
+def shapes_are_given(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> bool:
+    """Tell whether a file gives the shapes as they stand, whatever stroke and force say."""
+    source = plan.shapes.source
+    return source != "modes" and not is_stiffness_file(read_fits(Path(folder) / source))
+
+
+def model_stiffness(mirror: Mirror) -> Array:
+    """Return (m, m) true force per reading of the enabled actuators, along normals [N/m]."""
+    return held_glass(with_enabled_only(mirror)).stiffness
+
+
+def with_enabled_only(mirror: Mirror) -> Mirror:
+    """Return the mirror without its disabled actuators."""
+    layout, on = mirror.layout, mirror.layout.enabled
+    kept = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
+    return replace(mirror, layout=kept)
+
+
+def _spread(shapes: Array, stiffness: Array, on: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return shapes of the enabled actuators and their forces in the order of all."""
+    both = np.zeros((2, len(shapes), on.size))
+    both[:, :, on] = shapes, shapes @ stiffness.T
+    return both[0], both[1]

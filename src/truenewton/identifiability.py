@@ -97,7 +97,7 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
 def structural_faults(campaign: Campaign, moments: Moments) -> tuple[tuple[str, str], ...]:
     """Name what is missing whatever the noise: actuators, loads, the number of shapes."""
     a = enabled_arms(campaign.layout)
-    faults = geometry_faults(a) + _load_faults(campaign)
+    faults = geometry_faults(a) + load_faults(campaign)
     n, distinct = a.shape[1], _distinct_shapes(moments)
     if 3 * distinct < n - 1:
         faults += (
@@ -185,7 +185,7 @@ def _all_on_a_conic(q: Array) -> bool:
     return int(np.count_nonzero(np.linalg.eigvalsh(k) < 0.0)) > 1
 
 
-def _load_faults(campaign: Campaign) -> tuple[tuple[str, str], ...]:
+def load_faults(campaign: Campaign) -> tuple[tuple[str, str], ...]:
     """Judge the weights themselves: with noise, equal weights leave no trace in the rank."""
     weights = campaign.effective_weights
     if len(weights) == 1:

@@ -57,6 +57,44 @@ class Load:
         return self.name.strip().casefold()
 
 
+def check_load(load: Load) -> None:
+    """Refuse a load that cannot be.
+
+    Raises
+    ------
+    FormatError
+    """
+    _check_weight("ADDED", load.added)
+    if load.added > 0.0:
+        raise FormatError(
+            f"ADDED is {load.added:g} N",
+            remedy="z points up, so an added weight is negative",
+            got=load.added,
+        )
+    _check_error("E_ADDED", load.added_error)
+    _check_error("E_TILT", load.tilt_error)
+    if not abs(load.tilt) < 90.0:
+        raise FormatError(
+            f"TILT is {load.tilt:g} deg",
+            remedy="give the angle between axis and vertical, under 90 deg",
+        )
+    if not load.name.strip():
+        raise FormatError("LOAD is blank", remedy="name the load")
+
+
+def _check_weight(name: str, weight: float) -> None:
+    if not np.isfinite(weight) or abs(weight) > LARGEST_FORCE:
+        raise FormatError(f"{name} is {weight:g} N", remedy="give the weight in Newton")
+
+
+def _check_error(name: str, error: float) -> None:
+    if not 0.0 <= error <= LARGEST_FORCE:
+        raise FormatError(
+            f"{name} is {error:g}",
+            remedy="give a standard uncertainty, zero or more, in N or deg",
+        )
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Cycle:
     """One run through all shapes under one load (docs/files.md).
@@ -124,36 +162,15 @@ class Cycle:
         self._check_rows()
 
     def _check_numbers(self) -> None:
-        load = self.load
-        for name, value in (("WEIGHT", self.weight), ("ADDED", load.added)):
-            if not np.isfinite(value) or abs(value) > LARGEST_FORCE:
-                raise FormatError(f"{name} is {value:g} N", remedy="give the weight in Newton")
+        _check_weight("WEIGHT", self.weight)
         if self.weight >= 0.0:
             raise FormatError(
                 f"WEIGHT is {self.weight:g} N",
                 remedy="z points up, so a weight is negative",
                 got=self.weight,
             )
-        if load.added > 0.0:
-            raise FormatError(
-                f"ADDED is {load.added:g} N",
-                remedy="z points up, so an added weight is negative",
-                got=load.added,
-            )
-        for name, value in (("E_WEIGHT", self.weight_error), ("E_ADDED", load.added_error),
-                            ("E_TILT", load.tilt_error)):  # fmt: skip
-            if not 0.0 <= value <= LARGEST_FORCE:
-                raise FormatError(
-                    f"{name} is {value:g}",
-                    remedy="give a standard uncertainty, zero or more, in N or deg",
-                )
-        if not abs(load.tilt) < 90.0:
-            raise FormatError(
-                f"TILT is {load.tilt:g} deg",
-                remedy="give the angle between axis and vertical, under 90 deg",
-            )
-        if not load.name.strip():
-            raise FormatError("LOAD is blank", remedy="name the load")
+        _check_error("E_WEIGHT", self.weight_error)
+        check_load(self.load)
         if self.number < 1:
             raise FormatError(f"CYCLE is {self.number}", remedy="cycles count from 1")
         if self.force_error is not None and not 0.0 < self.force_error <= LARGEST_FORCE:

@@ -68,6 +68,13 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
                 remedy="weights are negative (z points up), the rest is not",
                 path=path,
             )
+    low, high = written.alpha_range
+    if not 0 < low <= high < np.inf:
+        raise FormatError(
+            f"alpha_range is {list(written.alpha_range)}",
+            remedy="give the lowest and highest alpha, positive",
+            path=path,
+        )
     values: dict[str, Any] = {
         part.name: getattr(written, part.name)
         for part in fields(_Written)

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -175,6 +175,30 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> E
         got=float(decrement),
         want=SMALL,
     )
+
+
+def expected(a: Array, data: Sequence[DataSet], prior: Prior, values: Array) -> Estimate:
+    """Return what `minimise` will state on the average, from sums over noiseless readings.
+
+    These feign nothing: at the true values M is the information itself, and noise will add D to M
+    alone. So H of noisy readings is M of noiseless ones, and their covariance H^-1 (H + D) H^-1.
+
+    Parameters
+    ----------
+    a, data, prior
+        As for `minimise`; the sums of forces that balance with ``values``.
+    values
+        (u,) the truth.
+
+    Raises
+    ------
+    RankDeficient
+        The shapes leave some pattern of alpha free.
+    """
+    terms = _terms(a, data, values)
+    terms = replace(terms, h=np.ascontiguousarray(terms.m))
+    factor = _step(terms, prior, terms.gradient)[2]
+    return _estimate(terms, prior, values, factor, 0)
 
 
 def _shortening(
