@@ -1,13 +1,17 @@
 # Two commands: `make demo` and `make test`. Each builds what it needs, with Python and make alone.
 PYTHON ?= python3
 
-.PHONY: demo test lint types contracts format clean
+.PHONY: demo test test-opticalib lint types contracts format clean
 
 demo: .venv-demo/ready
 	.venv-demo/bin/truenewton demo --overwrite
 
 test: .venv-test/ready
 	.venv-test/bin/python -m pytest
+
+# Against the published opticalib: 0.7 GB, so it is not part of `make test`.
+test-opticalib: .venv-opticalib/ready
+	.venv-opticalib/bin/python -m pytest tests/test_opticalib.py
 
 lint: .venv-test/ready
 	.venv-test/bin/ruff check .
@@ -33,5 +37,10 @@ format: .venv-test/ready
 	.venv-test/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .[dev]
 	touch $@
 
+.venv-opticalib/ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv-opticalib
+	.venv-opticalib/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .[test,opticalib]
+	touch $@
+
 clean:
-	rm -rf .venv-demo .venv-test
+	rm -rf .venv-demo .venv-test .venv-opticalib

@@ -1,0 +1,241 @@
+"""Mirrors after opticalib's protocol: the adapter, and the published package's own device."""
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import truenewton as tn
+from truenewton.bench.opticalib_mirror import OpticalibMirror, from_address
+from truenewton.bench.protocol import Bench, Shape
+from truenewton.bench.simulated.simulated_bench import SAMPLES
+from truenewton.bench.simulated.static import static_bench
+from truenewton.errors import BenchFault, UnknownName
+from truenewton.mirrors import p45
+
+BARE = tn.Load("bare")
+
+
+class Device:
+    """P45 as opticalib's drivers behave: positions hold a bias, commands are changed in place."""
+
+    def __init__(self, noise=0.0):
+        self.n_acts = 45
+        self.noise, self.random = noise, np.random.default_rng(4)
+        truth = static_bench(p45(), 3).truth
+        self.response = truth.stiffness / truth.alpha
+        self.bias = 1e-6 * np.arange(45)
+        self.displacement = np.full(45, 7e-6)
+        self.drift = 0.0
+        self.calls = []
+
+    def set_shape(self, cmd, differential=False, *, slave=False):
+        self.calls.append((cmd.copy(), differential, slave))
+        cmd += self.displacement if differential else 0.0
+        self.displacement = cmd
+
+    def get_shape(self):
+        self.displacement = self.displacement + self.drift
+        return self.bias + self.displacement + self.noise * self.random.standard_normal(45)
+
+    def get_force(self):
+        return self.displacement @ self.response
+
+
+@pytest.fixture
+def device():
+    return Device()
+
+
+def test_a_reading_is_the_displacement_from_rest_and_its_force(device):
+    bench: Bench = OpticalibMirror(device, p45(), settling=0.0)
+    assert bench.instrument == "P45"
+    assert bench.layout.same_as(p45().layout)
+    assert bench.gap == p45().gap
+    for number, shape in enumerate(static_bench(p45(), 3).shapes[:5], start=1):
+        kept = shape.copy()
+        bench.command(Shape(BARE, 1, number, 1, shape))
+        reading = bench.read(3)
+        assert np.array_equal(shape, kept)
+        assert reading.position == pytest.approx(shape, abs=1e-18)
+        assert reading.force == pytest.approx(shape @ device.response, rel=1e-12)
+        assert reading.counter == number
+        assert reading.settled
+        assert np.isnan(reading.temperature)
+    assert device.calls[0][0].tolist() == [0.0] * 45  # to rest first, once
+    assert len(device.calls) == 6
+    assert {(differential, slave) for _, differential, slave in device.calls} == {(False, False)}
+    bench.rest()
+    assert device.displacement.tolist() == [0.0] * 45
+    assert bench.status().message == "at rest"
+
+
+def test_scatter_drift_and_stale_readings_are_told():
+    device = Device(noise=1e-9)
+    bench = OpticalibMirror(device, p45(), settling=0.0)
+    bench.command(Shape(BARE, 1, 1, 1, np.zeros(45)))
+    reading = bench.read(400)
+    assert reading.position_scatter == pytest.approx(np.full(45, 1e-9), rel=0.2)
+    assert reading.position == pytest.approx(np.zeros(45), abs=1e-9)
+    assert reading.settled
+    device.drift = 1e-10
+    assert not bench.read(400).settled
+    device.drift = device.noise = 0.0
+    counter = bench.read(2).counter
+    assert bench.read(2).counter == counter  # to the bit the same: it stands still
+
+
+def test_faults_are_one_line(device):
+    bench = OpticalibMirror(device, p45(), settling=0.0)
+    with pytest.raises(BenchFault, match="at rest; command a shape"):
+        bench.read(1)
+    with pytest.raises(BenchFault, match="3 displacements for 45"):
+        bench.command(Shape(BARE, 1, 1, 1, np.zeros(3)))
+    assert device.calls == []
+    bench.command(Shape(BARE, 1, 1, 1, np.zeros(45)))
+    device.get_force = lambda: np.full(45, np.nan)
+    with pytest.raises(BenchFault, match="finite: False"):
+        bench.read(2)
+    device.get_force = lambda: 1 / 0
+    with pytest.raises(BenchFault, match=r"fails in get_shape or get_force \(ZeroDivisionError"):
+        bench.read(2)
+    device.n_acts = 44
+    with pytest.raises(BenchFault, match="Device has 44 actuators, P45 has 45"):
+        OpticalibMirror(device, p45())
+    with pytest.raises(BenchFault, match="object has no n_acts, set_shape, get_shape, get_force"):
+        OpticalibMirror(object(), p45())
+
+
+def test_a_mirror_is_found_by_its_address(tmp_path):
+    (tmp_path / "laboratory_p45.py").write_text(
+        "from test_opticalib import Device\n"
+        "device = Device()\n"
+        "make = lambda: device\n"
+        "class Rack: slot = device\n"
+        "def broken(): raise OSError('no power')\n"
+    )
+    before = list(sys.path)
+    made = [
+        from_address(f"laboratory_p45:{name}", p45(), tmp_path)
+        for name in ("device", "make", "Device", "Rack.slot")
+    ]
+    assert [bench._device.n_acts for bench in made] == [45] * 4
+    assert made[0]._device is made[1]._device is made[3]._device
+    assert made[2]._device is not made[0]._device
+    assert sys.path == before
+    with pytest.raises(BenchFault, match=r"cannot be made \(OSError: no power\)"):
+        from_address("laboratory_p45:broken", p45(), tmp_path)
+    for wrong in ("laboratory_p45:nothing", "no_laboratory:mirror", "laboratory_p45", ""):
+        with pytest.raises(UnknownName, match=r"write bench\.address as module:object"):
+            from_address(wrong, p45(), tmp_path)
+
+
+def test_a_campaign_on_such_a_mirror_recovers_alpha():
+    """The whole way, with the simulated bench behind the four calls."""
+    seed, inside = 6, tn.SimulatedBench(p45(), 6)
+    plan = static_bench(p45(), seed)
+
+    class Simulated:
+        n_acts = 45
+
+        def set_shape(self, cmd, differential):
+            assert not differential
+            self.place = getattr(self, "place", 0) + 1
+            inside.command(Shape(BARE, 1, self.place, 1, cmd))
+
+        def get_shape(self):
+            self.reading = inside.read(SAMPLES)
+            return self.reading.position
+
+        def get_force(self):
+            return inside.read(SAMPLES).force
+
+    bench, cycles = OpticalibMirror(Simulated(), p45(), settling=0.0), []
+    for load in plan.loads:
+        inside.put_on(load)
+        force, order = [], [(k, s) for k in range(1, 46) for s in (1, -1)]
+        for number, sign in order:
+            bench.command(Shape(load, 1, number, sign, sign * plan.shapes[number - 1]))
+            force.append(bench.read(1).force)
+        cycles.append(
+            tn.Cycle(
+                "P45", plan_start(len(cycles)), 1, load, p45().weight, p45().weight_error,
+                bench.layout, time=np.arange(90.0), shape=[k for k, _ in order],
+                sign=[s for _, s in order], force=force, valid=np.ones(90, dtype=bool),
+            )
+        )  # fmt: skip
+    found = tn.calibrate(tn.Campaign(tuple(cycles)))
+    assert np.abs((found.alpha - plan.truth.alpha) / found.error).max() < 4.5
+
+
+def plan_start(hours):
+    import datetime
+
+    return datetime.datetime(2026, 5, 4, 9 + hours, tzinfo=datetime.UTC)
+
+
+PACKAGE = """
+import inspect, json, types
+import numpy as np
+import opticalib
+from opticalib.devices import DP, M4AU, AdOpticaDm
+from opticalib.devices._API.base_devices import BaseDeformableMirror
+import truenewton as tn
+from truenewton.bench.opticalib_mirror import OpticalibMirror
+from truenewton.bench.protocol import Shape
+from truenewton.mirrors import p45
+
+class Client:
+    '''What the electronics' own library does for the device.'''
+    bias = 1e-6 * np.arange(45)
+    command = np.zeros(45)
+    counters = types.SimpleNamespace(skipByCommand=0, skipByDeltaCommand=0, skipByForce=0)
+    def mirrorCommand(self, command): self.command = command.copy()
+    def getPosition(self): return self.bias + self.command
+    def getForce(self): return 1e5 * self.command[::-1] + 0.1
+    def getCounters(self): return self.counters
+
+class Device(AdOpticaDm):
+    def __init__(self):  # without the electronics
+        self._aoClient, self.n_acts, self._last_cmd = Client(), 45, np.zeros(45)
+
+bench = OpticalibMirror(Device(), p45(), settling=0.0)
+shape = 1e-6 * np.random.default_rng(3).standard_normal(45)
+bench.command(Shape(tn.Load("bare"), 1, 1, 1, shape))
+reading = bench.read(5)
+protocol = opticalib.typings._DMProtocol
+print(json.dumps({
+    "version": opticalib.__version__,
+    "protocol": sorted(n for n in dir(protocol) if n in ("n_acts", "set_shape", "get_shape")),
+    "arguments": list(inspect.signature(protocol.set_shape).parameters),
+    "abstract": sorted(BaseDeformableMirror.__abstractmethods__),
+    "forces": [hasattr(one, "get_force") for one in (AdOpticaDm, DP, M4AU)],
+    "follows": isinstance(bench._device, protocol),
+    "position": float(np.abs(reading.position - shape).max()),
+    "force": float(np.abs(reading.force - (1e5 * shape[::-1] + 0.1)).max()),
+}))
+"""
+
+
+def test_the_published_package_does_what_we_take_it_to_do(tmp_path):
+    """Its own AdOpticaDm, without the electronics behind it; in a process and home of its own."""
+    if importlib.util.find_spec("opticalib") is None:
+        pytest.skip("opticalib is not installed: pip install 'truenewton[opticalib]'")
+    done = subprocess.run(
+        [sys.executable, "-c", PACKAGE], capture_output=True, text=True, check=False,
+        env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "agg"}, cwd=tmp_path, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert told["version"].startswith("2.")
+    assert told["protocol"] == ["get_shape", "n_acts", "set_shape"]
+    assert told["arguments"] == ["self", "cmd", "differential"]
+    assert {"get_shape", "set_shape"} <= set(told["abstract"])
+    assert told["forces"] == [True, True, True]
+    assert told["follows"]
+    assert told["position"] < 1e-18
+    assert told["force"] < 1e-12
