@@ -20,6 +20,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 import truenewton as tn
 from truenewton.bench import opcua_keys as keys
+from truenewton.bench.chosen import chosen_bench
 from truenewton.bench.opcua import connect
 from truenewton.bench.opcua_client import OpcUaBench
 from truenewton.bench.opcua_server import serving
@@ -209,6 +210,7 @@ def test_what_the_other_end_hears_is_what_was_said(recorder, folder):
 def test_serve_then_a_campaign_over_opc_ua_recovers_alpha(tmp_path):
     """The command in a process of its own; a person pastes what it prints into a plan."""
     port, seed = free_port(), 5
+    bench = static_bench(p45(), seed)
     command = [sys.executable, "-m", "truenewton", "serve", "p45", "--port", str(port),
                "--seed", str(seed), "-o", str(tmp_path / "keys")]  # fmt: skip
     with subprocess.Popen(
@@ -217,36 +219,18 @@ def test_serve_then_a_campaign_over_opc_ua_recovers_alpha(tmp_path):
         try:
             printed = [server.stdout.readline() for _ in range(10)]
             table = tomllib.loads("".join(printed[1:]))["bench"]
-            plan, cycles = static_bench(p45(), seed), []
-            with connect(BenchChoice(**table)) as bench:
-                for load in plan.loads:
-                    bench.put_on(load)
-                    cycles.append(taken(bench, load, plan.shapes))
+            plan = tn.CampaignPlan("p45", bench.loads, cycles=2, bench=BenchChoice(**table))
+            with chosen_bench(plan, tmp_path) as there:
+                tn.acquire(there, plan, tmp_path / "campaign", beside=tmp_path)
         finally:
             server.send_signal(signal.SIGINT)
             out, err = server.communicate(timeout=20)
     assert (server.returncode, out, err) == (0, "", "")
-    found = tn.calibrate(tn.Campaign(tuple(cycles)))
-    pull = (found.alpha - plan.truth.alpha) / found.error
+    found = tn.calibrate(tn.read(tmp_path / "campaign"))
+    pull = (found.alpha - bench.truth.alpha) / found.error
     assert np.abs(pull).max() < 4.5
-    assert 0.3 < np.sqrt(np.mean(pull**2)) < 2.0
-    assert np.abs(found.alpha - plan.truth.alpha).max() > 1e-6  # it never saw the truth
-
-
-def taken(bench, load, shapes):
-    """Take both signs of all shapes once."""
-    readings, order = [], [(k, s) for k in range(1, len(shapes) + 1) for s in (1, -1)]
-    for number, sign in order:
-        bench.command(Shape(load, 1, number, sign, sign * shapes[number - 1]))
-        readings.append(bench.read(SAMPLES))
-        assert bench.status().ready
-    mirror, start = p45(), readings[0].time
-    return tn.Cycle(
-        bench.instrument, start, 1, load, mirror.weight, mirror.weight_error, bench.layout,
-        time=[(reading.time - start).total_seconds() for reading in readings],
-        shape=[number for number, _ in order], sign=[sign for _, sign in order],
-        force=[reading.force for reading in readings], valid=np.ones(len(order), dtype=bool),
-    )  # fmt: skip
+    assert 0.8 < found.goodness.reduced < 1.3
+    assert np.abs(found.alpha - bench.truth.alpha).max() > 1e-6  # it never saw the truth
 
 
 # -- strangers get nothing -----------------------------------------------------------------------

@@ -1,14 +1,17 @@
 """The simulated bench behind its protocol gives the rows of the simulated campaign."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import truenewton as tn
 from truenewton.bench.protocol import Bench, Shape
+from truenewton.bench.simulated.dynamic import run_loop_cycles
 from truenewton.bench.simulated.simulated_bench import SAMPLES
-from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.bench.simulated.static import held_command, run_cycles, static_bench
 from truenewton.bench.simulated.truth import read_truth
-from truenewton.errors import BenchFault, UnknownName
+from truenewton.errors import BenchFault, GeometryError, UnknownName
 from truenewton.mirrors import p45
 
 
@@ -55,3 +58,51 @@ def test_the_truth_stays_inside_but_for_its_sealed_file(tmp_path):
     bench.write_truth(tmp_path / "campaign")
     truth = read_truth(tmp_path / "campaign.truth.fits")
     assert truth.alpha == pytest.approx(static_bench(p45(), 3).truth.alpha)
+
+
+def test_the_static_bench_agrees_with_the_settled_loop_within_its_noise():
+    """The loop's forces are those that hold the readings it comes to rest at."""
+    plan = static_bench(p45(), 3, force_noise=0.0)
+    cycle = next(run_loop_cycles(plan, 1))
+    assert cycle.valid.all()
+    flat = plan.sensors.offset
+    expected = held_command(plan, 0, cycle.position - flat)
+    apart = cycle.force - expected
+    assert np.abs(expected).max() > 0.3
+    # Sensors scatter by 3 nm a sample; through a stiffness of 4e6 N/m their mean makes 0.3 mN.
+    noise = 3e-9 / np.sqrt(2048) * np.sqrt(np.sum(plan.glass.stiffness**2, axis=1)) / 0.7
+    assert np.abs(apart / noise).max() < 6
+
+
+def test_the_loop_behind_the_protocol_gives_the_rows_of_its_campaign():
+    plan = static_bench(p45(), 3)
+    cycle = next(run_loop_cycles(plan, 1))
+    bench = tn.SimulatedBench(p45(), 3, fidelity="loop")
+    bench.put_on(cycle.load)
+    for row in (0, 37):
+        k, s = int(cycle.shape[row]), int(cycle.sign[row])
+        bench.command(Shape(cycle.load, 1, k, s, s * plan.shapes[k - 1]))
+        reading = bench.read(SAMPLES)
+        assert reading.settled
+        assert reading.force == pytest.approx(cycle.force[row], abs=1e-11)
+        assert reading.position == pytest.approx(cycle.position[row], abs=1e-16)
+
+
+def test_a_closed_loop_campaign_fits_and_gives_alpha_within_its_errors():
+    """Not without the gradients: then chi^2 says so."""
+    plan = static_bench(p45(), 2)
+    cycles = tuple(run_loop_cycles(plan, 3))
+    found = tn.calibrate(tn.Campaign(cycles))
+    assert 0.75 < found.goodness.reduced < 1.3
+    expected = plan.truth.alpha * plan.loads[1].added / plan.truth.added[1]
+    assert np.sqrt(np.mean(((found.alpha - expected) / found.statistical) ** 2)) < 2.0
+    assert found.statistical.max() < 1e-4
+    bare = tuple(replace(c, coil_gradient=None, bias_gradient=None) for c in cycles)
+    assert tn.calibrate(tn.Campaign(bare)).goodness.reduced > 20
+
+
+def test_unknown_fidelity_and_a_gap_that_closes_are_refused():
+    with pytest.raises(UnknownName, match="no fidelity 'quantum'"):
+        tn.SimulatedBench(p45(), fidelity="quantum")
+    with pytest.raises(GeometryError, match="closes the gap"):
+        static_bench(p45(), 1, stroke=7e-5)

@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from truenewton import errors, mirrors
+    from truenewton.acquisition.acquire import acquire
     from truenewton.actuators import Layout, layout, rings, spherical_rings
     from truenewton.bench.simulated.simulated_bench import SimulatedBench
     from truenewton.bench.simulated.static import run_cycles, static_bench
     from truenewton.calibration import Calibration
     from truenewton.campaign import Campaign
     from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
+    from truenewton.campaign_plan import CampaignPlan, read_plan
     from truenewton.estimators import calibrate
     from truenewton.figures import write_figures
     from truenewton.measurements import Cycle, Load, StiffnessMatrix
@@ -33,16 +35,19 @@ __version__ = "0.1.0"
 __all__ = [
     "Calibration",
     "Campaign",
+    "CampaignPlan",
     "Cycle",
     "Layout",
     "Load",
     "SimulatedBench",
     "StiffnessMatrix",
+    "acquire",
     "calibrate",
     "errors",
     "layout",
     "mirrors",
     "read",
+    "read_plan",
     "rings",
     "run_cycles",
     "spherical_rings",
@@ -57,14 +62,17 @@ __all__ = [
 _HOMES = {
     "Calibration": "calibration",
     "Campaign": "campaign",
+    "CampaignPlan": "campaign_plan",
     "Cycle": "measurements",
     "Layout": "actuators",
     "Load": "measurements",
     "SimulatedBench": "bench.simulated.simulated_bench",
     "StiffnessMatrix": "measurements",
+    "acquire": "acquisition.acquire",
     "calibrate": "estimators",
     "layout": "actuators",
     "read": "reading",
+    "read_plan": "campaign_plan",
     "rings": "actuators",
     "run_cycles": "bench.simulated.static",
     "spherical_rings": "actuators",

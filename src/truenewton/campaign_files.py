@@ -190,6 +190,12 @@ def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool =
     write_fits(path, header, sheets, overwrite=overwrite)
 
 
+def cycle_name(load: Load, number: int) -> str:
+    """Return the name of a cycle's file, LOAD-CYCLE.fits."""
+    name = re.sub(r"[^\w-]", "_", load.key)  # a leading dot would hide the file
+    return f"{name}-{number:03d}.fits"
+
+
 def write_campaign(
     cycles: Iterable[Cycle], folder: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
@@ -201,8 +207,7 @@ def write_campaign(
     """
     with folder_beside(folder, SUFFIXES, overwrite=overwrite) as temporary:
         for cycle in cycles:
-            name = re.sub(r"[^\w-]", "_", cycle.load.key)  # a leading dot would hide the file
-            write_cycle(cycle, temporary / f"{name}-{cycle.number:03d}.fits")
+            write_cycle(cycle, temporary / cycle_name(cycle.load, cycle.number))
 
 
 def write_stiffness(

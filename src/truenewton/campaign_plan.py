@@ -55,6 +55,8 @@ class Limits:
     ----------
     force
         Largest commanded force of an actuator [N].
+    saturation
+        Commanded force at which a coil saturates, which no sample may come near [N]; 0.8 N [conf].
     displacement
         Largest displacement of an actuator from rest [m].
     gap
@@ -64,6 +66,7 @@ class Limits:
     """
 
     force: float = 0.6
+    saturation: float = 0.8
     displacement: float = 5e-6
     gap: float = 30e-6
     temperature: tuple[float, float] = (-10.0, 40.0)
@@ -79,7 +82,7 @@ class BenchChoice:
         'simulated', 'opcua', 'opticalib' or 'replay'.
     address
         URL of an OPC UA server, `module:object` of a mirror after opticalib, a recorded folder.
-    seed, force_noise
+    seed, force_noise, fidelity
         Of the simulated bench.
     user, password_file, certificate, private_key, server_certificate
         With which to log on to an OPC UA server.
@@ -89,6 +92,7 @@ class BenchChoice:
     address: str = ""
     seed: int = 1
     force_noise: float = 1e-4
+    fidelity: str = "static"
     user: str = ""
     password_file: str = ""
     certificate: str = ""
@@ -142,7 +146,7 @@ class CampaignPlan:
         for name, value in (
             ("force_noise", self.force_noise), ("shapes.stroke", shapes.stroke),
             ("shapes.force", shapes.force), ("limits.force", limits.force),
-            ("limits.displacement", limits.displacement),
+            ("limits.displacement", limits.displacement), ("limits.saturation", limits.saturation),
         ):  # fmt: skip
             if not 0 < value < np.inf:
                 raise _wrong(name, value, "give a positive number")

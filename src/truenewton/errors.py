@@ -51,7 +51,7 @@ class FormatError(TrueNewtonError, ValueError):
 
 
 class CampaignMismatch(TrueNewtonError, ValueError):
-    """Files that cannot belong to one campaign."""
+    """Files, or a bench and its plan, that cannot belong to one campaign."""
 
 
 class RankDeficient(TrueNewtonError, ValueError):
@@ -87,8 +87,12 @@ class NotConverged(TrueNewtonError, ArithmeticError):
 
 
 class BenchFault(TrueNewtonError, RuntimeError):
-    """A bench that stopped itself: a coil saturated, a gap closed, a sensor out of range."""
+    """A bench that stopped itself, went away, or gives no sound readings."""
 
 
 class LoopUnstable(BenchFault):
     """Gains that the loop cannot hold: refused beforehand, or found out as its noise grows."""
+
+
+class Interrupted(TrueNewtonError):
+    """A run that someone stopped; what it took is kept."""

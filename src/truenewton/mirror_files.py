@@ -36,6 +36,8 @@ class _Written:
     gap: float = 65e-6
     puck_radius: float = 5e-3
     sensor: Annulus = field(default_factory=Annulus)
+    coil_gradient: float = 0.0
+    bias_gradient: float = 0.0
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:

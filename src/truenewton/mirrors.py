@@ -138,6 +138,11 @@ class Mirror:
         Of the circle on which a magnet's puck pushes the glass [m]; 5 mm [guess].
     sensor
         Over which a reading is the mean displacement.
+    coil_gradient
+        COILGRAD, relative change of a coil's force per displacement along +z [1/m]; 600 [conf].
+    bias_gradient
+        BIASGRAD, change of one bias force per displacement along +z [N/m]; 31 [conf] where there
+        are bias magnets.
     """
 
     name: str
@@ -153,6 +158,8 @@ class Mirror:
     gap: float
     puck_radius: float = 5e-3
     sensor: Annulus = Annulus()
+    coil_gradient: float = 600.0
+    bias_gradient: float = 31.0
 
 
 def p45() -> Mirror:
@@ -260,6 +267,7 @@ def mmt336() -> Mirror:
         gap=40e-6,
         puck_radius=3e-3,
         sensor=Annulus(3.5e-3, 6e-3),
+        bias_gradient=0.0,
     )
 
 

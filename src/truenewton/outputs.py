@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 import tempfile
@@ -35,7 +36,7 @@ def file_beside(path: str | os.PathLike[str], *, overwrite: bool = False) -> Ite
     """
     target = Path(path)
     refuse_existing(target, overwrite=overwrite)
-    with _one_line(target):
+    with in_one_line(target):
         handle, name = tempfile.mkstemp(
             prefix=f".{target.name}.", suffix=target.suffix, dir=target.parent
         )
@@ -44,6 +45,7 @@ def file_beside(path: str | os.PathLike[str], *, overwrite: bool = False) -> Ite
         try:
             yield temporary
             temporary.chmod(0o666 & ~_umask())
+            to_disk(temporary)  # or a power cut after the renaming leaves a name without bytes
             temporary.replace(target)
         finally:
             temporary.unlink(missing_ok=True)
@@ -64,7 +66,7 @@ def folder_beside(
     """
     target = Path(path)
     refuse_existing(target, overwrite=overwrite)
-    with _one_line(target):
+    with in_one_line(target):
         strange = [
             p
             for p in (target.iterdir() if target.is_dir() else ())
@@ -93,17 +95,32 @@ def folder_beside(
             shutil.rmtree(work, ignore_errors=True)
 
 
+def to_disk(path: str | os.PathLike[str]) -> None:
+    """Return when the bytes of a file, or the names in a folder, are on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 @contextlib.contextmanager
-def _one_line(target: Path) -> Iterator[None]:
-    """Turn what the system says of a failed output into one line."""
+def in_one_line(target: str | os.PathLike[str]) -> Iterator[None]:
+    """Turn what the system says of a failed output into one line.
+
+    Raises
+    ------
+    OutputFailed
+    """
     try:
         yield
     except TrueNewtonError:
         raise
     except OSError as error:
+        full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         raise OutputFailed(
             f"cannot be written ({error.strerror or error})",
-            remedy="choose a folder that exists and can be written",
+            remedy="make room" if full else "choose a folder that exists and can be written",
             path=target,
         ) from error
 
@@ -123,5 +140,5 @@ def new_folder(path: str | os.PathLike[str]) -> None:
     OutputFailed
     """
     target = Path(path)
-    with _one_line(target):
+    with in_one_line(target):
         target.mkdir(exist_ok=True)

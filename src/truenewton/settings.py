@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import os
 import tomllib
@@ -98,6 +99,34 @@ def _value(kind: Any, value: Any, path: object, where: str) -> Any:
     if type(value) is not kind or (kind is float and math.isnan(value)):
         raise _wrong(where, NAMES[kind], value, path)
     return value
+
+
+def toml_text(record: Any) -> str:
+    """Return a dataclass as TOML that `filled` takes back; what is None is left out."""
+    return "\n".join(_lines(record, "")) + "\n"
+
+
+def _lines(record: Any, where: str) -> list[str]:
+    own, below = [], []
+    for field in dataclasses.fields(record):
+        name, value = field.name, getattr(record, field.name)
+        inside = f"{where}.{name}" if where else name
+        if dataclasses.is_dataclass(value):
+            below += ["", f"[{inside}]", *_lines(value, inside)]
+        elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
+            for part in value:
+                below += ["", f"[[{inside}]]", *_lines(part, inside)]
+        elif value is not None:
+            own.append(f"{name} = {_written(value)}")
+    return own + below
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_written, value))}]"
+    if isinstance(value, float):
+        return repr(float(value))
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _wrong(where: str, want: str, got: Any, path: object) -> FormatError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from truenewton.actuators import Array, Layout
 from truenewton.measurements import Load
@@ -17,7 +17,8 @@ class Shape:
     Attributes
     ----------
     load, cycle, number, sign
-        Under which load, in which cycle (from 1), which shape (from 1), +1 or -1.
+        Under which load, in which cycle (from 1), which shape (from 1; 0 is the mirror at rest),
+        +1 or -1.
     position
         (n,) displacement along +z from rest, by the sensors [m].
     """
@@ -109,8 +110,17 @@ class Bench(Protocol):
         """Bring the mirror to rest, whatever happened: the shape without displacement."""
 
 
+@runtime_checkable
 class Operator(Protocol):
     """Who lifts the glass and puts the weight on."""
 
     def put_on(self, load: Load) -> None:
         """Return when the mirror bears this load."""
+
+
+@runtime_checkable
+class OwnTime(Protocol):
+    """A bench whose time is not ours: nobody need sleep for it."""
+
+    def wait(self, seconds: float) -> None:
+        """Let so much of its time pass."""

@@ -10,7 +10,18 @@ from typing import Any
 import typer
 
 from truenewton import __version__
-from truenewton.cli import calibrate, demo, figures, info, mirrors, plan, prove, serve, simulate
+from truenewton.cli import (
+    acquire,
+    calibrate,
+    demo,
+    figures,
+    info,
+    mirrors,
+    plan,
+    prove,
+    serve,
+    simulate,
+)
 from truenewton.errors import TrueNewtonError
 
 # The base of what typer raises for a wrong command line; it comes from click, or from typer's own
@@ -24,7 +35,18 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, calibrate, info, figures, plan, simulate, serve, prove, mirrors):
+for command in (
+    demo,
+    calibrate,
+    info,
+    figures,
+    plan,
+    acquire,
+    simulate,
+    serve,
+    prove,
+    mirrors,
+):
     app.command(name=command.NAME)(command.run)
 
 

@@ -78,3 +78,55 @@ def track(items: Sequence[Item], what: str) -> Iterator[Item]:
     from rich.progress import track as rich_track
 
     yield from rich_track(items, description=what, console=Console(stderr=True), transient=True)
+
+
+class Bar:
+    """One progress bar on standard error, where a person looks at it, and lines beside it."""
+
+    def __init__(self) -> None:
+        self._bar: Any = None
+
+    def show(self, done: int, total: int, what: str, figures: str, seconds_left: float) -> None:
+        """Draw the bar: what is done, figures, and the time that is left."""
+        if not sys.stderr.isatty():
+            return
+        shown = {"completed": done, "total": total, "description": what, "figures": figures,
+                 "left": clock_time(seconds_left)}  # fmt: skip
+        if self._bar is None:
+            self._bar = _bar()
+            self._bar.add_task(**shown)
+            self._bar.start()
+        self._bar.update(0, **shown)
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        if self._bar is None:
+            print(line, flush=True)
+        else:
+            self._bar.console.print(line, markup=False, highlight=False)
+
+    def stop(self) -> None:
+        """Take the bar away, as before a question; it comes back when it is drawn again."""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+
+def _bar() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=20),
+        TextColumn("{task.fields[figures]}", markup=False),
+        TextColumn("{task.fields[left]} left", markup=False),
+        console=Console(stderr=True),
+        transient=True,
+    )
+
+
+def clock_time(seconds: float) -> str:
+    """Return a time as h:mm:ss."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"

@@ -21,10 +21,16 @@ def run(
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the cycle files."),
     cycles: int = typer.Option(4, min=1, max=999, help="Cycles for each load."),
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
-    noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]."),
+    noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]; static."),
+    fidelity: str = typer.Option(
+        "static", help="static: shapes are held exactly; loop: in closed loop, sample by sample."
+    ),
+    temperature: float = typer.Option(20.0, min=-50.0, max=80.0, help="Of the magnets [deg C]."),
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Simulate a campaign with and without the ring: OUTPUT, and its truth in OUTPUT.truth.fits."""
+    from truenewton.bench.simulated.dynamic import run_loop_cycles
+    from truenewton.bench.simulated.simulated_bench import FIDELITIES
     from truenewton.bench.simulated.static import run_cycles, static_bench
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.campaign_files import write_campaign
@@ -34,12 +40,14 @@ def run(
 
     refuse_existing(output, overwrite=overwrite)
     refuse_existing(truth_path(output), overwrite=overwrite)
-    bench = static_bench(mirror_from(mirror), seed, force_noise=noise)
+    if fidelity not in FIDELITIES:
+        raise typer.BadParameter(f"there is no fidelity '{fidelity}': static or loop")
+    bench = static_bench(mirror_from(mirror), seed, force_noise=noise, temperature=temperature)
     total = cycles * len(bench.loads)
 
     def cycles_then_truth() -> Iterator[Cycle]:
         """Write the truth when all cycles are, before their folder takes its name."""
-        made = run_cycles(bench, cycles)
+        made = (run_loop_cycles if fidelity == "loop" else run_cycles)(bench, cycles)
         yield from (next(made) for _ in track(range(total), "simulating"))
         write_truth(bench.truth, truth_path(output), overwrite=overwrite)
 

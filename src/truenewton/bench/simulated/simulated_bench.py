@@ -10,6 +10,9 @@ import numpy as np
 
 from truenewton.actuators import Layout
 from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.bench.simulated.dynamic import loop_of
+from truenewton.bench.simulated.loop import Loop, record
+from truenewton.bench.simulated.loop import row_noise as loop_noise
 from truenewton.bench.simulated.static import (
     PAUSE,
     SECONDS_PER_SHAPE,
@@ -25,6 +28,7 @@ from truenewton.measurements import Load
 from truenewton.mirrors import Mirror
 
 SAMPLES = 2048  # a reading [conf]
+FIDELITIES = ("static", "loop")
 
 
 class SimulatedBench:
@@ -40,7 +44,15 @@ class SimulatedBench:
     loads
         Those that can be put on, as declared; the bare mirror and its own tool unless told.
     force_noise
-        Standard deviation of one commanded-force reading of 2,048 samples [N].
+        Standard deviation of one commanded-force reading of 2,048 samples [N]; a closed loop has
+        its own.
+    fidelity
+        'static', every shape is held exactly; 'loop', the loop runs sample by sample.
+
+    Raises
+    ------
+    UnknownName
+        There is no such fidelity.
     """
 
     def __init__(
@@ -50,8 +62,17 @@ class SimulatedBench:
         *,
         loads: Sequence[Load] = (),
         force_noise: float = 1e-4,
+        fidelity: str = "static",
     ) -> None:
+        if fidelity not in FIDELITIES:
+            raise UnknownName(
+                f"there is no fidelity '{fidelity}'",
+                remedy=f"choose {', '.join(FIDELITIES)}",
+                got=fidelity,
+                want=FIDELITIES,
+            )
         self._bench = static_bench(mirror, seed, loads=loads, force_noise=force_noise)
+        self._loop = loop_of(self._bench) if fidelity == "loop" else None
         self._loads = [load.key for load in self._bench.loads]
         self._place, self._counter, self._clock = 0, 0, START
         self._shape: Shape | None = None
@@ -89,6 +110,10 @@ class SimulatedBench:
         self._place = self._loads.index(load.key)
         self._clock += PAUSE
 
+    def wait(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        self._clock += datetime.timedelta(seconds=seconds)
+
     def command(self, shape: Shape) -> None:
         """Bring the mirror to a shape."""
         if shape.position.shape != (self.layout.n,):
@@ -103,20 +128,39 @@ class SimulatedBench:
         shape, bench, n = self._shape, self._bench, self.layout.n
         if shape is None:
             raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
+        self._counter += 1
+        self._clock += datetime.timedelta(seconds=SECONDS_PER_SHAPE)
+        if self._loop is not None:
+            return self._recorded(self._loop, shape, samples)
         exact = held_command(bench, self._place, shape.position)
         random = row_noise(bench.truth.seed, shape.load, shape.cycle, shape.number, shape.sign)
         noise = random.standard_normal(2 * n) * np.sqrt(SAMPLES / samples)
-        self._counter += 1
-        self._clock += datetime.timedelta(seconds=SECONDS_PER_SHAPE)
         return Reading(
             time=self._clock,
             force=exact + bench.force_noise * noise[:n],
             position=shape.position + SENSOR_NOISE * noise[n:],
             force_scatter=np.full(n, bench.force_noise * np.sqrt(SAMPLES)),
             position_scatter=np.full(n, SENSOR_NOISE * np.sqrt(SAMPLES)),
-            temperature=20.0,
+            temperature=bench.temperature,
             counter=self._counter,
             settled=True,
+        )
+
+    def _recorded(self, loop: Loop, shape: Shape, samples: int) -> Reading:
+        """Return what the closed loop records of a shape."""
+        bench, load_force = self._bench, self._bench.load_force[self._place][:, None]
+        seed, key = bench.truth.seed, shape.load.key
+        noise = [loop_noise(seed, key, shape.cycle, shape.number, shape.sign)]
+        found = record(loop, shape.position[:, None], load_force, noise, samples=samples)
+        return Reading(
+            time=self._clock,
+            force=found.force[:, 0],
+            position=found.position[:, 0],
+            force_scatter=found.force_scatter[:, 0],
+            position_scatter=found.position_scatter[:, 0],
+            temperature=bench.temperature,
+            counter=self._counter,
+            settled=bool(found.settled[0]),
         )
 
     def status(self) -> Status:

@@ -140,7 +140,9 @@ def static_bench(
         external.append(of_tool + resultants(layout, local))
     k = np.array(external)  # (W + B, M_y, -M_x) of each load
     load_force = np.array(held)
-    coils = Coils(alpha, bias)
+    coils = Coils(
+        alpha, bias, bias_gradient=mirror.bias_gradient, coil_gradient=mirror.coil_gradient
+    )
     sensors = draw_sensors(n, mirror.gap, random)
     warm = gain(coils, temperature)[:, 0]
     # What is recorded stays under the limit too, with room for its noise.

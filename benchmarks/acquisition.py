@@ -1,0 +1,175 @@
+"""What acquisition itself costs for each shape, beside the bench and the disk.
+
+    python benchmarks/acquisition.py [--actuators 45 672 5352] [--shapes 30] [--bench simulated]
+
+Time inside the bench (command, read, status) is taken out; what is left is checks, log and the
+record of the shape on the disk. Beside it stands what the disk alone takes: the write and fsync of
+as many bytes, in the same folder, in turn with the campaign. Medians over shapes. The file of a
+cycle is written once a cycle, and stands in a column of its own. Beyond 1,000 actuators the bench
+is a stub that answers at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+import truenewton as tn
+from truenewton.acquisition.journal import record_type
+from truenewton.acquisition.progress import Progress
+from truenewton.bench.protocol import Bench, Reading, Shape, Status
+from truenewton.campaign_plan import CampaignPlan, PlannedShapes
+from truenewton.fitsfiles import Sheet, write_fits
+from truenewton.mirror_files import mirror_from
+from truenewton.mirrors import Mirror
+
+SIMULATED_UP_TO = 1000  # actuators; beyond, the model of the shell takes minutes
+START = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
+
+
+class AnsweringBench:
+    """Any mirror, at once: forces that only the count of the reading decides."""
+
+    def __init__(self, mirror: Mirror) -> None:
+        self.instrument, self.layout, self.gap = mirror.name, mirror.layout, mirror.gap
+        self.counter, self.scatter = 0, np.full(mirror.layout.n, 1e-3)
+        self.force = np.full(mirror.layout.n, 0.1)
+        self.shape: Shape | None = None
+
+    def put_on(self, load: tn.Load) -> None:
+        """Lift nothing."""
+
+    def command(self, shape: Shape) -> None:
+        self.shape = shape
+
+    def read(self, samples: int) -> Reading:  # noqa: ARG002
+        self.counter += 1
+        assert self.shape is not None
+        return Reading(
+            time=START + datetime.timedelta(seconds=self.counter),
+            force=self.force + 1e-6 * self.counter,
+            position=self.shape.position,
+            force_scatter=self.scatter,
+            position_scatter=self.scatter,
+            temperature=20.0,
+            counter=self.counter,
+            settled=True,
+        )
+
+    def status(self) -> Status:
+        return Status(True, "", self.counter)
+
+    def rest(self) -> None:
+        """Stay."""
+
+
+def simulated(mirror: Mirror, plan: CampaignPlan) -> Any:
+    if mirror.layout.n > SIMULATED_UP_TO:
+        return AnsweringBench(mirror)
+    return tn.SimulatedBench(mirror, 1, loads=plan.loads)
+
+
+# A bench for --bench: from the mirror and the plan.
+BENCHES: dict[str, Callable[[Mirror, CampaignPlan], Any]] = {"simulated": simulated}
+
+
+class Timed:
+    """A bench, and the time spent in it."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench, self.inside = bench, 0.0
+        self.instrument, self.layout, self.gap = bench.instrument, bench.layout, bench.gap
+
+    def __getattr__(self, name: str) -> Any:
+        method = getattr(self.bench, name)
+
+        def timed(*arguments: Any) -> Any:
+            start = time.perf_counter()
+            try:
+                return method(*arguments)
+            finally:
+                self.inside += time.perf_counter() - start
+
+        return timed
+
+
+class Stopwatch:
+    """Notes after each shape the time that passed outside the bench, and lets the disk run too."""
+
+    def __init__(self, bench: Timed, folder: Path) -> None:
+        self.bench, self.folder = bench, folder
+        self.outside: list[float] = []
+        self.disk: list[float] = []
+        size = record_type(bench.layout.n).itemsize
+        self.record = np.random.default_rng(1).bytes(size)
+        self.file = os.open(folder / "reference", os.O_WRONLY | os.O_CREAT)
+        self.start()
+
+    def start(self) -> None:
+        self.since, self.bench.inside = time.perf_counter(), 0.0
+
+    def progress(self, now: Progress) -> None:  # noqa: ARG002
+        self.outside.append(time.perf_counter() - self.since - self.bench.inside)
+        start = time.perf_counter()
+        os.write(self.file, self.record)
+        os.fsync(self.file)
+        self.disk.append(time.perf_counter() - start)
+        self.start()
+
+    def say(self, line: str) -> None:
+        """Keep quiet."""
+
+
+def measure(n: int, count: int, bench_name: str, root: Path) -> tuple[float, float, float]:
+    """Return seconds for a shape, for the disk alone, and for the file of a cycle."""
+    name = {45: "p45", 672: "lbt672"}.get(n, f"ring{n}")
+    mirror = mirror_from(name)
+    folder = root / name
+    folder.mkdir()
+    random = np.random.default_rng(1)
+    image = 1e-9 * random.standard_normal((count, n))
+    write_fits(folder / "shapes.fits", {}, [Sheet("SHAPES", data=image, unit="m")])
+    plan = CampaignPlan(
+        name,
+        (tn.Load("bare"),),
+        cycles=2,
+        settling=0.0,
+        shapes=PlannedShapes(source="shapes.fits", force=0.1),
+    )
+    bench = Timed(BENCHES[bench_name](mirror, plan))
+    watch = Stopwatch(bench, folder)
+    tn.acquire(bench, plan, folder / "campaign", beside=folder, onlooker=watch)
+    first = 2 * count  # before which the file of the first cycle is written
+    shapes = [t for k, t in enumerate(watch.outside) if k not in (0, first)]
+    return median(shapes), median(watch.disk), watch.outside[first] - median(shapes)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--actuators", type=int, nargs="+", default=[45, 672, 5352])
+    parser.add_argument("--shapes", type=int, default=30, help="Each with both signs, two cycles.")
+    parser.add_argument("--bench", choices=sorted(BENCHES), default="simulated")
+    parser.add_argument("--folder", type=Path, help="On the disk that counts; a temporary one.")
+    chosen = parser.parse_args()
+    print(f"bench: {chosen.bench}; ms")
+    print(f"{'actuators':>9} {'a shape':>9} {'disk':>9} {'the rest':>9} {'file/cycle':>11}")
+    for n in chosen.actuators:
+        with tempfile.TemporaryDirectory(dir=chosen.folder) as root:
+            shape, disk, file = measure(n, chosen.shapes, chosen.bench, Path(root))
+        print(
+            f"{n:9d} {1e3 * shape:9.2f} {1e3 * disk:9.2f} {1e3 * (shape - disk):9.2f}"
+            f" {1e3 * file:11.1f}"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""A plan run on a bench: checked, locked, resumed, and the mirror at rest whatever happens."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from truenewton.acquisition.clock import SteadyClock
+from truenewton.acquisition.cycles import Run, take_all
+from truenewton.acquisition.folder import (
+    PLAN,
+    begin_or_resume,
+    finished_cycles,
+    locked,
+    refuse_shared_names,
+)
+from truenewton.acquisition.interruption import Interruption
+from truenewton.acquisition.limits import check_shapes
+from truenewton.acquisition.progress import Nobody, Onlooker
+from truenewton.acquisition.runlog import run_log
+from truenewton.acquisition.taking import Taker
+from truenewton.bench.protocol import Bench, Operator
+from truenewton.campaign_files import cycle_name
+from truenewton.campaign_plan import CampaignPlan, planned_mirror, planned_shapes
+from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError
+from truenewton.measurements import located
+from truenewton.mirrors import Mirror
+
+
+def acquire(
+    bench: Bench,
+    plan: CampaignPlan,
+    folder: str | os.PathLike[str],
+    *,
+    beside: str | os.PathLike[str] = ".",
+    operator: Operator | None = None,
+    onlooker: Onlooker | None = None,
+) -> tuple[Path, ...]:
+    """Run a plan on a bench, or go on with it, into a folder of cycle files (docs/acquisition.md).
+
+    Whatever ends it, the mirror is brought to rest, and what was taken is kept: the same call goes
+    on where it stopped, and at most the shape under way is taken again.
+
+    Parameters
+    ----------
+    bench
+        Hardware, a server or a simulation.
+    plan
+        What to take. Its copy in the folder decides when the campaign is resumed.
+    folder
+        For the cycle files; made where it is not there.
+    beside
+        The folder relative to which files that the plan names stand.
+    operator
+        Who puts the loads on; the bench itself if it can.
+    onlooker
+        Who is told how it goes; nobody unless told.
+
+    Returns
+    -------
+    tuple of pathlib.Path
+        The cycle files, in the order of the plan.
+
+    Raises
+    ------
+    CampaignMismatch
+        Bench and plan disagree, or the plan was edited since the campaign began.
+    LimitExceeded
+        A command or a reading beyond a limit of the plan.
+    BenchFault
+        The bench is gone, gives no sound readings, or a load is not on.
+    Interrupted
+        Someone stopped it (Ctrl-C; a second one raises KeyboardInterrupt at once).
+    OutputExists, OutputFailed, UnreadableFile, FormatError
+        The folder cannot be used.
+    """
+    mirror = planned_mirror(plan, beside)
+    refuse_shared_names(plan)
+    _check_agreement(bench, mirror)
+    who = operator or (bench if isinstance(bench, Operator) else None)
+    if who is None:
+        raise BenchFault("nobody puts the loads on", remedy="give an operator")
+    seen = onlooker or Nobody()
+    with Interruption() as interruption, locked(folder) as place:
+        shapes = begin_or_resume(place, plan, beside, lambda: planned_shapes(plan, mirror, beside))
+        check_shapes(plan, mirror.layout, bench.gap, shapes)
+        complete = finished_cycles(place, plan, mirror, 2 * len(shapes))
+        files = tuple(
+            place / cycle_name(load, k + 1) for load in plan.loads for k in range(plan.cycles)
+        )
+        if len(complete) == len(files):
+            return files
+        with run_log(place) as log:
+            run = Run(
+                bench=bench,
+                plan=plan,
+                mirror=mirror,
+                shapes=shapes,
+                folder=place,
+                operator=who,
+                onlooker=seen,
+                interruption=interruption,
+                log=log,
+                taker=Taker(bench, plan, log, seen, interruption),
+                clock=SteadyClock(max((each.end for each in complete.values()), default=None)),
+                complete=complete,
+                known={key: each.total for (key, _), each in complete.items()},
+                done=len(complete) * 2 * len(shapes),
+            )
+            _note_start(run)
+            with _at_rest_in_the_end(run):
+                take_all(run)
+        return files
+
+
+def _check_agreement(bench: Bench, mirror: Mirror) -> None:
+    """Refuse a bench that is not the mirror of the plan."""
+    if bench.layout.n != mirror.layout.n:
+        what = f"has {bench.layout.n} actuators, the plan's {mirror.name} {mirror.layout.n}"
+    elif bench.instrument != mirror.name:
+        what = f"is {bench.instrument}, the plan is for {mirror.name}"
+    elif not bench.layout.same_as(mirror.layout):
+        what = f"has other actuators than {mirror.name}: names, places or which are enabled differ"
+    else:
+        return
+    raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
+
+
+def _note_start(run: Run) -> None:
+    from truenewton import __version__
+
+    plan = (run.folder / PLAN).read_bytes()
+    run.log.note(
+        "start",
+        truenewton=__version__,
+        python=platform.python_version(),
+        host=platform.node(),
+        process=os.getpid(),
+        bench=type(run.bench).__name__,
+        kind=run.plan.bench.kind,
+        address=run.plan.bench.address,
+        instrument=run.bench.instrument,
+        actuators=run.bench.layout.n,
+        gap=run.bench.gap,
+        plan=hashlib.sha256(plan).hexdigest(),
+        shapes=hashlib.sha256(run.shapes.tobytes()).hexdigest(),
+        complete=len(run.complete),
+    )
+
+
+@contextmanager
+def _at_rest_in_the_end(run: Run) -> Iterator[None]:
+    """Bring the mirror to rest whatever happens, and say how to go on."""
+    try:
+        yield
+        run.taker.rest()
+    except BaseException as error:
+        run.log.last_words("stop", error=type(error).__name__, why=str(error))
+        try:
+            run.bench.rest()
+        except BenchFault as fault:
+            run.log.last_words("not at rest", fault=fault.fault)
+            raise BenchFault(
+                f"the mirror may not be at rest ({fault.fault}), after: {error}",
+                remedy="see to the bench; the same command goes on with the campaign",
+                path=run.folder,
+            ) from error
+        run.log.last_words("rest")
+        if isinstance(error, TrueNewtonError):
+            raise _with_way_on(error, run.folder) from error
+        raise
+    run.log.note("complete", invalid=run.invalid)
+
+
+def _with_way_on(error: TrueNewtonError, folder: Path) -> TrueNewtonError:
+    """Return an error that also says what became of mirror and data, and how to go on."""
+    then = "the mirror is at rest, what was taken is kept; the same command goes on"
+    told = f"{error.remedy}; {then}" if error.remedy else then
+    again = type(error)(error.fault, remedy=told, path=error.path, got=error.got, want=error.want)
+    return located(again, folder)

@@ -1,0 +1,258 @@
+"""A campaign's folder: one run at a time, one plan for good, and what is complete already."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import fcntl
+import hashlib
+import os
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.acquisition.clock import instant_of
+from truenewton.acquisition.journal import journal_path
+from truenewton.acquisition.loads import sum_at_rest
+from truenewton.actuators import Array
+from truenewton.campaign_files import SUFFIXES, cycle_from, cycle_name
+from truenewton.campaign_plan import CampaignPlan, read_plan
+from truenewton.errors import (
+    CampaignMismatch,
+    FormatError,
+    OutputExists,
+    OutputFailed,
+    UnreadableFile,
+)
+from truenewton.fitsfiles import read_fits
+from truenewton.measurements import Cycle
+from truenewton.mirrors import Mirror
+from truenewton.outputs import file_beside, in_one_line, new_folder, to_disk
+from truenewton.settings import toml_text
+
+PLAN, SHAPES, LOCK = "plan.toml", ".shapes.npy", ".lock"
+SHOWN = 8  # lines of a difference
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a run needs to know of a cycle that is complete.
+
+    Attributes
+    ----------
+    end
+        Its last instant [us since 1970, UTC].
+    total
+        Mean over its shapes of the sum of the forces [N]: the elastic ones cancel.
+    invalid
+        Number of rows that are not valid.
+    """
+
+    end: int
+    total: float
+    invalid: int
+
+
+@contextlib.contextmanager
+def locked(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """Make a campaign's folder where it is not there yet, and keep it for this run alone.
+
+    The lock is the system's: it goes with the process that holds it, however that ends.
+
+    Raises
+    ------
+    OutputFailed
+        It cannot be written, or another run is at it.
+    """
+    folder = Path(folder)
+    new_folder(folder)
+    path = folder / LOCK
+    with in_one_line(folder):
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = os.read(handle, 200).decode(errors="replace").strip() or "another process"
+            raise OutputFailed(
+                f"another run writes here ({holder})", remedy="let it end first", path=folder
+            ) from None
+        with in_one_line(folder):
+            os.ftruncate(handle, 0)
+            os.pwrite(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
+        yield folder
+    finally:
+        os.close(handle)
+
+
+def plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
+    """Return a plan as it is kept beside its data, with the digests of the files that it names."""
+    named = [plan.mirror, plan.shapes.source]
+    files = [path for name in named if (path := Path(beside) / name).is_file()]
+    digests = [f"# {path.name}: {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files]
+    return "\n".join([*digests, toml_text(plan)])
+
+
+def begin_or_resume(
+    folder: Path,
+    plan: CampaignPlan,
+    beside: str | os.PathLike[str],
+    make_shapes: Callable[[], Array],
+) -> Array:
+    """Keep plan and shapes in a folder that has none; else return the shapes that it has.
+
+    Shapes are never made twice: modes of one stiffness may come out turned on another machine.
+
+    Raises
+    ------
+    CampaignMismatch
+        The folder was begun with another plan.
+    OutputExists
+        It holds a campaign that no plan was kept of.
+    UnreadableFile, OutputFailed
+    """
+    _sweep(folder, plan)
+    text = plan_text(plan, beside)
+    if (folder / PLAN).exists():
+        refuse_other_plan(folder, text)
+        return _read_shapes(folder / SHAPES)
+    if any(path.name.endswith(SUFFIXES) for path in folder.iterdir()):
+        raise OutputExists(
+            f"holds FITS files but no {PLAN}", remedy="choose another name", path=folder
+        )
+    shapes = make_shapes()
+    with file_beside(folder / SHAPES, overwrite=True) as temporary:
+        np.save(temporary, shapes)
+    with file_beside(folder / PLAN) as temporary:  # last: with it the campaign has begun
+        temporary.write_text(text, encoding="utf-8")
+    with in_one_line(folder):
+        to_disk(folder)
+    return shapes
+
+
+def refuse_other_plan(folder: str | os.PathLike[str], text: str) -> None:
+    """Refuse a plan that is not the one a folder was begun with, and show the difference.
+
+    Raises
+    ------
+    CampaignMismatch, UnreadableFile, FormatError, LimitExceeded
+    """
+    path = Path(folder) / PLAN
+    plan = toml_text(read_plan(path))  # as this version writes it, defaults included
+    notes = [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
+    kept = "\n".join([*notes, plan])
+    if kept == text:
+        return
+    lines = list(difflib.unified_diff(kept.splitlines(), text.splitlines(), n=0, lineterm=""))
+    changed = [line for line in lines[2:] if not line.startswith("@@") and line[1:].strip()]
+    more = f" and {len(changed) - SHOWN} lines more" if len(changed) > SHOWN else ""
+    raise CampaignMismatch(
+        f"was begun with another plan: {', '.join(changed[:SHOWN])}{more}",
+        remedy=f"take the plan back ({PLAN} in the folder has it), or give another folder",
+        path=folder,
+        got="\n".join(lines),
+    )
+
+
+def _read_shapes(path: Path) -> Array:
+    try:
+        return np.asarray(np.load(path, allow_pickle=False), dtype=float)
+    except (OSError, ValueError, EOFError) as error:
+        raise UnreadableFile(
+            "the shapes of the campaign cannot be read",
+            remedy="fetch the file again, or begin anew in another folder",
+            path=path,
+        ) from error
+
+
+def _sweep(folder: Path, plan: CampaignPlan) -> None:
+    """Remove what a killed run left half-written."""
+    names = [PLAN, SHAPES]
+    names += [cycle_name(load, k + 1) for load in plan.loads for k in range(plan.cycles)]
+    with in_one_line(folder):
+        left = {path.name: path for path in folder.iterdir() if path.name.startswith(".")}
+        for name in names:
+            for hidden, path in left.items():
+                if hidden.startswith(f".{name}."):
+                    path.unlink()
+
+
+def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:
+    """Tell whether a folder that was begun with a plan holds all its cycles."""
+    names = [cycle_name(load, k + 1) for load in plan.loads for k in range(plan.cycles)]
+    return all((Path(folder) / name).exists() for name in (PLAN, *names))
+
+
+def finished_cycles(
+    folder: Path, plan: CampaignPlan, mirror: Mirror, rows: int
+) -> dict[tuple[str, int], Finished]:
+    """Return what is complete already, by load and cycle; every file is read and verified.
+
+    A journal that stands beside its cycle's file is removed.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+        A file is damaged.
+    CampaignMismatch
+        It is of another campaign.
+    """
+    found = {}
+    for load in plan.loads:
+        for number in range(1, plan.cycles + 1):
+            path = folder / cycle_name(load, number)
+            if not path.exists():
+                continue
+            cycle = cycle_from(read_fits(path))
+            agree = (
+                cycle.instrument == mirror.name
+                and (cycle.weight, cycle.weight_error) == (mirror.weight, mirror.weight_error)
+                and cycle.layout.same_as(mirror.layout)
+                and (cycle.load, cycle.number) == (load, number)
+                and len(cycle.time) == rows
+            )
+            if not agree:
+                raise CampaignMismatch(
+                    "is not of this plan", remedy="move it away", path=path, got=cycle
+                )
+            with in_one_line(folder):  # that of a run which was killed before it could do so
+                journal_path(folder, load, number).unlink(missing_ok=True)
+            found[load.key, number] = finished(cycle)
+    return found
+
+
+def finished(cycle: Cycle) -> Finished:
+    """Return what a run needs to know of a complete cycle."""
+    end = instant_of(cycle.date) + round(float(cycle.time[-1]) * 1e6)
+    total = sum_at_rest(
+        cycle.layout, static_force(np.asarray(cycle.force), cycle.sign, cycle.valid)
+    )
+    return Finished(end, total, int((~cycle.valid).sum()))
+
+
+def static_force(force: Array, sign: NDArray[Any], valid: NDArray[Any]) -> Array:
+    """Return the mean (N, n) commanded forces of both signs [N]: the elastic ones cancel."""
+    rows = [valid.astype(bool) & (sign == each) for each in (1, -1)]
+    return np.asarray(np.mean([force[each].mean(axis=0) for each in rows if each.any()], axis=0))
+
+
+def refuse_shared_names(plan: CampaignPlan) -> None:
+    """Refuse loads whose files would have one name.
+
+    Raises
+    ------
+    FormatError
+    """
+    names: dict[str, str] = {}
+    for load in plan.loads:
+        other = names.setdefault(cycle_name(load, 1), load.name)
+        if other != load.name:
+            raise FormatError(
+                f"the loads '{other}' and '{load.name}' would share the name of their files",
+                remedy="name one of them otherwise",
+            )

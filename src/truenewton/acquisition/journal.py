@@ -1,0 +1,198 @@
+"""The shapes of the cycle under way, one record each, on the disk before the next is commanded.
+
+A line says which cycle; then records of one size follow, each closed by its CRC-32. A stop tears
+at most the last of them, which is cut off when the journal is opened again.
+"""
+
+from __future__ import annotations
+
+import os
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.acquisition.clock import moment
+from truenewton.actuators import Layout
+from truenewton.bench.protocol import Reading, Shape
+from truenewton.campaign_files import cycle_name
+from truenewton.errors import BenchFault, FormatError
+from truenewton.measurements import Cycle, Load
+from truenewton.mirrors import Mirror
+from truenewton.outputs import in_one_line, to_disk
+
+VERSION = 1
+
+
+def record_type(n: int) -> np.dtype[np.void]:
+    """Return the form of a record of n actuators.
+
+    INSTANT [us since 1970, UTC], SHAPE, SIGN, VALID, TEMPERATURE [deg C], NOISE of one force
+    reading [N], FORCE [N], POSITION [m], CRC of all that.
+    """
+    return np.dtype(
+        [
+            ("instant", "<i8"), ("shape", "<i4"), ("sign", "<i4"), ("valid", "<i4"),
+            ("temperature", "<f8"), ("noise", "<f8"), ("force", "<f8", (n,)),
+            ("position", "<f8", (n,)), ("crc", "<u4"),
+        ]
+    )  # fmt: skip
+
+
+def journal_path(folder: Path, load: Load, number: int) -> Path:
+    """Return where the journal of a cycle is kept: hidden, beside its file."""
+    return folder / f".{Path(cycle_name(load, number)).stem}.journal"
+
+
+class Journal:
+    """The record of one cycle under way.
+
+    Parameters
+    ----------
+    folder
+        Of the campaign.
+    load, number
+        Of the cycle.
+    n
+        Number of actuators.
+
+    Raises
+    ------
+    FormatError
+        What stands there is no journal of this cycle.
+    OutputFailed
+    """
+
+    def __init__(self, folder: Path, load: Load, number: int, n: int) -> None:
+        self.path = journal_path(folder, load, number)
+        self.load, self.number, self.form = load, number, record_type(n)
+        self._head = f"truenewton journal {VERSION}: {load.key!r}, cycle {number}, {n}\n".encode()
+        with in_one_line(self.path):
+            self._handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            try:
+                self.count, self.dropped = self._sound()
+            except BaseException:
+                os.close(self._handle)
+                raise
+            to_disk(folder)
+
+    def _sound(self) -> tuple[int, int]:
+        """Keep whole records and cut off the rest; return how many, and the bytes cut off."""
+        raw = self.path.read_bytes()
+        head, size = self._head, self.form.itemsize
+        if not (raw.startswith(head) or head.startswith(raw)):
+            raise FormatError("is no journal of this cycle", remedy="move it away", path=self.path)
+        if len(raw) < len(head):  # stopped before its first shape
+            os.ftruncate(self._handle, 0)
+            os.write(self._handle, head)
+            os.fsync(self._handle)
+            return 0, len(raw)
+        count, body = 0, memoryview(raw)[len(head) :]
+        while (count + 1) * size <= len(body) and _whole(body[count * size : (count + 1) * size]):
+            count += 1
+        # Those at the end that were not sound are taken again.
+        valid = np.frombuffer(body[: count * size], dtype=self.form)["valid"]
+        count = int(np.flatnonzero(valid)[-1]) + 1 if valid.any() else 0
+        self._cut(count)
+        return count, len(body) - count * size
+
+    def _cut(self, count: int) -> None:
+        end = len(self._head) + count * self.form.itemsize
+        os.ftruncate(self._handle, end)
+        os.lseek(self._handle, end, os.SEEK_SET)
+
+    def append(
+        self, instant: int, shape: Shape, valid: bool, reading: Reading | None, noise: float
+    ) -> None:
+        """Add a shape; it is on the disk when this returns. Without a reading it holds NaN.
+
+        Raises
+        ------
+        OutputFailed
+        """
+        record = np.zeros(1, dtype=self.form)
+        record["instant"], record["valid"], record["noise"] = instant, valid, noise
+        record["shape"], record["sign"] = shape.number, shape.sign
+        for name in ("temperature", "force", "position"):
+            record[name] = np.nan if reading is None else getattr(reading, name)
+        raw = record.tobytes()[:-4]
+        raw += zlib.crc32(raw).to_bytes(4, "little")
+        with in_one_line(self.path):
+            while raw:
+                raw = raw[os.write(self._handle, raw) :]
+            os.fsync(self._handle)
+        self.count += 1
+
+    def rows(self) -> NDArray[Any]:
+        """Return the records so far, as they lie on the disk."""
+        if not self.count:
+            return np.zeros(0, dtype=self.form)
+        offset = len(self._head)
+        with in_one_line(self.path):
+            return np.memmap(self.path, self.form, "r", offset=offset, shape=(self.count,))
+
+    def check_order(self, shape: NDArray[np.int64], sign: NDArray[np.int64]) -> None:
+        """Refuse records that are not the first of those planned.
+
+        Raises
+        ------
+        FormatError
+        """
+        rows = self.rows()
+        if len(rows) > len(shape) or not (
+            np.array_equal(rows["shape"], shape[: len(rows)])
+            and np.array_equal(rows["sign"], sign[: len(rows)])
+        ):
+            raise FormatError(
+                "holds other shapes than those planned", remedy="move it away", path=self.path
+            )
+
+    def cycle(self, mirror: Mirror, layout: Layout, gap: float) -> Cycle:
+        """Return the cycle that the records make.
+
+        Raises
+        ------
+        BenchFault
+            None of them is valid.
+        """
+        rows = self.rows()
+        valid = rows["valid"].astype(bool)
+        if not valid.any():
+            raise BenchFault(f"no shape of cycle {self.number} under '{self.load.name}' is valid")
+        noise = float(np.sqrt(np.mean(rows["noise"][valid] ** 2)))
+        temperature = rows["temperature"]
+        return Cycle(
+            instrument=mirror.name,
+            date=moment(int(rows["instant"][0])),
+            number=self.number,
+            load=self.load,
+            weight=mirror.weight,
+            weight_error=mirror.weight_error,
+            layout=layout,
+            time=(rows["instant"] - rows["instant"][0]) * 1e-6,
+            shape=rows["shape"],
+            sign=rows["sign"],
+            force=rows["force"],
+            valid=valid,
+            temperature=temperature if np.isfinite(temperature[valid]).all() else None,
+            position=rows["position"],
+            gap=gap,
+            force_error=noise if noise > 0 else None,
+            coil_gradient=mirror.coil_gradient or None,
+            bias_gradient=mirror.bias_gradient or None,
+        )
+
+    def close(self) -> None:
+        """Close the file; it stays."""
+        os.close(self._handle)
+
+    def remove(self) -> None:
+        """Remove the file, when its cycle is safe."""
+        with in_one_line(self.path):
+            self.path.unlink()
+
+
+def _whole(record: memoryview) -> bool:
+    return zlib.crc32(record[:-4]) == int.from_bytes(record[-4:], "little")

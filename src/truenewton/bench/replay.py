@@ -1,0 +1,136 @@
+"""A bench that answers what was recorded: the rows of a campaign's files."""
+
+from __future__ import annotations
+
+import datetime
+import os
+
+import numpy as np
+
+from truenewton.actuators import Layout
+from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.campaign_files import campaign_from, fits_paths
+from truenewton.errors import BenchFault, FormatError, UnknownName
+from truenewton.fitsfiles import read_fits
+from truenewton.measurements import Load
+
+ANOTHER = 0.1  # of its largest displacement: so far from the recorded shape it is another one
+
+
+class ReplayBench:
+    """A recorded campaign, read again shape by shape.
+
+    At rest it answers with the mean of the cycle's shapes, in which the elastic forces cancel.
+
+    Parameters
+    ----------
+    folder
+        Of the campaign.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]) -> None:
+        self._campaign = campaign_from(read_fits(path) for path in fits_paths([folder]))
+        cycles = self._campaign.cycles
+        self._cycles = {(cycle.load.key, cycle.number): cycle for cycle in cycles}
+        gaps = {cycle.gap for cycle in cycles}
+        gap = gaps.pop() if len(gaps) == 1 else None
+        if gap is None:
+            raise FormatError("its files give no GAP, or several", remedy="record it", path=folder)
+        self._gap, self._counter = gap, 0
+        self._shape: Shape | None = None
+
+    @property
+    def instrument(self) -> str:
+        """The mirror's name."""
+        return self._campaign.instrument
+
+    @property
+    def layout(self) -> Layout:
+        """Its actuators."""
+        return self._campaign.layout
+
+    @property
+    def gap(self) -> float:
+        """Nominal distance from the reference plate [m]."""
+        return self._gap
+
+    def put_on(self, load: Load) -> None:
+        """Take a load for on, if it was recorded.
+
+        Raises
+        ------
+        UnknownName
+        """
+        names = [each.name for each in self._campaign.loads]
+        if load.key not in {each.key for each in self._campaign.loads}:
+            raise UnknownName(
+                f"no load '{load.name}' was recorded", remedy=f"there are {', '.join(names)}",
+                got=load.name, want=tuple(names),
+            )  # fmt: skip
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass, which was recorded too."""
+
+    def command(self, shape: Shape) -> None:
+        """Look a shape up.
+
+        Raises
+        ------
+        BenchFault
+            It was not recorded, or in another shape.
+        """
+        self._shape = None
+        self._row(shape)
+        self._shape = shape
+
+    def read(self, samples: int) -> Reading:
+        """Return what was recorded of the shape that is set, whatever the number of samples."""
+        shape = self._shape
+        if shape is None:
+            raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
+        cycle, rows = self._cycles[shape.load.key, shape.cycle], self._row(shape)
+        n = self.layout.n
+        position = shape.position if cycle.position is None else cycle.position[rows].mean(axis=0)
+        noise = np.nan if cycle.force_error is None else cycle.force_error * np.sqrt(samples)
+        self._counter += 1
+        return Reading(
+            time=cycle.date + datetime.timedelta(seconds=float(cycle.time[rows[-1]])),
+            force=cycle.force[rows].mean(axis=0),
+            position=position,
+            force_scatter=np.full(n, noise),
+            position_scatter=np.full(n, np.nan),
+            temperature=np.nan if cycle.temperature is None else float(cycle.temperature[rows[-1]]),
+            counter=self._counter,
+            settled=bool(cycle.valid[rows].all()),
+        )
+
+    def status(self) -> Status:
+        """Return how the bench is."""
+        return Status(True, "replays a recorded campaign", self._counter)
+
+    def rest(self) -> None:
+        """Forget the shape."""
+        self._shape = None
+
+    def _row(self, shape: Shape) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+        """Return the row of a shape; of the mirror at rest all that are valid."""
+        cycle = self._cycles.get((shape.load.key, shape.cycle))
+        if cycle is None:
+            raise BenchFault(f"cycle {shape.cycle} under '{shape.load.name}' was not recorded")
+        if shape.number == 0:
+            return np.flatnonzero(cycle.valid)
+        rows = np.flatnonzero((cycle.shape == shape.number) & (cycle.sign == shape.sign))[-1:]
+        if not rows.size:
+            raise BenchFault(f"shape {shape.number} of sign {shape.sign:+d} was not recorded")
+        if cycle.position is not None:
+            off = np.abs(cycle.position[rows[0]] - shape.position)[cycle.layout.enabled].max()
+            if off > ANOTHER * np.abs(shape.position).max():
+                raise BenchFault(
+                    f"shape {shape.number} was recorded in another shape, {off:.3g} m off",
+                    remedy="replay the plan that was recorded",
+                )
+        return rows
