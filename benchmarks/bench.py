@@ -1,0 +1,186 @@
+"""The simulated bench: what it costs, what its noise is worth, which imperfection costs what.
+
+python benchmarks/bench.py                    times of the shell models and of the closed loop
+python benchmarks/bench.py --large 5352       a static bench of the family of rings
+python benchmarks/bench.py --coverage 200     closed-loop campaigns of P45: errors and chi^2
+python benchmarks/bench.py --imperfections    what each imperfection costs that is left out
+python benchmarks/bench.py --rings 10         336 actuators on a curved shell, at the loop's noise
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from accuracy import bounds, campaigns, rms, simulation
+
+import truenewton as tn
+from truenewton.bench.simulated.dynamic import run_loop_cycles
+from truenewton.bench.simulated.static import StaticBench, run_cycles, static_bench
+from truenewton.mirrors import lbt672, mmt336, p45, ring
+from truenewton.shell import finite_elements, fourier
+
+TWO_SIGMA = 1.959964
+
+
+def timed(what: str, step: Callable[[], object]) -> object:
+    """Run a step and print how long it took, and the peak of memory so far."""
+    start = time.perf_counter()
+    result = step()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(f"  {what:58s} {time.perf_counter() - start:8.2f} s, {peak:7.0f} MB so far", flush=True)
+    return result
+
+
+def costs() -> None:
+    """Print times of the shell models and of the loop, and how well the models agree."""
+    mirror = lbt672()
+    at = mirror.shell.along(mirror.layout.x, mirror.layout.y)
+    print("LBT672, stiffness between 672 actuators read by annulus sensors")
+    shell, sensor = mirror.shell, mirror.sensor
+    series = timed("semi-analytic", lambda: fourier.stiffness(shell, *at, sensor=sensor))
+    mesh = timed(
+        "finite elements of 15 mm",
+        lambda: finite_elements.stiffness(shell, *at, mesh_size=15e-3, sensor=sensor),
+    )
+    one, other = (np.linalg.svd(k, compute_uv=False)[:-3] for k in (series, mesh))
+    print(f"  their singular values agree to {np.abs(other / one - 1).max():.1e}")
+    print("P45, 4 cycles x 2 loads x 90 shapes")
+    bench = timed("the bench: shell, truth, shapes", lambda: static_bench(p45(), 1))
+    timed("static", lambda: list(run_cycles(bench, 4)))
+    timed("closed loop, 1,433 + 2,048 samples of each", lambda: list(run_loop_cycles(bench, 4)))
+
+
+def large(n: int) -> None:
+    """Print what a static bench of n actuators costs."""
+    bench = timed(f"static bench of {n} actuators", lambda: static_bench(ring(n), 1))
+    most = np.abs(bench.load_force).max()
+    print(f"  {len(bench.shapes)} shapes; the flat mirror takes {most:.2g} N an actuator at most")
+
+
+def known(bench: StaticBench) -> np.ndarray:
+    """Return alpha as the declared weight of the ring has it: alpha is in proportion to Q."""
+    return bench.truth.alpha * bench.loads[1].added / bench.truth.added[1]
+
+
+def coverage(seeds: int) -> None:
+    """Print coverage, errors and chi^2 of closed-loop campaigns of P45, 2 cycles a load."""
+    inside, outside, sizes, ratio, plain = [], [], [], [], []
+    for seed in range(seeds):
+        bench = static_bench(p45(), seed)
+        cycles = tuple(run_loop_cycles(bench, 2))
+        found = tn.calibrate(tn.Campaign(cycles))
+        error = found.alpha - known(bench)
+        inside.append(np.mean(np.abs(error) < TWO_SIGMA * found.statistical))
+        outside.append(np.mean(np.abs(found.alpha - bench.truth.alpha) < TWO_SIGMA * found.error))
+        ratio.append(np.mean((error / found.statistical) ** 2))
+        sizes.append(found.goodness.reduced)
+        bare = tuple(replace(c, coil_gradient=None, bias_gradient=None) for c in cycles)
+        if seed < 5:
+            plain.append(tn.calibrate(tn.Campaign(bare)).goodness.reduced)
+        if seed % 20 == 0:
+            print(f"  {seed} of {seeds}", file=sys.stderr)
+    spread = np.std(inside, ddof=1) / np.sqrt(seeds)
+    print(f"P45 in closed loop, 2 cycles x 2 loads, {seeds} seeds")
+    print(f"  95 % intervals of E_STAT cover {100 * np.mean(inside):.1f} +- {100 * spread:.1f} %"
+          " (weights known)")  # fmt: skip
+    wide = np.std(outside, ddof=1) / np.sqrt(seeds)
+    print(f"  95 % intervals of E_ALPHA cover {100 * np.mean(outside):.1f} +- {100 * wide:.1f} %")
+    print(f"  RMS error / E_STAT {np.sqrt(np.mean(ratio)):.3f}")
+    print(f"  chi2/DOF {np.mean(sizes):.3f}, from {min(sizes):.2f} to {max(sizes):.2f};"
+          f" gradients left out: {np.mean(plain):.0f}")  # fmt: skip
+
+
+def imperfect() -> Iterator[tuple[str, Callable[[StaticBench], StaticBench], dict[str, object]]]:
+    """Yield imperfections: name, what they do to the bench, what the files leave out."""
+
+    def same(bench: StaticBench) -> StaticBench:
+        return bench
+
+    def even(bench: StaticBench) -> StaticBench:
+        return replace(bench, sensors=replace(bench.sensors, gain=np.ones(bench.mirror.layout.n)))
+
+    layout = p45().layout
+    flat = tn.layout(layout.x, layout.y, id=layout.id)
+    moved = np.random.default_rng(0).normal(0.0, 0.1e-3, (2, layout.n))
+    off = tn.layout(layout.x + moved[0], layout.y + moved[1], nz=layout.nz)
+    yield "nothing left out", same, {}
+    yield "sensors of exact gain, for comparison", even, {}
+    yield "COILGRAD not declared", same, {"coil_gradient": None}
+    yield "BIASGRAD not declared", same, {"bias_gradient": None}
+    yield "nz taken as 1, as in the paper", same, {"layout": flat}
+    yield "magnets 0.1 mm off their declared places", same, {"layout": off}
+
+
+def imperfections(seeds: int) -> None:
+    """Print what leaving an imperfection out costs, in closed loop and at 0.1 mN."""
+    print(f"P45, 4 cycles x 2 loads, {seeds} seeds: RMS error of alpha beside the common scale")
+    head = ("closed loop", "chi2/DOF", "at 0.1 mN", "chi2/DOF")
+    print(f"  {'left out':44s}" + "".join(f"{name:>14s}" for name in head))
+    benches = [static_bench(p45(), seed) for seed in range(seeds)]
+    for name, change, declared in imperfect():
+        cells = []
+        for run in (run_loop_cycles, run_cycles):
+            errors, sizes = [], []
+            for bench in map(change, benches):
+                cycles = tuple(replace(c, **declared) for c in run(bench, 4))
+                found = tn.calibrate(tn.Campaign(cycles))
+                relative = found.alpha / known(bench)
+                errors.append(np.std(relative))
+                sizes.append(found.goodness.reduced)
+            cells += [f"{np.sqrt(np.mean(np.square(errors))):14.1e}", f"{np.mean(sizes):14.2f}"]
+        print(f"  {name:44s}" + "".join(cells), flush=True)
+
+
+def rings(count: int) -> None:
+    """Print how near to its bound ml comes on MMT336, two cycles, at the noise of the loop."""
+    mirror = mmt336()
+    loads = (tn.Load("bare"), tn.Load("ring", mirror.added_weight, mirror.added_weight_error,
+                                      tool="ring"))  # fmt: skip
+    for noise in (4e-6, 12e-6, 1e-4):
+        simulated = simulation(mirror, loads, noise)
+        bound = bounds(simulated, 2)
+        square, covered, drowned = [], [], []
+        for campaign, heavier in campaigns(simulated, 2, count):
+            found = tn.calibrate(campaign)
+            error = found.alpha * heavier - simulated.alpha
+            square.append(np.mean(error**2))
+            covered.append(np.mean(np.abs(error) < TWO_SIGMA * found.statistical))
+            drowned.append(found.diagnosis.undetermined)
+        value = np.sqrt(np.mean(square)) / rms(bound[0])
+        spread = value * 0.5 * np.std(square, ddof=1) / np.sqrt(count) / np.mean(square)
+        print(
+            f"MMT336, 2 cycles, {1e6 * noise:.0f} uN: bound {rms(bound[0]):.2e}, RMS error / bound"
+            f" {value:.3f} +- {spread:.3f}, covers {100 * np.mean(covered):.1f} %,"
+            f" {np.mean(drowned):.1f} patterns drown",
+            flush=True,
+        )
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--large", type=int, metavar="N")
+    parser.add_argument("--coverage", type=int, metavar="SEEDS")
+    parser.add_argument("--imperfections", action="store_true")
+    parser.add_argument("--rings", type=int, metavar="CAMPAIGNS")
+    options = parser.parse_args()
+    if options.large:
+        large(options.large)
+    elif options.coverage:
+        coverage(options.coverage)
+    elif options.imperfections:
+        imperfections(5)
+    elif options.rings:
+        rings(options.rings)
+    else:
+        costs()
+
+
+if __name__ == "__main__":
+    main()
