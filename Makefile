@@ -1,7 +1,7 @@
 # Two commands: `make demo` and `make test`. Each builds what it needs, with Python and make alone.
 PYTHON ?= python3
 
-.PHONY: demo test test-opticalib lint types contracts format clean
+.PHONY: demo test test-opticalib browser lint types contracts format clean
 
 demo: .venv-demo/ready
 	.venv-demo/bin/truenewton demo --overwrite
@@ -12,6 +12,10 @@ test: .venv-test/ready
 # Against the published opticalib: 0.7 GB, so it is not part of `make test`.
 test-opticalib: .venv-opticalib/ready
 	.venv-opticalib/bin/python -m pytest tests/test_opticalib.py
+
+# axe-core, with which the tests judge whether the report's page can be used by all; needs npm.
+browser:
+	npm install --silent --no-audit --no-fund --prefix .browser axe-core@4.14.1
 
 lint: .venv-test/ready
 	.venv-test/bin/ruff check .
@@ -27,7 +31,7 @@ format: .venv-test/ready
 	.venv-test/bin/ruff check --fix .
 	.venv-test/bin/ruff format .
 
-.venv-demo/ready: pyproject.toml constraints.txt $(shell find src -name '*.py')
+.venv-demo/ready: pyproject.toml constraints.txt $(shell find src -type f -not -name '*.pyc')
 	$(PYTHON) -m venv .venv-demo
 	.venv-demo/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt .
 	touch $@
@@ -43,4 +47,4 @@ format: .venv-test/ready
 	touch $@
 
 clean:
-	rm -rf .venv-demo .venv-test .venv-opticalib
+	rm -rf .venv-demo .venv-test .venv-opticalib .browser

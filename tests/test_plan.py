@@ -345,7 +345,7 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
 
 def test_for_a_target_it_says_what_to_change(inside, file):
     out = inside("plan", file, "--target", "0.005")[1]
-    assert "for 0.5 %, one of these alone:" in out
+    assert "for 0.50 %, one of these alone:" in out
     assert re.search(r"balance +'ring' known to 1\.\d+ mN: 0\.\d+ %, 31 min", out)
     assert re.search(r"tilt +a load tilted by \d+ deg, known to 0\.1 deg: 0\.\d+ %, 61 min", out)
     assert "cannot: even 999 cycles leaves 1.7 %" in out

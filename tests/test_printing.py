@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from truenewton.cli.printing import percent, print_json, print_table, with_error
+from truenewton.cli.printing import print_json, print_table
+from truenewton.rounding import percent, significant, to_digits, with_error
 
 
 @pytest.mark.parametrize(
@@ -31,8 +32,31 @@ def test_a_value_goes_as_far_as_its_error(value, error, text):
     assert with_error(value, error) == text
 
 
+def test_to_digits_leaves_the_error_out():
+    assert to_digits(3.60123, 0.0354) == "3.601"
+    assert to_digits(2.5, float("nan")) == "2.5"
+
+
 @pytest.mark.parametrize(
-    ("ratio", "text"), [(0.01734, "1.7 %"), (0.00021, "0.021 %"), (0.5, "50 %"), (1.5, "150 %")]
+    ("value", "digits", "text"),
+    [
+        (0.0199, 2, "0.020"),
+        (0.0996, 2, "0.10"),
+        (99.6, 2, "100"),
+        (1.0, 2, "1.0"),
+        (-1234.5, 2, "-1200"),
+        (1.5e-9, 2, "1.5e-09"),
+        (0.0, 2, "0"),
+        (float("nan"), 2, "unknown"),
+    ],
+)
+def test_significant_digits_keep_their_zeros(value, digits, text):
+    assert significant(value, digits) == text
+
+
+@pytest.mark.parametrize(
+    ("ratio", "text"),
+    [(0.0199, "2.0 %"), (0.01734, "1.7 %"), (0.00021, "0.021 %"), (0.5, "50 %"), (1.5, "150 %")],
 )
 def test_percent_has_two_digits(ratio, text):
     assert percent(ratio) == text

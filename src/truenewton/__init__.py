@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from truenewton.figures import write_figures
     from truenewton.measurements import Cycle, Load, StiffnessMatrix
     from truenewton.reading import read
+    from truenewton.report.change import change
+    from truenewton.report.findings import investigate
+    from truenewton.report.page import write_report
 
 __version__ = "0.1.0"
 
@@ -43,7 +46,9 @@ __all__ = [
     "StiffnessMatrix",
     "acquire",
     "calibrate",
+    "change",
     "errors",
+    "investigate",
     "layout",
     "mirrors",
     "read",
@@ -55,6 +60,7 @@ __all__ = [
     "write_campaign",
     "write_cycle",
     "write_figures",
+    "write_report",
     "write_stiffness",
 ]
 
@@ -70,6 +76,8 @@ _HOMES = {
     "StiffnessMatrix": "measurements",
     "acquire": "acquisition.acquire",
     "calibrate": "estimators",
+    "change": "report.change",
+    "investigate": "report.findings",
     "layout": "actuators",
     "read": "reading",
     "read_plan": "campaign_plan",
@@ -80,6 +88,7 @@ _HOMES = {
     "write_campaign": "campaign_files",
     "write_cycle": "campaign_files",
     "write_figures": "figures",
+    "write_report": "report.page",
     "write_stiffness": "campaign_files",
 }
 

@@ -6,7 +6,7 @@ Drawn at the width of a journal's column. Every call takes axes or makes its own
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from truenewton.actuators import Array, Layout, ring_of
+from truenewton.colours import ACCENT, COLOURS, FAINT, INK
 from truenewton.errors import OutputFailed
 from truenewton.outputs import file_beside, folder_beside
 
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 
 COLUMN = 8.4 / 2.54  # width of the paper's column [inch]
 MILLIMETRE = 1e-3
-COLOURS = "cividis"  # even in lightness, and alike to every kind of colour vision
-INK, FAINT, ACCENT = "#1a1a1a", "#9a9a9a", "#00457c"
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
 STYLE: Any = {
     "font.size": 8.0,
@@ -68,11 +67,18 @@ def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
 
 
 def plot_map(
-    layout: Layout, values: Array, ax: Axes | None = None, *, label: str = ALPHA_LABEL
+    layout: Layout,
+    values: Array,
+    ax: Axes | None = None,
+    *,
+    label: str = ALPHA_LABEL,
+    colours: str = COLOURS,
+    limits: tuple[float, float] | None = None,
 ) -> Axes:
     """Draw values on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
 
-    An actuator without a value (disabled) is an open circle.
+    An actuator without a value (disabled) is an open circle. Among many, the few farthest out take
+    up no colours of their own, unless ``limits`` say where the colours end.
     """
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(1.02)
@@ -82,12 +88,12 @@ def plot_map(
         ax.add_collection(
             PatchCollection(patches[~known], facecolor="none", edgecolor=FAINT, linewidth=0.6)
         )
-        dots = PatchCollection(patches[known], cmap=COLOURS, edgecolor=INK, linewidth=0.3)
+        dots = PatchCollection(patches[known], cmap=colours, edgecolor=INK, linewidth=0.3)
         dots.set_array(values[known])
-        # Among many, the few farthest out shall not take up the colours of all others.
-        clipped = layout.n > 100
+        clipped = layout.n > 100 or limits is not None
         if clipped:
-            dots.set_clim(*np.percentile(values[known], [1.0, 99.0]))
+            ends = limits or np.percentile(values[known], [1.0, 99.0])
+            dots.set_clim(float(ends[0]), float(ends[1]))
         ax.add_collection(dots)
         bar = ax.figure.colorbar(
             dots,
@@ -101,9 +107,9 @@ def plot_map(
         bar.set_label(label)
         bar.outline.set_linewidth(0.4)
         if layout.n <= 100:
-            middle = 0.5 * (np.nanmin(values) + np.nanmax(values))
             for name, x, y, value in zip(layout.id, layout.x, layout.y, values, strict=True):
-                colour = "white" if value < middle else INK
+                light = np.dot(dots.to_rgba(value)[:3], [0.299, 0.587, 0.114])
+                colour = INK if light > 0.5 else "white"
                 ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
                         fontsize=5.0, color=colour if np.isfinite(value) else FAINT)  # fmt: skip
     return ax
@@ -184,9 +190,13 @@ def plot_step_responses(
 
 
 def write_figures(
-    calibration: Calibration, folder: str | os.PathLike[str], *, overwrite: bool = False
+    calibration: Calibration,
+    folder: str | os.PathLike[str],
+    *,
+    more: Mapping[str, Callable[[], Axes]] | None = None,
+    overwrite: bool = False,
 ) -> list[Path]:
-    """Write figures 2, 5 and 6 as PDF and PNG into a folder; return the paths.
+    """Write figures 2, 5 and 6, and more by name, as PDF and PNG into a folder; return the paths.
 
     Raises
     ------
@@ -196,6 +206,7 @@ def write_figures(
         "fig2-actuators": lambda: plot_layout(calibration.layout),
         "fig5-alpha": lambda: plot_actuators(calibration),
         "fig6-alpha-map": lambda: plot_map(calibration.layout, calibration.alpha),
+        **(more or {}),
     }
     names = []
     with folder_beside(folder, (".pdf", ".png"), overwrite=overwrite) as temporary:

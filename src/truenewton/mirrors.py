@@ -276,7 +276,8 @@ def ring(actuators: int) -> Mirror:
 
     The rings, glass and magnets of LBT672 carried on to any number of actuators, the outermost ring
     with what is left over; the radius of curvature grows with the mirror beyond LBT672, so that its
-    edge is as steep; a tool of 1 % of the weight [guess, all that LBT672 does not vouch for].
+    edge is as steep; a tool of a tenth of the weight, up to 0.5 N [guess, all that LBT672 does not
+    vouch for].
 
     Parameters
     ----------
@@ -310,8 +311,8 @@ def ring(actuators: int) -> Mirror:
         shell=shell,
         weight=weight,
         weight_error=round(-weight * 5e-4, 4),
-        added_weight=round(weight * 0.01, 4),
-        added_weight_error=round(-weight * 1e-4, 5),
+        added_weight=round(max(-0.5, 0.1 * weight), 4),
+        added_weight_error=0.005,
         bias_force=0.097,
         magnet_mass=2.75e-3,
         alpha_range=(0.90, 1.10),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from pathlib import Path
 
 from truenewton.calibration import Calibration
 from truenewton.calibration_files import calibration_from, is_calibration_file
@@ -74,3 +75,20 @@ def read_data(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix:
             "is a calibration already", remedy="give cycle files or a stiffness file", path=paths[0]
         )
     return data
+
+
+def read_calibrations(*paths: str | os.PathLike[str]) -> tuple[Calibration, ...]:
+    """Read several calibrations; none where one of the paths holds something else.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    if any(Path(path).is_dir() for path in paths):
+        return ()
+    files = []
+    for path in paths:
+        files.append(read_fits(path))
+        if not is_calibration_file(files[-1]):
+            return ()
+    return tuple(calibration_from(file) for file in files)

@@ -1,7 +1,8 @@
-"""`truenewton demo`: simulate P45, calibrate it, draw it, and compare with the truth."""
+"""`truenewton demo`: simulate P45, calibrate it, compare with the truth, report and draw it."""
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import typer
@@ -18,17 +19,19 @@ def run(
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
     overwrite: bool = options.OVERWRITE,
 ) -> None:
-    """Show the whole story on a simulated P45: campaign, calibration, figures, truth."""
+    """Show the whole story on a simulated P45: campaign, calibration, truth, report, figures."""
     from truenewton.bench.simulated.static import run_cycles, static_bench
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.campaign_files import write_campaign
-    from truenewton.cli.printing import percent
     from truenewton.cli.summary import print_summary
     from truenewton.estimators import calibrate
     from truenewton.figures import write_figures
     from truenewton.mirrors import p45
     from truenewton.outputs import new_folder, refuse_existing
     from truenewton.reading import read_data
+    from truenewton.report.findings import investigate
+    from truenewton.report.page import write_report
+    from truenewton.rounding import percent
     from truenewton.studies.scoring import score
 
     refuse_existing(output, overwrite=overwrite)
@@ -68,6 +71,10 @@ def run(
         f" and {percent(paper.pattern_error)} by the paper's svd on the same data\n"
     )
 
-    print("4. The figures of the paper")
+    print("4. The report and the figures of the paper")
+    page = output / "report.html"
+    command = shlex.join(["truenewton", "report", str(campaign), "-o", str(page)])
+    write_report(page, investigate(data), command=command, overwrite=overwrite)
+    print(f"   {page}: opens in any browser")
     written = write_figures(calibration, output / "figures", overwrite=overwrite)
     print(f"   {output / 'figures'}: " + ", ".join(p.stem for p in written[::2]) + " (PDF, PNG)")

@@ -1,4 +1,4 @@
-"""`truenewton figures`: the paper's figures 2, 5 and 6."""
+"""`truenewton figures`: the paper's figures 2, 5 and 6, and their kin."""
 
 from __future__ import annotations
 
@@ -16,15 +16,19 @@ def run(
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the figures."),
     overwrite: bool = options.OVERWRITE,
 ) -> None:
-    """Draw the actuators, alpha per actuator and alpha on the map, as PDF and PNG."""
-    from truenewton.calibration import Calibration
-    from truenewton.estimators import calibrate
+    """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
+    from truenewton.errors import RankDeficient
     from truenewton.figures import write_figures
     from truenewton.outputs import refuse_existing
     from truenewton.reading import read
+    from truenewton.report.findings import investigate
+    from truenewton.report.still import still_figures
 
     refuse_existing(output, overwrite=overwrite)
-    data = read(*paths)
-    calibration = data if isinstance(data, Calibration) else calibrate(data)
-    for path in write_figures(calibration, output, overwrite=overwrite):
+    found = investigate(read(*paths))
+    if found.calibration is None:
+        fault, remedy = found.faults[0]
+        raise RankDeficient(fault, remedy=remedy)
+    more = still_figures(found)
+    for path in write_figures(found.calibration, output, more=more, overwrite=overwrite):
         print(path)

@@ -43,10 +43,11 @@ def _campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str]]:
     """Return what a campaign holds, for scripts and for people."""
     import numpy as np
 
-    from truenewton.cli.printing import with_error
-    from truenewton.cli.summary import rejected_lines, rejected_values
+    from truenewton.cli.summary import rejected_lines
     from truenewton.identifiability import diagnose
     from truenewton.outliers import against_repeats
+    from truenewton.report.wording import rejected_values
+    from truenewton.rounding import with_error
 
     moments, sound, strange = against_repeats(campaign)
     diagnosis = diagnose(sound, moments)

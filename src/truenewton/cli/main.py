@@ -19,6 +19,7 @@ from truenewton.cli import (
     mirrors,
     plan,
     prove,
+    report,
     serve,
     simulate,
 )
@@ -39,6 +40,7 @@ for command in (
     demo,
     calibrate,
     info,
+    report,
     figures,
     plan,
     acquire,

@@ -87,8 +87,8 @@ def _predict(
 
 def _lines(outlook: Outlook) -> Iterator[str]:
     """Yield what is predicted, as people read it."""
-    from truenewton.cli.printing import percent
     from truenewton.prediction import typical
+    from truenewton.rounding import percent
     from truenewton.studies.planning import reading_time
 
     ready, borne, found = outlook.ready, outlook.strain, outlook.prediction
@@ -148,7 +148,7 @@ def _lines(outlook: Outlook) -> Iterator[str]:
 
 def _table(name: str, curve: Curve, heads: Sequence[str]) -> Iterator[str]:
     """Yield a curve as two lines."""
-    from truenewton.cli.printing import percent
+    from truenewton.rounding import percent
 
     if heads:
         yield f"    {name:<22}" + "".join(f"{head:>9}" for head in heads)
@@ -159,7 +159,7 @@ def _table(name: str, curve: Curve, heads: Sequence[str]) -> Iterator[str]:
 
 def _ways(target: float | None, ways: Sequence[Way]) -> Iterator[str]:
     """Yield what to change for the wanted error."""
-    from truenewton.cli.printing import percent
+    from truenewton.rounding import percent
 
     if target is None:
         return

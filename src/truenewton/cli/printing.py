@@ -1,4 +1,4 @@
-"""How results look in a terminal: plain tables, numbers rounded with their errors, progress."""
+"""How results look in a terminal: plain tables, JSON, progress."""
 
 from __future__ import annotations
 
@@ -39,34 +39,6 @@ def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) 
             for k, (cell, width) in enumerate(zip(row, widths, strict=True))
         ]
         print("  " + "  ".join(cells).rstrip())
-
-
-def with_error(value: float, error: float) -> str:
-    """Return a number rounded with its error, as the Particle Data Group does.
-
-    The error keeps two digits if its first three lie below 355, else one; 950 and more round up to
-    1000 and keep two. The value goes as far as the error.
-    """
-    if not math.isfinite(value):
-        return "unknown"
-    if not (math.isfinite(error) and error > 0):
-        return f"{value:.6g}"
-    exponent = math.floor(math.log10(error))
-    three = round(error / 10.0 ** (exponent - 2))
-    if three >= 950:
-        exponent, error, digits = exponent + 1, 10.0 ** (exponent + 1), 1
-    else:
-        digits = 1 if three < 355 else 0
-    decimals = digits - exponent
-    if decimals < 0:
-        step = 10.0**-decimals
-        return f"{round(value / step) * step:.0f} ± {round(error / step) * step:.0f}"
-    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
-
-
-def percent(ratio: float) -> str:
-    """Return a ratio in per cent with two significant digits."""
-    return f"{100 * ratio:.2g} %" if abs(ratio) < 0.995 else f"{100 * ratio:.0f} %"
 
 
 def track(items: Sequence[Item], what: str) -> Iterator[Item]:

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from truenewton.actuators import Array
-from truenewton.figures import ACCENT, COLUMN, FAINT, INK, STYLE
+from truenewton.colours import ACCENT, FAINT, INK
+from truenewton.figures import COLUMN, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

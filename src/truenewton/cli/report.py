@@ -1,0 +1,60 @@
+"""`truenewton report`: what a campaign gave, on one page that opens without network."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.report.change import Change
+    from truenewton.report.findings import Findings
+
+NAME = "report"
+
+
+def run(
+    paths: list[Path] = typer.Argument(
+        ...,
+        metavar="PATH...",
+        help="Cycle files or their folder, a stiffness file, a calibration, or two to compare.",
+    ),
+    output: Path = typer.Option(..., "-o", "--output", help="Page to write (HTML)."),
+    method: str = typer.Option("ml", help="ml, maximum likelihood; svd, the paper's."),
+    population: bool = typer.Option(
+        False, "--population", help="Take alpha for samples of one normal population (ml)."
+    ),
+    overwrite: bool = options.OVERWRITE,
+) -> None:
+    """Put verdict, map, residuals and inputs on one page; or what changed between two."""
+    from truenewton.outputs import refuse_existing
+    from truenewton.report.change import Change
+    from truenewton.report.page import write_report
+    from truenewton.report.verdict import verdict, verdict_on_change
+
+    refuse_existing(output, overwrite=overwrite)
+    found = _found(paths, method, population=population)
+    words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
+    words += ["--method", method] if method != "ml" else []
+    words += ["--population"] if population else []
+    write_report(output, found, command=shlex.join(words), overwrite=overwrite)
+    judged = verdict_on_change(found) if isinstance(found, Change) else verdict(found)
+    for line in judged.lines():
+        print(line)
+    print(f"written: {output}")
+
+
+def _found(paths: list[Path], method: str, *, population: bool) -> Findings | Change:
+    """Return what is to be told: of data or a calibration, or of two calibrations compared."""
+    from truenewton.reading import read, read_calibrations
+    from truenewton.report.change import change
+    from truenewton.report.findings import investigate
+
+    pair = read_calibrations(*paths) if len(paths) == 2 else ()
+    if pair:
+        return change(*pair)
+    return investigate(read(*paths), method, population=population)

@@ -1,0 +1,255 @@
+"""The evidence for a calibration: residuals, balance before and after, singular values.
+
+A row's imbalance is rho = A (alpha c) + k, three numbers, with the covariance S = A diag(alpha)
+Sigma diag(alpha) A' (docs/likelihood.md). In terms of its noise it is (rho' S^-1 rho / 3)^1/2,
+which is 1, rms, where nothing but noise is at work.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.actuators import Array
+from truenewton.balance import enabled_arms
+from truenewton.balanced_rows import BalancedRows
+from truenewton.calibration import Calibration
+from truenewton.campaign import Campaign
+from truenewton.estimators import held_out
+from truenewton.estimators.elastic import comparable_arms, elastic_modes, modal_stiffness
+from truenewton.estimators.problem import reading_noise
+from truenewton.identifiability import balance_spectrum, centred_means
+from truenewton.measurements import StiffnessMatrix
+from truenewton.moments import campaign_moments, row_weights
+from truenewton.outliers import without
+
+
+@dataclass(frozen=True)
+class BalanceLine:
+    """An rms imbalance with alpha = 1, with alpha as found, and as noise alone would leave it.
+
+    Attributes
+    ----------
+    what, unit
+        'force, bare' in 'mN', ...; no unit where the imbalance is one per unit of force.
+    before, after, noise
+        The figures; NaN where unknown.
+    """
+
+    what: str
+    unit: str
+    before: float
+    after: float
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class RowResiduals:
+    """Imbalance of the valid rows of a campaign in terms of their noise.
+
+    Attributes
+    ----------
+    cycle, row, shape, sign
+        (N,) place in the campaign's cycles, row of MEASUREMENTS from 0, SHAPE, SIGN.
+    before, after
+        (N,) with alpha = 1 and with alpha as found.
+    kept
+        (N,) false for rows that were rejected.
+    """
+
+    cycle: NDArray[np.int64]
+    row: NDArray[np.int64]
+    shape: NDArray[np.int64]
+    sign: NDArray[np.int64]
+    before: Array
+    after: Array
+    kept: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ModeResiduals:
+    """Imbalance of the elastic modes of a stiffness matrix, rms of the three equations.
+
+    Attributes
+    ----------
+    stiffness
+        (m,) of the modes [N/m].
+    before, after
+        (m,) per unit of force, with alpha = 1 and with alpha as found.
+    """
+
+    stiffness: Array
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What supports a calibration.
+
+    Attributes
+    ----------
+    residuals
+        Of rows or of modes.
+    balance
+        Imbalance before and after.
+    actuator_residual
+        (n,) rms over rows of how far the imbalance pulls each actuator's reading, in terms of its
+        noise: 1 where nothing but noise is at work; NaN where disabled.
+    actuator_noise
+        (n,) standard deviation of one reading among repeats [N]; NaN where nothing repeats.
+    singular_values
+        Of the balance, ascending; the first belongs to alpha itself.
+    in_noise
+        Whether they are in terms of noise, which is then 1.
+    """
+
+    residuals: RowResiduals | ModeResiduals
+    balance: tuple[BalanceLine, ...]
+    actuator_residual: Array
+    actuator_noise: Array
+    singular_values: Array
+    in_noise: bool
+
+
+def campaign_evidence(campaign: Campaign, calibration: Calibration) -> Evidence:
+    """Return the evidence that a campaign gives for its calibration."""
+    a, on = enabled_arms(campaign.layout), campaign.layout.enabled
+    arms = a * calibration.alpha[on]
+    sound = without(campaign, list(calibration.rejected_rows))
+    moments = campaign_moments(sound)
+    noise = reading_noise(sound, moments)
+    rows = [np.flatnonzero(cycle.valid) for cycle in campaign.cycles]
+    cycle = np.repeat(np.arange(len(rows)), [len(some) for some in rows])
+    kept = np.concatenate(
+        [sound.cycles[k].valid[some] for k, some in enumerate(rows)]  # what was rejected is not
+    )
+    weight, load = np.array(row_weights(campaign))[cycle], np.array(campaign.load_index)[cycle]
+    before, after = (_imbalance(campaign, a, some, load, kept) for some in (a, arms))
+    variance = noise.variance
+    if noise.source == "minimum":  # known in shape only: its size is what the residuals have
+        s = (arms * variance) @ arms.T
+        variance = variance * np.mean(_squares(after, weight, s)[kept]) / 3
+    s, s_before = (arms * variance) @ arms.T, (a * variance) @ a.T
+    readings = np.sqrt(variance * moments.typical_variance)
+    return Evidence(
+        residuals=RowResiduals(
+            cycle=cycle,
+            row=np.concatenate(rows),
+            shape=np.concatenate([c.shape[c.valid] for c in campaign.cycles]),
+            sign=np.concatenate([c.sign[c.valid] for c in campaign.cycles]),
+            before=np.sqrt(_squares(before, weight, s_before) / 3),
+            after=np.sqrt(_squares(after, weight, s) / 3),
+            kept=kept,
+        ),
+        balance=_balance_lines(campaign, before, after, s, weight, load, kept),
+        actuator_residual=_spread(_pull(after[kept], weight[kept], arms, s), on),
+        actuator_noise=_spread(
+            readings if noise.source == "repeats" else np.full(readings.size, np.nan), on
+        ),
+        singular_values=np.sqrt(balance_spectrum(centred_means(moments), a, variance)),
+        in_noise=noise.source != "minimum",
+    )
+
+
+def _imbalance(
+    campaign: Campaign,
+    a: Array,
+    arms: Array,
+    load: NDArray[np.int64],
+    kept: NDArray[np.bool_],
+) -> Array:
+    """Return (N, 3) imbalance of all rows about the mean of their load.
+
+    The mean is what weight, B and torques take up.
+    """
+    parts = []
+    for cycle in campaign.cycles:
+        for some in cycle.used_blocks():
+            force, known = BalancedRows(cycle, a).at(some)
+            parts.append(force @ arms.T + (0.0 if known is None else known))
+    rho = np.concatenate(parts)
+    for place in np.unique(load[kept]):
+        rho[load == place] -= rho[kept & (load == place)].mean(axis=0)
+    return rho
+
+
+def _pull(rho: Array, weight: Array, arms: Array, s: Array) -> Array:
+    """Return (n,) rms over rows of (alpha_i a_i)' S^-1 rho, in terms of its noise.
+
+    It is the correction of the reading of actuator i that rho asks for, over what noise asks.
+    """
+    solved = np.linalg.solve(s, rho.T)
+    mean_square = (weight * solved) @ solved.T / len(rho)
+    asked = np.einsum("kn,kl,ln->n", arms, mean_square, arms)
+    return np.asarray(np.sqrt(asked / np.einsum("kn,kn->n", arms, np.linalg.solve(s, arms))))
+
+
+def _squares(rho: Array, weight: Array, s: Array) -> Array:
+    """Return (N,) squared distances w rho' S^-1 rho."""
+    return np.asarray(weight * np.einsum("nk,kn->n", rho, np.linalg.solve(s, rho.T)))
+
+
+def _balance_lines(
+    campaign: Campaign,
+    before: Array,
+    after: Array,
+    s: Array,
+    weight: Array,
+    load: NDArray[np.int64],
+    kept: NDArray[np.bool_],
+) -> tuple[BalanceLine, ...]:
+    """Return the rms imbalance of force and torques under each load, in mN and mN m."""
+    lines = []
+    for place, name in enumerate(each.name for each in campaign.loads):
+        some = kept & (load == place)
+        if not some.any():
+            continue
+        rms_before, rms_after = (
+            1e3 * np.sqrt(np.mean(rho[some] ** 2, axis=0)) for rho in (before, after)
+        )
+        noise = 1e3 * np.sqrt(np.diag(s) * np.mean(1 / weight[some]))
+        lines += [
+            BalanceLine(f"{what}, {name}", unit, float(b), float(f), float(n))
+            for what, unit, b, f, n in zip(
+                ("force", "torque M_y", "torque M_x"), ("mN", "mN m", "mN m"),
+                rms_before, rms_after, noise, strict=True,
+            )
+        ]  # fmt: skip
+    return tuple(lines)
+
+
+def stiffness_evidence(
+    matrix: StiffnessMatrix, calibration: Calibration, method: str, *, population: bool
+) -> Evidence:
+    """Return the evidence that a stiffness matrix gives for its relative alpha."""
+    a, on = comparable_arms(matrix), matrix.layout.enabled
+    modes, alpha = elastic_modes(matrix), calibration.alpha[on]
+    before, after = (modes * values @ a.T for values in (np.ones(len(alpha)), alpha))
+    arms, even = a * alpha, np.ones(len(modes))
+    s = arms @ arms.T
+    s *= np.mean(_squares(after, even, s)) / 3
+    eigenvalues = calibration.diagnosis.eigenvalues if calibration.diagnosis else ()
+    return Evidence(
+        residuals=ModeResiduals(
+            modal_stiffness(matrix)[: len(modes)],
+            *(np.sqrt(np.mean(rho**2, axis=1)) for rho in (before, after)),
+        ),
+        balance=tuple(
+            BalanceLine(line.modes, "", line.before, line.after, float("nan"))
+            for line in held_out(matrix, method, population=population)
+        ),
+        actuator_residual=_spread(_pull(after, even, arms, s), on),
+        actuator_noise=np.full(on.size, np.nan),
+        singular_values=np.sqrt(np.maximum(eigenvalues, 0.0)),
+        in_noise=False,
+    )
+
+
+def _spread(values: Array, on: NDArray[np.bool_]) -> Array:
+    """Put values of the enabled actuators in the order of all, NaN elsewhere."""
+    out = np.full(on.size, np.nan)
+    out[on] = values
+    return out

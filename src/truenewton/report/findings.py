@@ -1,0 +1,139 @@
+"""What a report tells of: the calibration, or why there is none, and the evidence for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from truenewton.calibration import Calibration, UsedSource
+from truenewton.campaign import Campaign
+from truenewton.diagnosis import Diagnosis
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.estimators import calibrate
+from truenewton.identifiability import diagnose
+from truenewton.measurements import StiffnessMatrix
+from truenewton.outliers import against_repeats
+from truenewton.report.evidence import Evidence, campaign_evidence, stiffness_evidence
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """All that a report tells of one set of data, or of a finished calibration.
+
+    Attributes
+    ----------
+    data
+        What was calibrated; None where a calibration file was given.
+    calibration
+        Its result; None where the data cannot give one.
+    evidence
+        Residuals, balance and singular values; None without data or without calibration.
+    faults
+        Why there is no calibration, each with its remedy.
+    """
+
+    data: Campaign | StiffnessMatrix | None
+    calibration: Calibration | None
+    evidence: Evidence | None = None
+    faults: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def instrument(self) -> str:
+        """The mirror's name."""
+        known = self.calibration or self.data
+        return known.instrument if known is not None else ""
+
+    @property
+    def inputs(self) -> tuple[UsedSource, ...]:
+        """The files: those that went into the calibration, or those that did not suffice."""
+        if self.calibration is not None:
+            return self.calibration.sources
+        if isinstance(self.data, Campaign):
+            return tuple(
+                UsedSource(c.source.file, c.source.sha256, 0, 0)
+                for c in self.data.cycles
+                if c.source
+            )
+        if self.data is not None and self.data.source is not None:
+            return (UsedSource(self.data.source.file, self.data.source.sha256, 0, 0),)
+        return ()
+
+    def plot_layer(self, key: str, ax: Axes | None = None) -> Axes:
+        """Draw one layer, as 'e_stat', 'leverage', 'residual', on the map; return the axes."""
+        from truenewton.report.still import plot_layer
+
+        return plot_layer(self, key, ax)
+
+    def plot_budget(self, ax: Axes | None = None) -> Axes:
+        """Draw the error budget; return the axes."""
+        from truenewton.report.still import plot_budget
+
+        return plot_budget(self, ax)
+
+    def plot_residuals(self, ax: Axes | None = None) -> Axes:
+        """Draw how far rows or modes are out of balance; return the axes."""
+        from truenewton.report.still import plot_residuals
+
+        return plot_residuals(self, ax)
+
+    def plot_balance(self, ax: Axes | None = None) -> Axes:
+        """Draw the imbalance with alpha = 1 and with alpha as found; return the axes."""
+        from truenewton.report.still import plot_balance
+
+        return plot_balance(self, ax)
+
+    def plot_singular_values(self, ax: Axes | None = None) -> Axes:
+        """Draw how clearly the data hold each pattern of alpha; return the axes."""
+        from truenewton.report.still import plot_singular_values
+
+        return plot_singular_values(self, ax)
+
+    def plot_temperatures(self, ax: Axes | None = None) -> Axes:
+        """Draw when the cycles ran, and how warm it was; return the axes."""
+        from truenewton.report.still import plot_temperatures
+
+        return plot_temperatures(self, ax)
+
+
+def investigate(
+    data: Campaign | StiffnessMatrix | Calibration, method: str = "ml", *, population: bool = False
+) -> Findings:
+    """Calibrate data and gather the evidence; data that do not suffice are diagnosed instead.
+
+    Parameters
+    ----------
+    data
+        What is to be reported on; a finished calibration is taken as it is.
+    method, population
+        As in `calibrate`.
+
+    Raises
+    ------
+    UnknownName
+        There is no such method, or it takes no such data.
+    """
+    if isinstance(data, Calibration):
+        return Findings(None, data)
+    try:
+        calibration = calibrate(data, method, population=population)
+    except (RankDeficient, TooManyOutliers, NotConverged) as error:
+        return Findings(data, None, faults=_faults(data) or ((error.fault, error.remedy),))
+    if isinstance(data, Campaign):
+        return Findings(data, calibration, campaign_evidence(data, calibration))
+    evidence = stiffness_evidence(data, calibration, method, population=population)
+    return Findings(data, calibration, evidence)
+
+
+def _faults(data: Campaign | StiffnessMatrix) -> tuple[tuple[str, str], ...]:
+    """Return all that a campaign lacks; the estimator names the first only."""
+    if not isinstance(data, Campaign):
+        return ()
+    try:
+        moments, sound, _ = against_repeats(data)
+        diagnosis: Diagnosis = diagnose(sound, moments)
+    except (RankDeficient, TooManyOutliers):
+        return ()
+    return diagnosis.faults

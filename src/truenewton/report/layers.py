@@ -1,0 +1,159 @@
+"""What is known of each actuator, one layer a quantity: for maps and tables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truenewton.actuators import Array
+from truenewton.balance import arms_in_units_of_rms
+from truenewton.calibration import Calibration
+from truenewton.identifiability import leverage
+from truenewton.report.change import Change
+from truenewton.report.findings import Findings
+from truenewton.rounding import significant, with_error
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """One quantity of all actuators.
+
+    Attributes
+    ----------
+    key, name, unit
+        For programs; for people; '' where there is none.
+    values
+        (n,), NaN where unknown.
+    texts
+        (n,) as people read them.
+    meaning
+        One sentence.
+    signed
+        Whether zero is the middle of its colours.
+    reach
+        How far the colours reach from zero, if signed; NaN to let the values decide.
+    """
+
+    key: str
+    name: str
+    unit: str
+    values: Array
+    texts: tuple[str, ...]
+    meaning: str
+    signed: bool = False
+    reach: float = float("nan")
+
+    @property
+    def title(self) -> str:
+        """Name and unit."""
+        return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Ends of the colours; among many actuators the few farthest out shall not take them up."""
+        if np.isfinite(self.reach):
+            return -self.reach, self.reach
+        known = self.values[np.isfinite(self.values)]
+        low, high = np.percentile(known, [1.0, 99.0] if known.size > 100 else [0.0, 100.0])
+        if self.signed:
+            high = max(abs(low), abs(high))
+            low = -high
+        if high > low:
+            return float(low), float(high)
+        aside = 0.1 * abs(float(low)) or 1.0
+        return float(low) - aside, float(low) + aside
+
+
+def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
+    """Return what is known of the actuators of one calibration.
+
+    Raises
+    ------
+    ValueError
+        There is no calibration.
+    """
+    c, evidence = findings.calibration, findings.evidence
+    if c is None:
+        raise ValueError("there is no calibration")
+    layers = [
+        alpha_layer(c, "alpha", "alpha"),
+        _plain("e_stat", "error from readings", "", c.statistical,
+               "E_STAT: what the noise of the readings gives alpha, one sigma."),
+        _plain("e_alpha", "error, all", "", c.error,
+               "E_ALPHA: readings and weights together, one sigma."),
+    ]  # fmt: skip
+    if c.scale == "weights":
+        layers.append(
+            _plain("e_syst", "error from weights", "", c.systematic_error,
+                   "E_SYST: the errors of the weights, which move all alphas together.")
+        )  # fmt: skip
+    if np.isfinite(c.cycle_error).any():
+        layers.append(
+            _plain("e_cycle", "error of the paper", "", c.cycle_error,
+                   "E_CYCLE: from the scatter of the cycles, three sigma.")
+        )  # fmt: skip
+    layers.append(
+        _plain("leverage", "leverage", "", _leverage(c),
+               "Share of the actuator in the noise of the balance; all together make 3. Where it"
+               " is small, a fault of the actuator is hard to see.")
+    )  # fmt: skip
+    if evidence is not None:
+        layers.append(
+            _plain("residual", "residual", "", evidence.actuator_residual,
+                   "How far the imbalance pulls the actuator's reading, rms over rows, in terms"
+                   " of its noise; noise alone gives 1.")
+        )  # fmt: skip
+        if np.isfinite(evidence.actuator_noise).any():
+            layers.append(
+                _plain("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
+                       "Standard deviation of one reading among repeats of its shape.")
+            )  # fmt: skip
+    return tuple(layers)
+
+
+def change_layers(change: Change) -> tuple[Layer, ...]:
+    """Return what changed of the actuators."""
+    largest = float(np.nanmax(np.abs(change.sigmas)))
+    sigmas = _plain("sigmas", "change", "sigma", change.sigmas,
+                    "Change of alpha beside the common ratio, in terms of the readings' errors.",
+                    signed=True)  # fmt: skip
+    return (
+        # Noise shall not look like a change, nor one large change hide the others.
+        replace(sigmas, reach=float(np.clip(largest, change.limit, 3 * change.limit))),
+        _plain("relative", "change", "%", 100 * change.relative,
+               "Change of alpha beside the common ratio.", signed=True),
+        alpha_layer(change.one, "alpha_one", "alpha, first"),
+        alpha_layer(change.other, "alpha_other", "alpha, second"),
+    )  # fmt: skip
+
+
+def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:
+    """Return alpha, as far as the errors of the readings go."""
+    c = calibration
+    texts = tuple(
+        with_error(value, error)
+        for value, error in zip(c.alpha.tolist(), c.statistical.tolist(), strict=True)
+    )
+    meaning = "True Newton per commanded Newton, with the error from the readings (E_STAT)."
+    return Layer(key, name, "true N / commanded N", c.alpha, texts, meaning)
+
+
+def _plain(
+    key: str, name: str, unit: str, values: Array, meaning: str, *, signed: bool = False
+) -> Layer:
+    sign = "+" if signed else ""
+    texts = tuple(
+        (sign if value > 0 else "") + significant(value) for value in np.asarray(values).tolist()
+    )
+    return Layer(key, name, unit, np.asarray(values), texts, meaning, signed)
+
+
+def _leverage(c: Calibration) -> Array:
+    """Return (n,) leverage: as diagnosed, else with even noise; NaN where disabled."""
+    on = c.layout.enabled
+    known = c.diagnosis.leverage if c.diagnosis else ()
+    out = np.full(on.size, np.nan)
+    arms = arms_in_units_of_rms(c.layout) * c.alpha[on]
+    out[on] = known or leverage(arms, np.ones(int(on.sum())))
+    return out

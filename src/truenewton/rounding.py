@@ -1,0 +1,50 @@
+"""Numbers as people read them: rounded with their errors, never more digits than are meant."""
+
+from __future__ import annotations
+
+import math
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a number rounded with its error, as the Particle Data Group does.
+
+    The error keeps two digits if its first three lie below 355, else one; 950 and more round up to
+    1000 and keep two. The value goes as far as the error.
+    """
+    if not math.isfinite(value):
+        return "unknown"
+    if not (math.isfinite(error) and error > 0):
+        return f"{value:.6g}"
+    exponent = math.floor(math.log10(error))
+    three = round(error / 10.0 ** (exponent - 2))
+    if three >= 950:
+        exponent, error, digits = exponent + 1, 10.0 ** (exponent + 1), 1
+    else:
+        digits = 1 if three < 355 else 0
+    decimals = digits - exponent
+    if decimals < 0:
+        step = 10.0**-decimals
+        return f"{round(value / step) * step:.0f} ± {round(error / step) * step:.0f}"
+    return f"{value:.{decimals}f} ± {error:.{decimals}f}"
+
+
+def percent(ratio: float) -> str:
+    """Return a ratio in per cent with two significant digits."""
+    return f"{significant(100 * ratio)} %" if abs(ratio) < 0.995 else f"{100 * ratio:.0f} %"
+
+
+def to_digits(value: float, error: float) -> str:
+    """Return a number as far as its error goes, the error itself left out."""
+    return with_error(value, error).split(" ±")[0]
+
+
+def significant(value: float, digits: int = 2) -> str:
+    """Return a number with so many significant digits, zeros at its end kept."""
+    if not math.isfinite(value):
+        return "unknown"
+    if value == 0.0:
+        return "0"
+    decimals = digits - 1 - math.floor(math.log10(abs(float(f"{value:.{digits - 1}e}"))))
+    if -3 <= decimals <= 6:
+        return f"{round(value, decimals):.{max(decimals, 0)}f}"
+    return f"{value:.{digits - 1}e}"

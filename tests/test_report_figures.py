@@ -1,0 +1,139 @@
+"""The report's figures for papers show what the page shows, one call each."""
+
+import datetime
+
+import numpy as np
+import pytest
+import report_data
+from balanced import p45_bench, p45_campaign
+from matplotlib.dates import num2date
+from matplotlib.figure import Figure
+from test_report import changed_by
+
+from truenewton.bench.simulated.static import START
+from truenewton.figures import COLUMN, write_figure, write_figures
+from truenewton.measurements import StiffnessMatrix
+from truenewton.report.change import change
+from truenewton.report.findings import investigate
+from truenewton.report.still import still_figures
+
+
+@pytest.fixture(scope="module")
+def p45():
+    return investigate(p45_campaign(2))
+
+
+def points(ax):
+    return [line for line in ax.lines if len(line.get_xdata()) > 2]
+
+
+def test_every_call_takes_axes_and_returns_them(p45):
+    found = change(*changed_by(12.0))
+    calls = (p45.plot_budget, p45.plot_residuals, p45.plot_balance, p45.plot_singular_values,
+             p45.plot_temperatures, found.plot_map, found.plot_actuators)  # fmt: skip
+    for call in calls:
+        ax = Figure().add_subplot()
+        assert call(ax) is ax
+        assert call().get_figure().get_figwidth() == pytest.approx(COLUMN)
+    ax = Figure().add_subplot()
+    assert p45.plot_layer("leverage", ax) is ax
+
+
+def test_the_budget_bars_are_the_errors_in_per_cent(p45):
+    ax = p45.plot_budget()
+    names = [label.get_text() for label in ax.get_yticklabels()]
+    sizes = dict(zip(names, [bar.get_width() for bar in ax.patches], strict=True))
+    c = p45.calibration
+    assert sizes["typical actuator, all"] == pytest.approx(100 * np.median(c.error / c.alpha))
+    for line in c.scale_errors:
+        if line.relative > 1e-5:
+            assert sizes[f"common scale, {line.source}"] == pytest.approx(100 * line.relative)
+
+
+def test_residuals_stand_at_their_shape_and_cycle():
+    found = investigate(report_data.with_outliers())
+    residuals, ax = found.evidence.residuals, found.plot_residuals()
+    [image] = ax.images
+    shown, (left, right, bottom, top) = image.get_array(), image.get_extent()
+    assert (left, right, bottom, top) == (-14.5, 14.5, 8.5, 0.5)
+    k = 40
+    column = residuals.shape[k] * residuals.sign[k] + 14
+    assert shown[residuals.cycle[k], column] == pytest.approx(residuals.after[k])
+    [crosses] = ax.lines
+    assert crosses.get_xdata().tolist() == [1, 2, 3]
+    assert crosses.get_ydata().tolist() == [1, 1, 1]
+
+
+def test_the_balance_before_lies_above_that_after(p45):
+    before, after = points(p45.plot_balance())
+    assert len(before.get_xdata()) == len(after.get_xdata()) == 90
+    assert np.median(before.get_ydata()) > 5 * np.median(after.get_ydata())
+    one = np.flatnonzero(np.asarray(after.get_xdata()) == -7)[0]
+    residuals = p45.evidence.residuals
+    rows = (residuals.shape == 7) & (residuals.sign == -1)
+    rms = np.sqrt(np.mean(residuals.after[rows] ** 2))
+    assert after.get_ydata()[one] == pytest.approx(rms)
+
+
+def test_modes_stand_over_their_stiffness():
+    truth = p45_bench().truth
+    matrix = StiffnessMatrix("P45", START, truth.layout, truth.stiffness / truth.alpha[:, None])
+    ax = investigate(matrix).plot_residuals()
+    before, _ = points(ax)
+    assert np.asarray(before.get_xdata()).min() > 1e3
+    assert ax.get_xscale() == ax.get_yscale() == "log"
+
+
+def test_temperatures_stand_at_their_time(p45):
+    ax = p45.plot_temperatures()
+    lines = points(ax)
+    assert len(lines) == 4
+    cycle = p45.data.cycles[0]
+    first = num2date(lines[0].get_xdata(orig=False)[0])
+    assert abs(first - cycle.date - datetime.timedelta(seconds=cycle.time[0])) < (
+        datetime.timedelta(seconds=1)
+    )
+    assert lines[0].get_ydata()[0] == pytest.approx(cycle.temperature[0])
+    legend = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert legend == ["bare", "ring"]
+
+
+def test_a_change_stands_with_its_name_beyond_the_band():
+    found = change(*changed_by(12.0))
+    ax = found.plot_actuators()
+    [dots] = points(ax)
+    assert np.max(dots.get_ydata()) == pytest.approx(12.0, rel=1e-6)
+    assert [text.get_text() for text in ax.texts] == ["7"]
+    shown = found.plot_map().collections[1]
+    assert shown.get_clim() == pytest.approx((-3 * found.limit, 3 * found.limit))
+
+
+def test_all_of_them_as_pdf_png_and_svg(p45, tmp_path):
+    more = still_figures(p45)
+    assert {"budget", "residuals", "singular-values", "balance", "temperatures", "map-e-stat",
+            "map-leverage", "map-residual"} == set(more)  # fmt: skip
+    paths = write_figures(p45.calibration, tmp_path / "figures", more=more)
+    assert len(paths) == 2 * (3 + len(more))
+    write_figure(p45.plot_balance(), tmp_path / "balance.svg")
+    assert "<svg" in (tmp_path / "balance.svg").read_text()
+
+
+def test_a_calibration_alone_has_no_residuals_to_draw(p45):
+    alone = investigate(p45.calibration)
+    with pytest.raises(ValueError, match="holds no residuals"):
+        alone.plot_residuals()
+    with pytest.raises(ValueError, match="only the cycles of a campaign"):
+        alone.plot_temperatures()
+    assert "residuals" not in still_figures(alone)
+
+
+def test_names_with_dollars_are_no_formulas():
+    from dataclasses import replace
+
+    from truenewton.campaign import Campaign
+
+    cycles = report_data.fine().cycles
+    hostile = [replace(c, load=replace(c.load, name=f"{c.load.name} $x_{{$")) for c in cycles]
+    found = investigate(Campaign(tuple(hostile)))
+    for call in (found.plot_temperatures, found.plot_budget):
+        call().get_figure().canvas.draw()  # matplotlib raises where a formula has no end
