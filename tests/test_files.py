@@ -181,6 +181,7 @@ def test_the_calibration_file_is_as_the_contract_says(p45_folder, tmp_path):
         assert contract(hdus["LOADS"]) == [
             ("LOAD", "4A", None), ("ADDED", "D", "N"), ("E_ADDED", "D", "N"), ("TILT", "D", "deg"),
             ("MY", "D", "N m"), ("E_MY", "D", "N m"), ("MX", "D", "N m"), ("E_MX", "D", "N m"),
+            ("TOOL", "4A", None),
         ]  # fmt: skip
         assert list(hdus["LOADS"].data["LOAD"]) == ["bare", "ring"]
         covariance, n = hdus["COVARIANCE"].data, 45
@@ -209,12 +210,20 @@ def test_the_calibration_file_is_as_the_contract_says(p45_folder, tmp_path):
 def test_a_calibration_is_read_as_it_was_written(p45_folder, tmp_path):
     calibration = calibrate(read(p45_folder), "svd")
     calibration.write(tmp_path / "a.fits")
-    # The contract keeps neither TOOL nor E_TILT.
-    kept = tuple(dataclasses.replace(load, tool=None) for load in calibration.loads)
     assert same(
         read(tmp_path / "a.fits"),
-        dataclasses.replace(calibration, loads=kept, diagnosis=None, scale_errors=()),
+        dataclasses.replace(calibration, diagnosis=None, scale_errors=()),
     )
+
+
+def test_a_calibration_without_tools_is_read_all_the_same(p45_folder, tmp_path):
+    calibrate(read(p45_folder), "svd").write(tmp_path / "a.fits")
+    with fits.open(tmp_path / "a.fits") as hdus:
+        loads = hdus["LOADS"]
+        columns = [c for c in loads.columns if c.name != "TOOL"]
+        hdus["LOADS"] = fits.BinTableHDU.from_columns(columns, name="LOADS")
+        hdus.writeto(tmp_path / "b.fits")
+    assert [load.tool for load in read(tmp_path / "b.fits").loads] == [None, None]
 
 
 def test_a_disabled_actuator_is_nan_in_the_calibration_file(tiny, tmp_path):

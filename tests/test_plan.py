@@ -349,7 +349,7 @@ def test_for_a_target_it_says_what_to_change(inside, file):
     assert re.search(r"balance +'ring' known to 1\.\d+ mN: 0\.\d+ %, 31 min", out)
     assert re.search(r"tilt +a load tilted by \d+ deg, known to 0\.1 deg: 0\.\d+ %, 61 min", out)
     assert "cannot: even 999 cycles leaves 1.7 %" in out
-    assert "2 % is reached as it is" in inside("plan", file, "--target", "0.02")[1]
+    assert "2.0 % is reached as it is" in inside("plan", file, "--target", "0.02")[1]
 
 
 def test_a_free_scale_is_a_warning(inside, file):

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from truenewton.cli.printing import print_json, print_table
+from truenewton.cli.printing import by_chance, print_json, print_table
 from truenewton.rounding import percent, significant, to_digits, with_error
 
 
@@ -70,3 +70,8 @@ def test_json_has_null_for_what_is_not_finite(capsys):
 def test_a_table_stands_in_columns(capsys):
     print_table("title", ("name", "x"), [("a", "1.0"), ("long", "10.0")])
     assert capsys.readouterr().out == "title\n  name     x\n  a      1.0\n  long  10.0\n"
+
+
+def test_chance_is_told_in_words():
+    assert by_chance(0.0034) == "by chance on 0.003 of such mirrors"
+    assert by_chance(0.0) == "by chance on fewer than 1e-12 of such mirrors"

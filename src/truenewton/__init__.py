@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from truenewton.report.change import change
     from truenewton.report.findings import investigate
     from truenewton.report.page import write_report
+    from truenewton.tracking import Tracking, read_tracking, recalibrate, track
 
 __version__ = "0.1.0"
 
@@ -44,6 +45,7 @@ __all__ = [
     "Load",
     "SimulatedBench",
     "StiffnessMatrix",
+    "Tracking",
     "acquire",
     "calibrate",
     "change",
@@ -53,10 +55,13 @@ __all__ = [
     "mirrors",
     "read",
     "read_plan",
+    "read_tracking",
+    "recalibrate",
     "rings",
     "run_cycles",
     "spherical_rings",
     "static_bench",
+    "track",
     "write_campaign",
     "write_cycle",
     "write_figures",
@@ -75,16 +80,20 @@ _HOMES = {
     "SimulatedBench": "bench.simulated.simulated_bench",
     "StiffnessMatrix": "measurements",
     "acquire": "acquisition.acquire",
+    "Tracking": "tracking",
     "calibrate": "estimators",
     "change": "report.change",
     "investigate": "report.findings",
     "layout": "actuators",
     "read": "reading",
     "read_plan": "campaign_plan",
+    "read_tracking": "tracking",
+    "recalibrate": "tracking",
     "rings": "actuators",
     "run_cycles": "bench.simulated.static",
     "spherical_rings": "actuators",
     "static_bench": "bench.simulated.static",
+    "track": "tracking",
     "write_campaign": "campaign_files",
     "write_cycle": "campaign_files",
     "write_figures": "figures",

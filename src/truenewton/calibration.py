@@ -200,6 +200,7 @@ class Calibration:
         """
         errors = self.torque_errors
         names = [_ascii(load.name) for load in self.loads]
+        tools = [_ascii(load.tool or "") for load in self.loads]
         loads = Sheet(
             "LOADS",
             columns=(
@@ -211,6 +212,7 @@ class Calibration:
                 ("E_MY", "D", "N m", errors[:, 0]),
                 ("MX", "D", "N m", self.torque_x),
                 ("E_MX", "D", "N m", errors[:, 1]),
+                ("TOOL", f"{max([1, *map(len, tools)])}A", None, tools),
             ),
         )
         files = [_ascii(source.file) for source in self.sources]

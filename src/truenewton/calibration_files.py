@@ -37,6 +37,7 @@ def calibration_from(file: FitsFile) -> Calibration:
                 want=(count, count),
             )
     freedom = file.optional_number("DOF")
+    tools = lines.column("TOOL", "str") if lines.has("TOOL") else np.full(lines.rows, "")
     try:
         return Calibration(
             instrument=file.text("INSTRUME"),
@@ -52,12 +53,13 @@ def calibration_from(file: FitsFile) -> Calibration:
                 enabled=np.isfinite(alpha),
             ),
             loads=tuple(
-                Load(str(name).strip(), added, added_error, None, tilt)
-                for name, added, added_error, tilt in zip(
+                Load(str(name).strip(), added, added_error, str(tool).strip() or None, tilt)
+                for name, added, added_error, tilt, tool in zip(
                     lines.column("LOAD", "str"),
                     lines.column("ADDED", unit="N").tolist(),
                     lines.column("E_ADDED", unit="N").tolist(),
                     lines.column("TILT", unit="deg").tolist(),
+                    tools.tolist(),
                     strict=True,
                 )
             ),

@@ -145,7 +145,7 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
         ax.set_ylabel(ALPHA_LABEL)
         ax.margins(y=0.12)
         note = "bars: 3σ, readings"
-        if calibration.scale == "weights":
+        if calibration.scale != "mean 1":
             scale = np.nanmedian(calibration.systematic_error / np.abs(alpha))
             note += f"; common scale ±{100 * scale:.1f} % (1σ)"
         else:

@@ -19,9 +19,11 @@ from truenewton.cli import (
     mirrors,
     plan,
     prove,
+    recalibrate,
     report,
     serve,
     simulate,
+    track,
 )
 from truenewton.errors import TrueNewtonError
 
@@ -36,19 +38,11 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (
-    demo,
-    calibrate,
-    info,
-    report,
-    figures,
-    plan,
-    acquire,
-    simulate,
-    serve,
-    prove,
-    mirrors,
-):
+COMMANDS = (
+    demo, calibrate, info, report, figures, plan, acquire, track, recalibrate, simulate, serve,
+    prove, mirrors,
+)  # fmt: skip
+for command in COMMANDS:
     app.command(name=command.NAME)(command.run)
 
 

@@ -41,6 +41,12 @@ def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) 
         print("  " + "  ".join(cells).rstrip())
 
 
+def by_chance(probability: float) -> str:
+    """Return how often chance alone does that to a mirror, in words."""
+    share = f"{probability:.1g}" if probability > 1e-12 else "fewer than 1e-12"
+    return f"by chance on {share} of such mirrors"
+
+
 def track(items: Sequence[Item], what: str) -> Iterator[Item]:
     """Yield items behind a progress bar on standard error, where a person looks at it."""
     if len(items) < 2 or not sys.stderr.isatty():

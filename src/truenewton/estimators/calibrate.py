@@ -60,7 +60,7 @@ def calibrate(
         return _from_stiffness(data, found)
     if isinstance(data, Campaign):
         found = svd.find(data) if method == "svd" else maximum_likelihood.find(data, population)
-        return _from_campaign(data, found)
+        return calibration_of(data, found)
     raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
 
 
@@ -76,7 +76,8 @@ def held_out(
     )
 
 
-def _from_campaign(campaign: Campaign, found: Found) -> Calibration:
+def calibration_of(campaign: Campaign, found: Found) -> Calibration:
+    """Return what was found of a campaign as a calibration."""
     layout, on = campaign.layout, campaign.layout.enabled
     n = int(on.sum())
     torques = found.values[n + 1 :].reshape(-1, 2)

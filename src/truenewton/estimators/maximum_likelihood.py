@@ -91,7 +91,7 @@ def find(campaign: Campaign, population: bool = False) -> Found:
         problem = replace(problem, prior=free.prior).with_population(spread)
         estimate = problem.fitted(moments, estimate.values)
         method = f"ml, population {spread:.2g}"
-    found = _found(method, problem, moments, estimate, rejected, patterns.shape[1])
+    found = found_of(method, problem, moments, estimate, rejected, patterns.shape[1])
     if found.diagnosis.undetermined:
         judged = diagnose(sound, moments)
         if 3 * judged.span < problem.n - 1:  # not even without noise
@@ -111,7 +111,7 @@ def _fitted(
     """
     nothing = np.empty((problem.n, 0))
     try:
-        return *_fitted_groups(problem, moments), nothing
+        return *fitted_groups(problem, moments), nothing
     except (RankDeficient, NotConverged, TooManyOutliers):
         judged = diagnose(campaign, moments)  # which knows better what is missing
         if not judged.undetermined or not tolerable(judged, problem.n):
@@ -120,14 +120,14 @@ def _fitted(
     for count in range(judged.undetermined, 2 * judged.undetermined + 2):
         patterns = drowned_patterns(problem, moments, count)
         try:
-            return *_fitted_groups(held_even(problem, patterns), moments), patterns
+            return *fitted_groups(held_even(problem, patterns), moments), patterns
         except (RankDeficient, NotConverged):
             continue
     fault, remedy = judged.faults[0]
     raise RankDeficient(fault, remedy=remedy, got=judged.undetermined, want=0)
 
 
-def _fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:
+def fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:
     """Fit the groups that belong; return these, the distances of all, and the fit."""
 
     def fit(groups: Moments) -> Fitted:
@@ -142,7 +142,7 @@ def _fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_
     return against_balance(moments, fit, distances, noise_known=known)
 
 
-def _found(
+def found_of(
     method: str,
     problem: Problem,
     moments: Moments,

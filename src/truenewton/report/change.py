@@ -102,7 +102,7 @@ def change(one: Calibration, other: Calibration) -> Change:
     scales = [
         float(np.nanmedian(c.systematic_error / np.abs(c.alpha)))
         for c in (one, other)
-        if c.scale == "weights"
+        if c.scale != "mean 1"
     ]
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = moved / error

@@ -83,7 +83,7 @@ def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
         _plain("e_alpha", "error, all", "", c.error,
                "E_ALPHA: readings and weights together, one sigma."),
     ]  # fmt: skip
-    if c.scale == "weights":
+    if c.scale != "mean 1":
         layers.append(
             _plain("e_syst", "error from weights", "", c.systematic_error,
                    "E_SYST: the errors of the weights, which move all alphas together.")

@@ -124,7 +124,7 @@ def ring_caption(c: Calibration) -> str:
 
 def budget(c: Calibration) -> Section:
     """Return the error budget: of the common scale, source by source, and of an actuator."""
-    if c.scale != "weights":
+    if c.scale == "mean 1":
         words = "The common scale is a convention (mean alpha 1), so all the error is the readings'"
         return Section("budget", "Error budget", (f"{words}: {percent(_median(c))}, typically.",))
     weights = float(np.nanmedian(c.systematic_error / np.abs(c.alpha)))

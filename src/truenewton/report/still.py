@@ -42,7 +42,7 @@ def still_figures(findings: Findings) -> dict[str, Callable[[], Axes]]:
         for key in keys
         if key in known
     }
-    if findings.calibration.scale == "weights":
+    if findings.calibration.scale != "mean 1":
         made["budget"] = lambda: plot_budget(findings)
     if findings.evidence is not None:
         made["residuals"] = lambda: plot_residuals(findings)

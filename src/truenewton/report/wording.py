@@ -40,7 +40,7 @@ def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
          + f", lowest actuator {ids[low]}, highest {ids[high]}"),
         ("typical error of alpha", percent(float(np.median(relative))), "E_ALPHA, one sigma"),
     ]  # fmt: skip
-    if c.scale == "weights":
+    if c.scale != "mean 1":
         rows += _budget(c)
         rows += [
             ("bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""),

@@ -1,0 +1,244 @@
+"""What tracking finds: alpha at any temperature and time."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from truenewton.actuators import Array, Layout, frozen_array
+from truenewton.errors import RankDeficient
+from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
+from truenewton.tracking.family import Family
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+
+    from truenewton.tracking.validity import Validity
+
+SAME_TIME = datetime.timedelta(days=1)
+
+
+@dataclass(frozen=True, eq=False)
+class DayRecord:
+    """One calibration that was tracked.
+
+    Attributes
+    ----------
+    name, date, temperature
+        Its file, the middle of its data (UTC), their mean temperature [deg C].
+    alpha, error
+        (n,) and E_STAT.
+    """
+
+    name: str
+    date: datetime.datetime
+    temperature: float
+    alpha: Array
+    error: Array
+
+
+@dataclass(frozen=True)
+class Departure:
+    """An actuator that leaves the family.
+
+    Attributes
+    ----------
+    actuator
+        ID.
+    what
+        'temperature' or 'drift', its coefficient; 'line', its days lie on no line.
+    sigmas
+        How far, in standard deviations; for 'line' the root of chi2.
+    probability
+        That chance alone makes any actuator of the whole mirror stand out as far.
+    """
+
+    actuator: int
+    what: str
+    sigmas: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """Alpha at one temperature and time.
+
+    Attributes
+    ----------
+    alpha, error
+        (n,) and its standard uncertainty, everything included.
+    covariance, systematic
+        (n, n) of alpha, and the part from the weights.
+    """
+
+    alpha: Array
+    error: Array
+    covariance: Array
+    systematic: Array
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracking:
+    """alpha_i(T, t) = alpha_i (1 + k_i (T - T0)) + d_i (t - t0).
+
+    Arrays over actuators are in the order of ``layout``, NaN where an actuator is not enabled in
+    every calibration. An effect that the days cannot tell is 0, without error: ``limits`` says so.
+
+    Attributes
+    ----------
+    instrument, layout
+        The mirror.
+    temperature, date
+        T0 [deg C], NaN where no day has one; t0 (UTC): the middle of the days.
+    alpha, coefficient, drift
+        (n,) at T0 and t0; k [1/K]; d [1/yr], years of 365.25 days.
+    covariance, systematic
+        (3 n, 3 n) of alpha, k, d; all, and the part from the weights.
+    told
+        Which of 'temperature' and 'drift' the days tell.
+    families
+        The population of each effect told.
+    departures
+        Actuators that leave it, the surest first.
+    chi2, degrees_of_freedom, probability
+        Of the days about the lines of the actuators; chance of a larger chi2.
+    limits
+        What cannot be said, in words.
+    days
+        The calibrations, in the order of time.
+    """
+
+    instrument: str
+    layout: Layout
+    temperature: float
+    date: datetime.datetime
+    alpha: Array
+    coefficient: Array
+    drift: Array
+    covariance: Array
+    systematic: Array
+    told: tuple[str, ...]
+    families: tuple[Family, ...]
+    departures: tuple[Departure, ...]
+    chi2: float
+    degrees_of_freedom: int
+    probability: float
+    limits: tuple[str, ...]
+    days: tuple[DayRecord, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("alpha", "coefficient", "drift", "covariance", "systematic"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        return (
+            f"<Tracking of {self.instrument}: {len(self.days)} calibrations,"
+            f" {' and '.join(self.told)}>"
+        )
+
+    @property
+    def errors(self) -> Array:
+        """(3, n) standard uncertainties of alpha, k and d."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)).reshape(3, -1))
+
+    @property
+    def table(self) -> QTable:
+        """One row per actuator: alpha at T0 and t0, k and d with their errors and units."""
+        import astropy.units as u
+        from astropy.table import QTable
+
+        errors = self.errors
+        table = QTable()
+        table["ID"] = np.array(self.layout.id)
+        for name, values, unit in (
+            ("ALPHA", self.alpha, ""), ("E_ALPHA", errors[0], ""),
+            ("K", self.coefficient, "1/K"), ("E_K", errors[1], "1/K"),
+            ("DRIFT", self.drift, "1/yr"), ("E_DRIFT", errors[2], "1/yr"),
+        ):  # fmt: skip
+            table[name] = u.Quantity(values, unit)
+            table[name].info.format = ".5g"
+        return table
+
+    def alpha_at(
+        self, temperature: float | None = None, time: datetime.datetime | None = None
+    ) -> Prediction:
+        """Return alpha at a temperature and a time, with its uncertainty.
+
+        Parameters
+        ----------
+        temperature
+            [deg C]; T0 unless given.
+        time
+            UTC; t0 unless given.
+
+        Raises
+        ------
+        RankDeficient
+            What is asked for lies where the days say nothing.
+        """
+        away, years = self._away(temperature), self._years(time)
+        n = self.layout.n
+        eye = np.eye(n)
+        j = np.hstack([eye * (1 + self.coefficient * away), eye * self.alpha * away, eye * years])
+        on = np.isfinite(self.alpha)
+        kept = np.tile(on, 3)
+        parts = []
+        for whole in (self.covariance, self.systematic):
+            part = np.full((n, n), np.nan)
+            inner = j[np.ix_(on, kept)]
+            part[np.ix_(on, on)] = inner @ whole[np.ix_(kept, kept)] @ inner.T
+            parts.append(part)
+        alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
+        return Prediction(alpha, np.sqrt(np.diag(parts[0])), parts[0], parts[1])
+
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the tracking file (docs/files.md).
+
+        Raises
+        ------
+        OutputExists, OutputFailed
+        """
+        from truenewton.tracking.track_files import write_tracking
+
+        write_tracking(self, path, overwrite=overwrite)
+
+    def _away(self, temperature: float | None) -> float:
+        if temperature is None:
+            return 0.0
+        away = float(temperature) - self.temperature
+        if "temperature" not in self.told and not abs(away) <= SAME_TEMPERATURE:
+            raise RankDeficient(
+                f"alpha at {temperature:g} deg C is not known: the days do not tell how it varies"
+                " with temperature",
+                remedy="add a calibration at another temperature",
+            )
+        return away if "temperature" in self.told else 0.0
+
+    def _years(self, time: datetime.datetime | None) -> float:
+        if time is None:
+            return 0.0
+        time = time if time.tzinfo else time.replace(tzinfo=datetime.UTC)
+        first, last = self.days[0].date - SAME_TIME, self.days[-1].date + SAME_TIME
+        if "drift" not in self.told and not first <= time <= last:
+            raise RankDeficient(
+                f"alpha on {time:%Y-%m-%d} is not known: the days do not tell how it drifts",
+                remedy="add a calibration of another time",
+            )
+        return (time - self.date) / YEAR if "drift" in self.told else 0.0
+
+    def serves(self, accuracy: float) -> Validity:
+        """Return how far from its temperature and date the latest calibration serves.
+
+        Parameters
+        ----------
+        accuracy
+            Wanted: standard uncertainty relative to alpha, root mean square over actuators,
+            errors of the weights left out.
+        """
+        from truenewton.tracking.validity import served
+
+        return served(self, accuracy)

@@ -1,0 +1,112 @@
+"""When to calibrate again: how far in temperature and time alpha serves a wanted accuracy."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.actuators import Array
+from truenewton.tracking.days import YEAR
+from truenewton.tracking.law import Tracking
+
+
+@dataclass(frozen=True)
+class Validity:
+    """How long alpha serves.
+
+    Errors of the weights are left out: a new calibration with the same weights would repeat them.
+
+    Attributes
+    ----------
+    accuracy
+        Wanted: standard uncertainty relative to alpha, root mean square over actuators.
+    now
+        What the latest calibration has.
+    temperatures
+        Between which the latest calibration serves as it is, on its day [deg C]; None where
+        temperature was not told.
+    until
+        When it ceases to serve at its temperature; None where drift was not told, and where it
+        holds beyond the calendar.
+    law_temperatures, law_until
+        The same for `Tracking.alpha_at`, which takes temperature and time into account.
+    """
+
+    accuracy: float
+    now: float
+    temperatures: tuple[float, float] | None
+    until: datetime.datetime | None
+    law_temperatures: tuple[float, float] | None
+    law_until: datetime.datetime | None
+
+
+def served(tracking: Tracking, accuracy: float) -> Validity:
+    """Return how far from its temperature and date the latest calibration serves.
+
+    Used as it is, it is off by k (T - T_last) + d (t - t_last) beside its E_STAT; the mean over
+    actuators of the square of all is a parabola in T - T_last and in t - t_last. So is that of
+    what the law itself is uncertain by, in T - T0 and t - t0.
+
+    Parameters
+    ----------
+    tracking
+        The law.
+    accuracy
+        Wanted, as in `Validity`.
+    """
+    t, last = tracking, tracking.days[-1]
+    on, n = np.isfinite(t.alpha), t.layout.n
+    alpha = t.alpha[on]
+    variance = np.diag(t.covariance - t.systematic).reshape(3, n)[:, on]
+    now = float(np.mean((last.error[on] / last.alpha[on]) ** 2))
+    k = float(np.mean(t.coefficient[on] ** 2 + variance[1]))
+    d = float(np.mean((t.drift[on] ** 2 + variance[2]) / alpha**2))
+    spare = max(accuracy**2 - now, 0.0)
+    warm, late = "temperature" in t.told, "drift" in t.told
+    reach = float(np.sqrt(spare / k)) if k > 0 else 0.0
+    form = _law_variance(t)
+    away = last.temperature - t.temperature if warm else 0.0
+    years = (last.date - t.date) / YEAR if late else 0.0
+    span = _roots(form, accuracy**2, 1, years) if warm else None
+    end = _roots(form, accuracy**2, 2, away) if late else None
+    return Validity(
+        accuracy=accuracy,
+        now=float(np.sqrt(now)),
+        temperatures=(last.temperature - reach, last.temperature + reach) if warm else None,
+        until=_date(last.date, float(np.sqrt(spare / d))) if late and d > 0 else None,
+        law_temperatures=(t.temperature + span[0], t.temperature + span[1]) if span else None,
+        law_until=_date(t.date, end[1]) if end else None,
+    )
+
+
+def _law_variance(tracking: Tracking) -> Array:
+    """Return (3, 3) the mean relative variance of alpha_at as a form in (1, T - T0, t - t0).
+
+    The readings' part only; k multiplies alpha, d does not.
+    """
+    on, n = np.isfinite(tracking.alpha), tracking.layout.n
+    alpha = tracking.alpha[on]
+    scale = np.array([1 / alpha, np.ones_like(alpha), 1 / alpha])
+    blocks = (tracking.covariance - tracking.systematic).reshape(3, n, 3, n)
+    own = np.einsum("aibi->abi", blocks)[:, :, on]
+    return np.asarray(np.mean(own * scale[:, None] * scale[None], axis=2))
+
+
+def _roots(form: Array, limit: float, axis: int, other: float) -> tuple[float, float] | None:
+    """Return where the form meets the limit along one axis; None where it never stays below."""
+    at = np.array([1.0, 0.0, 0.0])
+    at[3 - axis] = other
+    a, b, c = form[axis, axis], form[axis] @ at, at @ form @ at - limit
+    if a <= 0.0 or b * b - a * c < 0.0:
+        return None
+    root = np.sqrt(b * b - a * c)
+    return float((-b - root) / a), float((-b + root) / a)
+
+
+def _date(start: datetime.datetime, years: float) -> datetime.datetime | None:
+    try:
+        return start + years * YEAR
+    except OverflowError:
+        return None
