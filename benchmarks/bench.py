@@ -10,18 +10,23 @@ python benchmarks/bench.py --rings 10         336 actuators on a curved shell, a
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from accuracy import bounds, campaigns, rms, simulation
 
 import truenewton as tn
 from truenewton.bench.simulated.dynamic import run_loop_cycles
 from truenewton.bench.simulated.static import StaticBench, run_cycles, static_bench
+from truenewton.colours import CURVES, INK
+from truenewton.figures import STYLE, new_axes
 from truenewton.mirrors import lbt672, mmt336, p45, ring
 from truenewton.shell import finite_elements, fourier
 
@@ -162,6 +167,37 @@ def rings(count: int) -> None:
         )
 
 
+def glass(path: str) -> None:
+    """Draw the singular values of LBT672's model beside those that were measured."""
+    matrix = tn.read(
+        Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits"
+    )
+    mirror = lbt672()
+    at = mirror.shell.along(matrix.layout.x, matrix.layout.y)
+    measured = np.linalg.svd(matrix.stiffness, compute_uv=False)[::-1]
+    flat = replace(mirror.shell, radius_of_curvature=np.inf)
+    models = {
+        "model, curved, sensors": fourier.stiffness(mirror.shell, *at, sensor=mirror.sensor),
+        "model, curved, points": fourier.stiffness(mirror.shell, *at),
+        "model, flat, sensors": fourier.stiffness(flat, *at, sensor=mirror.sensor),
+    }
+    ax = new_axes(0.8)
+    with mpl.rc_context(STYLE):
+        order = np.arange(1, len(measured) + 1)
+        ax.loglog(order, measured, color=INK, linewidth=1.6, label="measured, 2011")
+        for (name, k), colour, line in zip(models.items(), CURVES, ("-", ":", "--"), strict=False):
+            values = np.linalg.svd(k, compute_uv=False)[::-1]
+            ax.loglog(order[3:], values[3:], line, color=colour, label=name)
+            soft, middle = (np.median(values[part] / measured[part]) for part in
+                            (slice(8, 25), slice(300, 350)))  # fmt: skip
+            print(f"{name}: modes 9 to 25 {soft:.2f} of the measured, the middle {middle:.2f},"
+                  f" the stiffest {values[-1] / measured[-1]:.2f}")  # fmt: skip
+        ax.set_xlabel("mode, softest first")
+        ax.set_ylabel("stiffness (N/m)")
+        ax.legend(fontsize=6.5, frameon=False)
+    ax.get_figure().savefig(path, dpi=200)
+
+
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
@@ -169,6 +205,7 @@ def main() -> None:
     parser.add_argument("--coverage", type=int, metavar="SEEDS")
     parser.add_argument("--imperfections", action="store_true")
     parser.add_argument("--rings", type=int, metavar="CAMPAIGNS")
+    parser.add_argument("--glass", metavar="PNG")
     options = parser.parse_args()
     if options.large:
         large(options.large)
@@ -176,6 +213,8 @@ def main() -> None:
         coverage(options.coverage)
     elif options.imperfections:
         imperfections(5)
+    elif options.glass:
+        glass(options.glass)
     elif options.rings:
         rings(options.rings)
     else:

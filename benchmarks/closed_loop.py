@@ -1,8 +1,8 @@
-"""Where the noise of the closed loop comes from, how fast it is simulated, how soon it settles.
+"""Where the noise of the closed loop comes from, and how soon it settles.
 
-    python benchmarks/closed_loop.py [--shapes 360] [--threads 2] [--figure PNG]
+    python benchmarks/closed_loop.py [--shapes 360] [--figure PNG]
 
-A P45 with its mass lumped (weight / g, evenly), recorded from 20 ms after the command on. To the
+P45, recorded from 20 ms after the command on. To the
 noise of a sensor the mirror truly moves, and the glass balances what moves it: so the sum and the
 torques of all true forces are far quieter than those of so many independent readings.
 """
@@ -10,22 +10,16 @@ torques of all true forces are far quieter than those of so many independent rea
 from __future__ import annotations
 
 import argparse
-import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 
-from truenewton.bench.simulated.coils import Coils
-from truenewton.bench.simulated.control import Control
-from truenewton.bench.simulated.loop import Loop, closed_loop, equilibrium, record, row_noise
-from truenewton.bench.simulated.plant import film_damping
-from truenewton.bench.simulated.sensors import draw_sensors
+from truenewton.bench.simulated.dynamic import loop_of
+from truenewton.bench.simulated.loop import Loop, equilibrium, record, row_noise
+from truenewton.bench.simulated.static import static_bench
 from truenewton.bench.simulated.step_response import settling_time, step_responses
 from truenewton.figures import plot_step_responses
-from truenewton.mirrors import GRAVITY, p45
-from truenewton.modes import stiffness_modes
-from truenewton.shell.fourier import stiffness
+from truenewton.mirrors import p45
 from truenewton.statics import arms
 
 QUIET_COILS = {"dac_step": 1e-15, "driver_noise": 0.0}
@@ -43,15 +37,8 @@ SOURCES = {
 
 def p45_loop() -> tuple[Loop, np.ndarray]:
     """Return the loop, its feed-forward true, and the stiffness of the glass."""
-    mirror, random = p45(), np.random.default_rng(1)
-    n = mirror.layout.n
-    k = stiffness(mirror.shell, mirror.layout.x, mirror.layout.y)
-    coils = Coils(random.uniform(*mirror.alpha_range, n), np.full(n, mirror.bias_force))
-    sensors = draw_sensors(n, mirror.gap, random)
-    feed_forward = (k - coils.bias_gradient * np.eye(n)) / coils.alpha[:, None] * sensors.gain
-    mass = np.full(n, -mirror.weight / GRAVITY / n)
-    damping = np.full(n, film_damping(mirror.gap))
-    return closed_loop(k, mass, damping, coils, sensors, Control(feed_forward)), k
+    bench = static_bench(p45(), 1)
+    return loop_of(bench), bench.glass.stiffness
 
 
 def only(loop: Loop, of_coils: tuple[str, ...], of_sensors: tuple[str, ...]) -> Loop:
@@ -99,35 +86,14 @@ def print_settling(loop: Loop, glass: np.ndarray) -> None:
         print(f"{k:12.4g} N/m {ten:8.2f} ms {five:8.2f} ms; most {position.max():.3f}")
 
 
-def print_speed(loop: Loop, glass: np.ndarray, threads: int) -> None:
-    """Print the time of 4 cycles of 90 shapes under 2 loads, a batch for each cycle pair."""
-    modes = stiffness_modes(glass).modes
-    force = np.abs(glass @ modes).max(axis=0)
-    modes = modes * np.minimum(1e-6 / np.abs(modes).max(axis=0), 0.25 / np.maximum(force, 1.0))
-    shapes = np.concatenate([modes, -modes] * 2, axis=1)
-
-    def batch(number: int) -> bool:
-        load = np.full((len(glass), 1), 2.92 / len(glass) - 0.097)
-        rows = [row_noise(1, f"load {number}", 1 + k // 90, k % 45, 1) for k in range(180)]
-        return bool(record(loop, shapes, load, rows).settled.all())
-
-    started = time.perf_counter()
-    with ThreadPoolExecutor(threads) as pool:
-        settled = all(pool.map(batch, range(4)))
-    spent = time.perf_counter() - started
-    print(f"\n720 shapes, {threads} threads: {spent:.1f} s; all settled: {settled}")
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--shapes", type=int, default=360)
-    parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--figure", help="write the step responses to this PDF or PNG")
     arguments = parser.parse_args()
     loop, glass = p45_loop()
     print_noise(loop, arguments.shapes)
     print_settling(loop, glass)
-    print_speed(loop, glass, arguments.threads)
     if arguments.figure:
         steps = step_responses(loop, glass)
         axes = plot_step_responses(steps.time, steps.position, steps.stiffness)
