@@ -26,7 +26,8 @@ from truenewton.balance import arms_in_units_of_rms, enabled_arms, system_e
 from truenewton.bench.simulated.static import START, StaticBench, static_bench
 from truenewton.errors import TrueNewtonError
 from truenewton.estimators import svd
-from truenewton.mirrors import GRAVITY, Mirror, Shell, p45
+from truenewton.glass import Shell
+from truenewton.mirrors import GRAVITY, Mirror, p45
 from truenewton.uncertainty import weight_errors
 
 try:

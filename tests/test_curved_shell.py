@@ -10,7 +10,8 @@ from scipy.special import ivp, kvp
 
 from truenewton.actuators import rings
 from truenewton.errors import GeometryError
-from truenewton.mirrors import Annulus, Shell, lbt672
+from truenewton.glass import Annulus, Shell
+from truenewton.mirrors import lbt672
 from truenewton.reading import read_data
 from truenewton.shell.condensation import condense, holding_forces, rearming
 from truenewton.shell.fourier import influence, stiffness, uniform_influence

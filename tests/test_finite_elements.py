@@ -10,7 +10,7 @@ from scipy.special import iv, ivp, jv, jvp, kv, kvp, yv, yvp
 
 from truenewton.actuators import rings
 from truenewton.errors import GeometryError
-from truenewton.mirrors import Annulus, Shell
+from truenewton.glass import Annulus, Shell
 from truenewton.shell import fourier
 from truenewton.shell.argyris import argyris, monomials, quadrature
 from truenewton.shell.energy import elastic_energy, inertia

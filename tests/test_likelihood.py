@@ -69,7 +69,7 @@ def problem(seed=0, n=9, shapes=20):
 
 
 def looped(a, rows, sets, values):
-    """Return chi2, gradient, M and D, shape by shape (THEORY, section 3)."""
+    """Return chi2, gradient, M and D, shape by shape."""
     n, u = a.shape[1], len(values)
     chi2, gradient, m, d = 0.0, np.zeros(u), np.zeros((u, u)), np.zeros((u, u))
     arms = a * values[:n]
@@ -513,7 +513,7 @@ def test_scatter_is_at_the_bound_on_p45():
 
 @pytest.mark.parametrize("noise", [4e-6, 1e-5, 1e-4])
 def test_quiet_readings_have_errors_that_hold(noise):
-    """Down to the 4 uN of the loop's own means (THEORY, section 9)."""
+    """Down to the 4 uN of the loop's own means."""
     quiet, truth = campaign_of(25, 0.0, cycles=2)
     exact = campaign_of(25, 0.0, cycles=2, loads=EXACT, weight_error=0.0)[0]
     fisher = information(exact, truth, np.full(14, noise))

@@ -7,6 +7,7 @@ import pytest
 
 from truenewton import mirrors
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
+from truenewton.glass import Annulus, Shell
 from truenewton.mirror_files import check_glass, mirror_from, read_mirror
 from truenewton.settings import read_toml
 
@@ -74,9 +75,9 @@ def test_the_family_carries_the_rings_of_lbt672_on():
 def test_a_mirror_from_a_file(mine):
     mirror = mirror_from(mine)
     assert (mirror.name, mirror.layout.n, mirror.weight) == ("MINE", 6, -1.0)
-    assert mirror.shell == mirrors.Shell(0.02, 0.1, 1.6e-3)
+    assert mirror.shell == Shell(0.02, 0.1, 1.6e-3)
     assert mirror.layout.x[1] == pytest.approx(0.05 * np.cos(1))
-    assert mirror.sensor == mirrors.Annulus(8e-3, 12.5e-3)
+    assert mirror.sensor == Annulus(8e-3, 12.5e-3)
 
 
 def test_a_table_with_units_and_names(mine):

@@ -7,7 +7,8 @@ import pytest
 
 from truenewton.actuators import rings
 from truenewton.errors import GeometryError
-from truenewton.mirrors import Shell, lbt672, p45
+from truenewton.glass import Shell
+from truenewton.mirrors import lbt672, p45
 from truenewton.shell.condensation import condense, holding_forces
 from truenewton.shell.fourier import influence, stiffness, uniform_influence
 
@@ -52,7 +53,7 @@ def bent(displacement, points):
 
 
 def test_eigenvalues_of_an_earlier_semi_analytic_model(K):
-    """MIRRORS: flat 5273.6, 15117, 32321, ..., 2.3705e6 N/m, each to its last digit."""
+    """Flat: 5273.6, 15117, 32321, ..., 2.3705e6 N/m, each to its last digit."""
     eigenvalues = np.linalg.eigvalsh(K)
     assert eigenvalues[3:5] == pytest.approx([5273.6, 5273.6], abs=0.05)
     assert eigenvalues[5] == pytest.approx(15117, abs=0.5)
@@ -61,7 +62,7 @@ def test_eigenvalues_of_an_earlier_semi_analytic_model(K):
 
 
 def test_eigenvalues_of_finite_elements_lie_just_above(K):
-    """MIRRORS: Argyris elements, conforming and so too stiff, 5277 to 2.374e6 N/m."""
+    """Argyris elements, conforming and so too stiff, 5277 to 2.374e6 N/m."""
     eigenvalues = np.linalg.eigvalsh(K)
     excess = np.array([5277, 2.374e6]) / eigenvalues[[3, -1]] - 1
     assert np.all((excess > 0) & (excess < 2e-3)), excess

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from truenewton.actuators import rings
-from truenewton.mirrors import Annulus, Shell
+from truenewton.glass import Annulus, Shell
 from truenewton.shell import finite_elements, fourier
 
 COUNTS = np.array([9, 15, 21])

@@ -10,7 +10,7 @@ from scipy.special import iv, ivp, jv, jvp
 
 from truenewton.actuators import rings
 from truenewton.errors import GeometryError
-from truenewton.mirrors import Annulus, Shell
+from truenewton.glass import Annulus, Shell
 from truenewton.shell.condensation import condense
 from truenewton.shell.fourier import influence, stiffness, uniform_influence
 from truenewton.shell.shapes import condensed_mass, influence_functions

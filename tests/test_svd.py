@@ -67,7 +67,7 @@ def test_rows_that_are_not_valid_take_no_part():
 
 
 def test_alpha_is_exactly_proportional_to_the_added_weight():
-    """THEORY, section 2: the scale comes from the added weight and from nothing else."""
+    """The scale comes from the added weight and from nothing else."""
     campaign, truth = campaign_of(seed=8, noise=0.0)
     lighter = Campaign(
         tuple(replace(c, load=replace(c.load, added=0.9 * c.load.added)) for c in campaign.cycles)
@@ -172,7 +172,7 @@ def test_loads_with_one_tool_share_its_error_in_proportion():
 
 
 def test_relative_error_of_the_ring_is_the_error_of_the_scale():
-    """THEORY, section 2: 5 mN / 289 mN = 1.7 %, common to all actuators."""
+    """5 mN / 289 mN = 1.7 %, common to all actuators."""
     campaign, _ = campaign_of(seed=15, noise=0.0)
     calibration = calibrate(campaign)
     assert calibration.systematic_error / calibration.alpha == pytest.approx(5 / 289, rel=1e-9)

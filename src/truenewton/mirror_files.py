@@ -12,7 +12,8 @@ import numpy as np
 from truenewton.actuators import Layout, layout
 from truenewton.campaign_files import SUFFIXES, read_layout
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile
-from truenewton.mirrors import KNOWN, Annulus, Mirror, Shell, mirror
+from truenewton.glass import Annulus, Shell
+from truenewton.mirrors import KNOWN, Mirror, mirror
 from truenewton.settings import filled, read_toml
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array
 
 from truenewton.actuators import Array
-from truenewton.mirrors import Shell
+from truenewton.glass import Shell
 from truenewton.shell.argyris import Argyris, quadrature
 from truenewton.shell.mesh import Indices, Mesh
 

@@ -21,7 +21,7 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
 from truenewton.actuators import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors import Annulus, Shell
+from truenewton.glass import Annulus, Shell
 from truenewton.shell.argyris import Argyris, argyris
 from truenewton.shell.condensation import condense
 from truenewton.shell.energy import elastic_energy, inertia, unknowns

@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from truenewton.actuators import Array
-from truenewton.mirrors import Annulus, Shell
+from truenewton.glass import Annulus, Shell
 from truenewton.shell.condensation import condense
 from truenewton.shell.glass import Points, on_glass, shallowness
 from truenewton.shell.loaded_shell import LoadedShell, mean_over, read_remainder

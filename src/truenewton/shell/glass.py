@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from truenewton.actuators import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors import Shell
+from truenewton.glass import Shell
 
 Points = tuple[Array, Array]
 

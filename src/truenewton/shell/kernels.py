@@ -33,7 +33,7 @@ from scipy.special import factorial, kv
 
 from truenewton.actuators import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors import Annulus
+from truenewton.glass import Annulus
 
 SERIES_BELOW = 2.0  # lambda; kei is at home above, its series in lambda rho below
 EULER_ROOT = np.exp(0.25j * np.pi)  # sqrt(i)

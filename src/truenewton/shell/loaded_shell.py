@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.actuators import Array
-from truenewton.mirrors import Annulus, Shell
+from truenewton.glass import Annulus, Shell
 from truenewton.shell.glass import harmonics, shallowness
 from truenewton.shell.kernels import Circles, Kernel, Mean
 from truenewton.shell.radial_elements import RadialElements, graded_nodes

@@ -17,7 +17,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from truenewton.actuators import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors import Shell
+from truenewton.glass import Shell
 from truenewton.shell.mesh import Indices, Mesh
 from truenewton.shell.outline import checked_places, checked_sides, inside
 

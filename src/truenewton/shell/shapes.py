@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import legendre
 
 from truenewton.actuators import Array
-from truenewton.mirrors import Annulus, Shell
+from truenewton.glass import Annulus, Shell
 from truenewton.shell.condensation import Condensed, condense
 from truenewton.shell.fourier import POINTS_AT_ONCE, influence, rim
 from truenewton.shell.glass import Points, on_glass
