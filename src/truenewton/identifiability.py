@@ -58,8 +58,11 @@ def _in_terms_of_noise(force: Array, a: Array, variance: Array) -> tuple[Array, 
     return (force.T @ force) * gram / np.outer(root, root), root
 
 
-def free_patterns(eigenvalues: Array, shapes: int) -> int:
+def free_patterns(eigenvalues: Array, shapes: int, *, known: bool = False) -> int:
     """Count the patterns beside alpha that cannot be told from noise.
+
+    Noise is 1 where it is ``known``, and what alpha itself has where not; that of a mirror whose
+    own motion balances is less than 1 in alpha alone.
 
     Pure noise in 3 N equations spreads the eigenvalues over (1 +- root(n / 3 N))^2 (Marchenko and
     Pastur); what lies within that spread above the least one is noise.
@@ -67,7 +70,7 @@ def free_patterns(eigenvalues: Array, shapes: int) -> int:
     spread = np.sqrt(min(len(eigenvalues) / (3 * max(shapes, 1)), 0.49))
     factor = max(2.0, ((1 + spread) / (1 - spread)) ** 2)
     # Rounding: G squares the forces, so nothing below 1e-13 of its largest eigenvalue is real.
-    noise = max(eigenvalues[0], 1e-13 * eigenvalues[-1])
+    noise = max(eigenvalues[0], 1.0 if known else 0.0, 1e-13 * eigenvalues[-1])
     return int(np.count_nonzero(eigenvalues[1:] <= factor * noise))
 
 
@@ -83,10 +86,11 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
         return Diagnosis((), max(n - 1 - 3 * distinct, 0), faults)
     centred = centred_means(moments)
     variance = np.ones(n)
-    if moments.repeats >= ENOUGH_REPEATS and (moments.scatter > 0).all():
+    known = moments.repeats >= ENOUGH_REPEATS and bool((moments.scatter > 0).all())
+    if known:
         variance = moments.scatter / moments.repeats
     eigenvalues = balance_spectrum(centred, a, variance)
-    free = free_patterns(eigenvalues, len(centred) - len(campaign.loads))
+    free = free_patterns(eigenvalues, len(centred) - len(campaign.loads), known=known)
     centred /= np.sqrt(variance)  # in place: it is as large as all means
     span = _span(centred, float(np.sqrt(eigenvalues[: free + 1].mean())))
     if free:

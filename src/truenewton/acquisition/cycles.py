@@ -18,7 +18,7 @@ from truenewton.acquisition.progress import Onlooker, Progress
 from truenewton.acquisition.runlog import RunLog
 from truenewton.acquisition.taking import Taker, described, noise_of
 from truenewton.actuators import Array
-from truenewton.bench.protocol import Bench, Operator, Shape
+from truenewton.bench.protocol import Bench, Graded, Operator, Shape
 from truenewton.campaign_files import cycle_name, write_cycle
 from truenewton.campaign_plan import CampaignPlan
 from truenewton.errors import BenchFault, Interrupted
@@ -196,7 +196,8 @@ def _show(run: Run, shape: Shape) -> None:
 
 def _write(run: Run, journal: Journal, load: Load, number: int) -> None:
     """Write the file of a cycle; when this returns it is on the disk, complete."""
-    cycle = journal.cycle(run.mirror, run.bench.layout, run.bench.gap)
+    gradients = run.bench.gradients if isinstance(run.bench, Graded) else (None, None)
+    cycle = journal.cycle(run.mirror, run.bench.layout, run.bench.gap, gradients)
     path = run.folder / cycle_name(load, number)
     write_cycle(cycle, path)
     to_disk(run.folder)

@@ -149,8 +149,14 @@ class Journal:
                 "holds other shapes than those planned", remedy="move it away", path=self.path
             )
 
-    def cycle(self, mirror: Mirror, layout: Layout, gap: float) -> Cycle:
-        """Return the cycle that the records make.
+    def cycle(
+        self,
+        mirror: Mirror,
+        layout: Layout,
+        gap: float,
+        gradients: tuple[float | None, float | None],
+    ) -> Cycle:
+        """Return the cycle that the records make; gradients as in `protocol.Graded`.
 
         Raises
         ------
@@ -180,8 +186,8 @@ class Journal:
             position=rows["position"],
             gap=gap,
             force_error=noise if noise > 0 else None,
-            coil_gradient=mirror.coil_gradient or None,
-            bias_gradient=mirror.bias_gradient or None,
+            coil_gradient=gradients[0],
+            bias_gradient=gradients[1],
         )
 
     def close(self) -> None:

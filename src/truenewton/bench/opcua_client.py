@@ -63,7 +63,7 @@ class OpcUaBench:
         self._choice, self._timeout, self._patience = choice, timeout, patience
         self._secrets = _Secrets(choice, Path(folder))
         self._client: Client | None = None
-        self._mirror: tuple[str, float, Layout] | None = None
+        self._mirror: tuple[str, float, Layout, list[float]] | None = None
         self._connections = 0  # so far
         self._commanded: int | None = None  # in which of them the last shape was commanded
         self._loop = asyncio.new_event_loop()
@@ -90,6 +90,12 @@ class OpcUaBench:
     def gap(self) -> float:
         """Nominal distance from the reference plate [m]."""
         return self._known[1]
+
+    @property
+    def gradients(self) -> tuple[float | None, float | None]:
+        """COILGRAD [1/m] and BIASGRAD [N/m]; None where the server does not know."""
+        coil, bias = (None if np.isnan(value) else float(value) for value in self._known[3])
+        return coil, bias
 
     def put_on(self, load: Load) -> None:
         """Have a load put on, or taken off for the bare mirror."""
@@ -150,7 +156,7 @@ class OpcUaBench:
         self.close()
 
     @property
-    def _known(self) -> tuple[str, float, Layout]:
+    def _known(self) -> tuple[str, float, Layout, list[float]]:
         assert self._mirror is not None  # since the first connection
         return self._mirror
 
@@ -226,11 +232,11 @@ class OpcUaBench:
 
     async def _recognise(self, client: Client) -> None:
         """Learn what the mirror is, or see that it is still the same."""
-        names = ("Instrument", "Gap", "Id", "X", "Y", "Nz", "Enabled")
+        names = ("Instrument", "Gap", "Gradients", "Id", "X", "Y", "Nz", "Enabled")
         try:
             self._space = await client.get_namespace_index(keys.NAMESPACE)
             nodes = [client.get_node(ua.NodeId(f"Bench.{name}", self._space)) for name in names]
-            instrument, gap, *columns = await client.read_values(nodes)
+            instrument, gap, gradients, *columns = await client.read_values(nodes)
         except (OSError, ValueError, ua.UaError) as error:
             await self._drop()
             raise self._fault(
@@ -238,7 +244,7 @@ class OpcUaBench:
             ) from error
         layout = Layout(*(np.array(column) for column in columns))
         if self._mirror is None:
-            self._mirror = instrument, gap, layout
+            self._mirror = instrument, gap, layout, gradients
         elif instrument != self.instrument or not layout.same_as(self.layout):
             await self._drop()
             raise self._fault(

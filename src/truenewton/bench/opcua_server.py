@@ -1,7 +1,8 @@
 """A bench behind an OPC UA server on the loopback.
 
 Nodes of the namespace urn:truenewton:bench: the object Bench with the variables Instrument, Gap,
-Id, X, Y, Nz, Enabled and the methods PutOn, Command, Read, Status, Rest (docs/hardware.md).
+Gradients, Id, X, Y, Nz, Enabled and the methods PutOn, Command, Read, Status, Rest
+(docs/hardware.md).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from asyncua import Server, ua
 
 from truenewton.bench import opcua_keys as keys
 from truenewton.bench.opcua_door import ClosedServer, Known
-from truenewton.bench.protocol import Bench, Operator, Shape
+from truenewton.bench.protocol import Bench, Graded, Operator, Shape
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.measurements import Load
 
@@ -107,6 +108,12 @@ def _refuse_taken(port: int) -> None:
             ) from error
 
 
+def _gradients(bench: ServedBench) -> list[float]:
+    """Return COILGRAD and BIASGRAD; not a number where the bench does not know."""
+    known = bench.gradients if isinstance(bench, Graded) else (None, None)
+    return [float("nan") if value is None else value for value in known]
+
+
 async def _publish(server: Server, bench: ServedBench) -> None:
     """Add the nodes of a bench."""
     space = await server.register_namespace(keys.NAMESPACE)
@@ -115,6 +122,7 @@ async def _publish(server: Server, bench: ServedBench) -> None:
     for name, value, kind in (
         ("Instrument", bench.instrument, Type.String),
         ("Gap", float(bench.gap), Type.Double),
+        ("Gradients", _gradients(bench), Type.Double),
         ("Id", layout.id.tolist(), Type.Int64),
         ("X", layout.x.tolist(), Type.Double),
         ("Y", layout.y.tolist(), Type.Double),

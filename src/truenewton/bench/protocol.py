@@ -119,6 +119,15 @@ class Operator(Protocol):
 
 
 @runtime_checkable
+class Graded(Protocol):
+    """A bench that knows how its forces change with the gap."""
+
+    @property
+    def gradients(self) -> tuple[float | None, float | None]:
+        """COILGRAD [1/m] and BIASGRAD [N/m]; None where nobody knows."""
+
+
+@runtime_checkable
 class OwnTime(Protocol):
     """A bench whose time is not ours: nobody need sleep for it."""
 

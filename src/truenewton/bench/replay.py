@@ -58,6 +58,14 @@ class ReplayBench:
         """Nominal distance from the reference plate [m]."""
         return self._gap
 
+    @property
+    def gradients(self) -> tuple[float | None, float | None]:
+        """COILGRAD [1/m] and BIASGRAD [N/m] as recorded; None without POSITION."""
+        first = self._campaign.cycles[0]
+        if first.position is None:
+            return None, None
+        return first.coil_gradient, first.bias_gradient
+
     def put_on(self, load: Load) -> None:
         """Take a load for on, if it was recorded.
 

@@ -91,7 +91,10 @@ def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
         noisy = arms * part.variance  # A diag(alpha) Sigma
         s_inverse = np.asarray(np.linalg.inv(noisy @ arms.T), dtype=np.float64)
         root = np.linalg.cholesky(s_inverse).T  # S^-1 = root' root
-        white, taken = root @ a, root @ noisy  # A' S^-1 A = white' white; V = Sigma - taken' taken
+        white, taken = (
+            root @ a,
+            np.sqrt(part.excess) * (root @ noisy),
+        )  # A' S^-1 A = white' white; V = Sigma - taken' taken
         p = noisy.T @ s_inverse
         # c^ = c - P rho, summed: rho c^' and c^ c^' = c c' - P half - half' P'.
         rho_fitted = rho_c - rho_rho @ p.T

@@ -7,7 +7,7 @@ which is 1, rms, where nothing but noise is at work.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from truenewton.calibration import Calibration
 from truenewton.campaign import Campaign
 from truenewton.estimators import held_out
 from truenewton.estimators.elastic import comparable_arms, elastic_modes, modal_stiffness
-from truenewton.estimators.problem import reading_noise
+from truenewton.estimators.problem import posed, reading_noise, with_share_in_balance
 from truenewton.identifiability import balance_spectrum, centred_means
 from truenewton.measurements import StiffnessMatrix
 from truenewton.moments import campaign_moments, row_weights
@@ -132,7 +132,9 @@ def campaign_evidence(campaign: Campaign, calibration: Calibration) -> Evidence:
     if noise.source == "minimum":  # known in shape only: its size is what the residuals have
         s = (arms * variance) @ arms.T
         variance = variance * np.mean(_squares(after, weight, s)[kept]) / 3
-    s, s_before = (arms * variance) @ arms.T, (a * variance) @ a.T
+    posed_anew = posed(sound, replace(noise, variance=variance))
+    share = with_share_in_balance(posed_anew, sound, moments, calibration.alpha[on]).noise.share
+    s, s_before = share * (arms * variance) @ arms.T, share * (a * variance) @ a.T
     readings = np.sqrt(variance * moments.typical_variance)
     return Evidence(
         residuals=RowResiduals(

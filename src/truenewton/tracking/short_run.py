@@ -24,7 +24,13 @@ from truenewton.diagnosis import RejectedRow
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimators.estimate import Estimate, Prior
 from truenewton.estimators.maximum_likelihood import fitted_groups
-from truenewton.estimators.problem import Noise, Problem, least_variance, reading_noise
+from truenewton.estimators.problem import (
+    Noise,
+    Problem,
+    least_variance,
+    reading_noise,
+    with_share_in_balance,
+)
 from truenewton.moments import Moments, chosen_groups
 from truenewton.outliers import refuse_too_many, rows_of
 from truenewton.tracking.known import Known
@@ -87,11 +93,15 @@ def sifted(
     """
     noise = reading_noise(run.campaign, moments)
     try:
-        loose = run.problem(noise, run.loose(new))
-        kept, distance, (problem, estimate) = fitted_groups(loose, moments)
+        posed = run.problem(noise, run.loose(new))
+        kept, distance, (problem, estimate) = fitted_groups(posed, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
-        tight = run.problem(noise, run.tight(~new))
-        kept, distance, (problem, estimate) = fitted_groups(tight, moments)
+        posed = run.problem(noise, run.tight(~new))
+        kept, distance, (problem, estimate) = fitted_groups(posed, moments)
+    alpha = estimate.values[: problem.n]
+    shared = with_share_in_balance(posed, run.campaign, moments, alpha)
+    if shared.noise.share != 1.0:
+        kept, distance, (problem, estimate) = fitted_groups(shared, moments)
     lost: list[RejectedRow] = []
     if not kept.all():
         actuator = problem.standing_out(estimate.values, moments)
@@ -112,7 +122,7 @@ def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
     """Return equations less what the data themselves say of the unknowns."""
     free = len(inverse)
     from_prior = float(np.sum(inverse * problem.prior.information[:free, :free]))
-    return 3 * len(moments.rows) - free + from_prior
+    return 3 * moments.groups - free + from_prior
 
 
 def with_noise(

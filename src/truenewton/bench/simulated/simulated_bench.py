@@ -92,6 +92,11 @@ class SimulatedBench:
         """Nominal distance from the reference plate [m]."""
         return self._bench.mirror.gap
 
+    @property
+    def gradients(self) -> tuple[float | None, float | None]:
+        """COILGRAD [1/m] and BIASGRAD [N/m]."""
+        return self._bench.coils.coil_gradient, self._bench.coils.bias_gradient
+
     def put_on(self, load: Load) -> None:
         """Put a load on, or take it off for the bare mirror.
 
