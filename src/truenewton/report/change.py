@@ -58,7 +58,7 @@ class Change:
     def same_files(self) -> bool:
         """Whether both rest on the same data, so that their errors are not independent."""
         one, other = ({s.sha256 for s in c.sources} for c in (self.one, self.other))
-        return bool(one & other)
+        return one == other  # a recalibration has files of its own beside those it inherits
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas on the map of the actuators; return the axes."""
