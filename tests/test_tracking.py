@@ -389,6 +389,12 @@ def test_the_file_holds_all_and_serves_electronics(tracking, tmp_path):
     assert units == ["1/K", "1/yr"]
 
 
+def test_a_tracking_file_given_as_data_is_told_what_it_is(tracking, tmp_path):
+    tracking.write(tmp_path / "t.fits")
+    with pytest.raises(FormatError, match="is a tracking file; give it to `recalibrate --known`"):
+        tn.read(tmp_path / "t.fits")
+
+
 def test_departures_and_limits_come_back_from_the_file(tmp_path):
     k = np.where(np.arange(45) == 4, 3e-3, K)
     found = tn.track(*drawn(7, k, temperatures=(12.0, 16.0, 20.0)))

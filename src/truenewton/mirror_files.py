@@ -51,6 +51,12 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
     path = Path(name)
     if str(name).lower() in KNOWN or not (path.suffix == ".toml" or path.exists()):
         return mirror(str(name))
+    if str(name).endswith(SUFFIXES):
+        raise FormatError(
+            "is a FITS file, which holds no glass",
+            remedy="give a known mirror, or a TOML file whose `actuators` names this one",
+            path=name,
+        )
     return read_mirror(path)
 
 

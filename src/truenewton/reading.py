@@ -53,6 +53,12 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
             raise FormatError(
                 "is the truth of a simulation", remedy="give the campaign beside it", path=file.path
             )
+        if "TRACKING" in file.tables:
+            raise FormatError(
+                "is a tracking file",
+                remedy="give it to `recalibrate --known`, or to read_tracking in Python",
+                path=file.path,
+            )
         if is_calibration_file(file) or file in matrices[1:]:
             what = "calibration" if is_calibration_file(file) else "second stiffness"
             raise FormatError(

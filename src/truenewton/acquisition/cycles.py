@@ -18,7 +18,7 @@ from truenewton.acquisition.progress import Onlooker, Progress
 from truenewton.acquisition.runlog import RunLog
 from truenewton.acquisition.taking import Taker, described, noise_of
 from truenewton.actuators import Array
-from truenewton.bench.protocol import Bench, Graded, Operator, Shape
+from truenewton.bench.protocol import Bench, Graded, Operator, OwnTime, Shape
 from truenewton.campaign_files import cycle_name, write_cycle
 from truenewton.campaign_plan import CampaignPlan
 from truenewton.errors import BenchFault, Interrupted
@@ -157,6 +157,7 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
     instant = run.clock.instant(reading.time if reading is not None and valid else None)
     if run.clock.leap:
         run.log.note("clock", **described(shape), leap=run.clock.leap)
+    if run.clock.leap and not isinstance(run.bench, OwnTime):  # a simulated day begins anew
         run.onlooker.say(
             f"the clock of the bench leapt by {run.clock.leap:.3g} s; TIME counts on steadily"
         )

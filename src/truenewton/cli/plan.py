@@ -35,8 +35,8 @@ def run(
     """Predict errors, time, forces and gap of a campaign, and what to change for a wanted error."""
     if new == (path is not None):
         raise typer.BadParameter("give a plan, or --new for one to start from")
-    if target is not None and not 0 < target < float("inf"):
-        raise typer.BadParameter("--target is relative and positive, such as 0.005")
+    if target is not None and not 0 < target < 1:
+        raise typer.BadParameter("--target is relative, such as 0.005 for 0.5 %")
     if path is None:
         if target is not None or plot or json:
             raise typer.BadParameter("--new takes none of --target, --plot, --json")

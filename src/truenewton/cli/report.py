@@ -36,6 +36,8 @@ def run(
     from truenewton.report.page import write_report
     from truenewton.report.verdict import verdict, verdict_on_change
 
+    if output.suffix.lower() not in (".html", ".htm"):
+        raise typer.BadParameter("the page is HTML: let -o end in .html (a browser prints it)")
     refuse_existing(output, overwrite=overwrite)
     found = _found(paths, method, population=population)
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
