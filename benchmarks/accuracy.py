@@ -26,7 +26,7 @@ from truenewton.balance import arms_in_units_of_rms, enabled_arms, system_e
 from truenewton.bench.simulated.static import START, StaticBench, static_bench
 from truenewton.errors import TrueNewtonError
 from truenewton.estimators import svd
-from truenewton.glass import Shell
+from truenewton.glass import Annulus, Shell
 from truenewton.mirrors import GRAVITY, Mirror, p45
 from truenewton.uncertainty import weight_errors
 
@@ -429,6 +429,8 @@ def rings336() -> Mirror:
         magnet_mass=2.75e-3,
         alpha_range=(0.90, 1.10),
         gap=40e-6,
+        puck_radius=3e-3,
+        sensor=Annulus(3.5e-3, 6e-3),
     )
 
 
