@@ -35,7 +35,7 @@ error of the common scale: 0.018 % (one sigma, the same for all)
 Nothing needs to be done.""",
     "scale_limited": """\
 Sound, within a limit. Alpha of all 14 actuators of TEST is known, typically to 1.7 %.
-alpha: 0.73445 to 1.02068 (actuators 1 and 3, true N / commanded N)
+alpha: 0.734 to 1.021 (actuators 1 and 3, true N / commanded N)
 typical error of alpha: 1.7 % (one sigma; 0.018 % from the readings)
 error of the common scale: 1.7 % (one sigma, the same for all)
 - The common scale is known to 1.7 %, nearly all of it from the weight of 'ring A'. Weigh it to\

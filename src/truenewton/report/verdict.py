@@ -148,7 +148,7 @@ def _typical(errors: NDArray[np.float64], c: Calibration) -> float:
 
 def _numbers(c: Calibration) -> tuple[Number, ...]:
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
-    ends = [to_digits(float(c.alpha[k]), float(c.statistical[k])) for k in (low, high)]
+    ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
     readings = percent(_typical(c.statistical, c))
     scale = Number("common scale", "free", "the mean of alpha is set to 1; weights would fix it")
     if c.scale != "mean 1":

@@ -34,7 +34,7 @@ def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
     relative = c.error[on] / np.abs(c.alpha[on])
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ids = c.layout.id
-    ends = [to_digits(float(c.alpha[k]), float(c.statistical[k])) for k in (low, high)]
+    ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
     rows = [
         ("alpha", f"{ends[0]} .. {ends[1]}", "true N / commanded N"
          + f", lowest actuator {ids[low]}, highest {ids[high]}"),
