@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.actuators import Array
-from truenewton.bench.simulated.static import START, WEDGE_MARGIN
+from truenewton.bench.simulated.static import START, tool_wedges
 from truenewton.campaign import Campaign
 from truenewton.campaign_plan import (
     CampaignPlan,
@@ -60,9 +60,7 @@ def holding(mirror: Mirror) -> Holding:
     glass = held_glass(with_enabled_only(mirror))
     nz = glass.mirror.layout.nz
     magnets = np.full(nz.size, -mirror.magnet_mass * GRAVITY)
-    angle = np.radians([90.0, 210.0, 330.0])
-    radius = mirror.shell.inner_radius + WEDGE_MARGIN
-    wedges = (radius * np.cos(angle), radius * np.sin(angle))
+    wedges = tool_wedges(mirror)
     return Holding(
         own=forces_under(glass, mirror.weight - magnets.sum(), wedges, np.zeros(3)) - magnets / nz,
         tool=forces_under(glass, 0.0, wedges, np.full(3, 1 / 3)),

@@ -131,7 +131,10 @@ def static_bench(
     magnets = np.full(n, -mirror.magnet_mass * GRAVITY)
     held, external = [], []
     for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):
-        spread, wedges = cosine * (weight - magnets.sum()), _wedges(mirror, random)
+        spread = cosine * (weight - magnets.sum())
+        off_x, off_y = random.normal(0.0, CENTRING_ERROR, 2)
+        x, y = tool_wedges(mirror)
+        wedges = (x + off_x, y + off_y)
         on_wedge = np.full(3, cosine * q / 3)
         # Taken up by each actuator itself, along its normal.
         local = cosine * magnets / layout.nz + bias
@@ -178,12 +181,11 @@ def static_bench(
     )
 
 
-def _wedges(mirror: Mirror, random: np.random.Generator) -> tuple[Array, Array]:
-    """Return x, y [m] of the tool's three wedges, 120 degrees apart, off centre a little."""
+def tool_wedges(mirror: Mirror) -> tuple[Array, Array]:
+    """Return x, y [m] of the tool's three wedges, 120 degrees apart, well centred."""
     angle = np.radians([90.0, 210.0, 330.0])
     radius = mirror.shell.inner_radius + WEDGE_MARGIN
-    off_x, off_y = random.normal(0.0, CENTRING_ERROR, 2)
-    return radius * np.cos(angle) + off_x, radius * np.sin(angle) + off_y
+    return radius * np.cos(angle), radius * np.sin(angle)
 
 
 def _scaled_modes(stiffness: Array, held_by: Array, stroke: float, room: Array) -> Array:
