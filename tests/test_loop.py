@@ -213,6 +213,16 @@ def test_modes_taken_alone_stand_for_the_whole(monkeypatch):
     assert alone == pytest.approx(whole, rel=0.05)
 
 
+def test_no_triangle_of_a_slightly_asymmetric_glass_is_taken_for_the_whole(monkeypatch):
+    k, mass, damping, coils, sensors, control = p45_parts()
+    monkeypatch.setattr("truenewton.bench.simulated.stability.DENSE", 10)
+    skew = 1e-3 * np.abs(k).max() * np.random.default_rng(2).standard_normal((45, 45))
+    k = k + skew - skew.T
+    once = roots(k, np.diag(mass), np.diag(damping), coils, sensors, control)
+    again = roots(k.T, np.diag(mass), np.diag(damping), coils, sensors, control)
+    assert np.sort(np.abs(again)) == pytest.approx(np.sort(np.abs(once)), rel=1e-9)
+
+
 def test_too_much_derivative_is_refused_on_p45():
     k, mass, damping, coils, sensors, control = p45_parts()
     with pytest.raises(LoopUnstable, match="lower the gains"):

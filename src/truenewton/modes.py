@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.actuators import Array
 
@@ -16,7 +17,7 @@ class StiffnessModes:
     Attributes
     ----------
     stiffness
-        (n,) eigenvalues, ascending [N/m].
+        (n,) eigenvalues, of ascending magnitude but for rigid motions, which come first [N/m].
     modes
         (n, n), one mode a column, of unit length.
     """
@@ -25,20 +26,48 @@ class StiffnessModes:
     modes: Array
 
 
-def stiffness_modes(stiffness: Array) -> StiffnessModes:
-    """Return the eigenmodes of a symmetric (n, n) stiffness, rigid motions first.
+def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessModes:
+    """Return the eigenmodes of a symmetric (n, n) stiffness, those that take least force first.
 
-    A symmetric mirror has pairs of equal stiffness, in which rounding would choose the modes. So
-    each set of equals gets the basis nearest to fixed random vectors: the same on every machine,
-    to rounding. That settles the signs as well.
+    That is by magnitude: bias magnets make the stiffness of rigid motions negative, errors of
+    measurement that of soft modes. On large mirrors rigid motions may thus cost more than the
+    softest bending; where they shall come first all the same, ``rigid``, (n, r), names them, and
+    the r modes that lie most in their span do.
+
+    A symmetric mirror has pairs of equal stiffness, which are settled: see `settled`.
     """
     values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
-    n = len(values)
-    reference = np.random.default_rng(0).standard_normal((n, n))
-    apart = np.diff(values) > 1e-11 * values[-1] + 1e-6 * np.abs(values[1:])
+    order = np.argsort(np.abs(values), kind="stable")
+    if rigid is not None:
+        part = np.sum((np.linalg.qr(rigid)[0].T @ vectors) ** 2, axis=0)
+        first = np.zeros(len(values), dtype=bool)
+        first[np.argsort(-part, kind="stable")[: rigid.shape[1]]] = True
+        order = np.concatenate([order[first[order]], order[~first[order]]])
+    values, vectors = values[order], vectors[:, order]
+    largest = np.abs(values).max()
+    apart = np.abs(np.diff(values)) > 1e-11 * largest + 1e-6 * np.abs(values[1:])
+    return StiffnessModes(values, settled(vectors, apart))
+
+
+def settled(vectors: Array, apart: NDArray[np.bool_]) -> Array:
+    """Return eigenvectors, one a column, of which rounding chooses neither sign nor rotation.
+
+    Among equal eigenvalues rounding would choose the vectors. So each set of equals gets the basis
+    nearest to fixed random vectors: the same on every machine, to rounding. That settles the signs
+    as well.
+
+    Parameters
+    ----------
+    vectors
+        (n, k), one of unit length a column, in the order of their eigenvalues.
+    apart
+        (k - 1,) whether an eigenvalue and the next one differ.
+    """
+    n, count = vectors.shape
+    reference = np.random.default_rng(0).standard_normal((n, count))
     modes = np.empty_like(vectors)
-    for equal in np.split(np.arange(n), np.flatnonzero(apart) + 1):
+    for equal in np.split(np.arange(count), np.flatnonzero(apart) + 1):
         # Polar decomposition of the projected references: no pivots, so no ties.
         left, _, right = np.linalg.svd(vectors[:, equal].T @ reference[:, equal])
         modes[:, equal] = vectors[:, equal] @ (left @ right)
-    return StiffnessModes(values, modes)
+    return modes

@@ -87,7 +87,9 @@ def roots(
         step = advance(stiffness, mass, damping, control.period)
         matrix = state_matrix(step, coils.alpha, sensors.gain, control)
         return np.asarray(np.linalg.eigvals(matrix))
-    values, modes = eigh(stiffness, mass)  # modes' M modes = 1
+    # Sensors beside pucks leave both a little unlike their transposes, of which eigh would see one
+    # triangle; the symmetric part has the same roots to second order. Modes' M modes = 1.
+    values, modes = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T))
     own_damping = np.einsum("ik,ij,jk->k", modes, damping, modes, optimize=True)
     step = advance(
         values[:, None, None], np.ones((n, 1, 1)), own_damping[:, None, None], control.period

@@ -1,0 +1,1 @@
+"""Stiffness modes, turbulence and dissipation: the modal base."""

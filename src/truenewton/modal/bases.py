@@ -1,0 +1,86 @@
+"""Modal bases on the actuators: Zernike's and Karhunen and Loeve's, beside the stiffness modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from truenewton.actuators import Array
+from truenewton.errors import GeometryError
+from truenewton.modal.zernikes import zernike
+from truenewton.modes import settled
+
+NEWNESS = 0.1  # rms that a Zernike must add; with less, rounding grows from mode to mode
+BLOCK = 64  # columns orthogonalised together
+LOTS = 8  # Zernikes tried, in units of the number of actuators
+
+
+def zernike_modes(x: Array, y: Array) -> Array:
+    """Return the orthonormal basis that Noll's Zernikes span on n actuators, in their order.
+
+    Each mode is what a Zernike adds to those before it, of unit length and with the sign of its
+    Zernike; the first is piston. On n points only n Zernikes are independent, and hardly ever the
+    first n: over a ring of six, cos 6 theta is a constant. So one that adds less than NEWNESS root
+    mean square (a whole Zernike has 1) is passed over, and a later one takes its place.
+
+    Parameters
+    ----------
+    x, y
+        (n,) actuators in units of the pupil's radius.
+
+    Returns
+    -------
+    (n, n) modes, one a column.
+
+    Raises
+    ------
+    GeometryError
+        The first 8 n Zernikes do not span the actuators: two of them (nearly) coincide.
+    """
+    n = len(x)
+    modes, found = np.empty((n, n)), 0
+    for lot in range(LOTS):
+        candidates = zernike((lot + 1) * n, x, y)[:, lot * n :]
+        for start in range(0, n, BLOCK):
+            block = _less(candidates[:, start : start + BLOCK], modes[:, :found])
+            first = found
+            for candidate in block.T:
+                new = _less(candidate, modes[:, first:found])
+                length = np.linalg.norm(new)
+                if length > NEWNESS * np.sqrt(n):
+                    modes[:, found] = new / length
+                    found += 1
+                    if found == n:
+                        return modes
+    raise GeometryError(
+        f"Zernikes span only {found} of {n} actuators",
+        remedy="give each actuator a place of its own, in units of the pupil's radius",
+        got=found,
+        want=n,
+    )
+
+
+def _less(vectors: Array, modes: Array) -> Array:
+    """Return vectors less their parts along orthonormal modes; twice, for what rounding leaves."""
+    for _ in range(2):
+        vectors = vectors - modes @ (modes.T @ vectors)
+    return vectors
+
+
+def karhunen_loeve_modes(covariance: Array) -> Array:
+    """Return piston, then the eigenvectors of a covariance without it, largest variance first.
+
+    Parameters
+    ----------
+    covariance
+        (n, n), its rows without mean, as `wavefront_covariance` gives it.
+
+    Returns
+    -------
+    (n, n) orthonormal modes, one a column; in equals, and in sign, the same on every machine.
+    """
+    n = len(covariance)
+    # Piston moves from the eigenvalue 0 to the far end, and keeps off the faintest modes.
+    values, vectors = np.linalg.eigh(covariance - np.trace(covariance) / n)
+    values, vectors = values[:0:-1], vectors[:, :0:-1]
+    apart = -np.diff(values) > 1e-11 * values[0] + 1e-6 * values[1:]
+    return np.column_stack([np.full(n, n**-0.5), settled(vectors, apart)])
