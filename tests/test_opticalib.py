@@ -239,3 +239,53 @@ def test_the_published_package_does_what_we_take_it_to_do(tmp_path):
     assert told["follows"]
     assert told["position"] < 1e-18
     assert told["force"] < 1e-12
+
+
+MATRICES = """
+import json, sys, types
+import numpy as np
+from opticalib import load_fits, save_fits
+from opticalib.dmutils.slaving import compute_slave_cmd
+
+modes, commanded, true = (load_fits(path) for path in sys.argv[1:4])
+save_fits("again.fits", modes)
+mirror = types.SimpleNamespace(n_acts=45, slave_ids=[16, 20], ff=np.asarray(true))
+command = 1e-6 * np.sin(np.arange(45.0))
+print(json.dumps({
+    "axes": [modes.header["CTYPE1"], modes.header["CTYPE2"]],
+    "modes": np.asarray(modes).tolist(), "commanded": np.asarray(commanded).tolist(),
+    "again": np.asarray(load_fits("again.fits"), dtype=float).tolist(),
+    "command": command.tolist(),
+    "zero-force": np.asarray(compute_slave_cmd(mirror, command, "zero-force")).tolist(),
+    "minimum-rms": np.asarray(compute_slave_cmd(mirror, command, "minimum-rms")).tolist(),
+}))
+"""
+
+
+def test_the_published_package_reads_the_modal_base(tmp_path):
+    """And its slaving agrees with ours: zero force with what is off, least force with slaves."""
+    if importlib.util.find_spec("opticalib") is None:
+        pytest.skip("opticalib is not installed: pip install 'truenewton[opticalib]'")
+    bench = static_bench(p45(), 3)
+    matrix = tn.StiffnessMatrix(
+        "P45", plan_start(0), p45().layout, bench.truth.stiffness / bench.truth.alpha[:, None]
+    )
+    found = tn.find_modes(matrix)
+    written = tn.write_modes(found.after, tmp_path / "m.fits")
+    done = subprocess.run(
+        [sys.executable, "-c", MATRICES, *map(str, written[3:])], capture_output=True, text=True,
+        env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "agg"}, cwd=tmp_path, timeout=120,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert told["axes"] == ["MODE", "ACTUATOR"]
+    base = found.after
+    np.testing.assert_array_equal(told["modes"], base.modes.modes)
+    np.testing.assert_allclose(told["again"], base.modes.modes, atol=1e-7)  # single precision
+    np.testing.assert_array_equal(told["commanded"], base.stiffness.feed_forward_commanded)
+    masters = np.delete(told["command"], [16, 20])
+    ids = p45().layout.id[[16, 20]].tolist()
+    for theirs, ours in (("zero-force", {"off": ids}), ("minimum-rms", {"slaved": ids})):
+        followed = tn.find_modes(matrix, found.calibration, **ours).after.stiffness.shapes @ masters
+        np.testing.assert_allclose(told[theirs], followed, atol=1e-12)

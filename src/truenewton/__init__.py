@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from truenewton.estimators import calibrate
     from truenewton.figures import write_figures
     from truenewton.measurements import Cycle, Load, StiffnessMatrix
+    from truenewton.modal.findings import find_modes
+    from truenewton.modal.modes_files import write_modes
+    from truenewton.modal.turbulence import Atmosphere
     from truenewton.reading import read
     from truenewton.report.change import change
     from truenewton.report.findings import investigate
@@ -37,6 +40,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Atmosphere",
     "Calibration",
     "Campaign",
     "CampaignPlan",
@@ -50,6 +54,7 @@ __all__ = [
     "calibrate",
     "change",
     "errors",
+    "find_modes",
     "investigate",
     "layout",
     "mirrors",
@@ -65,12 +70,14 @@ __all__ = [
     "write_campaign",
     "write_cycle",
     "write_figures",
+    "write_modes",
     "write_report",
     "write_stiffness",
 ]
 
 # Imported on first use: the command line answers --help without numpy.
 _HOMES = {
+    "Atmosphere": "modal.turbulence",
     "Calibration": "calibration",
     "Campaign": "campaign",
     "CampaignPlan": "campaign_plan",
@@ -83,6 +90,7 @@ _HOMES = {
     "Tracking": "tracking",
     "calibrate": "estimators",
     "change": "report.change",
+    "find_modes": "modal.findings",
     "investigate": "report.findings",
     "layout": "actuators",
     "read": "reading",
@@ -97,6 +105,7 @@ _HOMES = {
     "write_campaign": "campaign_files",
     "write_cycle": "campaign_files",
     "write_figures": "figures",
+    "write_modes": "modal.modes_files",
     "write_report": "report.page",
     "write_stiffness": "campaign_files",
 }

@@ -53,11 +53,8 @@ def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(1.0)
         _frame(layout, ax)
-        radius = _dot(layout)
         ax.add_collection(
-            PatchCollection(
-                _circles(layout, radius), facecolor="white", edgecolor=INK, linewidth=0.6
-            )
+            PatchCollection(circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
         )
         if layout.n <= 100:
             for name, x, y in zip(layout.id, layout.x, layout.y, strict=True):
@@ -84,7 +81,7 @@ def plot_map(
         ax = ax or new_axes(1.02)
         _frame(layout, ax)
         known = np.isfinite(values)
-        patches = np.array(_circles(layout, _dot(layout)), dtype=object)
+        patches = np.array(circles(layout), dtype=object)
         ax.add_collection(
             PatchCollection(patches[~known], facecolor="none", edgecolor=FAINT, linewidth=0.6)
         )
@@ -287,7 +284,9 @@ def _dot(layout: Layout) -> float:
     return float(0.42 * np.median(distance))
 
 
-def _circles(layout: Layout, radius: float) -> list[Circle]:
+def circles(layout: Layout) -> list[Circle]:
+    """Return a dot for each actuator, in millimetres."""
+    radius = _dot(layout)
     return [
         Circle((x / MILLIMETRE, y / MILLIMETRE), radius)
         for x, y in zip(layout.x, layout.y, strict=True)

@@ -247,10 +247,37 @@ def write_fits(
         A keyword holds what no FITS header can.
     """
     primary = fits.PrimaryHDU()
+    _fill(primary.header, header, path)
+    _write_whole(path, [primary, *map(_hdu, sheets)], overwrite=overwrite)
+
+
+def write_matrix(
+    path: str | os.PathLike[str],
+    header: Mapping[str, tuple[Any, str]],
+    matrix: NDArray[Any],
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a FITS file that holds one matrix and nothing else, as other programs read it.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    FormatError
+        A keyword holds what no FITS header can.
+    """
+    primary = fits.PrimaryHDU(np.asarray(matrix, dtype=">f8"))
+    _fill(primary.header, header, path)
+    _write_whole(path, [primary], overwrite=overwrite)
+
+
+def _fill(
+    made: fits.Header, header: Mapping[str, tuple[Any, str]], path: str | os.PathLike[str]
+) -> None:
     for key, (value, comment) in header.items():
         if value is not None and not (isinstance(value, float) and np.isnan(value)):
             try:
-                primary.header.append(_card(key, value, comment), end=True)
+                made.append(_card(key, value, comment), end=True)
             except ValueError:
                 raise FormatError(
                     f"{key} is {value!r}",
@@ -258,9 +285,10 @@ def write_fits(
                     path=path,
                     got=value,
                 ) from None
-    hdus = fits.HDUList([primary])
-    for sheet in sheets:
-        hdus.append(_hdu(sheet))
+
+
+def _write_whole(path: str | os.PathLike[str], parts: list[Any], *, overwrite: bool) -> None:
+    hdus = fits.HDUList(parts)
     for hdu in hdus:
         # astropy would note the time of writing: the same data shall give the same bytes.
         hdu.add_checksum(when="data unit checksum")

@@ -53,6 +53,12 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
             raise FormatError(
                 "is the truth of a simulation", remedy="give the campaign beside it", path=file.path
             )
+        if file.holds("MODES"):
+            raise FormatError(
+                "is a modal base",
+                remedy="give what it was made from, or the stiffness files beside it",
+                path=file.path,
+            )
         if "TRACKING" in file.tables:
             raise FormatError(
                 "is a tracking file",
@@ -81,6 +87,19 @@ def read_data(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix:
             "is a calibration already", remedy="give cycle files or a stiffness file", path=paths[0]
         )
     return data
+
+
+def read_calibration(path: str | os.PathLike[str]) -> Calibration:
+    """Read a calibration file.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    made = read_calibrations(path)
+    if not made:
+        raise FormatError("is no calibration", remedy="give what `calibrate -o` wrote", path=path)
+    return made[0]
 
 
 def read_calibrations(*paths: str | os.PathLike[str]) -> tuple[Calibration, ...]:

@@ -17,6 +17,7 @@ def run(
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
+    from truenewton.cli.printing import busy
     from truenewton.errors import RankDeficient
     from truenewton.figures import write_figures
     from truenewton.outputs import refuse_existing
@@ -25,10 +26,12 @@ def run(
     from truenewton.report.still import still_figures
 
     refuse_existing(output, overwrite=overwrite)
-    found = investigate(read(*paths))
-    if found.calibration is None:
-        fault, remedy = found.faults[0]
-        raise RankDeficient(fault, remedy=remedy)
-    more = still_figures(found)
-    for path in write_figures(found.calibration, output, more=more, overwrite=overwrite):
+    with busy("drawing"):
+        found = investigate(read(*paths))
+        if found.calibration is None:
+            fault, remedy = found.faults[0]
+            raise RankDeficient(fault, remedy=remedy)
+        more = still_figures(found)
+        written = write_figures(found.calibration, output, more=more, overwrite=overwrite)
+    for path in written:
         print(path)

@@ -17,6 +17,7 @@ from truenewton.cli import (
     figures,
     info,
     mirrors,
+    modes,
     plan,
     prove,
     recalibrate,
@@ -39,8 +40,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 COMMANDS = (
-    demo, calibrate, info, report, figures, plan, acquire, track, recalibrate, simulate, serve,
-    prove, mirrors,
+    demo, calibrate, info, report, figures, plan, acquire, track, recalibrate, modes, simulate,
+    serve, prove, mirrors,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(name=command.NAME)(command.run)

@@ -28,3 +28,18 @@ def mirror_or_file(name: str) -> Mirror:
     if name.endswith(SUFFIXES) and Path(name).exists():
         return dataclasses.replace(p45(), name=Path(name).name, layout=read_layout(name))
     return mirror_from(name)
+
+
+def ids(text: str, option: str) -> list[int]:
+    """Return the IDs of a list with commas.
+
+    Raises
+    ------
+    FormatError
+    """
+    from truenewton.errors import FormatError
+
+    try:
+        return [int(word) for word in text.split(",")]
+    except ValueError:
+        raise FormatError(f"{option} is '{text}'", remedy="give IDs, as 17,18", got=text) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import sys
@@ -56,6 +57,18 @@ def track(items: Sequence[Item], what: str) -> Iterator[Item]:
     from rich.progress import track as rich_track
 
     yield from rich_track(items, description=what, console=Console(stderr=True), transient=True)
+
+
+@contextlib.contextmanager
+def busy(what: str) -> Iterator[None]:
+    """Show on standard error that something takes its time, where a person looks at it."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(what):
+        yield
 
 
 class Bar:

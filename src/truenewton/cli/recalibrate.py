@@ -36,7 +36,8 @@ def run(
     from truenewton.reading import read_data
     from truenewton.tracking import recalibrate
 
-    ids = _ids(actuators)
+    auto = actuators.strip().casefold() == "auto"
+    ids = [] if auto else options.ids(actuators, "--actuators")
     if output is not None:
         refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
@@ -52,20 +53,6 @@ def run(
     for line in _lines(made):
         print(line)
     print(f"written: {output}" if output is not None else "not written; -o FILE keeps it")
-
-
-def _ids(text: str) -> list[int]:
-    """Return the IDs of a list with commas; none for 'auto'."""
-    from truenewton.errors import FormatError
-
-    if text.strip().casefold() == "auto":
-        return []
-    try:
-        return [int(word) for word in text.split(",")]
-    except ValueError:
-        raise FormatError(
-            f"--actuators is '{text}'", remedy="give IDs, as 17,18, or auto", got=text
-        ) from None
 
 
 def _lines(made: Recalibration) -> list[str]:

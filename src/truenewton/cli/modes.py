@@ -1,0 +1,82 @@
+"""`truenewton modes`: stiffness modes, and how many of them a power or a force allows."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import typer
+
+from truenewton.cli import options
+
+NAME = "modes"
+
+
+def run(
+    paths: list[Path] = typer.Argument(
+        ..., metavar="PATH...", help="Cycle files with POSITION or their folder, a stiffness file."
+    ),
+    calibration: Path | None = typer.Option(
+        None, help="Calibration file; the data themselves are calibrated where there is none."
+    ),
+    seeing: float = typer.Option(0.8, help="At 500 nm [arcsec]."),
+    outer_scale: float = typer.Option(40.0, help="Of the turbulence [m]; inf for Kolmogorov's."),
+    diameter: float | None = typer.Option(
+        None, help="Of the pupil that the mirror fills [m]; as magnified at LBT where not given."
+    ),
+    power: float = typer.Option(math.inf, help="Most that a coil may dissipate [W]."),
+    force: float = typer.Option(
+        math.inf, help="Most true force: static and three sigma of turbulence [N]."
+    ),
+    efficiency: float = typer.Option(0.51, help="Commanded force per root of power [N/W^1/2]."),
+    off: str = typer.Option("", help="IDs of actuators that will be off, as 17,18: they float."),
+    slaved: str = typer.Option(
+        "", help="IDs that the optics do not command: they follow with least force."
+    ),
+    output: Path | None = typer.Option(
+        None, "-o", "--output", help="Modal base to write; matrices are written beside it."
+    ),
+    figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+) -> None:
+    """Find stiffness modes, and how many can be corrected within a power or a force."""
+    from truenewton.cli.printing import busy, print_json
+    from truenewton.modal.dissipation import Limits
+    from truenewton.modal.findings import find_modes
+    from truenewton.modal.modes_files import modes_paths, write_modes
+    from truenewton.modal.pictures import write_modes_figures
+    from truenewton.modal.turbulence import Atmosphere
+    from truenewton.modal.wording import lines, values
+    from truenewton.outputs import refuse_existing
+    from truenewton.reading import read_calibration, read_data
+
+    atmosphere, limits = Atmosphere(seeing, outer_scale), Limits(power, force)
+    for target in (*(modes_paths(output) if output else ()), *((figures,) if figures else ())):
+        refuse_existing(target, overwrite=overwrite)
+    floats = options.ids(off, "--off") if off else ()
+    follow = options.ids(slaved, "--slaved") if slaved else ()
+    written: list[Path] = []
+    with busy("finding modes"):
+        found = find_modes(
+            read_data(*paths),
+            None if calibration is None else read_calibration(calibration),
+            atmosphere,
+            diameter=diameter,
+            efficiency=efficiency,
+            off=floats,
+            slaved=follow,
+        )
+        if output is not None:
+            written += write_modes(found.after, output, limits, overwrite=overwrite)
+        if figures is not None:
+            written += write_modes_figures(found, figures, limits, overwrite=overwrite)
+    if json:
+        print_json(values(found, limits))
+        return
+    for line in lines(found, limits):
+        print(line)
+    for path in written:
+        print(f"written: {path}")
+    if output is None:
+        print("not written; -o FILE keeps it")

@@ -1,0 +1,168 @@
+"""What the first N modes of a base leave of the turbulence, and what they cost.
+
+With orthonormal modes V, the covariance C of the wavefront, of which the surface takes half, and
+the true forces G that hold unit displacements, the first N modes have the amplitudes and forces
+
+    a = V' w / 2,    cov a = V' C V / 4,    f = (G V)_N a_N,    cov f = (G V)_N (cov a)_NN (G V)_N'
+
+A coil is heated by its *commanded* force, (c / efficiency)^2 with c = f / alpha; the glass and the
+margin to saturation feel the true one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from truenewton.actuators import Array, frozen_array
+from truenewton.errors import FormatError
+
+EFFICIENCY = 0.51  # commanded force per root of power, of LBT's coils [N/W^1/2]
+SIGMAS = 3.0  # of the turbulent force, beside the static one, that an actuator has to reach
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What actuators may bear.
+
+    Attributes
+    ----------
+    power
+        Largest mean power of any coil [W].
+    force
+        Largest true force that any actuator has to reach [N]; see `Dissipation.reach`.
+
+    Raises
+    ------
+    FormatError
+        A limit that is not positive.
+    """
+
+    power: float = np.inf
+    force: float = np.inf
+
+    def __post_init__(self) -> None:
+        for name, unit in (("power", "W"), ("force", "N")):
+            limit = getattr(self, name)
+            if not limit > 0.0:
+                raise FormatError(
+                    f"the largest {name} is {limit:g} {unit}",
+                    remedy=f"give a positive one, in {unit}",
+                    got=limit,
+                )
+
+    @property
+    def any(self) -> bool:
+        """Whether there is a limit at all."""
+        return bool(np.isfinite([self.power, self.force]).any())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Dissipation:
+    """Wavefront left, forces and powers of the first N = 1..m modes of a base.
+
+    Attributes
+    ----------
+    base
+        'stiffness', 'Zernike', ...
+    modes
+        (m, m) displacement at the actuators, one mode a column, of unit length.
+    residual
+        (m,) rms wavefront that the first N modes leave, on the actuators [m].
+    force
+        (n, m) rms true force of the turbulence on each actuator [N].
+    static
+        (n,) true force that stands whatever the turbulence does: weight, bias, flattening [N].
+    alpha
+        (n,) true Newton / commanded Newton.
+    efficiency
+        Commanded force per root of power [N/W^1/2].
+    """
+
+    base: str
+    modes: Array
+    residual: Array
+    force: Array
+    static: Array
+    alpha: Array
+    efficiency: float = EFFICIENCY
+
+    def __post_init__(self) -> None:
+        for name in ("modes", "residual", "force", "static", "alpha"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        return f"<Dissipation of {self.residual.size} {self.base} modes>"
+
+    @property
+    def power(self) -> Array:
+        """(n, m) mean power of each coil, static force included [W]."""
+        mean_square = self.force**2 + self.static[:, None] ** 2
+        return np.asarray(mean_square / (self.alpha[:, None] * self.efficiency) ** 2)
+
+    @property
+    def reach(self) -> Array:
+        """(n, m) true force that each actuator has to reach: static and three sigma [N]."""
+        return np.asarray(np.abs(self.static)[:, None] + SIGMAS * self.force)
+
+    def modes_within(self, limits: Limits, *, alpha_error: ArrayLike = 0.0) -> int:
+        """Return the largest N such that the first 1..N modes all keep within the limits.
+
+        Parameters
+        ----------
+        limits
+            Of power and force.
+        alpha_error
+            Relative, by which alpha of each actuator may be higher than assumed: the true force of
+            what is commanded is so too. The power is that of the commands, which were measured.
+        """
+        higher = 1.0 + np.asarray(alpha_error, dtype=float).reshape(-1, 1)
+        beyond = (self.power > limits.power).any(axis=0)
+        beyond |= (higher * self.reach > limits.force).any(axis=0)
+        return int(np.argmax(beyond)) if beyond.any() else beyond.size
+
+
+def dissipation(
+    base: str,
+    modes: Array,
+    force_per_displacement: Array,
+    wavefront: Array,
+    *,
+    alpha: Array,
+    static: Array,
+    efficiency: float = EFFICIENCY,
+) -> Dissipation:
+    """Return what correcting turbulence with 1..m modes leaves and costs.
+
+    Parameters
+    ----------
+    base
+        Name of the modes.
+    modes
+        (m, m) V, orthonormal.
+    force_per_displacement
+        (n, m) G, true force of n actuators per displacement of m points [N/m]: the stiffness.
+    wavefront
+        (m, m) C, covariance of the wavefront at those points [m^2].
+    alpha, static, efficiency
+        See `Dissipation`.
+    """
+    amplitudes = modes.T @ wavefront @ modes / 4.0
+    forces = force_per_displacement @ modes
+    own = np.diag(amplitudes)
+    # One mode more adds b_N^2 A_NN and twice b_N times what it shares with those before it.
+    shared = forces @ np.triu(amplitudes, 1)
+    variance = np.cumsum(forces * (2.0 * shared + forces * own), axis=1)
+    # Summed from the end: the little that the last modes leave is no difference of large numbers.
+    left = np.append(np.cumsum(own[:0:-1])[::-1], 0.0) / own.size
+    return Dissipation(
+        base,
+        modes,
+        2.0 * np.sqrt(np.maximum(left, 0.0)),
+        np.sqrt(np.maximum(variance, 0.0)),
+        static,
+        alpha,
+        efficiency,
+    )

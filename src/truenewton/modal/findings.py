@@ -1,0 +1,112 @@
+"""From measurements to what the optical loop wants to know, before and after calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.actuators import Array
+from truenewton.calibration import Calibration
+from truenewton.campaign import Campaign
+from truenewton.estimators import calibrate
+from truenewton.measurements import StiffnessMatrix
+from truenewton.modal.comparison import ModesComparison, compare_modes
+from truenewton.modal.dissipation import EFFICIENCY, Dissipation, Limits
+from truenewton.modal.measured import MeasuredStiffness, force_at_rest, measured_stiffness
+from truenewton.modal.modal_base import ModalBase, modal_base, pupil_of
+from truenewton.modal.turbulence import Atmosphere
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModalFindings:
+    """The modal base that alpha gives, beside what would be taken for it without.
+
+    Attributes
+    ----------
+    measured
+        The stiffness that cycles gave, and how well; None for a stiffness file.
+    calibration
+        Where alpha is from.
+    before, after
+        The modal base with alpha taken for 1, and as it is.
+    comparison
+        Of the modes before with those after.
+    """
+
+    measured: MeasuredStiffness | None
+    calibration: Calibration
+    before: ModalBase
+    after: ModalBase
+    comparison: ModesComparison
+
+    def __repr__(self) -> str:
+        return (
+            f"<ModalFindings of {self.after.instrument}: {self.after.modes.stiffness.size} modes>"
+        )
+
+    def modes_between(self, cost: Dissipation, limits: Limits) -> tuple[int, int]:
+        """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""
+        c, enabled = self.calibration, self.after.stiffness.enabled
+        at = [int(np.flatnonzero(c.layout.id == name)[0]) for name in enabled.id]
+        error: Array = c.error[at] / np.abs(c.alpha[at])
+        fewest, most = (cost.modes_within(limits, alpha_error=e) for e in (error, -error))
+        return fewest, most
+
+
+def find_modes(
+    data: Campaign | StiffnessMatrix,
+    calibration: Calibration | None = None,
+    atmosphere: Atmosphere | None = None,
+    *,
+    diameter: float | None = None,
+    efficiency: float = EFFICIENCY,
+    sensor_gain: Array | None = None,
+    off: Sequence[int] = (),
+    slaved: Sequence[int] = (),
+) -> ModalFindings:
+    """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
+
+    Parameters
+    ----------
+    data
+        Cycles with POSITION, or a measured stiffness.
+    calibration
+        Gives alpha; the data are calibrated where None.
+    atmosphere
+        The turbulence; 0.8 arcsec where None.
+    diameter
+        Of the entrance pupil that the mirror fills [m]; see `pupil_of`.
+    efficiency
+        Commanded force per root of power [N/W^1/2].
+    sensor_gain, off, slaved
+        As in `true_stiffness`.
+
+    Raises
+    ------
+    RankDeficient, TooManyOutliers, NotConverged
+        The data tell no stiffness, or no alpha.
+    FormatError, CampaignMismatch, UnknownName
+    """
+    measured, at_rest, matrix = None, None, data
+    if isinstance(matrix, Campaign):
+        measured, at_rest = measured_stiffness(matrix), force_at_rest(matrix)
+        matrix = measured.matrix
+    calibration = calibration or calibrate(data)
+    before, after = (
+        modal_base(
+            matrix,
+            alpha,
+            atmosphere or Atmosphere(0.8),
+            pupil=pupil_of(matrix.layout, diameter),
+            at_rest=at_rest,
+            efficiency=efficiency,
+            sensor_gain=sensor_gain,
+            off=off,
+            slaved=slaved,
+        )
+        for alpha in (None, calibration)
+    )
+    comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
+    return ModalFindings(measured, calibration, before, after, comparison)

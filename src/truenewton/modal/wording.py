@@ -1,0 +1,169 @@
+"""What was found of the modes, in words for people and in figures for scripts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from truenewton.modal.dissipation import Dissipation, Limits
+from truenewton.modal.findings import ModalFindings
+from truenewton.modal.modal_base import ModalBase
+from truenewton.rounding import percent
+
+SHOWN = 8  # numbers of modes in the table
+
+
+def lines(found: ModalFindings, limits: Limits) -> list[str]:
+    """Return what was found, for people."""
+    before, after = found.before.stiffness, found.after.stiffness
+    base, c = found.after, found.calibration
+    count = base.modes.stiffness.size
+    told = [
+        f"{base.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
+    ]
+    if (m := found.measured) is not None:
+        told.append(
+            f"  {'measured stiffness':<24}{m.shapes} shapes, {m.rows} rows; known to"
+            f" {percent(m.relative_error)}, chi2/DOF {m.misfit:.3g}"
+        )
+        if m.rigid_assumed:
+            told.append(
+                f"  {'':<24}no shape holds {m.rigid_assumed} of 3 rigid motions: taken to cost"
+                " nothing"
+            )
+    rigid = ", ".join(f"{value:.3g}" for value in after.rigid_stiffness)
+    elastic = np.abs(base.modes.stiffness[3:])
+    told += [
+        f"  {'':<24}{'alpha = 1':<12}calibrated",
+        f"  {'asymmetry':<24}{percent(before.asymmetry):<12}{percent(after.asymmetry)}",
+        f"  {'out of balance':<24}{percent(before.imbalance):<12}{percent(after.imbalance)}",
+        f"  {'rigid motions':<24}{'':<12}{rigid} N/m",
+        f"  {'elastic modes':<24}{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m",
+        f"  {'modes by alpha = 1':<24}{_apart(found)}",
+        _turbulence(base),
+        f"  {'between actuators':<24}{1e9 * base.fitting_error:.3g} nm of wavefront on top of what"
+        " modes leave, whatever their number",
+        f"  {'static force':<24}{_static(base.costs[0])}",
+    ]
+    told += _table(base)
+    return told + _within(found, limits)
+
+
+def _apart(found: ModalFindings) -> str:
+    c = found.comparison
+    if not c.orders.size:
+        return "all in pairs of equal stiffness"
+    order = int(c.orders[c.largest_angle.argmax()])
+    return (
+        f"{math.degrees(c.distance):.2g} deg rms from the calibrated, up to"
+        f" {math.degrees(c.largest_angle.max()):.2g} deg (first {order} modes)"
+    )
+
+
+def _turbulence(base: ModalBase) -> str:
+    a, pupil = base.atmosphere, base.pupil
+    return (
+        f"  {'turbulence':<24}seeing {a.seeing:g} arcsec, r0 {100 * a.fried_parameter:.3g} cm, L0"
+        f" {a.outer_scale:g} m; pupil {pupil.diameter:.3g} m on a mirror of"
+        f" {2e3 * pupil.radius:.0f} mm"
+    )
+
+
+def _static(cost: Dissipation) -> str:
+    force = 1e3 * cost.static
+    if not force.any():
+        return "unknown, taken for 0: a stiffness file alone tells no weight"
+    return f"{force.min():.3g} .. {force.max():.3g} mN"
+
+
+def _table(base: ModalBase) -> list[str]:
+    """Return residual, force and power against the number of modes."""
+    cost, count = base.costs[0], base.modes.stiffness.size
+    names = [cost.base for cost in base.costs]
+    head = f"  {'':<8}{'residual wavefront at actuators [nm]':<45}"
+    head += "stiffness modes: force [mN], power [W]"
+    lines = [head, f"  {'modes':<8}" + "".join(f"{name:<15}" for name in names)
+             + "rms     worst   mean     worst    total"]  # fmt: skip
+    for number in np.unique(np.linspace(0, count, SHOWN + 1).round().astype(int))[1:].tolist():
+        k = number - 1
+        left = "".join(f"{1e9 * each.residual[k]:<15.4g}" for each in base.costs)
+        force, power = 1e3 * cost.force[:, k], cost.power[:, k]
+        lines.append(
+            f"  {number:<8}{left}{np.sqrt(np.mean(force**2)):<8.3g}{force.max():<8.3g}"
+            f"{power.mean():<9.2g}{power.max():<9.2g}{power.sum():.3g}"
+        )
+    return lines
+
+
+def _within(found: ModalFindings, limits: Limits) -> list[str]:
+    """Return how many modes the limits allow, and what alpha has to do with it."""
+    if not limits.any:
+        return ["  --power W or --force N asks how many modes they allow"]
+    asked = [f"{limits.power:g} W in the worst coil"] if math.isfinite(limits.power) else []
+    asked += [f"{limits.force:g} N on any actuator"] if math.isfinite(limits.force) else []
+    lines = [f"  within {' and '.join(asked)}:"]
+    for cost, uncalibrated in zip(found.after.costs, found.before.costs, strict=True):
+        number = cost.modes_within(limits)
+        fewest, most = found.modes_between(cost, limits)
+        words = "none" if number == 0 else f"{number} of {cost.residual.size}"
+        if number:
+            words += f", {1e9 * cost.residual[number - 1]:.3g} nm left"
+        if fewest != most:
+            words += f"; {fewest} to {most} by the error of alpha"
+        words += f"; with alpha = 1 it would seem {uncalibrated.modes_within(limits)}"
+        lines.append(f"    {cost.base:<22}{words}")
+    return lines
+
+
+def values(found: ModalFindings, limits: Limits) -> dict[str, Any]:
+    """Return the same figures for a script."""
+    base, m, c = found.after, found.measured, found.comparison
+    told: dict[str, Any] = {
+        "instrument": base.instrument,
+        "date": base.date.isoformat(),
+        "method": found.calibration.method,
+        "scale": found.calibration.scale,
+        "seeing": base.atmosphere.seeing,
+        "fried_parameter": base.atmosphere.fried_parameter,
+        "outer_scale": base.atmosphere.outer_scale,
+        "diameter": base.pupil.diameter,
+        "radius": base.pupil.radius,
+        "efficiency": base.costs[0].efficiency,
+        "fitting_error": base.fitting_error,
+        "static_force": base.costs[0].static,
+        "stiffness": base.modes.stiffness,
+        "asymmetry": [x.stiffness.asymmetry for x in (found.before, base)],
+        "imbalance": [x.stiffness.imbalance for x in (found.before, base)],
+        "rigid_stiffness": base.stiffness.rigid_stiffness,
+        "uncalibrated_modes": {
+            "distance": c.distance,
+            "overlap": c.overlap,
+            "orders": c.orders,
+            "largest_angle": c.largest_angle,
+        },
+        "limits": {"power": limits.power, "force": limits.force},
+        "bases": [
+            {
+                "base": cost.base,
+                "residual": cost.residual,
+                "force_rms": np.sqrt(np.mean(cost.force**2, axis=0)),
+                "force_worst": cost.force.max(axis=0),
+                "reach": cost.reach.max(axis=0),
+                "power_mean": cost.power.mean(axis=0),
+                "power_worst": cost.power.max(axis=0),
+                "modes_within": cost.modes_within(limits),
+                "modes_between": found.modes_between(cost, limits),
+                "modes_within_uncalibrated": uncalibrated.modes_within(limits),
+            }
+            for cost, uncalibrated in zip(base.costs, found.before.costs, strict=True)
+        ],
+    }
+    if m is not None:
+        told["measured"] = {
+            "shapes": m.shapes, "rows": m.rows, "residual": m.residual, "misfit": m.misfit,
+            "relative_error": m.relative_error, "rigid_assumed": m.rigid_assumed,
+            "rejected": len(m.rejected),
+        }  # fmt: skip
+    return told
