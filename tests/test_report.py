@@ -292,7 +292,8 @@ def test_the_page_holds_all_it_needs(p45):
     text = "".join(reader.text)
     parts = ("Sound", "What to do", "Map of the mirror", "Alpha by ring", "Error budget",
              "Residuals by shape and cycle", "Singular values", "The balance before and after",
-             "Temperatures and times", "Made again by")  # fmt: skip
+             "Stiffness modes", "Turbulence", "Dissipation", "Temperatures and times",
+             "Made again by")  # fmt: skip
     places = [text.find(words) for words in parts]
     assert min(places) >= 0, parts[np.argmin(places)]
     assert places == sorted(places)

@@ -232,7 +232,7 @@ def test_paper_shows_the_figures_in_full(browser, pages):
         "return [...document.querySelectorAll('.still')]"
         ".map((i) => [i.id, i.alt, i.src.slice(0, 22), i.naturalWidth])"
     )
-    assert len(stills) == 6
+    assert len(stills) == 9
     for name, words, start, width in stills:
         assert start == "data:image/png;base64,", name
         assert len(words) > 40, name
@@ -270,6 +270,38 @@ return [box.x + view.frame.x_scale.compute(3), box.y + view.frame.y_scale.comput
     assert '0<img src=x onerror=window.hit=1>".fits, row 3' in told
     assert "actuator 6" in told
     assert browser.js("return window.hit") is None
+
+
+POINT = """
+const [key, pick] = arguments;
+const host = document.getElementById("plot-" + key);
+host.scrollIntoView({ block: "center" });
+const view = [...Bokeh.index.roots].find((view) => host.contains(view.el));
+const data = view.model.renderers[0].data_source.data;
+const box = view.el.getBoundingClientRect();
+return [box.x + view.frame.x_scale.compute(data[pick[0]][pick[2]]),
+        box.y + view.frame.y_scale.compute(data[pick[1]][pick[2]])];
+"""
+
+
+def test_modes_and_curves_are_told_under_the_pointer(browser, pages, p45):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    base = p45.modes.after
+    part = base.modes.modes[9, 3] / np.abs(base.modes.modes[:, 3]).max()
+    left = base.costs[1].residual[11] * 1e9
+    browser.open(pages["p45"])
+    for key, pick, words in (
+        ("modes", ["x", "y", 3 * 45 + 9], ("mode:4", "actuator:10", f"largest:{part:.2f}")),
+        ("turbulence", ["n", "stiffness", 11], ("modes:12", f"Zernike:{left:.3g}nm")),
+    ):
+        x, y = browser.js(POINT, key, pick)
+        chain = ActionChains(browser.driver)
+        chain.w3c_actions.pointer_action.move_to_location(round(x) - 2, round(y))
+        chain.w3c_actions.pointer_action.move_to_location(round(x), round(y))
+        chain.perform()
+        told = browser.wait(TOOLTIP).replace(" ", "").replace("\n", "")
+        assert all(word in told for word in words), (words, told)
 
 
 def test_a_large_mirror_responds(browser, tmp_path):

@@ -30,7 +30,8 @@ def points(ax):
 def test_every_call_takes_axes_and_returns_them(p45):
     found = change(*changed_by(12.0))
     calls = (p45.plot_budget, p45.plot_residuals, p45.plot_balance, p45.plot_singular_values,
-             p45.plot_temperatures, found.plot_map, found.plot_actuators)  # fmt: skip
+             p45.plot_temperatures, p45.plot_residual_wavefront, p45.plot_power,
+             p45.plot_modes_comparison, found.plot_map, found.plot_actuators)  # fmt: skip
     for call in calls:
         ax = Figure().add_subplot()
         assert call(ax) is ax
@@ -111,7 +112,8 @@ def test_a_change_stands_with_its_name_beyond_the_band():
 def test_all_of_them_as_pdf_png_and_svg(p45, tmp_path):
     more = still_figures(p45)
     assert {"budget", "residuals", "singular-values", "balance", "temperatures", "map-e-stat",
-            "map-leverage", "map-residual"} == set(more)  # fmt: skip
+            "map-leverage", "map-residual", "modes", "modes-residual", "modes-power",
+            "modes-comparison"} == set(more)  # fmt: skip
     paths = write_figures(p45.calibration, tmp_path / "figures", more=more)
     assert len(paths) == 2 * (3 + len(more))
     write_figure(p45.plot_balance(), tmp_path / "balance.svg")
@@ -124,7 +126,9 @@ def test_a_calibration_alone_has_no_residuals_to_draw(p45):
         alone.plot_residuals()
     with pytest.raises(ValueError, match="only the cycles of a campaign"):
         alone.plot_temperatures()
-    assert "residuals" not in still_figures(alone)
+    with pytest.raises(ValueError, match="tells no modes"):
+        alone.plot_modes()
+    assert not {"residuals", "modes"} & set(still_figures(alone))
 
 
 def test_names_with_dollars_are_no_formulas():

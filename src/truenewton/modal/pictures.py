@@ -12,27 +12,21 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from truenewton.colours import CURVES, FAINT, INK, SIGNED_COLOURS
 from truenewton.figures import COLUMN, STYLE, circles, new_axes, write_figure
 from truenewton.modal.dissipation import Limits
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
+from truenewton.modal.shown import chosen_modes, least_power, stiffness_text
 from truenewton.outputs import folder_beside
-from truenewton.rounding import significant
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 NANOMETRE, MILLINEWTON = 1e-9, 1e-3
 ACROSS = 4  # maps of modes beside each other
-
-
-def chosen_modes(count: int) -> list[int]:
-    """Return which modes are drawn: the softest eight, and four more up to the stiffest."""
-    more = np.geomspace(8, count, 5)[1:] - 1
-    return sorted({*range(min(8, count)), *(round(k) for k in more if count > 8)})
 
 
 def plot_modes(base: ModalBase) -> Axes:
@@ -61,15 +55,11 @@ def plot_modes(base: ModalBase) -> Axes:
             ax.set_ylim(-reach, reach)
             ax.set_aspect("equal")
             ax.set_axis_off()
-            ax.set_title(f"{k + 1}: {_stiffness(base.modes.stiffness[k])}", fontsize=6.0, pad=1.5)
+            ax.set_title(
+                f"{k + 1}: {stiffness_text(base.modes.stiffness[k])}", fontsize=6.0, pad=1.5
+            )
     first: Axes = grid[0, 0]
     return first
-
-
-def _stiffness(value: float) -> str:
-    if abs(value) < 1e3:
-        return f"{significant(value)} N/m"
-    return f"{significant(value / 1e3)} kN/m"
 
 
 def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
@@ -81,7 +71,7 @@ def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
             ax.loglog(np.arange(1, left.size + 1), left, color=colour, label=cost.base)
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter(ScalarFormatter())
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
             axis.set_minor_formatter(NullFormatter())
         ax.set_xlabel("number of modes")
         ax.set_ylabel("residual wavefront, rms (nm)")
@@ -97,6 +87,7 @@ def plot_power(base: ModalBase, limits: Limits, ax: Axes | None = None) -> Axes:
             number = np.arange(1, cost.residual.size + 1)
             ax.semilogy(number, cost.power.max(axis=0), color=colour, label=cost.base)
             ax.semilogy(number, cost.power.mean(axis=0), color=colour, linestyle=":")
+        ax.set_ylim(bottom=least_power(base))
         if np.isfinite(limits.power):
             ax.axhline(limits.power, color=FAINT, linewidth=0.6, linestyle="--")
         ax.set_xlabel("number of modes")

@@ -7,12 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.modal.dissipation import Dissipation, Limits
+from truenewton.modal.dissipation import Limits
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
+from truenewton.modal.shown import (
+    apart,
+    between_actuators,
+    cost_rows,
+    measured_text,
+    rigid_text,
+    static_force,
+    turbulence,
+)
 from truenewton.rounding import percent
 
-SHOWN = 8  # numbers of modes in the table
+WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns
 
 
 def lines(found: ModalFindings, limits: Limits) -> list[str]:
@@ -24,76 +33,37 @@ def lines(found: ModalFindings, limits: Limits) -> list[str]:
         f"{base.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
     ]
     if (m := found.measured) is not None:
-        told.append(
-            f"  {'measured stiffness':<24}{m.shapes} shapes, {m.rows} rows; known to"
-            f" {percent(m.relative_error)}, chi2/DOF {m.misfit:.3g}"
-        )
+        told.append(f"  {'measured stiffness':<24}{measured_text(m)}")
         if m.rigid_assumed:
-            told.append(
-                f"  {'':<24}no shape holds {m.rigid_assumed} of 3 rigid motions: taken to cost"
-                " nothing"
-            )
+            told.append(f"  {'':<24}{rigid_text(m)}")
     rigid = ", ".join(f"{value:.3g}" for value in after.rigid_stiffness)
-    elastic = np.abs(base.modes.stiffness[3:])
+    elastic = base.modes.stiffness[3:]
     told += [
         f"  {'':<24}{'alpha = 1':<12}calibrated",
         f"  {'asymmetry':<24}{percent(before.asymmetry):<12}{percent(after.asymmetry)}",
         f"  {'out of balance':<24}{percent(before.imbalance):<12}{percent(after.imbalance)}",
         f"  {'rigid motions':<24}{'':<12}{rigid} N/m",
         f"  {'elastic modes':<24}{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m",
-        f"  {'modes by alpha = 1':<24}{_apart(found)}",
-        _turbulence(base),
-        f"  {'between actuators':<24}{1e9 * base.fitting_error:.3g} nm of wavefront on top of what"
-        " modes leave, whatever their number",
-        f"  {'static force':<24}{_static(base.costs[0])}",
+        f"  {'modes by alpha = 1':<24}{apart(found.comparison)}",
+        f"  {'turbulence':<24}{turbulence(base)}",
+        f"  {'between actuators':<24}{between_actuators(base)}",
+        f"  {'static force':<24}{static_force(base.costs[0])}",
     ]
     told += _table(base)
     return told + _within(found, limits)
 
 
-def _apart(found: ModalFindings) -> str:
-    c = found.comparison
-    if not c.orders.size:
-        return "all in pairs of equal stiffness"
-    order = int(c.orders[c.largest_angle.argmax()])
-    return (
-        f"{math.degrees(c.distance):.2g} deg rms from the calibrated, up to"
-        f" {math.degrees(c.largest_angle.max()):.2g} deg (first {order} modes)"
-    )
-
-
-def _turbulence(base: ModalBase) -> str:
-    a, pupil = base.atmosphere, base.pupil
-    return (
-        f"  {'turbulence':<24}seeing {a.seeing:g} arcsec, r0 {100 * a.fried_parameter:.3g} cm, L0"
-        f" {a.outer_scale:g} m; pupil {pupil.diameter:.3g} m on a mirror of"
-        f" {2e3 * pupil.radius:.0f} mm"
-    )
-
-
-def _static(cost: Dissipation) -> str:
-    force = 1e3 * cost.static
-    if not force.any():
-        return "unknown, taken for 0: a stiffness file alone tells no weight"
-    return f"{force.min():.3g} .. {force.max():.3g} mN"
-
-
 def _table(base: ModalBase) -> list[str]:
     """Return residual, force and power against the number of modes."""
-    cost, count = base.costs[0], base.modes.stiffness.size
-    names = [cost.base for cost in base.costs]
-    head = f"  {'':<8}{'residual wavefront at actuators [nm]':<45}"
-    head += "stiffness modes: force [mN], power [W]"
-    lines = [head, f"  {'modes':<8}" + "".join(f"{name:<15}" for name in names)
-             + "rms     worst   mean     worst    total"]  # fmt: skip
-    for number in np.unique(np.linspace(0, count, SHOWN + 1).round().astype(int))[1:].tolist():
-        k = number - 1
-        left = "".join(f"{1e9 * each.residual[k]:<15.4g}" for each in base.costs)
-        force, power = 1e3 * cost.force[:, k], cost.power[:, k]
-        lines.append(
-            f"  {number:<8}{left}{np.sqrt(np.mean(force**2)):<8.3g}{force.max():<8.3g}"
-            f"{power.mean():<9.2g}{power.max():<9.2g}{power.sum():.3g}"
-        )
+    names = "".join(f"{cost.base:<15}" for cost in base.costs)
+    lines = [
+        f"  {'':<8}{'residual wavefront at actuators [nm]':<45}"
+        "stiffness modes: force [mN], power [W]",
+        f"  {'modes':<8}{names}rms     worst   mean     worst    total",
+    ]
+    for row in cost_rows(base):
+        cells = (f"{cell:<{width}}" for cell, width in zip(row, WIDTHS, strict=True))
+        lines.append(f"  {''.join(cells)}")
     return lines
 
 

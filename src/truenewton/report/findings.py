@@ -8,15 +8,19 @@ from typing import TYPE_CHECKING
 from truenewton.calibration import Calibration, UsedSource
 from truenewton.campaign import Campaign
 from truenewton.diagnosis import Diagnosis
-from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers, TrueNewtonError
 from truenewton.estimators import calibrate
 from truenewton.identifiability import diagnose
 from truenewton.measurements import StiffnessMatrix
+from truenewton.modal.dissipation import Limits
+from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.outliers import against_repeats
 from truenewton.report.evidence import Evidence, campaign_evidence, stiffness_evidence
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+MOST_MODES = 1500  # eigenmodes of thousands of actuators take minutes
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +37,18 @@ class Findings:
         Residuals, balance and singular values; None without data or without calibration.
     faults
         Why there is no calibration, each with its remedy.
+    modes
+        The modal base that the data and alpha give, if they do.
+    no_modes
+        Why they do not, in a sentence; empty without data or without calibration.
     """
 
     data: Campaign | StiffnessMatrix | None
     calibration: Calibration | None
     evidence: Evidence | None = None
     faults: tuple[tuple[str, str], ...] = ()
+    modes: ModalFindings | None = None
+    no_modes: str = ""
 
     @property
     def instrument(self) -> str:
@@ -97,6 +107,35 @@ class Findings:
 
         return plot_temperatures(self, ax)
 
+    def plot_modes(self) -> Axes:
+        """Draw stiffness modes on maps of the mirror; return the axes of the first."""
+        from truenewton.modal.pictures import plot_modes
+
+        return plot_modes(self._modes_found().after)
+
+    def plot_residual_wavefront(self, ax: Axes | None = None) -> Axes:
+        """Draw the wavefront that the first N modes of each base leave; return the axes."""
+        from truenewton.modal.pictures import plot_residual
+
+        return plot_residual(self._modes_found().after, ax)
+
+    def plot_power(self, ax: Axes | None = None) -> Axes:
+        """Draw the power of the worst coil and the mean against modes; return the axes."""
+        from truenewton.modal.pictures import plot_power
+
+        return plot_power(self._modes_found().after, Limits(), ax)
+
+    def plot_modes_comparison(self, ax: Axes | None = None) -> Axes:
+        """Draw how far modes with alpha = 1 lie from the calibrated; return the axes."""
+        from truenewton.modal.pictures import plot_comparison
+
+        return plot_comparison(self._modes_found(), ax)
+
+    def _modes_found(self) -> ModalFindings:
+        if self.modes is None:
+            raise ValueError(self.no_modes or "a calibration file tells no modes; give the data")
+        return self.modes
+
 
 def investigate(
     data: Campaign | StiffnessMatrix | Calibration, method: str = "ml", *, population: bool = False
@@ -122,9 +161,27 @@ def investigate(
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         return Findings(data, None, faults=_faults(data) or ((error.fault, error.remedy),))
     if isinstance(data, Campaign):
-        return Findings(data, calibration, campaign_evidence(data, calibration))
-    evidence = stiffness_evidence(data, calibration, method, population=population)
-    return Findings(data, calibration, evidence)
+        evidence = campaign_evidence(data, calibration)
+    else:
+        evidence = stiffness_evidence(data, calibration, method, population=population)
+    modes, no_modes = _modes(data, calibration)
+    return Findings(data, calibration, evidence, modes=modes, no_modes=no_modes)
+
+
+def _modes(
+    data: Campaign | StiffnessMatrix, calibration: Calibration
+) -> tuple[ModalFindings | None, str]:
+    """Return the modal base, or why there is none."""
+    if data.layout.n > MOST_MODES:
+        return (
+            None,
+            f"Those of {data.layout.n} actuators take a while: truenewton modes finds them.",
+        )
+    try:
+        return find_modes(data, calibration), ""
+    except TrueNewtonError as error:
+        why = "; ".join(filter(None, (error.fault, error.remedy)))
+        return None, f"The data do not tell them: {why}."
 
 
 def _faults(data: Campaign | StiffnessMatrix) -> tuple[tuple[str, str], ...]:

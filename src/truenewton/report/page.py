@@ -23,7 +23,15 @@ from truenewton.report import actuator_plots
 from truenewton.report.change import Change
 from truenewton.report.findings import Findings
 from truenewton.report.layers import Layer, calibration_layers, change_layers
-from truenewton.report.sections import Section, Table, evidence_sections, map_caption, ring_caption
+from truenewton.report.modal_sections import modal_sections
+from truenewton.report.sections import (
+    Section,
+    Table,
+    evidence_sections,
+    map_caption,
+    ring_caption,
+    times,
+)
 from truenewton.report.verdict import Verdict, verdict, verdict_on_change
 from truenewton.report.wording import headline, summary_rows
 
@@ -96,7 +104,7 @@ def page(findings: Findings | Change, command: str = "") -> str:
         heading=headline(c) if c else f"{findings.instrument}: no calibration",
         judged=verdict(findings),
         actuators=_calibrated_actuators(findings, c) if c else None,
-        sections=tuple(evidence_sections(findings)),
+        sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
         tables=(*((_summary(c),) if c else ()), *_inputs(findings, "Files")),
         command=command,
     )

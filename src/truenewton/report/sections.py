@@ -77,7 +77,7 @@ class Section:
 
 
 def evidence_sections(findings: Findings) -> Iterator[Section]:
-    """Yield what supports or explains the verdict, in the order of the page."""
+    """Yield what supports or explains alpha, in the order of the page."""
     c, evidence = findings.calibration, findings.evidence
     if c is not None:
         yield budget(c)
@@ -90,7 +90,6 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
             yield _modes(evidence.residuals)
         yield _singular_values(evidence)
         yield _balance(evidence)
-    yield times(findings)
 
 
 def map_caption(c: Calibration) -> str:

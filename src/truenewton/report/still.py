@@ -19,6 +19,8 @@ from truenewton.campaign import Campaign
 from truenewton.colours import ACCENT, ALARM, CURVES, FAINT, INK, SIGNED_COLOURS
 from truenewton.errors import UnknownName
 from truenewton.figures import STYLE, new_axes, plot_map
+from truenewton.modal.dissipation import Limits
+from truenewton.modal.pictures import modes_figures
 from truenewton.report.change import Change
 from truenewton.report.evidence import Evidence, ModeResiduals
 from truenewton.report.findings import Findings
@@ -50,6 +52,8 @@ def still_figures(findings: Findings) -> dict[str, Callable[[], Axes]]:
         made["balance"] = lambda: plot_balance(findings)
     if isinstance(findings.data, Campaign):
         made["temperatures"] = lambda: plot_temperatures(findings)
+    if findings.modes is not None:
+        made |= modes_figures(findings.modes, Limits())
     return made
 
 
