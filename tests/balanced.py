@@ -81,6 +81,44 @@ def campaign_of(
     return Campaign(tuple(made)), np.concatenate([alpha[on], [BIAS], torques.ravel()])
 
 
+def gradients(seed, noise, offset, cycles=3, *, moved=0.0, zeros=0.0):
+    """Return a campaign whose coils and bias magnets feel the displacement, and its alpha.
+
+    f = alpha c (1 + 600 z), and 31 N/m z more from each bias magnet; sensors have offsets. Forces
+    are made here, from FORMAT's equations alone. Under each load the glass rests elsewhere, about a
+    mean of 0, by ``moved`` [m, rms], and each file has zeros of its own, by ``zeros``.
+    """
+    coil, bias = 600.0, 31.0
+    plain, truth = campaign_of(seed, 0.0, cycles=cycles)
+    random = np.random.default_rng([seed, 1])
+    a, alpha = arms_of(LAYOUT), truth[:14]
+    elastic = balanced_rows(random, a, np.zeros(3), 14)
+    shape = 1e-6 * random.standard_normal((14, 14))
+    shape = np.concatenate([shape, -shape])
+    offsets = offset * random.standard_normal(14)
+    rest, *anew = np.random.default_rng([seed, 2]).standard_normal((1 + 2 * cycles, 14))
+    made = []
+    for k, (cycle, place) in enumerate(zip(plain.cycles, plain.load_index, strict=True)):
+        torque_y, torque_x = truth[15 + 2 * place : 17 + 2 * place]
+        external = np.array([-2.9 + cycle.load.added + BIAS, torque_y, -torque_x])
+        z = shape + moved * (-1) ** place * rest
+        # All that the bias magnets change, the coils must balance.
+        missing = np.concatenate([elastic, -elastic]) @ a.T + bias * z @ a.T + external
+        f = np.concatenate([elastic, -elastic]) - missing @ np.linalg.pinv(a).T
+        c = f / (alpha * (1 + coil * z))
+        made.append(
+            replace(
+                cycle,
+                force=c + noise * random.standard_normal(c.shape),
+                position=z + offsets + zeros * anew[k],
+                coil_gradient=coil,
+                bias_gradient=bias,
+                force_error=1e-4,
+            )
+        )
+    return Campaign(tuple(made)), alpha
+
+
 def three_loads(seed, noise, **options):
     """Return a campaign under the bare mirror, a ring, and a tilt."""
     loads = (Load("bare"), RING, Load("tilt", -0.1, 0.002, tilt=60.0, tilt_error=0.1))

@@ -5,11 +5,13 @@ from functools import cache, reduce
 
 import numpy as np
 import pytest
-from balanced import BIAS, LAYOUT, RING, arms_of, balanced_rows, campaign_of
+from balanced import RING, campaign_of, gradients
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from truenewton.balanced_rows import common_rest
 from truenewton.campaign import Campaign
+from truenewton.errors import CampaignMismatch
 from truenewton.estimators import calibrate
 from truenewton.moments import (
     campaign_moments,
@@ -114,12 +116,44 @@ def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(owner, orde
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(st.permutations(range(6)))
 def test_cycles_with_positions_merge_in_any_order(order):
-    campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5)
-    expected = campaign_moments(campaign)
-    merged = reduce(merge, [campaign_moments(Campaign((campaign.cycles[k],))) for k in order])
+    campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
+    expected, rest = campaign_moments(campaign), common_rest(campaign)
+    parts = [campaign_moments(Campaign((campaign.cycles[k],)), rest) for k in order]
+    merged = reduce(merge, parts)
     assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
     assert merged.known == pytest.approx(expected.known, rel=1e-9, abs=1e-15)
     assert np.abs(expected.known).max() > 1e-6  # there is something to merge
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.lists(st.integers(0, 2), min_size=6 * 28, max_size=6 * 28), st.permutations(range(3)))
+def test_rows_with_positions_split_in_any_way_give_the_same(owner, order):
+    """Even where a part has but one sign of a shape: its own mean would be no rest."""
+    whole, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
+    rest, owner, parts = common_rest(whole), np.reshape(owner, (6, 28)), []
+    for part in order:
+        mine = [(c, c.valid & (owner[k] == part)) for k, c in enumerate(whole.cycles)]
+        cycles = tuple(replace(c, valid=valid) for c, valid in mine if valid.any())
+        if cycles:
+            parts.append(campaign_moments(Campaign(cycles), rest))
+    merged, expected = reduce(merge, parts), campaign_moments(whole)
+    check(
+        merged, expected.labels.tolist(), expected.rows, expected.weight, expected.mean,
+        expected.scatter,
+    )  # fmt: skip
+    assert merged.known == pytest.approx(expected.known, rel=1e-9, abs=1e-15)
+    assert (merged.reference == rest).all()
+
+
+def test_parts_that_count_from_different_readings_are_not_merged():
+    campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
+    bare, ring = (Campaign(campaign.cycles[k : k + 3]) for k in (0, 3))
+    with pytest.raises(CampaignMismatch, match=r"different readings; give .* the common_rest"):
+        merge(campaign_moments(bare), campaign_moments(ring))
+    anew, _ = gradients(seed=3, noise=1e-3, offset=1e-5, zeros=1e-5)
+    parts = [campaign_moments(Campaign((c,)), common_rest(anew)) for c in anew.cycles]
+    merged, expected = reduce(merge, parts), campaign_moments(anew)
+    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
 
 
 def test_parts_whose_files_declare_other_noises_merge_to_the_same():
@@ -194,41 +228,6 @@ def test_sums_are_sums_over_shapes():
 def test_a_triangle_is_mirrored(n):
     upper = np.triu(np.random.default_rng(n).standard_normal((n, n)))
     assert (mirrored(upper.copy()) == upper + np.triu(upper, 1).T).all()
-
-
-def gradients(seed, noise, offset, cycles=3):
-    """Return a campaign whose coils and bias magnets feel the displacement, and its alpha.
-
-    f = alpha c (1 + 600 z), and 31 N/m z more from each bias magnet; sensors have offsets. Forces
-    are made here, from FORMAT's equations alone.
-    """
-    coil, bias = 600.0, 31.0
-    plain, truth = campaign_of(seed, 0.0, cycles=cycles)
-    random = np.random.default_rng([seed, 1])
-    a, alpha = arms_of(LAYOUT), truth[:14]
-    elastic = balanced_rows(random, a, np.zeros(3), 14)
-    z = 1e-6 * random.standard_normal((14, 14))
-    z = np.concatenate([z, -z])
-    offsets = offset * random.standard_normal(14)
-    made = []
-    for cycle, place in zip(plain.cycles, plain.load_index, strict=True):
-        torque_y, torque_x = truth[15 + 2 * place : 17 + 2 * place]
-        k = np.array([-2.9 + cycle.load.added + BIAS, torque_y, -torque_x])
-        # All that the bias magnets change, the coils must balance.
-        missing = np.concatenate([elastic, -elastic]) @ a.T + bias * z @ a.T + k
-        f = np.concatenate([elastic, -elastic]) - missing @ np.linalg.pinv(a).T
-        c = f / (alpha * (1 + coil * z))
-        made.append(
-            replace(
-                cycle,
-                force=c + noise * random.standard_normal(c.shape),
-                position=z + offsets,
-                coil_gradient=coil,
-                bias_gradient=bias,
-                force_error=1e-4,
-            )
-        )
-    return Campaign(tuple(made)), alpha
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-4])

@@ -259,21 +259,45 @@ class Cycle:
         return float(largest_in_rows(self.force, self.layout.enabled)[self.valid].max())
 
     @cached_property
+    def _paired(self) -> NDArray[np.bool_]:
+        """(N_valid,) whether a row has its opposite."""
+        code = self.sign[self.valid] * self.shape[self.valid]
+        return np.isin(-code, code)
+
+    @property
+    def knows_rest(self) -> bool:
+        """Whether a shape stands with both signs, so that ``rest_position`` is no displacement."""
+        return bool(self._paired.any())
+
+    @property
     def rest_position(self) -> Array:
         """(n_enabled,) mean reading of each sensor over rows that have their opposite [m].
 
         All rows count where none has one. That mean is the flat mirror, whatever rows are missing;
         0 without POSITION.
         """
-        total = np.zeros(int(self.layout.enabled.sum()))
+        return self._rest_and_stroke[0]
+
+    @property
+    def stroke(self) -> Array:
+        """(n_enabled,) rms distance of the readings from ``rest_position`` [m]; or 0."""
+        return self._rest_and_stroke[1]
+
+    @cached_property
+    def _rest_and_stroke(self) -> tuple[Array, Array]:
+        """Take both in one pass, from the first row on: a zero far off costs no digits."""
+        n = int(self.layout.enabled.sum())
         if self.position is None:
-            return total
-        code = self.sign[self.valid] * self.shape[self.valid]
-        paired = np.isin(-code, code)
-        paired |= ~paired.any()
+            return np.zeros(n), np.zeros(n)
+        counted = np.stack([self._paired | ~self._paired.any(), np.ones(self._paired.size)])
+        first, sums, square = self.used(self.position, slice(1))[0], np.zeros((2, n)), np.zeros(n)
         for some in self.used_blocks():
-            total += self.used(self.position, some)[paired[some]].sum(axis=0)
-        return total / np.count_nonzero(paired)
+            moved = self.used(self.position, some) - first
+            sums += counted[:, some] @ moved
+            square += np.einsum("ij,ij->j", moved, moved)
+        rest, mean = sums / counted.sum(axis=1)[:, None]
+        square = square / self._paired.size - 2.0 * rest * mean + rest**2
+        return first + rest, np.sqrt(np.maximum(square, 0.0))
 
 
 @dataclass(frozen=True, eq=False, repr=False)

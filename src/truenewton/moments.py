@@ -7,7 +7,8 @@ their number, sum and second moment: one symmetric rank-k update by BLAS.
 
 Where POSITION and the gradients are given, c becomes c (1 + COILGRAD z), and the bias magnets'
 change BIASGRAD z is kept as a known part of the balance (docs/files.md). Displacements count from
-the mean reading of each sensor over the cycle, taken on rows that have their opposite.
+one reading of each sensor for the whole campaign (`balanced_rows.common_rest`): parts of one that
+shall merge must be given it.
 """
 
 from __future__ import annotations
@@ -21,8 +22,9 @@ from scipy.linalg.blas import dsyrk
 
 from truenewton.actuators import Array
 from truenewton.balance import enabled_arms
-from truenewton.balanced_rows import BalancedRows, Layer, distinct
+from truenewton.balanced_rows import BalancedRows, Layer, common_rest, distinct
 from truenewton.campaign import Campaign
+from truenewton.errors import CampaignMismatch
 from truenewton.measurements import Cycle, Load
 from truenewton.stored_rows import BLOCK_BYTES, blocks
 
@@ -55,6 +57,8 @@ class Moments:
         (n,) largest distance of a row from its group's mean, as seen from the rest of the group
         and divided by its noise over that of a row of weight 1 [N]; infinite where groups have
         been merged, so that nobody knows.
+    reference
+        (n,) readings from which displacements count [m]; NaN where from the mean of each cycle.
     """
 
     loads: tuple[Load, ...]
@@ -65,6 +69,7 @@ class Moments:
     known: Array
     scatter: Array
     furthest: Array
+    reference: Array
 
     @property
     def groups(self) -> int:
@@ -106,12 +111,22 @@ def row_weights(campaign: Campaign) -> tuple[float, ...]:
     return tuple((WEIGHED_NOISE / (cycle.force_error or 1.0)) ** 2 for cycle in campaign.cycles)
 
 
-def campaign_moments(campaign: Campaign) -> Moments:
+def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
     """Return the moments of a campaign's valid rows.
 
     A block of groups after the other, so that all rows of a group are in the cache, and of those
     on disk no more in memory, while their mean and then their deviations from it are taken.
+
+    Parameters
+    ----------
+    campaign
+        The campaign, or a part of it.
+    reference
+        (n,) readings from which displacements count [m]: of a part `common_rest` of the whole
+        campaign, else no `merge` can be exact; that of ``campaign`` unless told. Where it is NaN,
+        a part must hold whole cycles.
     """
+    reference = common_rest(campaign) if reference is None else reference
     a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
     names = [
         np.column_stack([np.full(int(c.valid.sum()), place), c.shape[c.valid], c.sign[c.valid]])
@@ -124,7 +139,7 @@ def campaign_moments(campaign: Campaign) -> Moments:
         for cycle, group, weight_of_row in zip(
             campaign.cycles, members, row_weights(campaign), strict=True
         )
-        for rows in [BalancedRows(cycle, a)]
+        for rows in [BalancedRows(cycle, a, reference)]
         for some in distinct(group)
     ]
     groups = len(labels)
@@ -155,7 +170,7 @@ def campaign_moments(campaign: Campaign) -> Moments:
                 apart *= (further / further.max())[:, None]
             np.maximum(furthest, apart.max(axis=0) * further.max(), out=furthest)
     loads, furthest = campaign.loads, np.sqrt(furthest)
-    return Moments(loads, labels, number, weight, mean, known, scatter, furthest)
+    return Moments(loads, labels, number, weight, mean, known, scatter, furthest, reference)
 
 
 def _unique(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -190,7 +205,17 @@ def merge(one: Moments, other: Moments) -> Moments:
     """Put the moments of two sets of rows of one campaign together.
 
     Loads are told apart by name; the order in which parts are merged changes rounding only.
+
+    Raises
+    ------
+    CampaignMismatch
+        Their displacements count from different readings.
     """
+    if not np.array_equal(one.reference, other.reference, equal_nan=True):
+        raise CampaignMismatch(
+            "the displacements of the two parts count from different readings",
+            remedy="give campaign_moments of every part the common_rest of the whole campaign",
+        )
     loads = tuple({load.key: load for load in (*one.loads, *other.loads)}.values())
     loads = tuple(sorted(loads, key=lambda load: (load.added != 0.0, load.tilt != 0.0, load.key)))
     both = np.concatenate([_relabelled(one, loads), _relabelled(other, loads)])
@@ -212,7 +237,7 @@ def merge(one: Moments, other: Moments) -> Moments:
     rows[second] += other.rows
     apart_still = len(labels) == len(one.labels) + len(other.labels)
     furthest = np.maximum(one.furthest, other.furthest) if apart_still else np.full(n, np.inf)
-    return Moments(loads, labels, rows, weight, mean, known, scatter, furthest)
+    return Moments(loads, labels, rows, weight, mean, known, scatter, furthest, one.reference)
 
 
 def _relabelled(moments: Moments, loads: tuple[Load, ...]) -> NDArray[np.int64]:

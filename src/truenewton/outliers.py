@@ -101,7 +101,7 @@ def _parts(campaign: Campaign, moments: Moments) -> Iterator[_Part]:
     a, weights = enabled_arms(campaign.layout), row_weights(campaign)
     for k, (cycle, place) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
         row, group = np.flatnonzero(cycle.valid), groups_of(cycle, place, moments)
-        yield _Part(k, row, group, weights[k], BalancedRows(cycle, a))
+        yield _Part(k, row, group, weights[k], BalancedRows(cycle, a, moments.reference))
 
 
 def _worst_rows(campaign: Campaign, moments: Moments) -> list[RejectedRow]:

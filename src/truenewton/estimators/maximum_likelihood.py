@@ -13,6 +13,7 @@ from scipy.sparse.linalg import LinearOperator
 
 from truenewton.actuators import Array
 from truenewton.balance import arms_in_units_of_rms
+from truenewton.balanced_rows import is_displaced
 from truenewton.campaign import Campaign
 from truenewton.decomposition import largest_eigenvalue
 from truenewton.diagnosis import Diagnosis, Goodness, RejectedRow
@@ -162,8 +163,9 @@ def found_of(
         at_declared = load_data(campaign, moments, same, problem.errors)
         declared = chi2_at(problem.a, [at_declared], estimate.values)
     diagnosis = _diagnosis(problem, moments, estimate, held)
-    warnings = diagnosis.warnings + weights_warning(estimate.values[unknowns:], len(campaign.loads))
-    diagnosis = replace(diagnosis, warnings=warnings)
+    warnings = weights_warning(estimate.values[unknowns:], len(campaign.loads))
+    warnings += zeros_warning(campaign, moments)
+    diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
     e_condition = condition(campaign, moments)  # while there is room for its matrices
     return Found(
         method=method,
@@ -204,6 +206,20 @@ def weights_warning(errors: Array, loads: int) -> tuple[tuple[str, str], ...]:
         (
             f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
             "check ADDED, TILT and their errors",
+        ),
+    )
+
+
+def zeros_warning(campaign: Campaign, moments: Moments) -> tuple[tuple[str, str], ...]:
+    """Warn of sensors whose zero was set anew: how far the glass moved meanwhile is not known."""
+    anew = int(np.count_nonzero(np.isnan(moments.reference)))
+    if not anew or not any(map(is_displaced, campaign.cycles)):
+        return ()
+    return (
+        (
+            f"the zeros of {anew} sensors were set anew between files: these count from each"
+            " file's own mean, and E_STAT knows nothing of motion between files",
+            "keep the zeros of the sensors through a campaign",
         ),
     )
 

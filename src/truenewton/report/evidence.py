@@ -127,7 +127,8 @@ def campaign_evidence(campaign: Campaign, calibration: Calibration) -> Evidence:
         [sound.cycles[k].valid[some] for k, some in enumerate(rows)]  # what was rejected is not
     )
     weight, load = np.array(row_weights(campaign))[cycle], np.array(campaign.load_index)[cycle]
-    before, after = (_imbalance(campaign, a, some, load, kept) for some in (a, arms))
+    balanced = [BalancedRows(each, a, moments.reference) for each in campaign.cycles]
+    before, after = (_imbalance(balanced, some, load, kept) for some in (a, arms))
     variance = noise.variance
     if noise.source == "minimum":  # known in shape only: its size is what the residuals have
         s = (arms * variance) @ arms.T
@@ -157,20 +158,16 @@ def campaign_evidence(campaign: Campaign, calibration: Calibration) -> Evidence:
 
 
 def _imbalance(
-    campaign: Campaign,
-    a: Array,
-    arms: Array,
-    load: NDArray[np.int64],
-    kept: NDArray[np.bool_],
+    balanced: list[BalancedRows], arms: Array, load: NDArray[np.int64], kept: NDArray[np.bool_]
 ) -> Array:
     """Return (N, 3) imbalance of all rows about the mean of their load.
 
     The mean is what weight, B and torques take up.
     """
     parts = []
-    for cycle in campaign.cycles:
-        for some in cycle.used_blocks():
-            force, known = BalancedRows(cycle, a).at(some)
+    for rows in balanced:
+        for some in rows.cycle.used_blocks():
+            force, known = rows.at(some)
             parts.append(force @ arms.T + (0.0 if known is None else known))
     rho = np.concatenate(parts)
     for place in np.unique(load[kept]):

@@ -33,7 +33,11 @@ class Score:
 
 
 def score(calibration: Calibration, truth: Truth) -> Score:
-    """Compare a calibration with the truth."""
+    """Compare a calibration with the truth: alpha of the mirror at its nominal gap.
+
+    That is where static campaigns rest; a loop holds the glass elsewhere, by what comes to some
+    3e-5 of alpha (`bench.simulated.dynamic.rest_displacement`).
+    """
     on = calibration.layout.enabled
     alpha, true, error = calibration.alpha[on], truth.alpha[on], calibration.error[on]
     scale = float(alpha @ true / (true @ true))

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from truenewton.actuators import Array
 from truenewton.bench.simulated.control import Control
-from truenewton.bench.simulated.loop import Loop, closed_loop, record, row_noise
+from truenewton.bench.simulated.loop import Loop, closed_loop, equilibrium, record, row_noise
 from truenewton.bench.simulated.plant import film_damping
 from truenewton.bench.simulated.static import (
     StaticBench,
@@ -42,6 +43,16 @@ def loop_of(bench: StaticBench) -> Loop:
         bench.sensors,
         Control(feed_forward),
     )
+
+
+def rest_displacement(bench: StaticBench) -> Array:
+    """Return (L, n) the true displacement at which the loop holds the flat mirror under each load.
+
+    Along +z [m]. There a coil gives alpha (1 + COILGRAD z), and that is what a campaign in closed
+    loop can find; `Truth.alpha` is that at z = 0.
+    """
+    flat = np.zeros((bench.mirror.layout.n, len(bench.loads)))
+    return equilibrium(loop_of(bench), flat, bench.load_force.T, bench.temperature)[0].T
 
 
 def run_loop_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
