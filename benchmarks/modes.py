@@ -23,7 +23,9 @@ from truenewton.bench.simulated.static import static_bench
 from truenewton.campaign import Campaign
 from truenewton.modal.dissipation import Dissipation, dissipation
 from truenewton.modal.findings import find_modes
-from truenewton.modal.modal_base import Pupil, modal_base
+from truenewton.modal.modal_base import modal_base
+from truenewton.modal.pupil import Pupil, seen_turbulence
+from truenewton.modal.stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere, structure_function
 from truenewton.studies.modal_truth import score_modes
 
@@ -71,8 +73,9 @@ def real(folder: str) -> None:
     x, y = (PUPIL.diameter / 2 / PUPIL.radius * v for v in (matrix.layout.x, matrix.layout.y))
     for seeing, published in PUBLISHED.items():
         atmosphere = Atmosphere(seeing)
+        seen = seen_turbulence(matrix.layout, atmosphere, PUPIL)
         measured, right = (
-            modal_base(matrix, alpha, atmosphere, pupil=PUPIL, efficiency=EFFICIENCY)
+            modal_base(matrix, true_stiffness(matrix, alpha), seen, np.zeros(650), EFFICIENCY)
             for alpha in (None, calibration)
         )
         separation = np.hypot(x[:, None] - x, y[:, None] - y)

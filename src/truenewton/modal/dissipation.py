@@ -79,6 +79,11 @@ class Dissipation:
         (n,) true Newton / commanded Newton.
     efficiency
         Commanded force per root of power [N/W^1/2].
+
+    Raises
+    ------
+    FormatError
+        An efficiency that is not positive.
     """
 
     base: str
@@ -92,6 +97,12 @@ class Dissipation:
     def __post_init__(self) -> None:
         for name in ("modes", "residual", "force", "static", "alpha"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        if not 0.0 < self.efficiency < np.inf:
+            raise FormatError(
+                f"an efficiency of {self.efficiency:g} N/W^1/2",
+                remedy="give the commanded force per root of power, as 0.51",
+                got=self.efficiency,
+            )
 
     def __repr__(self) -> str:
         return f"<Dissipation of {self.residual.size} {self.base} modes>"

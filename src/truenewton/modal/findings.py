@@ -14,8 +14,11 @@ from truenewton.estimators import calibrate
 from truenewton.measurements import StiffnessMatrix
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Dissipation, Limits
-from truenewton.modal.measured import MeasuredStiffness, force_at_rest, measured_stiffness
-from truenewton.modal.modal_base import ModalBase, modal_base, pupil_of
+from truenewton.modal.measured import MeasuredStiffness, measured_stiffness
+from truenewton.modal.modal_base import ModalBase, modal_base
+from truenewton.modal.pupil import pupil_of, seen_turbulence
+from truenewton.modal.static_force import force_at_rest, static_force
+from truenewton.modal.stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 
 
@@ -94,19 +97,16 @@ def find_modes(
         measured, at_rest = measured_stiffness(matrix), force_at_rest(matrix)
         matrix = measured.matrix
     calibration = calibration or calibrate(data)
-    before, after = (
-        modal_base(
-            matrix,
-            alpha,
-            atmosphere or Atmosphere(0.8),
-            pupil=pupil_of(matrix.layout, diameter),
-            at_rest=at_rest,
-            efficiency=efficiency,
-            sensor_gain=sensor_gain,
-            off=off,
-            slaved=slaved,
-        )
+    stiffnesses = [
+        true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)
         for alpha in (None, calibration)
+    ]
+    seen = seen_turbulence(
+        stiffnesses[0].layout, atmosphere or Atmosphere(0.8), pupil_of(matrix.layout, diameter)
+    )
+    before, after = (
+        modal_base(matrix, one, seen, static_force(one, calibration, at_rest), efficiency)
+        for one in stiffnesses
     )
     comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
     return ModalFindings(measured, calibration, before, after, comparison)

@@ -26,7 +26,7 @@ from truenewton.campaign import Campaign
 from truenewton.diagnosis import RejectedRow
 from truenewton.errors import RankDeficient
 from truenewton.measurements import StiffnessMatrix
-from truenewton.modal.repeated_shapes import rest_force, shape_products
+from truenewton.modal.repeated_shapes import shape_products
 from truenewton.outliers import against_repeats
 from truenewton.stored_rows import largest_in_rows
 
@@ -132,22 +132,6 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
         rigid_assumed=int((~held).sum()),
         rejected=rejected,
     )
-
-
-def force_at_rest(campaign: Campaign) -> Array:
-    """Return (n,) the commanded force at rest under the first load, the bare one if there is [N].
-
-    The mean over its cycles of the rows that have their opposite: it carries the mirror, and holds
-    it flat. 0 for a disabled actuator.
-    """
-    at_rest = [
-        rest_force(cycle)
-        for cycle, load in zip(campaign.cycles, campaign.load_index, strict=True)
-        if load == 0
-    ]
-    force = np.zeros(campaign.layout.n)
-    force[campaign.layout.enabled] = np.mean(at_rest, axis=0)
-    return force
 
 
 def _with_positions(campaign: Campaign) -> Campaign:

@@ -55,7 +55,9 @@ def write_modes(
     stiffness, modes = base.stiffness, base.modes.modes
     write_fits(paths[0], _header(base, limits or Limits()), _sheets(base), overwrite=overwrite)
     feed_forward = (stiffness.forces, stiffness.feed_forward_commanded)
-    layout = replace(base.layout, enabled=np.isin(base.layout.id, base.acting))
+    layout = replace(
+        base.layout, enabled=np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
+    )
     for target, forces in zip(paths[1:3], feed_forward, strict=True):
         record = StiffnessMatrix(base.instrument, base.date, layout, _square(base, forces))
         write_stiffness(record, target, overwrite=overwrite)
@@ -84,15 +86,15 @@ def _square(base: ModalBase, forces: Array) -> Array:
 
 
 def _header(base: ModalBase, limits: Limits) -> dict[str, tuple[Any, str]]:
-    atmosphere, cost = base.atmosphere, base.costs[0]
+    atmosphere, cost = base.seen.atmosphere, base.costs[0]
     return {
         "INSTRUME": (base.instrument, "mirror"),
         "DATE-OBS": (iso(base.date), "UTC, of the stiffness"),
         "SEEING": (atmosphere.seeing, "[arcsec] at 500 nm"),
         "R0": (atmosphere.fried_parameter, "[m] at 500 nm"),
         "L0": (_finite(atmosphere.outer_scale), "[m] outer scale; absent if infinite"),
-        "DIAMETER": (base.pupil.diameter, "[m] entrance pupil"),
-        "RADIUS": (base.pupil.radius, "[m] of the mirror that fills it"),
+        "DIAMETER": (base.seen.pupil.diameter, "[m] entrance pupil"),
+        "RADIUS": (base.seen.pupil.radius, "[m] of the mirror that fills it"),
         "EFFICIEN": (cost.efficiency, "[N/W^1/2] commanded force per root of power"),
         "MAXPOWER": (_finite(limits.power), "[W] most that a coil may dissipate"),
         "MAXFORCE": (_finite(limits.force), "[N] most true force, static and 3 sigma"),

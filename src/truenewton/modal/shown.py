@@ -88,7 +88,7 @@ def apart(comparison: ModesComparison) -> str:
 
 def turbulence(base: ModalBase) -> str:
     """Say which turbulence meets how large a mirror."""
-    a, pupil = base.atmosphere, base.pupil
+    a, pupil = base.seen.atmosphere, base.seen.pupil
     return (
         f"seeing {a.seeing:g} arcsec, r0 {100 * a.fried_parameter:.3g} cm, L0"
         f" {a.outer_scale:g} m; pupil {pupil.diameter:.3g} m on a mirror of"
@@ -99,8 +99,8 @@ def turbulence(base: ModalBase) -> str:
 def between_actuators(base: ModalBase) -> str:
     """Say what no number of modes takes away."""
     return (
-        f"{1e9 * base.fitting_error:.3g} nm of wavefront on top of what modes leave, whatever their"
-        " number"
+        f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront on top of what modes leave, whatever"
+        " their number"
     )
 
 

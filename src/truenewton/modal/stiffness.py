@@ -53,8 +53,8 @@ class TrueStiffness:
         (m,) true Newton / commanded Newton; 1 where there is no calibration.
     calibrated
         Whether there is.
-    enabled
-        The n enabled actuators.
+    enabled, acts
+        The n enabled actuators; (n,) false where one is off.
     shapes, forces
         (n, m) displacements and true forces [N/m] of all enabled actuators per displacement of each
         commanded one; forces of those that are off are 0.
@@ -75,6 +75,7 @@ class TrueStiffness:
     alpha: Array
     calibrated: bool
     enabled: Layout
+    acts: NDArray[np.bool_]
     shapes: Array
     forces: Array
     enabled_alpha: Array
@@ -181,6 +182,7 @@ def true_stiffness(
         alpha=alpha[leads],
         calibrated=calibration is not None,
         enabled=layout,
+        acts=~floats,
         shapes=shapes,
         forces=forces,
         enabled_alpha=alpha,

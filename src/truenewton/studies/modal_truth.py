@@ -14,9 +14,9 @@ from truenewton.measurements import StiffnessMatrix
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.dissipation import Dissipation, Limits, dissipation
 from truenewton.modal.findings import ModalFindings
-from truenewton.modal.measured import force_at_rest
 from truenewton.modal.modal_base import ModalBase, modal_base
-from truenewton.modal.turbulence import wavefront_covariance
+from truenewton.modal.static_force import force_at_rest, static_force
+from truenewton.modal.stiffness import true_stiffness
 
 Three = tuple[float, float, float]
 
@@ -52,14 +52,10 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
         campaign.layout,
         truth.stiffness / truth.alpha[:, None],
     )
-    return modal_base(
-        matrix,
-        replace(found.calibration, alpha=truth.alpha),
-        found.after.atmosphere,
-        pupil=found.after.pupil,
-        at_rest=force_at_rest(campaign),
-        efficiency=found.after.costs[0].efficiency,
-    )
+    calibration = replace(found.calibration, alpha=truth.alpha)
+    stiffness = true_stiffness(matrix, calibration)
+    static = static_force(stiffness, calibration, force_at_rest(campaign))
+    return modal_base(matrix, stiffness, found.after.seen, static, found.after.costs[0].efficiency)
 
 
 def score_modes(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModesScore:
@@ -95,13 +91,12 @@ def _singular(campaign: Campaign, found: ModalFindings) -> Dissipation:
     if found.measured is None or found.after.modes.stiffness.size != campaign.layout.n:
         raise ValueError("give the campaign, with all actuators on, and what was found of it")
     base, matrix = found.before, found.measured.matrix.stiffness
-    layout, per_metre = campaign.layout, 0.5 * base.pupil.diameter / base.pupil.radius
     return dissipation(
         "singular vectors",
         np.linalg.svd(matrix)[2][::-1].T,
         matrix,
-        wavefront_covariance(per_metre * layout.x, per_metre * layout.y, base.atmosphere),
-        alpha=np.ones(layout.n),
+        base.seen.wavefront,
+        alpha=np.ones(len(matrix)),
         static=base.costs[0].static,
         efficiency=base.costs[0].efficiency,
     )

@@ -1,0 +1,98 @@
+"""Where the mirror lies in the telescope's pupil, and the turbulence that it sees there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.actuators import Array, Layout, frozen_array
+from truenewton.errors import FormatError
+from truenewton.modal.bases import karhunen_loeve_modes, zernike_modes
+from truenewton.modal.turbulence import WAVELENGTH, Atmosphere, wavefront_covariance
+
+LBT_MAGNIFICATION = 4.11 / 0.452  # pupil over mirror, of LBT's secondaries
+
+
+@dataclass(frozen=True)
+class Pupil:
+    """How the mirror lies in the telescope's entrance pupil.
+
+    Attributes
+    ----------
+    radius
+        Of the mirror's optical surface, on the plane of the actuators' x and y [m].
+    diameter
+        Of the entrance pupil that it fills [m].
+    """
+
+    radius: float
+    diameter: float
+
+    def __post_init__(self) -> None:
+        for name in ("radius", "diameter"):
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise FormatError(
+                    f"the {name} of the pupil is {value:g} m", remedy="give it in metres", got=value
+                )
+
+
+def pupil_of(layout: Layout, diameter: float | None = None) -> Pupil:
+    """Return the pupil that a mirror fills, its edge half an actuator's spacing outside the last.
+
+    Magnified as the secondaries of LBT (4.11 m in the pupil for 0.452 m) where no diameter [m] is
+    given.
+    """
+    outermost = float(np.hypot(layout.x, layout.y).max())
+    radius = outermost * (1.0 + 0.5 * np.sqrt(np.pi / layout.n))
+    return Pupil(radius, 2.0 * LBT_MAGNIFICATION * radius if diameter is None else diameter)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SeenTurbulence:
+    """Turbulence at m points of a mirror, and the two bases that optics have for it.
+
+    Attributes
+    ----------
+    atmosphere, pupil
+        The turbulence, and what of it the mirror sees.
+    wavefront
+        (m, m) covariance of the wavefront, less piston [m^2].
+    zernike, karhunen_loeve
+        (m, m) orthonormal modes, one a column.
+    """
+
+    atmosphere: Atmosphere
+    pupil: Pupil
+    wavefront: Array
+    zernike: Array
+    karhunen_loeve: Array
+
+    def __post_init__(self) -> None:
+        for name in ("wavefront", "zernike", "karhunen_loeve"):
+            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+
+    def __repr__(self) -> str:
+        return f"<SeenTurbulence at {len(self.wavefront)} points, {self.atmosphere}>"
+
+    @property
+    def fitting_error(self) -> float:
+        """Rms wavefront between the points, which no number of modes takes away [m].
+
+        0.28 (d / r0)^(5/3) rad^2 of a continuous face sheet at 500 nm (Hudgin 1977, JOSA 67, 393),
+        with d the spacing of the actuators in the pupil, from the area of each.
+        """
+        spacing = 0.5 * self.pupil.diameter * np.sqrt(np.pi / len(self.wavefront))
+        variance = 0.28 * (spacing / self.atmosphere.fried_parameter) ** (5 / 3)
+        return float(WAVELENGTH / (2 * np.pi) * np.sqrt(variance))
+
+
+def seen_turbulence(layout: Layout, atmosphere: Atmosphere, pupil: Pupil) -> SeenTurbulence:
+    """Return the turbulence at the actuators of a layout."""
+    x, y = layout.x / pupil.radius, layout.y / pupil.radius
+    half = 0.5 * pupil.diameter
+    wavefront = wavefront_covariance(half * x, half * y, atmosphere)
+    return SeenTurbulence(
+        atmosphere, pupil, wavefront, zernike_modes(x, y), karhunen_loeve_modes(wavefront)
+    )

@@ -1,0 +1,58 @@
+"""The force that turbulence does not change: weight, bias, and what holds the mirror flat."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from truenewton.actuators import Array
+from truenewton.calibration import Calibration
+from truenewton.campaign import Campaign
+from truenewton.modal.repeated_shapes import rest_force
+from truenewton.modal.stiffness import TrueStiffness
+from truenewton.statics import arms, effective_weight, external_load
+
+
+def force_at_rest(campaign: Campaign) -> Array:
+    """Return (n_enabled,) the commanded force at rest under the first load, the bare one [N].
+
+    The mean over its cycles of the rows that have their opposite: it carries the mirror, and holds
+    it flat.
+    """
+    at_rest = [
+        rest_force(cycle)
+        for cycle, load in zip(campaign.cycles, campaign.load_index, strict=True)
+        if load == 0
+    ]
+    return np.asarray(np.mean(at_rest, axis=0))
+
+
+def static_force(
+    stiffness: TrueStiffness, calibration: Calibration | None, at_rest: Array | None = None
+) -> Array:
+    """Return (n,) the true static force of the enabled actuators [N].
+
+    What those that are off no longer bear, the least forces of the others do.
+
+    Parameters
+    ----------
+    stiffness
+        Tells alpha, and who acts.
+    calibration
+        Its weight and bias count where nobody knows the forces at rest; without it they are 0.
+    at_rest
+        (n,) commanded force of the enabled actuators at rest [N], see `force_at_rest`.
+    """
+    layout, on = stiffness.enabled, stiffness.acts
+    A = arms(layout)
+    if at_rest is not None:
+        force = stiffness.enabled_alpha * at_rest
+    elif calibration is not None and calibration.loads and np.isfinite(calibration.bias_force):
+        c, first = calibration, calibration.loads[0]
+        weight = effective_weight(c.weight, first.added, first.tilt)
+        k = external_load(weight, c.bias_force, c.torque_y[0], c.torque_x[0])
+        force = -np.linalg.pinv(A) @ k
+    else:
+        return np.zeros(layout.n)
+    borne = np.where(on, force, 0.0)
+    borne[on] += np.linalg.pinv(A[:, on]) @ (A @ (force - borne))
+    return np.asarray(borne)
