@@ -296,6 +296,13 @@ def test_what_cannot_be_tracked_is_refused():
             dataclasses.replace(two, sources=source))  # fmt: skip
 
 
+def test_two_units_of_one_name_are_told_apart():
+    days = drawn(1, K)
+    other = [dataclasses.replace(day, alpha=np.roll(day.alpha, 7)) for day in days[3:]]
+    with pytest.raises(CampaignMismatch, match="one unit"):
+        tn.track(*days[:3], *other)
+
+
 def test_a_load_that_lacks_at_one_temperature_is_named():
     cold, warm = days_of(8, K, temperatures=(12.0, 24.0), gap=0.0)
     bare = [dataclasses.replace(c, number=9) for c in warm.cycles if c.load.name == "bare"]

@@ -10,7 +10,7 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.actuators import Array
-from truenewton.errors import RankDeficient
+from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.tracking.days import (
     SAME_TEMPERATURE,
     YEAR,
@@ -26,6 +26,7 @@ from truenewton.tracking.line import Lines, fitted_lines, own_scatter
 
 FALSE_ALARM = 0.01  # for the whole mirror
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
+OTHER_UNIT = 0.03  # typical change of alpha beyond its error; 50 K make 0.3 % between actuators
 PATIENCE = 2  # looks behind an actuator that hides another
 MOST = 0.25  # of the actuators that may leave the family, or there is none
 
@@ -54,6 +55,7 @@ def track(*given: Given) -> Tracking:
             "fewer than four actuators are enabled in every calibration",
             remedy="leave out the calibrations in which many are disabled",
         )
+    _refuse_other_units(days, on)
     settings, told, limits, temperature, date = _settings(days)
     if len(groups(days)) > 1:
         limits += ("weights or their errors differ between days: each set has errors of its own",)
@@ -89,6 +91,29 @@ def track(*given: Given) -> Tracking:
             for day, c in ((day, day.calibration) for day in days)
         ),
     )
+
+
+def _refuse_other_units(days: Sequence[Day], on: NDArray[np.bool_]) -> None:
+    """Refuse calibrations of two mirrors that share a name: alpha tells them apart.
+
+    Raises
+    ------
+    CampaignMismatch
+    """
+    alpha = np.array([day.calibration.alpha[on] for day in days])
+    ratio = alpha / alpha[0]
+    ratio /= np.median(ratio, axis=1)[:, None]  # the scale may be anybody's
+    apart = np.median(np.abs(ratio - 1.0), axis=1)
+    error = np.median([day.calibration.statistical[on] for day in days] / alpha, axis=1)
+    worst = int(np.argmax(apart))
+    if apart[worst] > OTHER_UNIT + 3 * np.hypot(error[worst], error[0]):
+        raise CampaignMismatch(
+            f"alpha of a typical actuator is {100 * apart[worst]:.2g} % off that in"
+            f" {days[0].name}, which no temperature does",
+            remedy="track calibrations of one unit",
+            path=days[worst].name,
+            got=float(apart[worst]),
+        )
 
 
 def _settings(
