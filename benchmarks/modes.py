@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,7 +74,7 @@ def real(folder: str) -> None:
     x, y = (PUPIL.diameter / 2 / PUPIL.radius * v for v in (matrix.layout.x, matrix.layout.y))
     for seeing, published in PUBLISHED.items():
         atmosphere = Atmosphere(seeing)
-        seen = seen_turbulence(matrix.layout, atmosphere, PUPIL)
+        seen = seen_turbulence(matrix.layout, matrix.layout.enabled, atmosphere, PUPIL)
         measured, right = (
             modal_base(matrix, true_stiffness(matrix, alpha), seen, np.zeros(650), EFFICIENCY)
             for alpha in (None, calibration)
@@ -82,8 +83,8 @@ def real(folder: str) -> None:
         far = structure_function(np.array(1e9), atmosphere)  # twice the variance
         with_piston = 0.5 * (far - structure_function(separation, atmosphere))
         as_published = dissipation(
-            "stiffness", measured.modes.modes, measured.stiffness.forces, with_piston,
-            alpha=np.ones(650), static=np.zeros(650), efficiency=EFFICIENCY,
+            "stiffness", measured.modes.modes, measured.stiffness,
+            replace(seen, wavefront=with_piston), np.zeros(650), EFFICIENCY,
         )  # fmt: skip
         print(f"seeing {seeing} arcsec")
         print(f"  {'modes':<36}" + "".join(f"{number:<12}" for number in NUMBERS))

@@ -5,6 +5,8 @@ the true forces G that hold unit displacements, the first N modes have the ampli
 
     a = V' w / 2,    cov a = V' C V / 4,    f = (G V)_N a_N,    cov f = (G V)_N (cov a)_NN (G V)_N'
 
+Actuators that are not commanded follow, and leave what they do not hit.
+
 A coil is heated by its *commanded* force, (c / efficiency)^2 with c = f / alpha; the glass and the
 margin to saturation feel the true one.
 """
@@ -18,6 +20,8 @@ from numpy.typing import ArrayLike
 
 from truenewton.actuators import Array, frozen_array
 from truenewton.errors import FormatError
+from truenewton.modal.pupil import SeenTurbulence
+from truenewton.modal.stiffness import TrueStiffness
 
 EFFICIENCY = 0.51  # commanded force per root of power, of LBT's coils [N/W^1/2]
 SIGMAS = 3.0  # of the turbulent force, beside the static one, that an actuator has to reach
@@ -68,9 +72,9 @@ class Dissipation:
     base
         'stiffness', 'Zernike', ...
     modes
-        (m, m) displacement at the actuators, one mode a column, of unit length.
+        (m, m) displacement at the commanded actuators, one mode a column, of unit length.
     residual
-        (m,) rms wavefront that the first N modes leave, on the actuators [m].
+        (m,) rms wavefront that the first N modes leave, at all enabled actuators [m].
     force
         (n, m) rms true force of the turbulence on each actuator [N].
     static
@@ -138,10 +142,8 @@ class Dissipation:
 def dissipation(
     base: str,
     modes: Array,
-    force_per_displacement: Array,
-    wavefront: Array,
-    *,
-    alpha: Array,
+    stiffness: TrueStiffness,
+    seen: SeenTurbulence,
     static: Array,
     efficiency: float = EFFICIENCY,
 ) -> Dissipation:
@@ -152,28 +154,39 @@ def dissipation(
     base
         Name of the modes.
     modes
-        (m, m) V, orthonormal.
-    force_per_displacement
-        (n, m) G, true force of n actuators per displacement of m points [N/m]: the stiffness.
-    wavefront
-        (m, m) C, covariance of the wavefront at those points [m^2].
-    alpha, static, efficiency
+        (m, m) V, orthonormal on the commanded actuators.
+    stiffness
+        Tells the forces per displacement G, (n, m), and where actuators follow that are not
+        commanded.
+    seen
+        The turbulence at all n actuators.
+    static, efficiency
         See `Dissipation`.
     """
-    amplitudes = modes.T @ wavefront @ modes / 4.0
-    forces = force_per_displacement @ modes
+    on, C = seen.commanded, seen.wavefront
+    amplitudes = modes.T @ C[np.ix_(on, on)] @ modes
     own = np.diag(amplitudes)
-    # One mode more adds b_N^2 A_NN and twice b_N times what it shares with those before it.
-    shared = forces @ np.triu(amplitudes, 1)
-    variance = np.cumsum(forces * (2.0 * shared + forces * own), axis=1)
     # Summed from the end: the little that the last modes leave is no difference of large numbers.
-    left = np.append(np.cumsum(own[:0:-1])[::-1], 0.0) / own.size
+    left = np.append(np.cumsum(own[:0:-1])[::-1], 0.0)
+    follow = stiffness.shapes[~on] @ modes
+    shared = follow * (C[np.ix_(~on, on)] @ modes)
+    left_there = np.diag(C)[~on, None] - 2.0 * np.cumsum(shared, axis=1)
+    left_there += _growing_variance(follow, amplitudes)
     return Dissipation(
         base,
         modes,
-        2.0 * np.sqrt(np.maximum(left, 0.0)),
-        np.sqrt(np.maximum(variance, 0.0)),
+        np.sqrt((left + np.maximum(left_there, 0.0).sum(axis=0)) / len(C)),
+        np.sqrt(np.maximum(_growing_variance(stiffness.forces @ modes, amplitudes / 4.0), 0.0)),
         static,
-        alpha,
+        stiffness.enabled_alpha,
         efficiency,
     )
+
+
+def _growing_variance(answers: Array, amplitudes: Array) -> Array:
+    """Return (n, m) variances of (n, m) answers to 1..m modes, whose amplitudes covary so.
+
+    One mode more adds b_N^2 A_NN, and twice b_N times what it shares with those before it.
+    """
+    before = answers @ np.triu(amplitudes, 1)
+    return np.cumsum(answers * (2.0 * before + answers * np.diag(amplitudes)), axis=1)

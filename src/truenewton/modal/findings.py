@@ -64,6 +64,7 @@ def find_modes(
     atmosphere: Atmosphere | None = None,
     *,
     diameter: float | None = None,
+    radius: float | None = None,
     efficiency: float = EFFICIENCY,
     sensor_gain: Array | None = None,
     off: Sequence[int] = (),
@@ -79,8 +80,8 @@ def find_modes(
         Gives alpha; the data are calibrated where None.
     atmosphere
         The turbulence; 0.8 arcsec where None.
-    diameter
-        Of the entrance pupil that the mirror fills [m]; see `pupil_of`.
+    diameter, radius
+        Of the entrance pupil, and of the mirror that fills it [m]; see `pupil_of`.
     efficiency
         Commanded force per root of power [N/W^1/2].
     sensor_gain, off, slaved
@@ -102,7 +103,10 @@ def find_modes(
         for alpha in (None, calibration)
     ]
     seen = seen_turbulence(
-        stiffnesses[0].layout, atmosphere or Atmosphere(0.8), pupil_of(matrix.layout, diameter)
+        stiffnesses[0].enabled,
+        stiffnesses[0].commanded,
+        atmosphere or Atmosphere(0.8),
+        pupil_of(matrix.layout, diameter, radius),
     )
     before, after = (
         modal_base(matrix, one, seen, static_force(one, calibration, at_rest), efficiency)

@@ -87,16 +87,7 @@ def modal_base(
         ("Karhunen-Loeve", seen.karhunen_loeve),
     )
     costs = tuple(
-        dissipation(
-            name,
-            vectors,
-            stiffness.forces,
-            seen.wavefront,
-            alpha=stiffness.enabled_alpha,
-            static=static,
-            efficiency=efficiency,
-        )
-        for name, vectors in bases
+        dissipation(name, vectors, stiffness, seen, static, efficiency) for name, vectors in bases
     )
     return ModalBase(
         matrix.instrument,

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.actuators import Array, Layout, frozen_array
 from truenewton.errors import FormatError
 from truenewton.modal.bases import karhunen_loeve_modes, zernike_modes
 from truenewton.modal.turbulence import WAVELENGTH, Atmosphere, wavefront_covariance
 
+WIDEST = 100.0  # telescope; beyond it the unit has slipped [m]
 LBT_MAGNIFICATION = 4.11 / 0.452  # pupil over mirror, of LBT's secondaries
 
 
@@ -36,35 +38,45 @@ class Pupil:
                 raise FormatError(
                     f"the {name} of the pupil is {value:g} m", remedy="give it in metres", got=value
                 )
+        if self.diameter > WIDEST:
+            raise FormatError(
+                f"the diameter of the pupil is {self.diameter:g} m",
+                remedy="give the telescope's, in metres",
+                got=self.diameter,
+            )
 
 
-def pupil_of(layout: Layout, diameter: float | None = None) -> Pupil:
-    """Return the pupil that a mirror fills, its edge half an actuator's spacing outside the last.
+def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None = None) -> Pupil:
+    """Return the pupil that a mirror fills.
 
-    Magnified as the secondaries of LBT (4.11 m in the pupil for 0.452 m) where no diameter [m] is
-    given.
+    The mirror ends half an actuator's spacing outside the last where no radius [m] is given; it is
+    magnified as the secondaries of LBT (4.11 m in the pupil for 0.452 m) where no diameter [m] is.
     """
-    outermost = float(np.hypot(layout.x, layout.y).max())
-    radius = outermost * (1.0 + 0.5 * np.sqrt(np.pi / layout.n))
+    if radius is None:
+        outermost = float(np.hypot(layout.x, layout.y).max())
+        radius = outermost * (1.0 + 0.5 * np.sqrt(np.pi / layout.n))
     return Pupil(radius, 2.0 * LBT_MAGNIFICATION * radius if diameter is None else diameter)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SeenTurbulence:
-    """Turbulence at m points of a mirror, and the two bases that optics have for it.
+    """Turbulence at the n actuators of a mirror, and the two bases that optics have for it.
 
     Attributes
     ----------
     atmosphere, pupil
         The turbulence, and what of it the mirror sees.
+    commanded
+        (n,) which m of the actuators the optics command.
     wavefront
-        (m, m) covariance of the wavefront, less piston [m^2].
+        (n, n) covariance of the wavefront, counted from its mean over these [m^2].
     zernike, karhunen_loeve
-        (m, m) orthonormal modes, one a column.
+        (m, m) modes, orthonormal on these, one a column.
     """
 
     atmosphere: Atmosphere
     pupil: Pupil
+    commanded: NDArray[np.bool_]
     wavefront: Array
     zernike: Array
     karhunen_loeve: Array
@@ -72,13 +84,14 @@ class SeenTurbulence:
     def __post_init__(self) -> None:
         for name in ("wavefront", "zernike", "karhunen_loeve"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        object.__setattr__(self, "commanded", frozen_array(self.commanded, bool))
 
     def __repr__(self) -> str:
-        return f"<SeenTurbulence at {len(self.wavefront)} points, {self.atmosphere}>"
+        return f"<SeenTurbulence at {len(self.wavefront)} actuators, {self.atmosphere}>"
 
     @property
     def fitting_error(self) -> float:
-        """Rms wavefront between the points, which no number of modes takes away [m].
+        """Rms wavefront between the actuators, which no number of modes takes away [m].
 
         0.28 (d / r0)^(5/3) rad^2 of a continuous face sheet at 500 nm (Hudgin 1977, JOSA 67, 393),
         with d the spacing of the actuators in the pupil, from the area of each.
@@ -88,11 +101,20 @@ class SeenTurbulence:
         return float(WAVELENGTH / (2 * np.pi) * np.sqrt(variance))
 
 
-def seen_turbulence(layout: Layout, atmosphere: Atmosphere, pupil: Pupil) -> SeenTurbulence:
-    """Return the turbulence at the actuators of a layout."""
+def seen_turbulence(
+    layout: Layout, commanded: NDArray[np.bool_], atmosphere: Atmosphere, pupil: Pupil
+) -> SeenTurbulence:
+    """Return the turbulence at the n actuators of a layout, of which m are commanded."""
     x, y = layout.x / pupil.radius, layout.y / pupil.radius
     half = 0.5 * pupil.diameter
     wavefront = wavefront_covariance(half * x, half * y, atmosphere)
+    mean = wavefront[:, commanded].mean(axis=1)
+    wavefront -= np.add.outer(mean, mean) - mean[commanded].mean()
     return SeenTurbulence(
-        atmosphere, pupil, wavefront, zernike_modes(x, y), karhunen_loeve_modes(wavefront)
+        atmosphere,
+        pupil,
+        commanded,
+        wavefront,
+        zernike_modes(x[commanded], y[commanded]),
+        karhunen_loeve_modes(wavefront[np.ix_(commanded, commanded)]),
     )

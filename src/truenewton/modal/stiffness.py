@@ -90,6 +90,11 @@ class TrueStiffness:
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
     @property
+    def commanded(self) -> NDArray[np.bool_]:
+        """(n,) which enabled actuators are commanded."""
+        return np.isin(self.enabled.id, self.layout.id)
+
+    @property
     def feed_forward_commanded(self) -> Array:
         """(n, m) commanded force per true displacement, diag(1/alpha) K if all are commanded.
 
@@ -286,6 +291,10 @@ def _checked_gain(sensor_gain: Array | None, on: NDArray[np.bool_]) -> Array:
 
 def _which(layout: Layout, ids: Sequence[int], what: str) -> NDArray[np.bool_]:
     """Return (n,) which actuators are named."""
+    if not all(isinstance(name, int | np.integer) for name in ids):
+        raise UnknownName(
+            f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]", got=ids
+        )
     unknown = np.setdiff1d(np.asarray(ids, dtype=np.int64), layout.id)
     if unknown.size:
         raise UnknownName(

@@ -12,6 +12,7 @@ from truenewton.actuators import Array
 from truenewton.errors import FormatError
 
 WAVELENGTH = 500e-9  # at which seeing and r0 are stated [m]
+WORST_SEEING = 30.0  # beyond it the unit has slipped [arcsec]
 ARCSECOND = np.pi / 180 / 3600
 
 # Fried's definition of r0 fixes the structure function 6.88 (r / r0)^(5/3) [rad^2], and that the
@@ -38,19 +39,19 @@ class Atmosphere:
     Raises
     ------
     FormatError
-        A seeing or an outer scale that is not positive, or a seeing that is not finite.
+        A seeing or an outer scale that cannot be.
     """
 
     seeing: float
     outer_scale: float = 40.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.seeing < np.inf:
+        if not 0 < self.seeing <= WORST_SEEING:
             raise FormatError(
                 f"a seeing of {self.seeing:g} arcsec",
                 remedy="give the width at 500 nm, as 0.8",
                 got=self.seeing,
-                want="positive and finite",
+                want=f"positive, {WORST_SEEING:g} at most",
             )
         if not self.outer_scale > 0:
             raise FormatError(

@@ -91,14 +91,14 @@ def _singular(campaign: Campaign, found: ModalFindings) -> Dissipation:
     if found.measured is None or found.after.modes.stiffness.size != campaign.layout.n:
         raise ValueError("give the campaign, with all actuators on, and what was found of it")
     base, matrix = found.before, found.measured.matrix.stiffness
+    cost = base.costs[0]
     return dissipation(
         "singular vectors",
         np.linalg.svd(matrix)[2][::-1].T,
-        matrix,
-        base.seen.wavefront,
-        alpha=np.ones(len(matrix)),
-        static=base.costs[0].static,
-        efficiency=base.costs[0].efficiency,
+        replace(base.stiffness, forces=matrix),
+        base.seen,
+        cost.static,
+        cost.efficiency,
     )
 
 
