@@ -1,6 +1,7 @@
 """The modal base whole: found from P45's campaign, written, asked for on the command line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -94,11 +95,12 @@ def test_what_lies_between_actuators_is_told():
 def test_files_hold_what_was_found(p45, tmp_path):
     _, _, found = p45
     base, stiffness = found.after, found.after.stiffness
-    written = write_modes(base, tmp_path / "m.fits", Limits(power=0.1))
+    written = write_modes(found, tmp_path / "m.fits", Limits(power=0.1))
     assert written == list(modes_paths(tmp_path / "m.fits"))
     with fits.open(written[0], checksum=True) as hdus:
         assert hdus[0].header["NMODES"] == base.costs[0].modes_within(Limits(power=0.1))
         assert "MAXFORCE" not in hdus[0].header
+        assert set(hdus["ACTUATORS"].data["STATE"]) == {"commanded"}
         np.testing.assert_array_equal(hdus["MODES"].data, base.modes.modes)
         np.testing.assert_allclose(
             hdus["COMMANDED"].data * found.calibration.alpha[:, None], hdus["FORCE"].data
@@ -122,7 +124,7 @@ def test_files_hold_what_was_found(p45, tmp_path):
             assert hdus[0].header["CTYPE2"] == "ACTUATOR"
             np.testing.assert_array_equal(hdus[0].data, wanted)
     with pytest.raises(OutputExists):
-        write_modes(base, tmp_path / "m.fits")
+        write_modes(found, tmp_path / "m.fits")
     with pytest.raises(FormatError, match="modal base"):
         tn.read(written[0])
 
@@ -135,13 +137,27 @@ def test_rows_of_disabled_actuators_and_of_those_off_keep_their_place(p45, tmp_p
     known = tn.layout(layout.x, layout.y, id=layout.id, nz=layout.nz, enabled=enabled)
     some = tn.StiffnessMatrix("P45", matrix.date, known, matrix.stiffness)
     found = find_modes(some, whole.calibration, off=[9])
-    written = write_modes(found.after, tmp_path / "m.fits")
+    written = write_modes(found, tmp_path / "m.fits")
     commanded = tn.read(written[2])
     assert list(layout.id[~commanded.layout.enabled]) == [7, 9]
     modes = fits.getdata(written[3])
     assert modes.shape == (45, 43)
     assert not modes[6].any()
     assert modes[8].any()  # it floats along
+    states = fits.getdata(written[0], "ACTUATORS")["STATE"]
+    assert [states[6], states[8], states[9]] == ["disabled", "off", "commanded"]
+
+
+def test_the_feed_forward_holds_slaves_too(p45, tmp_path):
+    """Where they are to go is told by MODES; what that takes, by the matrix as for any position."""
+    _, _, whole = p45
+    found = find_modes(whole.measured.matrix, whole.calibration, slaved=[12, 30])
+    written = write_modes(found, tmp_path / "m.fits")
+    true, modes = tn.read(written[1]).stiffness, fits.getdata(written[3])
+    np.testing.assert_allclose(
+        true @ modes, found.after.stiffness.forces @ found.after.modes.modes, atol=1e-6
+    )
+    assert list(fits.getdata(written[0], "ACTUATORS")["STATE"]).count("slaved") == 2
 
 
 def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
@@ -194,3 +210,22 @@ def test_what_does_not_belong_together_is_refused(p45):
     for wrong in ({"off": [3], "slaved": [3]}, {"off": ["5", "17"]}, {"slaved": [5.5]}):
         with pytest.raises(UnknownName):
             find_modes(campaign, found.calibration, **wrong)
+
+
+def test_alpha_of_another_mirror_is_warned_of(p45, inside, tmp_path):
+    _, _, found = p45
+    tn.write_stiffness(found.measured.matrix, tmp_path / "s.fits")
+    other = replace(found.calibration, alpha=np.roll(found.calibration.alpha, 11))
+    other.write(tmp_path / "alpha.fits")
+    code, out, _ = inside("modes", tmp_path / "s.fits", "--calibration", tmp_path / "alpha.fits")
+    assert code == 0
+    assert "WARNING: with alpha the stiffness is less symmetric" in out
+    assert not found.warnings
+
+
+def test_piston_comes_first_by_itself(p45):
+    _, campaign, found = p45
+    rigid = found.after.modes.modes[:, :3]
+    layout = campaign.layout
+    for k, pattern in enumerate((layout.nz, layout.x, layout.y)):
+        assert rigid[:, k] @ pattern / np.linalg.norm(pattern) > 0.999

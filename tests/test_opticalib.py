@@ -271,7 +271,7 @@ def test_the_published_package_reads_the_modal_base(tmp_path):
         "P45", plan_start(0), p45().layout, bench.truth.stiffness / bench.truth.alpha[:, None]
     )
     found = tn.find_modes(matrix)
-    written = tn.write_modes(found.after, tmp_path / "m.fits")
+    written = tn.write_modes(found, tmp_path / "m.fits")
     done = subprocess.run(
         [sys.executable, "-c", MATRICES, *map(str, written[3:])], capture_output=True, text=True,
         env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "agg"}, cwd=tmp_path, timeout=120,

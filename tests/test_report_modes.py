@@ -70,7 +70,7 @@ def test_cycles_with_positions_tell_their_modes(p45):
     assert f"Of 45 modes the softest elastic one has {stiffness[3] / 1e3:.1f} kN/m" in words
     assert f"the stiffest {stiffness[-1] / 1e6:.1f} MN/m" in words
     assert f"{np.degrees(found.comparison.distance):.2g} deg rms" in words
-    assert "Measured stiffness: 90 shapes, 360 rows; known to" in words
+    assert "Measured stiffness: 90 shapes, 360 rows; repeats to" in words
     [faults] = parts["modes"].tables
     for row, name in zip(faults.rows, ("asymmetry", "imbalance"), strict=True):
         for cell, base in zip(row[1:], (found.before, found.after), strict=True):

@@ -215,22 +215,12 @@ class Calibration:
                 ("TOOL", f"{max([1, *map(len, tools)])}A", None, tools),
             ),
         )
-        files = [_ascii(source.file) for source in self.sources]
-        sources = Sheet(
-            "SOURCES",
-            columns=(
-                ("FILE", f"{max(map(len, files), default=1)}A", None, files),
-                ("SHA256", "64A", None, [source.sha256 for source in self.sources]),
-                ("ROWS", "J", None, [source.rows for source in self.sources]),
-                ("REJECTED", "J", None, [source.rejected for source in self.sources]),
-            ),
-        )
         sheets = [
             Sheet("CALIBRATION", columns=(*self._columns(), ("NZ", "D", None, self.layout.nz))),
             loads,
             Sheet("COVARIANCE", data=self.covariance),
             Sheet("SYSTEMATIC", data=self.systematic),
-            sources,
+            sources_sheet(self.sources),
         ]
         write_fits(path, self._header(), sheets, overwrite=overwrite)
 
@@ -255,6 +245,20 @@ class Calibration:
             "DOF": (self.degrees_of_freedom, "degrees of freedom"),
             "CHI2": (self.chi2, "against FORCERR"),
         }
+
+
+def sources_sheet(sources: tuple[UsedSource, ...]) -> Sheet:
+    """Return the SOURCES table of the files that went into a calibration."""
+    files = [_ascii(source.file) for source in sources]
+    return Sheet(
+        "SOURCES",
+        columns=(
+            ("FILE", f"{max(map(len, files), default=1)}A", None, files),
+            ("SHA256", "64A", None, [source.sha256 for source in sources]),
+            ("ROWS", "J", None, [source.rows for source in sources]),
+            ("REJECTED", "J", None, [source.rejected for source in sources]),
+        ),
+    )
 
 
 def _ascii(text: str) -> str:

@@ -56,7 +56,7 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
         if file.holds("MODES"):
             raise FormatError(
                 "is a modal base",
-                remedy="give what it was made from, or the stiffness files beside it",
+                remedy="give what it was made from, or the .commanded.fits beside it",
                 path=file.path,
             )
         if "TRACKING" in file.tables:

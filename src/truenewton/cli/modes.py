@@ -22,13 +22,19 @@ def run(
     seeing: float = typer.Option(0.8, help="At 500 nm [arcsec]."),
     outer_scale: float = typer.Option(40.0, help="Of the turbulence [m]; inf for Kolmogorov's."),
     diameter: float | None = typer.Option(
-        None, help="Of the pupil that the mirror fills [m]; as magnified at LBT where not given."
+        None, help="Of the telescope's pupil [m]; magnified as at LBT where not given."
+    ),
+    radius: float | None = typer.Option(
+        None, help="Of the mirror that fills it [m]; half a spacing beyond the last actuator."
     ),
     power: float = typer.Option(math.inf, help="Most that a coil may dissipate [W]."),
+    total_power: float = typer.Option(math.inf, help="Most that all coils may dissipate [W]."),
     force: float = typer.Option(
         math.inf, help="Most true force: static and three sigma of turbulence [N]."
     ),
-    efficiency: float = typer.Option(0.51, help="Commanded force per root of power [N/W^1/2]."),
+    efficiency: float = typer.Option(
+        0.51, help="Commanded force per root of power [N/W^1/2]; LBT's."
+    ),
     off: str = typer.Option("", help="IDs of actuators that will be off, as 17,18: they float."),
     slaved: str = typer.Option(
         "", help="IDs that the optics do not command: they follow with least force."
@@ -41,6 +47,7 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
+    from truenewton.campaign_files import SUFFIXES
     from truenewton.cli.printing import busy, print_json
     from truenewton.modal.dissipation import Limits
     from truenewton.modal.findings import find_modes
@@ -51,7 +58,9 @@ def run(
     from truenewton.outputs import refuse_existing
     from truenewton.reading import read_calibration, read_data
 
-    atmosphere, limits = Atmosphere(seeing, outer_scale), Limits(power, force)
+    if output is not None and not output.name.endswith(SUFFIXES):
+        raise typer.BadParameter("let -o end in .fits")
+    atmosphere, limits = Atmosphere(seeing, outer_scale), Limits(power, total_power, force)
     for target in (*(modes_paths(output) if output else ()), *((figures,) if figures else ())):
         refuse_existing(target, overwrite=overwrite)
     floats = options.ids(off, "--off") if off else ()
@@ -63,12 +72,13 @@ def run(
             None if calibration is None else read_calibration(calibration),
             atmosphere,
             diameter=diameter,
+            radius=radius,
             efficiency=efficiency,
             off=floats,
             slaved=follow,
         )
         if output is not None:
-            written += write_modes(found.after, output, limits, overwrite=overwrite)
+            written += write_modes(found, output, limits, overwrite=overwrite)
         if figures is not None:
             written += write_modes_figures(found, figures, limits, overwrite=overwrite)
     if json:

@@ -23,7 +23,7 @@ from truenewton.errors import FormatError
 from truenewton.modal.pupil import SeenTurbulence
 from truenewton.modal.stiffness import TrueStiffness
 
-EFFICIENCY = 0.51  # commanded force per root of power, of LBT's coils [N/W^1/2]
+EFFICIENCY = 0.51  # commanded force per root of power, of LBT's and P45's coils [N/W^1/2]
 SIGMAS = 3.0  # of the turbulent force, beside the static one, that an actuator has to reach
 
 
@@ -35,6 +35,8 @@ class Limits:
     ----------
     power
         Largest mean power of any coil [W].
+    total
+        Largest mean power of all coils together [W].
     force
         Largest true force that any actuator has to reach [N]; see `Dissipation.reach`.
 
@@ -45,10 +47,11 @@ class Limits:
     """
 
     power: float = np.inf
+    total: float = np.inf
     force: float = np.inf
 
     def __post_init__(self) -> None:
-        for name, unit in (("power", "W"), ("force", "N")):
+        for name, unit in (("power", "W"), ("total", "W"), ("force", "N")):
             limit = getattr(self, name)
             if not limit > 0.0:
                 raise FormatError(
@@ -60,7 +63,7 @@ class Limits:
     @property
     def any(self) -> bool:
         """Whether there is a limit at all."""
-        return bool(np.isfinite([self.power, self.force]).any())
+        return bool(np.isfinite([self.power, self.total, self.force]).any())
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -134,7 +137,8 @@ class Dissipation:
             what is commanded is so too. The power is that of the commands, which were measured.
         """
         higher = 1.0 + np.asarray(alpha_error, dtype=float).reshape(-1, 1)
-        beyond = (self.power > limits.power).any(axis=0)
+        power = self.power
+        beyond = (power > limits.power).any(axis=0) | (power.sum(axis=0) > limits.total)
         beyond |= (higher * self.reach > limits.force).any(axis=0)
         return int(np.argmax(beyond)) if beyond.any() else beyond.size
 

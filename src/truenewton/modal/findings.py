@@ -49,6 +49,20 @@ class ModalFindings:
             f"<ModalFindings of {self.after.instrument}: {self.after.modes.stiffness.size} modes>"
         )
 
+    @property
+    def warnings(self) -> tuple[tuple[str, str], ...]:
+        """What is wrong with the data or with alpha, and what to do about it."""
+        told = self.calibration.diagnosis.warnings if self.calibration.diagnosis else ()
+        before, after = self.before.stiffness, self.after.stiffness
+        if after.asymmetry > before.asymmetry and after.imbalance > before.imbalance:
+            told += (
+                (
+                    "with alpha the stiffness is less symmetric and less balanced than without",
+                    "give alpha of this very mirror, and its stiffness in commanded Newtons",
+                ),
+            )
+        return told
+
     def modes_between(self, cost: Dissipation, limits: Limits) -> tuple[int, int]:
         """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""
         c, enabled = self.calibration, self.after.stiffness.enabled

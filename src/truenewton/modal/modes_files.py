@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from truenewton.actuators import Array
+from truenewton.calibration import sources_sheet
 from truenewton.campaign_files import actuators_sheet, iso, write_stiffness
 from truenewton.fitsfiles import Sheet, write_fits, write_matrix
 from truenewton.measurements import StiffnessMatrix
 from truenewton.modal.dissipation import Dissipation, Limits
+from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.outputs import refuse_existing
 
@@ -28,7 +30,7 @@ def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
 
 
 def write_modes(
-    base: ModalBase,
+    found: ModalFindings,
     path: str | os.PathLike[str],
     limits: Limits | None = None,
     *,
@@ -49,22 +51,23 @@ def write_modes(
     ------
     OutputExists, OutputFailed
     """
-    paths = modes_paths(path)
+    paths, base = modes_paths(path), found.after
     for target in paths:
         refuse_existing(target, overwrite=overwrite)
     stiffness, modes = base.stiffness, base.modes.modes
-    write_fits(paths[0], _header(base, limits or Limits()), _sheets(base), overwrite=overwrite)
-    feed_forward = (stiffness.forces, stiffness.feed_forward_commanded)
+    write_fits(paths[0], _header(found, limits or Limits()), _sheets(found), overwrite=overwrite)
+    true = _square(base, stiffness.whole)
+    commanded = _square(base, stiffness.whole / stiffness.enabled_alpha[:, None])
     layout = replace(
         base.layout, enabled=np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     )
-    for target, forces in zip(paths[1:3], feed_forward, strict=True):
-        record = StiffnessMatrix(base.instrument, base.date, layout, _square(base, forces))
+    for target, forces in zip(paths[1:3], (true, commanded), strict=True):
+        record = StiffnessMatrix(base.instrument, base.date, layout, forces)
         write_stiffness(record, target, overwrite=overwrite)
     plain = (
         (base.on_all_actuators(stiffness.shapes @ modes), "MODE", None, "displacement per mode"),
-        (_square(base, feed_forward[1]), "SENSOR", "N/m", "commanded N per true m"),
-        (_square(base, feed_forward[0]), "SENSOR", "N/m", "true N per true m"),
+        (commanded, "SENSOR", "N/m", "commanded N per true m"),
+        (true, "SENSOR", "N/m", "true N per true m"),
     )
     for target, (matrix, columns, unit, comment) in zip(paths[3:], plain, strict=True):
         header = {
@@ -79,37 +82,56 @@ def write_modes(
 
 
 def _square(base: ModalBase, forces: Array) -> Array:
-    """Return (N, N) forces per displacement over all actuators, 0 where one is not commanded."""
+    """Return (N, N) forces per displacement over all actuators from (n, n) over the enabled."""
     square = np.zeros((base.layout.n, base.layout.n))
-    square[:, np.isin(base.layout.id, base.stiffness.layout.id)] = base.on_all_actuators(forces)
+    square[:, np.isin(base.layout.id, base.stiffness.enabled.id)] = base.on_all_actuators(forces)
     return square
 
 
-def _header(base: ModalBase, limits: Limits) -> dict[str, tuple[Any, str]]:
+def _header(found: ModalFindings, limits: Limits) -> dict[str, tuple[Any, str]]:
+    base = found.after
     atmosphere, cost = base.seen.atmosphere, base.costs[0]
     return {
         "INSTRUME": (base.instrument, "mirror"),
         "DATE-OBS": (iso(base.date), "UTC, of the stiffness"),
+        "METHOD": (found.calibration.method, "estimator of alpha"),
+        "SCALE": (found.calibration.scale, "what fixes the common scale of alpha"),
         "SEEING": (atmosphere.seeing, "[arcsec] at 500 nm"),
         "R0": (atmosphere.fried_parameter, "[m] at 500 nm"),
         "L0": (_finite(atmosphere.outer_scale), "[m] outer scale; absent if infinite"),
         "DIAMETER": (base.seen.pupil.diameter, "[m] entrance pupil"),
         "RADIUS": (base.seen.pupil.radius, "[m] of the mirror that fills it"),
+        "FITTING": (base.seen.fitting_error, "[m] rms wavefront between actuators"),
         "EFFICIEN": (cost.efficiency, "[N/W^1/2] commanded force per root of power"),
         "MAXPOWER": (_finite(limits.power), "[W] most that a coil may dissipate"),
+        "MAXTOTAL": (_finite(limits.total), "[W] most that all coils may dissipate"),
         "MAXFORCE": (_finite(limits.force), "[N] most true force, static and 3 sigma"),
         "NMODES": (cost.modes_within(limits), "stiffness modes within these limits"),
     }
+
+
+def _states(base: ModalBase) -> list[str]:
+    """Return what the optics make of each actuator."""
+    stiffness, names = base.stiffness, base.layout.id
+    known = (
+        (stiffness.layout.id, "commanded"),
+        (stiffness.enabled.id[~stiffness.acts], "off"),
+        (stiffness.enabled.id, "slaved"),
+    )
+    return [next((word for ids, word in known if name in ids), "disabled") for name in names]
 
 
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _sheets(base: ModalBase) -> list[Sheet]:
+def _sheets(found: ModalFindings) -> list[Sheet]:
+    base, c = found.after, found.calibration
     stiffness, modes = base.stiffness, base.modes
+    actuators = actuators_sheet(base.layout)
+    states = ("STATE", "9A", None, _states(base))
     sheets = [
-        actuators_sheet(base.layout),
+        replace(actuators, columns=(*actuators.columns, states)),
         Sheet("MODES", data=base.on_all_actuators(stiffness.shapes @ modes.modes)),
         Sheet("FORCE", data=base.on_all_actuators(stiffness.forces @ modes.modes), unit="N/m"),
         Sheet(
@@ -121,6 +143,7 @@ def _sheets(base: ModalBase) -> list[Sheet]:
                                  ("FORCE", "D", "N", base.costs[0].static))),
         _budget(base.costs[0], "BUDGET", modes.stiffness),
     ]  # fmt: skip
+    sheets.append(sources_sheet(c.sources))
     for cost, name in zip(base.costs[1:], ("ZERNIKE", "KL"), strict=True):
         sheets.append(Sheet(name, data=base.on_all_actuators(stiffness.shapes @ cost.modes)))
         sheets.append(_budget(cost, f"BUDGET_{name}"))

@@ -30,6 +30,12 @@ def stiffness_text(value: float) -> str:
     return f"{significant(value)} N/m"
 
 
+def negative_text(base: ModalBase) -> str:
+    """Say how many elastic modes are of negative stiffness, and why; nothing where none is."""
+    count = int(np.count_nonzero(base.modes.stiffness[3:] < 0))
+    return f"{count} negative: bias magnets, or errors of the measurement" if count else ""
+
+
 def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
     """Return what some numbers of modes leave and cost, a row for each.
 
@@ -62,7 +68,7 @@ def measured_text(measured: MeasuredStiffness) -> str:
     m = measured
     return (
         f"{m.shapes} shapes, {m.rows} rows"
-        + (f"; known to {percent(m.relative_error)}" if math.isfinite(m.relative_error) else "")
+        + (f"; repeats to {percent(m.relative_error)}" if math.isfinite(m.relative_error) else "")
         + (f", chi2/DOF {m.misfit:.3g}" if math.isfinite(m.misfit) else "")
     )
 
@@ -81,8 +87,9 @@ def apart(comparison: ModesComparison) -> str:
         return "not to be told from the calibrated: all are of nearly the same stiffness"
     worst = int(c.largest_angle.argmax())
     return (
-        f"{math.degrees(c.distance):.2g} deg rms from the calibrated, up to"
-        f" {math.degrees(c.largest_angle[worst]):.2g} deg (first {c.orders[worst]} modes)"
+        f"{math.degrees(c.distance):.2g} deg rms from the calibrated; at worst"
+        f" {math.degrees(c.largest_angle[worst]):.2g} deg, between the spans of the first"
+        f" {c.orders[worst]}"
     )
 
 
@@ -99,8 +106,8 @@ def turbulence(base: ModalBase) -> str:
 def between_actuators(base: ModalBase) -> str:
     """Say what no number of modes takes away."""
     return (
-        f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront on top of what modes leave, whatever"
-        " their number"
+        f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, whatever the"
+        " number of modes"
     )
 
 

@@ -58,6 +58,9 @@ class TrueStiffness:
     shapes, forces
         (n, m) displacements and true forces [N/m] of all enabled actuators per displacement of each
         commanded one; forces of those that are off are 0.
+    whole
+        (n, n) true force per displacement, were those commanded too that are slaved: the
+        feed-forward of all that act; 0 for those that are off [N/m].
     enabled_alpha
         (n,) as ``alpha``, of all enabled actuators.
     asymmetry
@@ -78,6 +81,7 @@ class TrueStiffness:
     acts: NDArray[np.bool_]
     shapes: Array
     forces: Array
+    whole: Array
     enabled_alpha: Array
     asymmetry: float
     actuator_asymmetry: Array
@@ -85,7 +89,7 @@ class TrueStiffness:
     rigid_stiffness: Array
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "alpha", "shapes", "forces", "enabled_alpha",
+        for name in ("stiffness", "alpha", "shapes", "forces", "whole", "enabled_alpha",
                      "actuator_asymmetry", "rigid_stiffness"):  # fmt: skip
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
@@ -178,7 +182,7 @@ def true_stiffness(
     coupling = symmetric @ rigid - rigid @ own  # Q K R
     if calibration is not None:
         symmetric = symmetric - coupling @ rigid.T - rigid @ coupling.T
-    shapes, forces = _following(symmetric, floats, follows)
+    shapes, forces, whole = _following(symmetric, floats, follows)
     stiffness = shapes.T @ forces
     values = np.linalg.eigvalsh(own)
     return TrueStiffness(
@@ -190,6 +194,7 @@ def true_stiffness(
         acts=~floats,
         shapes=shapes,
         forces=forces,
+        whole=whole,
         enabled_alpha=alpha,
         asymmetry=float(np.linalg.norm(apart) / np.linalg.norm(together)),
         actuator_asymmetry=np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1),
@@ -200,8 +205,8 @@ def true_stiffness(
 
 def _following(
     k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Return (n, m) displacements and forces of all for those of the others.
+) -> tuple[Array, Array, Array]:
+    """Return (n, m) displacements and forces of all, and (n, n) forces were the slaves commanded.
 
     Raises
     ------
@@ -223,13 +228,16 @@ def _following(
         shapes[floats] = -scipy.linalg.cho_solve(held, k[np.ix_(floats, active)])
     forces = k @ shapes
     forces[floats] = 0.0  # but for rounding
+    whole = np.zeros_like(k)
+    whole[:, active] = forces
     slaves = follows[active]
     if not slaves.any():
-        return shapes, forces
+        return shapes, forces, whole
     answer = np.linalg.lstsq(forces[:, slaves], -forces[:, ~slaves], rcond=None)[0]
     return (
         shapes[:, ~slaves] + shapes[:, slaves] @ answer,
         forces[:, ~slaves] + forces[:, slaves] @ answer,
+        whole,
     )
 
 

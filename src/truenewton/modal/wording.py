@@ -15,6 +15,7 @@ from truenewton.modal.shown import (
     between_actuators,
     cost_rows,
     measured_text,
+    negative_text,
     rigid_text,
     static_force,
     turbulence,
@@ -40,17 +41,18 @@ def lines(found: ModalFindings, limits: Limits) -> list[str]:
     elastic = base.modes.stiffness[3:]
     told += [
         f"  {'':<24}{'alpha = 1':<12}calibrated",
-        f"  {'asymmetry':<24}{percent(before.asymmetry):<12}{percent(after.asymmetry)}",
-        f"  {'out of balance':<24}{percent(before.imbalance):<12}{percent(after.imbalance)}",
+        f"  {'asymmetry of it':<24}{percent(before.asymmetry):<12}{percent(after.asymmetry)}",
+        f"  {'imbalance of it':<24}{percent(before.imbalance):<12}{percent(after.imbalance)}",
         f"  {'rigid motions':<24}{'':<12}{rigid} N/m",
-        f"  {'elastic modes':<24}{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m",
+        f"  {'elastic modes':<24}{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
+        + (f"; {negative}" if (negative := negative_text(base)) else ""),
         f"  {'modes by alpha = 1':<24}{apart(found.comparison)}",
         f"  {'turbulence':<24}{turbulence(base)}",
         f"  {'between actuators':<24}{between_actuators(base)}",
         f"  {'static force':<24}{static_force(base.costs[0])}",
     ]
-    told += _table(base)
-    return told + _within(found, limits)
+    told += _table(base) + _within(found, limits)
+    return told + [f"  WARNING: {fault}; {remedy}" for fault, remedy in found.warnings]
 
 
 def _table(base: ModalBase) -> list[str]:
@@ -70,10 +72,11 @@ def _table(base: ModalBase) -> list[str]:
 def _within(found: ModalFindings, limits: Limits) -> list[str]:
     """Return how many modes the limits allow, and what alpha has to do with it."""
     if not limits.any:
-        return ["  --power W or --force N asks how many modes they allow"]
+        return ["  --power, --total-power or --force asks how many modes they allow"]
     asked = [f"{limits.power:g} W in the worst coil"] if math.isfinite(limits.power) else []
+    asked += [f"{limits.total:g} W in all"] if math.isfinite(limits.total) else []
     asked += [f"{limits.force:g} N on any actuator"] if math.isfinite(limits.force) else []
-    lines = [f"  within {' and '.join(asked)}:"]
+    lines = [f"  within {' and '.join(asked)}, piston and tilts counted:"]
     for cost, uncalibrated in zip(found.after.costs, found.before.costs, strict=True):
         number = cost.modes_within(limits)
         fewest, most = found.modes_between(cost, limits)
@@ -113,7 +116,8 @@ def values(found: ModalFindings, limits: Limits) -> dict[str, Any]:
             "orders": c.orders,
             "largest_angle": c.largest_angle,
         },
-        "limits": {"power": limits.power, "force": limits.force},
+        "limits": {"power": limits.power, "total": limits.total, "force": limits.force},
+        "warnings": [list(warning) for warning in found.warnings],
         "bases": [
             {
                 "base": cost.base,
