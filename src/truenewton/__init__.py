@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from truenewton.estimators import calibrate
     from truenewton.figures import write_figures
     from truenewton.measurements import Cycle, Load, StiffnessMatrix
+    from truenewton.modal.dissipation import Limits
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modes_files import write_modes
     from truenewton.modal.turbulence import Atmosphere
@@ -46,6 +47,7 @@ __all__ = [
     "CampaignPlan",
     "Cycle",
     "Layout",
+    "Limits",
     "Load",
     "SimulatedBench",
     "StiffnessMatrix",
@@ -83,6 +85,7 @@ _HOMES = {
     "CampaignPlan": "campaign_plan",
     "Cycle": "measurements",
     "Layout": "actuators",
+    "Limits": "modal.dissipation",
     "Load": "measurements",
     "SimulatedBench": "bench.simulated.simulated_bench",
     "StiffnessMatrix": "measurements",

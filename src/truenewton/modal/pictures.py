@@ -93,7 +93,7 @@ def plot_power(base: ModalBase, limits: Limits, ax: Axes | None = None) -> Axes:
         ax.set_xlabel("number of modes")
         ax.set_ylabel("power of a coil (W)")
         ax.set_title("full: the worst coil; dotted: the mean", loc="right", fontsize=6.5, color=INK)
-        ax.legend(frameon=False, fontsize=6.5)
+        ax.legend(fontsize=6.5, edgecolor="none", framealpha=1.0)
     return ax
 
 
@@ -105,9 +105,9 @@ def plot_comparison(found: ModalFindings, ax: Axes | None = None) -> Axes:
         number = np.arange(1, c.rms_angle.size)
         told = ~c.cuts[:-1]
         ax.semilogy(number[told], np.degrees(c.rms_angle[:-1][told]), "o", color=CURVES[0],
-                    markersize=1.8, label="rms")  # fmt: skip
+                    markersize=1.8, label="rms of the N")  # fmt: skip
         ax.semilogy(c.orders, np.degrees(c.largest_angle), "s", color=CURVES[1], markersize=1.8,
-                    markerfacecolor="none", label="largest")  # fmt: skip
+                    markerfacecolor="none", label="largest of the N")  # fmt: skip
         ax.set_xlabel("first N modes")
         ax.set_ylabel(r"angle between spans (°)")
         ax.set_title(r"$\alpha = 1$ against calibrated", loc="right", fontsize=6.5, color=INK)
