@@ -28,6 +28,7 @@ from truenewton.estimators import calibrate
 from truenewton.estimators.estimate import DataSet, Prior
 from truenewton.estimators.likelihood import _terms, chi2_at, minimise, start_values
 from truenewton.estimators.maximum_likelihood import find
+from truenewton.estimators.svd import condition_in_units_of_rms
 from truenewton.measurements import Load, StiffnessMatrix
 from truenewton.mirrors import lbt672, p45
 from truenewton.moments import shape_sums
@@ -594,6 +595,16 @@ def test_a_start_that_is_far_off_ends_at_the_same_minimum():
     for seed in range(10):
         start = truth + 0.3 * np.random.default_rng(seed).standard_normal(19)
         assert minimise(a, sets, prior, start).values == pytest.approx(best, abs=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["quiet", "noisy", "three loads", "one disabled", "population"])
+def test_the_condition_is_that_of_the_singular_values_of_e(kind):
+    """CONDITIO, found in a few steps, against a full decomposition; noise of repeats adds to E."""
+    options = {"noisy": {"noise": 0.01, "cycles": 1}, "three loads": {"loads": THREE},
+               "one disabled": {"disabled": (4,)}}.get(kind, {})  # fmt: skip
+    campaign, _ = campaign_of(40, **{"noise": 1e-5} | options)
+    found = calibrate(campaign, population=kind == "population")
+    assert found.condition == pytest.approx(condition_in_units_of_rms(campaign), rel=1e-3)
 
 
 # A population, if asked for.

@@ -81,6 +81,38 @@ def test_moments_are_those_of_two_passes(repeated):
     assert moments.rows.max() == (6 if repeated else 3)
 
 
+def test_rows_may_stand_in_any_order():
+    """Another one in each cycle, and not every shape in each."""
+    random, shuffled = np.random.default_rng(2), []
+    for cycle in noisy().cycles:
+        order = random.permutation(len(cycle.shape))[: len(cycle.shape) - 3]
+        names = ("time", "shape", "sign", "force", "valid")
+        rows = {name: getattr(cycle, name)[order] for name in names}
+        shuffled.append(replace(cycle, **rows | {"time": cycle.time[: len(order)]}))
+    campaign = Campaign(tuple(shuffled))
+    check(campaign_moments(campaign), *two_passes(campaign, [1.0] * 6))
+
+
+@pytest.mark.parametrize("errors", [[None], [1e-3], [1e-3, 2e-3, 5e-4]])
+def test_the_furthest_row_is_seen_from_the_others_of_its_group(errors):
+    """In terms of the noise of the difference between a row and the mean of the others."""
+    campaign = with_noises(with_repeats_in_a_cycle(noisy()), errors)
+    furthest, groups = np.zeros(13), {}
+    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
+        w = (1e-3 / cycle.force_error) ** 2 if cycle.force_error else 1.0
+        for row in np.flatnonzero(cycle.valid):
+            label = (place, int(cycle.shape[row]), int(cycle.sign[row]))
+            groups.setdefault(label, []).append((w, cycle.force[row][cycle.layout.enabled]))
+    for rows in groups.values():
+        for k, (w, force) in enumerate(rows):
+            others = rows[:k] + rows[k + 1 :]
+            weights = np.array([v for v, _ in others])
+            mean = weights @ np.array([f for _, f in others]) / weights.sum()
+            far = np.abs(force - mean) / np.sqrt(1 / w + 1 / weights.sum())
+            furthest = np.maximum(furthest, far)
+    assert campaign_moments(campaign).furthest == pytest.approx(furthest, rel=1e-10)
+
+
 def test_cycles_weigh_by_their_declared_noise():
     campaign = with_noises(noisy(), [1e-3, 2e-3, 5e-4])
     check(campaign_moments(campaign), *two_passes(campaign, [1.0, 0.25, 4.0] * 2))

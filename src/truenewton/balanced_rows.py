@@ -90,18 +90,22 @@ class Layer:
     group: NDArray[np.int64]
     weight: float
 
+    @cached_property
+    def inorder(self) -> bool:
+        """Whether the rows follow each other."""
+        return bool((np.diff(self.some) == 1).all())
+
     def within(
         self, block: slice
     ) -> tuple[slice | NDArray[np.int64], Array, Array | None, float] | None:
         """Return where in a block of groups rows stand, and the rows; None where none does."""
-        first, end = np.searchsorted(self.group, [block.start, block.stop]).tolist()
+        first, end = self.group.searchsorted((block.start, block.stop)).tolist()
         if first == end:
             return None
         whole = end - first == block.stop - block.start
         at = slice(None) if whole else self.group[first:end] - block.start
         some = self.some[first:end]
-        inorder = (np.diff(some) == 1).all()
-        force, balance = self.rows.at(slice(some[0], some[-1] + 1) if inorder else some)
+        force, balance = self.rows.at(slice(some[0], some[-1] + 1) if self.inorder else some)
         return at, force, balance, self.weight
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from truenewton.actuators import Array, Layout
@@ -90,12 +91,12 @@ class Campaign:
         """Standard uncertainty of P [N]."""
         return self.cycles[0].weight_error
 
-    @property
+    @cached_property
     def loads(self) -> tuple[Load, ...]:
         """The loads, the bare one first."""
         return tuple({cycle.load.key: cycle.load for cycle in self.cycles[::-1]}.values())[::-1]
 
-    @property
+    @cached_property
     def load_index(self) -> tuple[int, ...]:
         """For each cycle, the place of its load in ``loads``."""
         keys = [load.key for load in self.loads]

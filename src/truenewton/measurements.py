@@ -244,9 +244,14 @@ class Cycle:
         """(N_valid, n_enabled) commanded forces of the rows and actuators that count [N]."""
         return self.used(self.force, slice(None))
 
+    @cached_property
+    def _counting(self) -> NDArray[np.int64] | None:
+        """The rows that count; None where all do."""
+        return None if self.valid.all() else np.flatnonzero(self.valid)
+
     def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
         """Return FORCE or POSITION of some of the rows that count, enabled actuators only."""
-        chosen = values[rows if self.valid.all() else np.flatnonzero(self.valid)[rows]]
+        chosen = values[rows if self._counting is None else self._counting[rows]]
         return chosen if self.layout.enabled.all() else chosen[:, self.layout.enabled]
 
     def used_blocks(self) -> Iterator[slice]:

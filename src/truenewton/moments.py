@@ -29,8 +29,8 @@ from truenewton.measurements import Cycle, Load
 from truenewton.stored_rows import BLOCK_BYTES, blocks
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
-ROWS_AT_ONCE = 64  # a block of rows stays in the processor's cache
-MIRRORED_AT_ONCE = 128
+ROWS_AT_ONCE = 96  # a block of rows stays in the processor's cache
+MIRRORED_AT_ONCE = 96
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +114,9 @@ def row_weights(campaign: Campaign) -> tuple[float, ...]:
 def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
     """Return the moments of a campaign's valid rows.
 
-    A block of groups after the other, so that all rows of a group are in the cache, and of those
-    on disk no more in memory, while their mean and then their deviations from it are taken.
+    Groups are worked through in the order in which they come, so that rows are read where they
+    stand; a block after the other, so that all rows of a group are in the cache, and of those on
+    disk no more in memory, while their mean and then their deviations from it are taken.
 
     Parameters
     ----------
@@ -132,8 +133,10 @@ def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Mome
         np.column_stack([np.full(int(c.valid.sum()), place), c.shape[c.valid], c.sign[c.valid]])
         for c, place in zip(campaign.cycles, campaign.load_index, strict=True)
     ]
-    labels, member = _unique(np.concatenate(names))
-    members = np.split(member, np.cumsum([len(name) for name in names])[:-1])
+    labels, first, member = _unique(np.concatenate(names))
+    coming = np.argsort(first)  # groups, as they come
+    place = np.argsort(coming)
+    members = np.split(place[member], np.cumsum([len(name) for name in names])[:-1])
     layers = [
         Layer(rows, some, group[some], weight_of_row)
         for cycle, group, weight_of_row in zip(
@@ -147,41 +150,52 @@ def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Mome
     for layer in layers:
         number[layer.group] += 1
         weight[layer.group] += layer.weight
-    mean, known = np.zeros((groups, n)), np.zeros((groups, 3))
+    weights = {layer.weight for layer in layers}
+    heaviest = max(weights)
+    # A mean holds the row itself: seen from the others it lies further out. 0 without others.
+    others = {w: np.where(weight > w, weight - w, np.inf) for w in weights}
+    further = {w: w * weight / others[w] for w in weights}
+    uneven = {w: bool((further[w] != further[w][0]).any()) for w in weights}
+    mean, known = np.empty((groups, n)), np.zeros((groups, 3))
     scatter, furthest = np.zeros(n), np.zeros(n)
     at_once = int(np.clip(BLOCK_BYTES // (8 * n * number.max()), 1, ROWS_AT_ONCE))
     for start in range(0, groups, at_once):
         block = slice(start, min(start + at_once, groups))
         read = [part for layer in layers if (part := layer.within(block)) is not None]
+        centre, balanced = np.zeros((block.stop - start, n)), np.zeros((block.stop - start, 3))
         for at, force, balance, w in read:
-            mean[block][at] += force if w == 1.0 else w * force
+            share = w / heaviest
+            centre[at] += force if share == 1.0 else share * force
             if balance is not None:
-                known[block][at] += w * balance
-        mean[block] /= weight[block, None]
-        known[block] /= weight[block, None]
-        for at, force, _, w in read:
-            apart = force - mean[block][at]
+                balanced[at] += w * balance
+        centre *= (heaviest / weight[block])[:, None]
+        mean[coming[block]] = centre
+        known[coming[block]] = balanced / weight[block, None]
+        for at, force, _, w in reversed(read):  # the last are in the cache still
+            apart = force - centre[at]
             apart *= apart
             scatter += w * (np.ones(len(apart)) @ apart)
-            # The mean holds the row itself: seen from the others it lies further out.
-            total, alone = weight[block][at], number[block][at] < 2
-            further = np.where(alone, 0.0, w * total / np.where(alone, 1.0, total - w))
-            if (further != further[0]).any():
-                apart *= (further / further.max())[:, None]
-            np.maximum(furthest, apart.max(axis=0) * further.max(), out=furthest)
+            if uneven[w]:
+                apart *= further[w][block][at][:, None]
+                np.maximum(furthest, apart.max(axis=0), out=furthest)
+            else:
+                np.maximum(furthest, apart.max(axis=0) * further[w][0], out=furthest)
     loads, furthest = campaign.loads, np.sqrt(furthest)
+    number, weight = number[place], weight[place]
     return Moments(loads, labels, number, weight, mean, known, scatter, furthest, reference)
 
 
-def _unique(labels: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sorted distinct (place, SHAPE, SIGN) and which of them each row has."""
+def _unique(
+    labels: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the sorted distinct (place, SHAPE, SIGN), the first row and which of them each has."""
     span = int(labels[:, 1].max()) + 1
     if span > 2**40:  # shapes may be numbered at will
-        unique, member = np.unique(labels, axis=0, return_inverse=True)
-        return unique, member.ravel()
+        unique, first, member = np.unique(labels, axis=0, return_index=True, return_inverse=True)
+        return unique, first, member.ravel()
     codes = 2 * (span * labels[:, 0] + labels[:, 1]) + (labels[:, 2] > 0)
     _, first, member = np.unique(codes, return_index=True, return_inverse=True)
-    return labels[first], member.ravel()
+    return labels[first], first, member.ravel()
 
 
 def groups_of(cycle: Cycle, place: int, moments: Moments) -> NDArray[np.int64]:

@@ -202,6 +202,7 @@ def _spread(values: Array, on: NDArray[np.bool_]) -> Array:
 def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
     """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
     if on.all():
+        values.setflags(write=False)  # so that the calibration need not copy it
         return values
     rest = len(values) - int(on.sum())
     kept = np.concatenate([on, np.ones(rest, dtype=bool)])

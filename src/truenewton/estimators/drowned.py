@@ -45,9 +45,7 @@ def drowned_patterns(problem: Problem, moments: Moments, count: int) -> Array:
 
 def held_even(problem: Problem, patterns: Array) -> Problem:
     """Return the problem with (n, k) patterns held at nothing."""
-    information = problem.prior.information.copy()
-    information[: problem.n, : problem.n] += STIFF * patterns @ patterns.T
-    return replace(problem, prior=replace(problem.prior, information=information))
+    return replace(problem, prior=problem.prior.with_more(STIFF * patterns @ patterns.T))
 
 
 def with_unknown_patterns(estimate: Estimate, patterns: Array) -> Estimate:

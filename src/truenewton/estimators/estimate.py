@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,12 +42,14 @@ class DataSet:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of the unknowns besides the data.
+    """What is known of the unknowns besides the data, all of it normal.
 
     Attributes
     ----------
-    mean, information
-        (u,) and (u, u) of all unknowns, normal; information may be singular.
+    mean
+        (u,) of all unknowns.
+    information
+        (k, k) on the first k of them; may be singular, and is 0 by 0 where nothing is known.
     measured
         How many of the last unknowns are errors of the weights: measured as 0 +- 1.
     held
@@ -59,6 +61,23 @@ class Prior:
     information: Array
     measured: int = 0
     held: bool = False
+
+    def added_to(self, matrix: Array) -> Array:
+        """Add all of the information to a matrix of the first unknowns, in place; return it."""
+        k, last = len(self.information), np.arange(len(self.mean) - self.measured, len(matrix))
+        matrix[:k, :k] += self.information
+        matrix[last, last] += 1.0
+        return matrix
+
+    def pull(self, values: Array) -> Array:
+        """Return (u,) the information times how far the values are from the mean."""
+        k, t, apart = len(self.information), len(self.mean) - self.measured, values - self.mean
+        return np.concatenate([self.information @ apart[:k], np.zeros(t - k), apart[t:]])
+
+    def with_more(self, information: Array) -> Prior:
+        """Return the prior with (n, n) more information on alpha."""
+        before = self.information if self.information.size else 0.0
+        return replace(self, information=before + information)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +100,10 @@ class Feigned:
         return np.asarray(self.diagonal[:, None] * vectors - self.root.T @ (self.root @ vectors))
 
     def taken_from(self, matrix: Array, times: float) -> Array:
-        """Return a copy of a (u, u) symmetric matrix less so many times D, its upper triangle."""
+        """Return what D, so many times, leaves of a (u, u) symmetric matrix, its upper triangle.
+
+        In the order of Fortran, so in the lower triangle.
+        """
         n, left = len(self.diagonal), np.array(matrix.T, order="F")
         at = np.arange(n)
         left[at, at] -= times * self.diagonal
@@ -100,7 +122,7 @@ class Estimate:
     chi2
         Sum of r rho' S^-1 rho over the data, prior left out.
     information
-        (u, u) H, that of the prior added.
+        (u, u) H, that of the prior added: its upper triangle.
     feigned, feigned_share
         D, by how much M is larger; the sum of its eigenvalues in terms of H, B and the torques
         eliminated.

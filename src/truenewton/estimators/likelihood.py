@@ -41,7 +41,10 @@ NEAR = 1e-3  # below which no step is shortened
 
 @dataclass(frozen=True, eq=False)
 class _Terms:
-    """The sums at one point: twice the objective, gradient, H without the prior, and D."""
+    """The sums at one point: twice the objective, gradient, H without the prior, and D.
+
+    Of H the upper triangle alone; LAPACK, in the order of Fortran, takes it for the lower one.
+    """
 
     chi2: float
     gradient: Array
@@ -51,7 +54,7 @@ class _Terms:
     @property
     def m(self) -> Array:
         """(u, u) M."""
-        return self.feigned.taken_from(self.h, -1.0)
+        return mirrored(self.feigned.taken_from(self.h, -1.0).T)
 
 
 def chi2_at(a: Array, data: Sequence[DataSet], values: Array) -> float:
@@ -110,20 +113,20 @@ def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
         diagonal += once
         roots.append(np.sqrt(sums.shapes) * (white[:, None] * taken).reshape(9, n))
         gradient[n:] += _add_nuisance(h, part, s_inverse, a, fitted, rho)
-    h[n:, :n] = h[:n, n:].T
     # In perfect balance rounding may leave less than nothing.
     return _Terms(max(chi2, 0.0), gradient, h, Feigned(diagonal, np.concatenate(roots)))
 
 
 def _add_product(matrix: Array, white: Array, square: Array, left: Array, right: Array) -> None:
-    """Add (white' white) o (square - left right) to the leading block, some rows at a time."""
+    """Add the upper triangle of (white' white) o (square - left right), some rows at a time."""
     n = white.shape[1]
     for start in range(0, n, ROWS_AT_ONCE):
-        rows = slice(start, min(start + ROWS_AT_ONCE, n))
-        block = left[rows] @ right
-        np.subtract(square[rows], block, out=block)
-        block *= white[:, rows].T @ white
-        matrix[rows, :n] += block
+        end = min(start + ROWS_AT_ONCE, n)
+        rows, columns = slice(start, end), slice(start, n)
+        block = left[rows] @ right[:, columns]
+        np.subtract(square[rows, columns], block, out=block)
+        block *= white[:, rows].T @ white[:, columns]
+        matrix[rows, columns] += block
 
 
 def _add_nuisance(
@@ -161,17 +164,17 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> E
     values, before = start.copy(), np.inf
     for iteration in range(1, STEPS + 1):
         terms = _terms(a, data, values)
-        apart = values - prior.mean
-        pull = prior.information @ apart
+        pull = prior.pull(values)
         step, decrement, factor = _step(terms, prior, terms.gradient + pull)
         # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.
         if decrement < SMALL or (decrement < NEAR and decrement > 0.25 * before):
             return _estimate(terms, prior, values, factor, iteration)
         before = decrement
         if decrement >= NEAR:
-            objective = float(terms.chi2 + apart @ pull)
+            objective = float(terms.chi2 + (values - prior.mean) @ pull)
             step = step * _shortening(a, data, prior, values, step, objective)
         values = values - step
+        del terms, factor  # the next ones need their room
     raise NotConverged(
         f"the likelihood has not settled after {STEPS} steps",
         remedy="look at `truenewton info`: outliers, or shapes that drown in noise",
@@ -199,7 +202,7 @@ def expected(a: Array, data: Sequence[DataSet], prior: Prior, values: Array) -> 
         The shapes leave some pattern of alpha free.
     """
     terms = _terms(a, data, values)
-    terms = replace(terms, h=np.ascontiguousarray(terms.m))
+    terms = replace(terms, h=terms.m)
     factor = _step(terms, prior, terms.gradient)[2]
     return _estimate(terms, prior, values, factor, 0)
 
@@ -210,8 +213,8 @@ def _shortening(
     """Return the largest power of 1/2 of the step that lowers the objective."""
     for halving in range(12):
         trial = values - step * 0.5**halving
-        far = trial - prior.mean
-        if chi2_at(a, data, trial) + far @ prior.information @ far <= objective:
+        from_prior = float((trial - prior.mean) @ prior.pull(trial))
+        if chi2_at(a, data, trial) + from_prior <= objective:
             break
     return 0.5**halving
 
@@ -222,15 +225,16 @@ def _step(terms: _Terms, prior: Prior, gradient: Array) -> tuple[Array, float, A
     H where it is positive definite, as it is near the minimum; M while far, and no factor.
     """
     free = len(gradient) - (prior.measured if prior.held else 0)
-    h = terms.h[:free, :free] + prior.information[:free, :free]
-    factor, failed = dpotrf(h.T, clean=False)
+    h = prior.added_to(terms.h[:free, :free].copy())
+    factor, failed = dpotrf(h.T, lower=True, clean=False, overwrite_a=True)
     used = factor
     if failed:
-        used, failed_too = dpotrf(terms.feigned.taken_from(h, -1.0), clean=False)
+        m = terms.feigned.taken_from(prior.added_to(terms.h[:free, :free].copy()), -1.0)
+        used, failed_too = dpotrf(m, lower=True, clean=False, overwrite_a=True)
         if failed_too:
             raise _no_more_than_noise()
     step = np.zeros_like(gradient)
-    step[:free] = scipy.linalg.cho_solve((used, False), gradient[:free], check_finite=False)
+    step[:free] = scipy.linalg.cho_solve((used, True), gradient[:free], check_finite=False)
     return step, float(gradient @ step), None if failed else factor
 
 
@@ -247,7 +251,7 @@ def _estimate(
     if factor is None:
         raise _no_more_than_noise()
     n, t = len(terms.feigned.diagonal), len(values) - prior.measured
-    inverse = mirrored(dpotri(factor[:t, :t])[0])
+    inverse = mirrored(dpotri(factor[:t, :t], lower=True, overwrite_c=True)[0].T)
     m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
     turn = inverse @ m_tu
     left = _not_negative(m_uu - m_tu.T @ turn)
@@ -265,15 +269,14 @@ def _estimate(
         - np.sum(less[:, :n] * terms.feigned.root)
         + np.sum(measured * by_turn)
     )
-    whole = dsyrk(1.0, wide, trans=True, beta=1.0, c=inverse, overwrite_c=True)
+    whole = dsyrk(1.0, wide.T, beta=1.0, c=inverse.T, lower=True, overwrite_c=True)
     del wide  # as large as all of H
-    whole = dsyrk(-1.0, less, trans=True, beta=1.0, c=whole, overwrite_c=True)
+    whole = dsyrk(-1.0, less.T, beta=1.0, c=whole, lower=True, overwrite_c=True)
     if prior.held:
         changes = -turn
     else:
         whole += cross @ changes.T + changes @ cross.T + changes @ rest @ changes.T
-    information = terms.h + prior.information
-    whole = mirrored(whole).T  # in the order of C
+    information, whole = prior.added_to(terms.h), mirrored(whole.T)
     return Estimate(
         values, terms.chi2, information, terms.feigned, share, whole, changes, iterations
     )
@@ -288,7 +291,8 @@ def _not_negative(matrix: Array) -> Array:
 def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
     """Return weighted least squares, the noise taken out: alpha = 1 in S, linear in the rest."""
     n = a.shape[1]
-    matrix, right = prior.information.copy(), prior.information @ prior.mean
+    u = len(prior.mean)
+    matrix, right = prior.added_to(np.zeros((u, u))), -prior.pull(np.zeros(u))
     nothing = np.zeros((n, 0))
     for part in data:
         sums = part.sums
@@ -300,13 +304,12 @@ def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
         rho = sums.weight[:, None] * part.load + sums.known
         right[n:] -= _add_nuisance(matrix, part, s_inverse, a, sums.force, rho)
         right[:n] -= np.sum(weighed * (part.load.T @ sums.force + sums.known_force), axis=0)
-    matrix[n:, :n] = matrix[:n, n:].T
     # Errors of the weights stay 0 for a start: against little noise they are all but degenerate.
     found, free = prior.mean.copy(), len(right) - prior.measured
     some, right = matrix[:free, :free], right[:free] - matrix[:free, free:] @ found[free:]
-    factor, failed = dpotrf(some.T, clean=False)
+    factor, failed = dpotrf(some.T, lower=True, clean=False)
     if not failed:
-        found[:free] = scipy.linalg.cho_solve((factor, False), right, check_finite=False)
+        found[:free] = scipy.linalg.cho_solve((factor, True), right, check_finite=False)
         return found
     with warnings.catch_warnings():
         warnings.simplefilter("error", scipy.linalg.LinAlgWarning)
@@ -328,8 +331,9 @@ def gram_of_e(a: Array, part: DataSet) -> Array:
     """Return E' E of the paper's eq. 4 from the sums, with arms a."""
     n = a.shape[1]
     gram = np.zeros((n + part.nuisance.shape[2],) * 2)
-    nothing = np.zeros((n, 0))
-    _add_product(gram, a, part.sums.square, nothing, nothing.T)
+    for start in range(0, n, ROWS_AT_ONCE):
+        rows = slice(start, start + ROWS_AT_ONCE)
+        np.multiply(a[:, rows].T @ a, part.sums.square[rows], out=gram[:n, :n][rows])
     _add_nuisance(gram, part, np.eye(3), a, part.sums.force, np.zeros_like(part.load))
     gram[n:, :n] = gram[:n, n:].T
     return gram

@@ -9,13 +9,12 @@ import scipy.linalg
 import scipy.stats
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
-from scipy.sparse.linalg import LinearOperator
 
 from truenewton.actuators import Array
-from truenewton.balance import arms_in_units_of_rms
+from truenewton.balance import arms_in_units_of_rms, enabled_arms
 from truenewton.balanced_rows import is_displaced
 from truenewton.campaign import Campaign
-from truenewton.decomposition import largest_eigenvalue
+from truenewton.decomposition import largest_eigenvalue, smallest_eigenvalue
 from truenewton.diagnosis import Diagnosis, Goodness, RejectedRow
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimators.drowned import (
@@ -44,7 +43,7 @@ from truenewton.identifiability import (
     refuse,
     structural_faults,
 )
-from truenewton.moments import WEIGHED_NOISE, Moments, chosen_groups
+from truenewton.moments import WEIGHED_NOISE, Moments, chosen_groups, mirrored
 from truenewton.outliers import (
     against_balance,
     against_repeats,
@@ -166,7 +165,7 @@ def found_of(
     warnings = weights_warning(estimate.values[unknowns:], len(campaign.loads))
     warnings += zeros_warning(campaign, moments)
     diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
-    e_condition = condition(campaign, moments)  # while there is room for its matrices
+    e_condition = condition(campaign, moments, estimate.statistical)  # while there is room
     return Found(
         method=method,
         scale="weights",
@@ -276,24 +275,25 @@ def patterns_near_noise(estimate: Estimate, shapes: int) -> int:
     if (reach - 1.0) * estimate.feigned_share < 0.9:
         return 0
     less = estimate.feigned.taken_from(estimate.information, reach - 1.0)  # M = H + D
-    if dpotrf(less, clean=False)[1] == 0:
+    if dpotrf(less, lower=True, clean=False)[1] == 0:
         return 0
+    less = mirrored(less.T)
     schur = less[:n, :n] - less[:n, n:] @ np.linalg.pinv(less[n:, n:]) @ less[n:, :n]
-    return int(np.count_nonzero(scipy.linalg.eigvalsh(schur, lower=False) <= 0.0))
+    return int(np.count_nonzero(scipy.linalg.eigvalsh(schur) <= 0.0))
 
 
-def condition(campaign: Campaign, moments: Moments) -> float:
-    """Return the condition of E, each coordinate in units of its RMS, from E' E."""
+def condition(campaign: Campaign, moments: Moments, statistical: Array) -> float:
+    """Return the condition of E, each coordinate in units of its RMS, from E' E.
+
+    Its inverse is, but for a factor, nearly the covariance from the readings, torques in the same
+    units.
+    """
     a = arms_in_units_of_rms(campaign.layout)
-    part = load_data(campaign, moments, np.ones(a.shape[1]), ())
-    gram = gram_of_e(a, part)
-    factor, failed = dpotrf(gram.T, clean=False)
-    if failed:
-        values = scipy.linalg.eigvalsh(gram)
-        return float(np.sqrt(values[-1] / max(values[0], 1e-300)))
-
-    def solved(right: Array) -> Array:
-        return np.asarray(scipy.linalg.cho_solve((factor, False), right, check_finite=False))
-
-    inverse = LinearOperator(gram.shape, solved, matmat=solved)
-    return float(np.sqrt(largest_eigenvalue(gram)[0] * largest_eigenvalue(inverse)[0]))
+    gram = gram_of_e(a, load_data(campaign, moments, np.ones(a.shape[1]), ()))
+    unit = np.ones(len(gram))
+    for axis in (1, 2):
+        unit[a.shape[1] + axis :: 2] = np.sqrt(np.mean(enabled_arms(campaign.layout)[axis] ** 2))
+    smallest, _ = smallest_eigenvalue(
+        lambda x: gram @ x, len(gram), lambda x: statistical @ (x / unit) / unit
+    )
+    return float(np.sqrt(largest_eigenvalue(gram)[0] / max(smallest, 1e-300)))

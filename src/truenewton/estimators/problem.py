@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.actuators import Array
@@ -25,7 +23,12 @@ from truenewton.identifiability import (
     ENOUGH_REPEATS,
 )
 from truenewton.moments import WEIGHED_NOISE, Moments
-from truenewton.outliers import repeat_deviations, squared_distances, standing_out
+from truenewton.outliers import (
+    MEDIAN_CHI2,
+    repeat_deviations,
+    squared_distances,
+    standing_out,
+)
 from truenewton.uncertainty import WeightError, weight_errors
 
 SHARE_ROWS = 1000  # which tell the share to 3 %
@@ -95,14 +98,6 @@ def load_data(
     return DataSet(moments.sums, variance, weight, nuisance)
 
 
-def weight_prior(unknowns: int, errors: int, *, held: bool) -> Prior:
-    """Return the prior of the errors of the weights: normal, each in units of its own."""
-    information = np.zeros((unknowns, unknowns))
-    last = np.arange(unknowns - errors, unknowns)
-    information[last, last] = 1.0
-    return Prior(np.zeros(unknowns), information, errors, held)
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """All that the likelihood needs besides the moments.
@@ -159,7 +154,7 @@ class Problem:
         arms = self.a * values[: self.n]
         of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
         k = of_loads.external(values[self.n :])
-        rho = moments.mean @ arms.T + moments.known + k[moments.labels[:, 0]]
+        rho = (arms @ moments.mean.T).T + moments.known + k[moments.labels[:, 0]]
         return rho, (arms * self.noise.in_balance) @ arms.T
 
     def distances(self, values: Array, moments: Moments) -> Array:
@@ -175,9 +170,8 @@ class Problem:
 
     def with_population(self, spread: float) -> Problem:
         """Return the problem with alpha drawn from a normal population of unknown mean."""
-        information = self.prior.information.copy()
-        information[: self.n, : self.n] += population_prior(self.n, spread).information
-        return replace(self, prior=replace(self.prior, information=information))
+        of_population = population_prior(self.n, spread).information
+        return replace(self, prior=self.prior.with_more(of_population))
 
 
 def posed(campaign: Campaign, noise: Noise) -> Problem:
@@ -195,7 +189,7 @@ def posed(campaign: Campaign, noise: Noise) -> Problem:
         a,
         errors,
         noise,
-        weight_prior(count, len(errors), held=len(campaign.loads) < 3),
+        Prior(np.zeros(count), np.zeros((0, 0)), len(errors), held=len(campaign.loads) < 3),
         elastic,
     )
 
@@ -207,7 +201,7 @@ def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
     start = start_values(problem.a, problem.data(moments), problem.prior)
     # From the median, and rather too small: bad rows shall not swell it, lest D outgrow M.
     distance = problem.distances(start, moments)[moments.rows > 0]
-    size = 0.25 * float(np.median(distance)) / scipy.stats.chi2.median(3)
+    size = 0.25 * float(np.median(distance)) / MEDIAN_CHI2
     return replace(problem, noise=Noise(problem.noise.variance * max(size, 1.0), "minimum"))
 
 
@@ -222,7 +216,8 @@ def with_share_in_balance(
     if problem.noise.source != "repeats":
         return problem
     arms = problem.a * alpha
-    rho = repeat_deviations(campaign, moments, SHARE_ROWS) @ arms.T
+    deviations = repeat_deviations(campaign, moments, SHARE_ROWS)
+    rho = np.concatenate([arms @ apart.T for apart in deviations], axis=1).T
     s = (arms * problem.noise.variance) @ arms.T
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, least_variance(moments) / problem.noise.variance.mean())

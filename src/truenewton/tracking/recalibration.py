@@ -208,7 +208,7 @@ def _calibration(
     changes[:, 0] += scale * values
     # Uneven errors of the earlier weights come through the prior.
     uneven = (known.alpha[:, None] * known.uneven)[campaign.layout.enabled][stay]
-    information = problem.prior.information[:n, :n][np.ix_(stay, stay)]
+    information = problem.prior.information[np.ix_(stay, stay)]
     through = inverse[:count, :n][:, stay] @ information @ uneven
     statistical = estimate.statistical - through @ through.T
     found = found_of("ml, recalibrated", problem, moments, estimate, rejected, 0)

@@ -31,7 +31,7 @@ from truenewton.estimators.problem import (
     reading_noise,
     with_share_in_balance,
 )
-from truenewton.moments import Moments, chosen_groups
+from truenewton.moments import Moments, chosen_groups, mirrored
 from truenewton.outliers import refuse_too_many, rows_of
 from truenewton.tracking.known import Known
 from truenewton.uncertainty import WeightError
@@ -61,12 +61,9 @@ class Run:
         """Pose the problem with (n, n) information on alpha."""
         n, errors = len(self.alpha), len(self.errors)
         count = n + 1 + 2 * len(self.campaign.loads) + errors
-        whole, mean = np.zeros((count, count)), np.zeros(count)
-        whole[:n, :n] = information
-        last = np.arange(count - errors, count)
-        whole[last, last] = 1.0
+        mean = np.zeros(count)
         mean[:n] = self.alpha
-        prior = Prior(mean, whole, errors, self.held)
+        prior = Prior(mean, information, errors, self.held)
         arms = enabled_arms(self.campaign.layout)
         return Problem(self.campaign, arms, self.errors, noise, prior, ())
 
@@ -115,13 +112,13 @@ def inverse_of(problem: Problem, estimate: Estimate) -> Array:
     """Return H^-1 of the unknowns that are not held."""
     prior = problem.prior
     free = len(estimate.values) - (prior.measured if prior.held else 0)
-    return np.asarray(scipy.linalg.inv(estimate.information[:free, :free]))
+    return np.asarray(scipy.linalg.inv(mirrored(estimate.information[:free, :free])))
 
 
 def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
     """Return equations less what the data themselves say of the unknowns."""
     free = len(inverse)
-    from_prior = float(np.sum(inverse * problem.prior.information[:free, :free]))
+    from_prior = float(np.sum(inverse * problem.prior.added_to(np.zeros((free, free)))))
     return 3 * moments.groups - free + from_prior
 
 
@@ -148,7 +145,7 @@ def pulls(
     n = problem.n
     at = np.ix_(stay, stay)
     prior = problem.prior
-    information = prior.information[:n, :n][at]
+    information = prior.information[at]
     apart = (estimate.values - prior.mean)[:n][stay]
     root = scipy.linalg.cholesky(information, lower=True)
     # In units of the prior: variances 0 (the run says nothing) to 1 (it says all).
