@@ -85,8 +85,9 @@ def gradients(seed, noise, offset, cycles=3, *, moved=0.0, zeros=0.0):
     """Return a campaign whose coils and bias magnets feel the displacement, and its alpha.
 
     f = alpha c (1 + 600 z), and 31 N/m z more from each bias magnet; sensors have offsets. Forces
-    are made here, from FORMAT's equations alone. Under each load the glass rests elsewhere, about a
-    mean of 0, by ``moved`` [m, rms], and each file has zeros of its own, by ``zeros``.
+    are made here, from the equations of the file contract alone. Under each load the glass rests
+    elsewhere, about a mean of 0, by ``moved`` [m, rms], and each file has zeros of its own, by
+    ``zeros``.
     """
     coil, bias = 600.0, 31.0
     plain, truth = campaign_of(seed, 0.0, cycles=cycles)

@@ -28,6 +28,7 @@ from truenewton.estimators.estimate import Estimate
 from truenewton.estimators.found import Found
 from truenewton.estimators.likelihood import chi2_at, gram_of_e
 from truenewton.estimators.problem import (
+    Noise,
     Problem,
     load_data,
     posed,
@@ -155,7 +156,7 @@ def found_of(
     chi2, freedom = estimate.chi2, problem.degrees_of_freedom(moments)
     size = chi2 / freedom if freedom > 0 else float("nan")
     tested = problem.noise.source != "minimum" and freedom > 0
-    probability = float(scipy.stats.chi2.sf(chi2, freedom)) if tested else float("nan")
+    probability = _probability(chi2, freedom, problem.noise) if tested else float("nan")
     declared = float("nan")
     if all(c.force_error for c in campaign.cycles):
         same = np.full(n, WEIGHED_NOISE**2)
@@ -186,6 +187,13 @@ def found_of(
         ),
         rejected=rejected,
     )
+
+
+def _probability(chi2: float, freedom: int, noise: Noise) -> float:
+    """Return how often chance makes chi^2 as large, the noise being known only so well."""
+    if np.isinf(noise.share_freedom):
+        return float(scipy.stats.chi2.sf(chi2, freedom))
+    return float(scipy.stats.f.sf(chi2 / freedom, freedom, noise.share_freedom))
 
 
 def weights_warning(errors: Array, loads: int) -> tuple[tuple[str, str], ...]:

@@ -47,11 +47,14 @@ class Noise:
     share
         How much of it reaches the balance, in terms of independent actuators: less than 1 where the
         mirror's own motion makes part of it, more where something pushes many actuators at once.
+    share_freedom
+        Degrees of freedom from which the share is known.
     """
 
     variance: Array
     source: str
     share: float = 1.0
+    share_freedom: float = np.inf
 
     @property
     def in_balance(self) -> Array:
@@ -221,9 +224,11 @@ def with_share_in_balance(
     s = (arms * problem.noise.variance) @ arms.T
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, least_variance(moments) / problem.noise.variance.mean())
-    if abs(share - 1.0) < 4 * np.sqrt(2 / (3 * len(rho))):
+    repeats = moments.rows[moments.rows > 1]
+    freedom = 3 * len(rho) * float(1.0 - repeats.size / repeats.sum())  # their means are theirs
+    if abs(share - 1.0) < 4 * np.sqrt(2 / freedom):
         return problem
-    return replace(problem, noise=replace(problem.noise, share=share))
+    return replace(problem, noise=replace(problem.noise, share=share, share_freedom=freedom))
 
 
 def with_noise_from_minimum(
