@@ -31,6 +31,7 @@ def run(
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
+    from truenewton.cli.printing import busy
     from truenewton.outputs import refuse_existing
     from truenewton.report.change import Change
     from truenewton.report.page import write_report
@@ -39,7 +40,8 @@ def run(
     if output.suffix.lower() not in (".html", ".htm"):
         raise typer.BadParameter("the page is HTML: let -o end in .html (a browser prints it)")
     refuse_existing(output, overwrite=overwrite)
-    found = _found(paths, method, population=population)
+    with busy("looking into it"):
+        found = _found(paths, method, population=population)
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method != "ml" else []
     words += ["--population"] if population else []
