@@ -66,9 +66,22 @@ def test_what_is_off_is_borne_by_the_others(p45):
 def test_errors_of_alpha_move_the_number_by_force_alone(p45):
     _, _, found = p45
     cost = found.after.costs[0]
-    middle = np.median(cost.reach.max(axis=0))
-    fewest, most = found.modes_between(cost, Limits(force=middle))
-    assert fewest <= cost.modes_within(Limits(force=middle)) <= most
+    at_the_edge = Limits(force=1.001 * cost.reach[:, :30].max())  # alpha is known to 1.7 %
+    fewest, most = found.modes_between(cost, at_the_edge)
+    assert fewest < 30 <= cost.modes_within(at_the_edge) <= most
+    turned = np.random.default_rng(1).permutation(45)
+    c = found.calibration
+    layout = c.layout
+    shuffled = tn.layout(layout.x[turned], layout.y[turned], id=layout.id[turned],
+                         nz=layout.nz[turned])  # fmt: skip
+    other = replace(
+        found,
+        calibration=replace(
+            c, layout=shuffled, alpha=c.alpha[turned], statistical=c.statistical[turned],
+            systematic_error=c.systematic_error[turned],
+        ),
+    )  # fmt: skip
+    assert other.modes_between(cost, at_the_edge) == (fewest, most)
     by_power = Limits(power=np.median(cost.power.max(axis=0)))
     assert found.modes_between(cost, by_power) == (cost.modes_within(by_power),) * 2
 
@@ -229,3 +242,50 @@ def test_piston_comes_first_by_itself(p45):
     layout = campaign.layout
     for k, pattern in enumerate((layout.nz, layout.x, layout.y)):
         assert rigid[:, k] @ pattern / np.linalg.norm(pattern) > 0.999
+
+
+def test_cycles_without_positions_count_for_the_force_at_rest_alone(p45):
+    _, campaign, found = p45
+    some = Campaign((replace(campaign.cycles[0], position=None), *campaign.cycles[1:]))
+    again = find_modes(some, found.calibration)
+    assert again.measured.rows == found.measured.rows - 90
+    np.testing.assert_allclose(again.after.costs[0].static, found.after.costs[0].static, atol=3e-5)
+
+
+def test_a_stiffness_file_among_cycles_is_the_stiffness(p45):
+    _, campaign, found = p45
+    blind = tuple(replace(cycle, position=None) for cycle in campaign.cycles)
+    again = find_modes(Campaign(blind, found.measured.matrix), found.calibration)
+    assert again.measured is None
+    np.testing.assert_allclose(again.after.modes.stiffness, found.after.modes.stiffness)
+    np.testing.assert_allclose(again.after.costs[0].static, found.after.costs[0].static, atol=3e-5)
+
+
+def test_a_row_that_stands_off_moves_no_static_force(p45):
+    _, campaign, found = p45
+    force = np.array(campaign.cycles[0].force)
+    force[10, 4] += 1.0
+    cycles = (replace(campaign.cycles[0], force=force), *campaign.cycles[1:])
+    again = find_modes(Campaign(cycles), found.calibration)
+    assert {row.row for row in again.measured.rejected} == {10}  # of either cycle: who knows
+    np.testing.assert_allclose(again.after.costs[0].static, found.after.costs[0].static, atol=3e-5)
+
+
+def test_an_actuator_that_acts_though_it_is_disabled_is_warned_of(p45):
+    _, campaign, _ = p45
+    old = campaign.layout
+    layout = tn.layout(old.x, old.y, id=old.id, nz=old.nz, enabled=old.id != 12)
+    cycles = tuple(replace(cycle, layout=layout) for cycle in campaign.cycles)
+    stiffness = find_modes(campaign).calibration
+    found = find_modes(Campaign(cycles), stiffness)
+    assert any("no stiffness explains" in fault for fault, _ in found.warnings)
+
+
+def test_the_set_is_written_whole_or_not_at_all(p45, tmp_path):
+    _, _, found = p45
+    (tmp_path / "m.ff_matrix.fits").mkdir()
+    with pytest.raises(OutputExists):
+        write_modes(found, tmp_path / "m.fits", overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["m.ff_matrix.fits"]
+    with pytest.raises(FormatError, match="plain matrix"):
+        tn.read(write_modes(found, tmp_path / "n.fits")[3])

@@ -581,3 +581,30 @@ def test_modes_that_cannot_be_compared_are_refused():
         compare_modes(np.eye(4), np.eye(5))
     with pytest.raises(ValueError, match=r"\(4,\) stiffnesses for 5 modes"):
         compare_modes(np.eye(5), np.eye(5), np.ones(4))
+
+
+def moved(cycle, by):
+    return replace(cycle, position=np.asarray(cycle.position) + by)
+
+
+def test_where_a_cycle_rests_and_its_zeros_make_no_outliers():
+    """One cycle rests 30 nm elsewhere, others have new zeros; a spike is found all the same."""
+    bench = static_bench(p45(), 6, force_noise=1e-4)
+    cycles = list(run_cycles(bench, 3))
+    random = np.random.default_rng(2)
+    plain = measured_stiffness(Campaign(tuple(cycles)))
+    cycles[1] = moved(cycles[1], 30e-9 * random.standard_normal(45))
+    cycles[4] = moved(cycles[4], 1e-5 * random.standard_normal(45))
+    spiked = np.array(cycles[2].position)
+    spiked[17, 8] += 200e-9
+    cycles[2] = replace(cycles[2], position=spiked)
+    found = measured_stiffness(Campaign(tuple(cycles)))
+    assert [(row.cycle, row.row) for row in found.rejected] == [(2, 17)]
+    assert found.relative_error == pytest.approx(plain.relative_error, rel=0.1)
+
+
+def test_shapes_of_one_sign_are_told_what_they_lack():
+    cycles = run_cycles(static_bench(p45(), 6), 1)
+    single = tuple(replace(c, valid=(c.sign > 0) & (c.shape != 20)) for c in cycles)
+    with pytest.raises(RankDeficient, match="both signs"):
+        measured_stiffness(Campaign(single))

@@ -301,6 +301,13 @@ def test_two_units_of_one_name_are_told_apart():
     other = [dataclasses.replace(day, alpha=np.roll(day.alpha, 7)) for day in days[3:]]
     with pytest.raises(CampaignMismatch, match="one unit"):
         tn.track(*days[:3], *other)
+    # Nor is it hidden by a day that is so noisy that it may be anything.
+    noise = 1 + 0.25 * np.random.default_rng(4).standard_normal(45)
+    wild = dataclasses.replace(
+        days[1], alpha=days[1].alpha * noise, statistical=0.2 * days[1].alpha
+    )
+    with pytest.raises(CampaignMismatch, match="one unit"):
+        tn.track(days[0], wild, *other)
 
 
 def test_a_load_that_lacks_at_one_temperature_is_named():

@@ -247,11 +247,11 @@ class Calibration:
         }
 
 
-def sources_sheet(sources: tuple[UsedSource, ...]) -> Sheet:
-    """Return the SOURCES table of the files that went into a calibration."""
+def sources_sheet(sources: tuple[UsedSource, ...], name: str = "SOURCES") -> Sheet:
+    """Return the table of the files that went into a result."""
     files = [_ascii(source.file) for source in sources]
     return Sheet(
-        "SOURCES",
+        name,
         columns=(
             ("FILE", f"{max(map(len, files), default=1)}A", None, files),
             ("SHA256", "64A", None, [source.sha256 for source in sources]),

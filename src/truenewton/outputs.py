@@ -7,7 +7,7 @@ import errno
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from truenewton.errors import OutputExists, OutputFailed, TrueNewtonError
@@ -49,6 +49,34 @@ def file_beside(path: str | os.PathLike[str], *, overwrite: bool = False) -> Ite
             temporary.replace(target)
         finally:
             temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def files_together(targets: Sequence[Path], *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a temporary folder for files of the targets' names, renamed to them at the end.
+
+    All targets lie in one folder. The first takes its name last: where it stands, all do.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    for target in targets:
+        refuse_existing(target, overwrite=overwrite)
+        if target.is_dir():
+            raise OutputExists("is a folder", remedy="choose another name", path=target)
+    first = targets[0]
+    with in_one_line(first):
+        work = Path(tempfile.mkdtemp(prefix=f".{first.name}.", dir=first.parent))
+        try:
+            try:
+                yield work
+            except OutputFailed as error:  # it names a file that nobody will find
+                raise OutputFailed(error.fault, remedy=error.remedy, path=first) from error
+            for target in reversed(targets):
+                (work / target.name).replace(target)
+        finally:
+            shutil.rmtree(work, ignore_errors=True)
 
 
 @contextlib.contextmanager

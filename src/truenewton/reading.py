@@ -53,6 +53,12 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
             raise FormatError(
                 "is the truth of a simulation", remedy="give the campaign beside it", path=file.path
             )
+        if file.header.get("CTYPE2") == "ACTUATOR":
+            raise FormatError(
+                "is a plain matrix of a modal base",
+                remedy="give the .commanded.fits beside it",
+                path=file.path,
+            )
         if file.holds("MODES"):
             raise FormatError(
                 "is a modal base",

@@ -88,7 +88,9 @@ def compare_modes(one: Array, other: Array, stiffness: Array | None = None) -> M
     cuts = np.zeros(k, dtype=bool)
     if stiffness is not None:
         size = np.maximum(np.abs(stiffness[1:]), np.abs(stiffness[:-1]))
-        cuts[:-1] = np.abs(np.diff(stiffness)) <= NEAR_EQUAL * size + ROUNDING * size.max()
+        cuts[:-1] = (
+            np.abs(np.diff(stiffness)) <= NEAR_EQUAL * size + ROUNDING * np.abs(stiffness).max()
+        )
     told = order[~cuts & (order < n)]
     some = told
     if k > MOST_ORDERS:

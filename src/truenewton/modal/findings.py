@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from truenewton.actuators import Array
-from truenewton.calibration import Calibration
+from truenewton.calibration import Calibration, UsedSource
 from truenewton.campaign import Campaign
 from truenewton.estimators import calibrate
 from truenewton.measurements import StiffnessMatrix
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Dissipation, Limits
-from truenewton.modal.measured import MeasuredStiffness, measured_stiffness
+from truenewton.modal.measured import MeasuredStiffness, measured_stiffness, with_positions
 from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.pupil import pupil_of, seen_turbulence
 from truenewton.modal.static_force import force_at_rest, static_force
 from truenewton.modal.stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
+
+MISFIT = 2.0  # of the variance of repeats; hundreds of readings and more hold it within 10 %
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,6 +39,8 @@ class ModalFindings:
         The modal base with alpha taken for 1, and as it is.
     comparison
         Of the modes before with those after.
+    sources
+        The files that the stiffness is from.
     """
 
     measured: MeasuredStiffness | None
@@ -43,6 +48,7 @@ class ModalFindings:
     before: ModalBase
     after: ModalBase
     comparison: ModesComparison
+    sources: tuple[UsedSource, ...]
 
     def __repr__(self) -> str:
         return (
@@ -51,8 +57,16 @@ class ModalFindings:
 
     @property
     def warnings(self) -> tuple[tuple[str, str], ...]:
-        """What is wrong with the data or with alpha, and what to do about it."""
-        told = self.calibration.diagnosis.warnings if self.calibration.diagnosis else ()
+        """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
+        told: tuple[tuple[str, str], ...] = ()
+        if self.measured is not None and self.measured.misfit > MISFIT:
+            told += (
+                (
+                    "shapes leave forces that no stiffness explains,"
+                    f" {np.sqrt(self.measured.misfit):.2g} times what repeats scatter",
+                    "look for actuators that act but are disabled, or for a mirror that drifted",
+                ),
+            )
         before, after = self.before.stiffness, self.after.stiffness
         if after.asymmetry > before.asymmetry and after.imbalance > before.imbalance:
             told += (
@@ -89,7 +103,7 @@ def find_modes(
     Parameters
     ----------
     data
-        Cycles with POSITION, or a measured stiffness.
+        Cycles with POSITION, or a measured stiffness; that alone counts which stands among cycles.
     calibration
         Gives alpha; the data are calibrated where None.
     atmosphere
@@ -105,11 +119,20 @@ def find_modes(
     ------
     RankDeficient, TooManyOutliers, NotConverged
         The data tell no stiffness, or no alpha.
-    FormatError, CampaignMismatch, UnknownName
+    FormatError
+        A number that cannot be: seeing, diameter, efficiency, sensor gain.
+    CampaignMismatch
+        Data and calibration are of two mirrors.
+    UnknownName
+        An ID that no enabled actuator has, or that is both off and slaved.
     """
-    measured, at_rest, matrix = None, None, data
-    if isinstance(matrix, Campaign):
-        measured, at_rest = measured_stiffness(matrix), force_at_rest(matrix)
+    measured, at_rest = None, None
+    if isinstance(data, StiffnessMatrix):
+        matrix = data
+    elif data.stiffness is not None:
+        matrix, at_rest = data.stiffness, force_at_rest(data)
+    else:
+        measured, at_rest = measured_stiffness(data), force_at_rest(data)
         matrix = measured.matrix
     calibration = calibration or calibrate(data)
     stiffnesses = [
@@ -127,4 +150,20 @@ def find_modes(
         for one in stiffnesses
     )
     comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
-    return ModalFindings(measured, calibration, before, after, comparison)
+    sources = _sources(data, measured, matrix)
+    return ModalFindings(measured, calibration, before, after, comparison, sources)
+
+
+def _sources(
+    data: Campaign | StiffnessMatrix, measured: MeasuredStiffness | None, matrix: StiffnessMatrix
+) -> tuple[UsedSource, ...]:
+    """Return the files of a stiffness: its own, or those of the cycles that hold POSITION."""
+    if measured is None or isinstance(data, StiffnessMatrix):
+        source = matrix.source
+        return (UsedSource(source.file, source.sha256, matrix.layout.n, 0),) if source else ()
+    lost = Counter(row.cycle for row in measured.rejected)
+    return tuple(
+        UsedSource(c.source.file, c.source.sha256, int(c.valid.sum()) - lost[k], lost[k])
+        for k, c in enumerate(with_positions(data).cycles)
+        if c.source
+    )

@@ -25,10 +25,10 @@ from truenewton.balance import arms_in_units_of_rms
 from truenewton.campaign import Campaign
 from truenewton.diagnosis import RejectedRow
 from truenewton.errors import RankDeficient
-from truenewton.measurements import StiffnessMatrix
+from truenewton.measurements import Cycle, StiffnessMatrix
 from truenewton.modal.repeated_shapes import shape_products
 from truenewton.outliers import against_repeats
-from truenewton.stored_rows import largest_in_rows
+from truenewton.stored_rows import Rows, StoredRows, largest_in_rows
 
 HELD = 3.0  # times the most that noise feigns: above it shapes hold a direction
 ROUNDING = 1e-5  # of the largest amplitude: below it a direction is rounding
@@ -87,13 +87,19 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     of position meet: of element i, j s_i (S^-1)_jj^1/2 with S = sum z z', and s_i^2 the larger of
     what repeats scatter and what distinct shapes leave.
 
+    Parameters
+    ----------
+    campaign
+        Cycles without POSITION take no part.
+
     Raises
     ------
     RankDeficient
         No POSITION, or elastic motions that no shape holds.
     TooManyOutliers
+        So many rows stand off from their repeats that the rest cannot be trusted.
     """
-    sound, rejected = _sound(_with_positions(campaign))
+    sound, rejected = _sound(with_positions(campaign))
     layout, sums = campaign.layout, shape_products(sound)
     n = int(layout.enabled.sum())
     # Of the noise of G shapes the fit of n columns takes n + 1 parts up: z'z - (G - n - 1) of it
@@ -104,7 +110,7 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     values, vectors = np.linalg.eigh(square)
     noise = sums.position_variance * (np.sqrt(sums.shapes) + np.sqrt(n)) ** 2
     held = values > max(HELD**2 * noise, ROUNDING**2 * values[-1])
-    along = _along_rigid(vectors[:, ~held], layout)
+    along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in sound.cycles))
     # (S^-1) on what is held, seen along the rigid motions that are not.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))
     inverse = half @ half.T
@@ -134,7 +140,7 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     )
 
 
-def _with_positions(campaign: Campaign) -> Campaign:
+def with_positions(campaign: Campaign) -> Campaign:
     """Return the cycles that hold POSITION, and not zeros in its place."""
     on = campaign.layout.enabled
     cycles = tuple(
@@ -152,14 +158,13 @@ def _with_positions(campaign: Campaign) -> Campaign:
 
 
 def _sound(campaign: Campaign) -> tuple[Campaign, tuple[RejectedRow, ...]]:
-    """Leave out rows whose force or position stands off from their repeats."""
+    """Leave out rows whose force or displacement stands off from their repeats."""
     _, kept, by_force = against_repeats(campaign)
-    positions = tuple(
-        replace(cycle, force=cycle.position, position=None, force_error=None)
+    displaced = tuple(
+        replace(cycle, force=_displacements(cycle), position=None, force_error=None)
         for cycle in kept.cycles
-        if cycle.position is not None
     )
-    _, judged, by_position = against_repeats(Campaign(positions))
+    _, judged, by_position = against_repeats(Campaign(displaced))
     cycles = [
         replace(cycle, valid=other.valid)
         for cycle, other in zip(kept.cycles, judged.cycles, strict=True)
@@ -167,7 +172,30 @@ def _sound(campaign: Campaign) -> tuple[Campaign, tuple[RejectedRow, ...]]:
     return Campaign(tuple(cycles)), by_force + by_position
 
 
-def _along_rigid(missing: Array, layout: Layout) -> Array:
+def _displacements(cycle: Cycle) -> Rows:
+    """Return (N, n) readings less those at rest, wherever the cycle rests and whatever its zeros.
+
+    Rest is the median, over shapes, of the mean of a shape and its negative: no row that stands off
+    moves it.
+    """
+    if cycle.position is None:
+        raise ValueError("only cycles with POSITION have displacements")
+    number, sign = cycle.shape[cycle.valid], cycle.sign[cycle.valid]
+    up, down = np.flatnonzero(sign > 0), np.flatnonzero(sign < 0)
+    _, first, second = np.intersect1d(number[up], number[down], return_indices=True)
+    rest = np.zeros(cycle.layout.n)
+    if first.size:
+        pairs = (cycle.used(cycle.position, rows) for rows in (up[first], down[second]))
+        rest[cycle.layout.enabled] = np.median(0.5 * sum(pairs), axis=0)
+    else:
+        rest[cycle.layout.enabled] = cycle.rest_position
+    if isinstance(cycle.position, StoredRows):
+        in_unit = cycle.position.in_unit
+        return replace(cycle.position, in_unit=lambda values: in_unit(values) - rest)
+    return cycle.position - rest
+
+
+def _along_rigid(missing: Array, layout: Layout, knows_rest: bool) -> Array:
     """Return (n, n) the projection that takes rigid motions out of displacements.
 
     It keeps what the shapes hold, and takes away as many rigid motions as the (n, d) ``missing``
@@ -185,7 +213,9 @@ def _along_rigid(missing: Array, layout: Layout) -> Array:
     if elastic:
         raise RankDeficient(
             f"{elastic} of {n - 3} elastic motions are missing from the shapes or drowned in noise",
-            remedy="take shapes that span all stiffness modes, larger, or repeat them",
+            remedy="take shapes that span all stiffness modes, larger, or repeat them"
+            if knows_rest
+            else "take each shape with both signs, so that the mirror at rest is known",
             got=n - 3 - elastic,
             want=n - 3,
         )

@@ -17,7 +17,7 @@ from truenewton.measurements import StiffnessMatrix
 from truenewton.modal.dissipation import Dissipation, Limits
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
-from truenewton.outputs import refuse_existing
+from truenewton.outputs import files_together
 
 BESIDE = ("true", "commanded", "ff_v_matrix", "ff_matrix", "ff_matrix_true")
 
@@ -51,11 +51,16 @@ def write_modes(
     ------
     OutputExists, OutputFailed
     """
-    paths, base = modes_paths(path), found.after
-    for target in paths:
-        refuse_existing(target, overwrite=overwrite)
+    paths = modes_paths(path)
+    with files_together(paths, overwrite=overwrite) as folder:
+        _write_all(found, [folder / target.name for target in paths], limits or Limits())
+    return list(paths)
+
+
+def _write_all(found: ModalFindings, paths: list[Path], limits: Limits) -> None:
+    base = found.after
     stiffness, modes = base.stiffness, base.modes.modes
-    write_fits(paths[0], _header(found, limits or Limits()), _sheets(found), overwrite=overwrite)
+    write_fits(paths[0], _header(found, limits), _sheets(found))
     true = _square(base, stiffness.whole)
     commanded = _square(base, stiffness.whole / stiffness.enabled_alpha[:, None])
     layout = replace(
@@ -63,7 +68,7 @@ def write_modes(
     )
     for target, forces in zip(paths[1:3], (true, commanded), strict=True):
         record = StiffnessMatrix(base.instrument, base.date, layout, forces)
-        write_stiffness(record, target, overwrite=overwrite)
+        write_stiffness(record, target)
     plain = (
         (base.on_all_actuators(stiffness.shapes @ modes), "MODE", None, "displacement per mode"),
         (commanded, "SENSOR", "N/m", "commanded N per true m"),
@@ -77,8 +82,7 @@ def write_modes(
             "CTYPE2": ("ACTUATOR", "rows, axis 0 in numpy"),
             "BUNIT": (unit, "of the matrix"),
         }
-        write_matrix(target, header, matrix, overwrite=overwrite)
-    return list(paths)
+        write_matrix(target, header, matrix)
 
 
 def _square(base: ModalBase, forces: Array) -> Array:
@@ -89,11 +93,14 @@ def _square(base: ModalBase, forces: Array) -> Array:
 
 
 def _header(found: ModalFindings, limits: Limits) -> dict[str, tuple[Any, str]]:
-    base = found.after
+    base, measured = found.after, found.measured
     atmosphere, cost = base.seen.atmosphere, base.costs[0]
     return {
         "INSTRUME": (base.instrument, "mirror"),
         "DATE-OBS": (iso(base.date), "UTC, of the stiffness"),
+        "MISFIT": (measured.misfit if measured else None, "variance of shapes over repeats"),
+        "RELERR": (measured.relative_error if measured else None, "of the stiffness, by noise"),
+        "RIGID": (measured.rigid_assumed if measured else None, "motions taken to cost nothing"),
         "METHOD": (found.calibration.method, "estimator of alpha"),
         "SCALE": (found.calibration.scale, "what fixes the common scale of alpha"),
         "SEEING": (atmosphere.seeing, "[arcsec] at 500 nm"),
@@ -144,6 +151,7 @@ def _sheets(found: ModalFindings) -> list[Sheet]:
         _budget(base.costs[0], "BUDGET", modes.stiffness),
     ]  # fmt: skip
     sheets.append(sources_sheet(c.sources))
+    sheets.append(sources_sheet(found.sources, "STIFFNESS_SOURCES"))
     for cost, name in zip(base.costs[1:], ("ZERNIKE", "KL"), strict=True):
         sheets.append(Sheet(name, data=base.on_all_actuators(stiffness.shapes @ cost.modes)))
         sheets.append(_budget(cost, f"BUDGET_{name}"))

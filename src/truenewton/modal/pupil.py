@@ -51,6 +51,11 @@ def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None
 
     The mirror ends half an actuator's spacing outside the last where no radius [m] is given; it is
     magnified as the secondaries of LBT (4.11 m in the pupil for 0.452 m) where no diameter [m] is.
+
+    Raises
+    ------
+    FormatError
+        A diameter or a radius that cannot be.
     """
     if radius is None:
         outermost = float(np.hypot(layout.x, layout.y).max())
@@ -94,7 +99,8 @@ class SeenTurbulence:
         """Rms wavefront between the actuators, which no number of modes takes away [m].
 
         0.28 (d / r0)^(5/3) rad^2 of a continuous face sheet at 500 nm (Hudgin 1977, JOSA 67, 393),
-        with d the spacing of the actuators in the pupil, from the area of each.
+        with d the spacing of the actuators in the pupil, from the area of each. Those that are off
+        or slaved count: what they miss is part of the residual.
         """
         spacing = 0.5 * self.pupil.diameter * np.sqrt(np.pi / len(self.wavefront))
         variance = 0.28 * (spacing / self.atmosphere.fried_parameter) ** (5 / 3)
@@ -104,7 +110,22 @@ class SeenTurbulence:
 def seen_turbulence(
     layout: Layout, commanded: NDArray[np.bool_], atmosphere: Atmosphere, pupil: Pupil
 ) -> SeenTurbulence:
-    """Return the turbulence at the n actuators of a layout, of which m are commanded."""
+    """Return the turbulence at the actuators of a mirror.
+
+    Parameters
+    ----------
+    layout
+        The n actuators.
+    commanded
+        (n,) which of them the optics command.
+    atmosphere, pupil
+        The turbulence, and where it meets the mirror.
+
+    Raises
+    ------
+    GeometryError
+        Actuators so close to each other that Zernikes do not tell them apart.
+    """
     x, y = layout.x / pupil.radius, layout.y / pupil.radius
     half = 0.5 * pupil.diameter
     wavefront = wavefront_covariance(half * x, half * y, atmosphere)

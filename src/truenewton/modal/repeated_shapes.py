@@ -149,11 +149,11 @@ def _from_rest(cycle: Cycle, rows: slice | NDArray[np.int64]) -> tuple[Array, Ar
 
 
 def rest_force(cycle: Cycle) -> Array:
-    """Return (n,) the mean force over the rows of which `Cycle.rest_position` is the mean [N]."""
-    code = cycle.sign[cycle.valid] * cycle.shape[cycle.valid]
-    paired = np.isin(-code, code)
-    paired |= ~paired.any()
+    """Return (n,) the mean of c (1 + COILGRAD z) over ``rest_rows``; of c without POSITION [N]."""
+    counted = cycle.rest_rows
     total = np.zeros(int(cycle.layout.enabled.sum()))
-    for some in blocks(len(code), 16 * cycle.layout.n):
-        total += _from_rest(cycle, some)[0][paired[some]].sum(axis=0)
-    return total / np.count_nonzero(paired)
+    for some in blocks(len(counted), 16 * cycle.layout.n):
+        known = cycle.position is not None
+        force = _from_rest(cycle, some)[0] if known else cycle.used(cycle.force, some)
+        total += force[counted[some]].sum(axis=0)
+    return total / np.count_nonzero(counted)

@@ -70,6 +70,7 @@ def measured_text(measured: MeasuredStiffness) -> str:
         f"{m.shapes} shapes, {m.rows} rows"
         + (f"; repeats to {percent(m.relative_error)}" if math.isfinite(m.relative_error) else "")
         + (f", chi2/DOF {m.misfit:.3g}" if math.isfinite(m.misfit) else "")
+        + (f"; {len(m.rejected)} rows left out" if m.rejected else "")
     )
 
 

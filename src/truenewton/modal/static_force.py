@@ -9,18 +9,25 @@ from truenewton.calibration import Calibration
 from truenewton.campaign import Campaign
 from truenewton.modal.repeated_shapes import rest_force
 from truenewton.modal.stiffness import TrueStiffness
+from truenewton.outliers import against_repeats
 from truenewton.statics import arms, effective_weight, external_load
 
 
 def force_at_rest(campaign: Campaign) -> Array:
     """Return (n_enabled,) the commanded force at rest under the first load, the bare one [N].
 
-    The mean over its cycles of the rows that have their opposite: it carries the mirror, and holds
-    it flat.
+    The mean over its cycles of the rows that have their opposite, but for those that stand off from
+    their repeats: it carries the mirror, and holds it flat.
+
+    Raises
+    ------
+    TooManyOutliers
+        So many rows stand off that the rest cannot be trusted.
     """
+    _, sound, _ = against_repeats(campaign)
     at_rest = [
         rest_force(cycle)
-        for cycle, load in zip(campaign.cycles, campaign.load_index, strict=True)
+        for cycle, load in zip(sound.cycles, sound.load_index, strict=True)
         if load == 0
     ]
     return np.asarray(np.mean(at_rest, axis=0))

@@ -52,7 +52,10 @@ def lines(found: ModalFindings, limits: Limits) -> list[str]:
         f"  {'static force':<24}{static_force(base.costs[0])}",
     ]
     told += _table(base) + _within(found, limits)
-    return told + [f"  WARNING: {fault}; {remedy}" for fault, remedy in found.warnings]
+    warnings = c.diagnosis.warnings if c.diagnosis else ()
+    return told + [
+        f"  WARNING: {fault}; {remedy}" for fault, remedy in (*warnings, *found.warnings)
+    ]
 
 
 def _table(base: ModalBase) -> list[str]:

@@ -54,6 +54,7 @@ def _modes(found: ModalFindings) -> Section:
     if found.measured is not None:
         told = filter(None, (measured_text(found.measured), rigid_text(found.measured)))
         words.append(f"Measured stiffness: {'; '.join(told)}.")
+    words += [f"Warning: {fault}; {remedy}." for fault, remedy in found.warnings]
     rows = (
         ("asymmetry", percent(before.asymmetry), percent(after.asymmetry)),
         ("out of balance", percent(before.imbalance), percent(after.imbalance)),

@@ -105,8 +105,9 @@ def _refuse_other_units(days: Sequence[Day], on: NDArray[np.bool_]) -> None:
     ratio /= np.median(ratio, axis=1)[:, None]  # the scale may be anybody's
     apart = np.median(np.abs(ratio - 1.0), axis=1)
     error = np.median([day.calibration.statistical[on] for day in days] / alpha, axis=1)
-    worst = int(np.argmax(apart))
-    if apart[worst] > OTHER_UNIT + 3 * np.hypot(error[worst], error[0]):
+    excess = apart - OTHER_UNIT - 3 * np.hypot(error, error[0])
+    worst = int(np.argmax(excess))
+    if excess[worst] > 0.0:
         raise CampaignMismatch(
             f"alpha of a typical actuator is {100 * apart[worst]:.2g} % off that in"
             f" {days[0].name}, which no temperature does",
