@@ -32,6 +32,7 @@ from truenewton.stored_rows import Rows, StoredRows, largest_in_rows
 
 HELD = 3.0  # times the most that noise feigns: above it shapes hold a direction
 ROUNDING = 1e-5  # of the largest amplitude: below it a direction is rounding
+UNTOLD = 3e-3  # the same where nothing repeats, so that nobody knows the noise
 WITHIN = 0.1  # cosine to a rigid motion, from which on a missing direction counts as one
 
 
@@ -109,7 +110,8 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     square = 0.5 * (square + square.T)
     values, vectors = np.linalg.eigh(square)
     noise = sums.position_variance * (np.sqrt(sums.shapes) + np.sqrt(n)) ** 2
-    held = values > max(HELD**2 * noise, ROUNDING**2 * values[-1])
+    least = UNTOLD if np.isnan(noise) else ROUNDING
+    held = values > max(HELD**2 * np.nan_to_num(noise), least**2 * values[-1])
     along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in sound.cycles))
     # (S^-1) on what is held, seen along the rigid motions that are not.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))

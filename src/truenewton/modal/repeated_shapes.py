@@ -53,7 +53,7 @@ class ShapeProducts:
     weight
         Sum of the weights of the rows.
     position_variance
-        Of a reading in a row of weight 1, as far as shapes and their negatives tell; 0 where
+        Of a reading in a row of weight 1, as far as shapes and their negatives tell; NaN where
         neither is there [m^2].
     """
 
@@ -103,7 +103,7 @@ def shape_products(campaign: Campaign) -> ShapeProducts:
         rows=rows,
         spare=rows - groups - (len(campaign.cycles) - len(campaign.loads)),
         weight=weight,
-        position_variance=(float(np.trace(within.zz)) + uneven) / (n * alike) if alike else 0.0,
+        position_variance=(float(np.trace(within.zz)) + uneven) / (n * alike) if alike else np.nan,
     )
 
 
