@@ -32,7 +32,7 @@ from truenewton.bench.opcua_keys import (
 from truenewton.bench.opcua_server import serving
 from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.campaign_plan import BenchChoice
-from truenewton.measurements import Load
+from truenewton.load import Load
 
 COUNTS = (45, 672, 5352)
 SHAPES = 200

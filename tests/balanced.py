@@ -9,7 +9,8 @@ import numpy as np
 from truenewton.actuators import rings
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.campaign import Campaign
-from truenewton.measurements import Cycle, Load
+from truenewton.load import Load
+from truenewton.measurements import Cycle
 from truenewton.mirrors import p45
 
 LAYOUT = rings([0.06, 0.1], [5, 9], nz=[0.999, 0.99])

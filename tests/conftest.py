@@ -12,7 +12,8 @@ from truenewton.actuators import Layout, rings
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.campaign_files import write_campaign
 from truenewton.cli.main import main
-from truenewton.measurements import Cycle, Load
+from truenewton.load import Load
+from truenewton.measurements import Cycle
 from truenewton.mirrors import p45
 
 

@@ -7,7 +7,7 @@ from balanced import BARE_AND_RING, BIAS, START, campaign_of
 
 from truenewton.calibration import Calibration
 from truenewton.campaign import Campaign
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.mirrors import ring
 
 FINE_RING = Load("ring", -0.289, 2e-5, tool="ring A")

@@ -13,7 +13,8 @@ from astropy.io import fits
 from truenewton import reading
 from truenewton.actuators import layout
 from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
-from truenewton.measurements import Load, StiffnessMatrix
+from truenewton.load import Load
+from truenewton.measurements import StiffnessMatrix
 
 
 @pytest.fixture

@@ -17,7 +17,8 @@ from truenewton.campaign import Campaign
 from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
 from truenewton.errors import FormatError, OutputExists, OutputFailed
 from truenewton.estimators import calibrate
-from truenewton.measurements import Load, StiffnessMatrix
+from truenewton.load import Load
+from truenewton.measurements import StiffnessMatrix
 from truenewton.reading import read
 from truenewton.stored_rows import StoredRows
 

@@ -15,7 +15,7 @@ from truenewton.campaign import Campaign
 from truenewton.errors import RankDeficient
 from truenewton.estimators.svd import solve
 from truenewton.identifiability import diagnose, geometry_faults
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.mirrors import p45
 from truenewton.moments import campaign_moments
 

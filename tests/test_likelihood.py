@@ -29,7 +29,8 @@ from truenewton.estimators.estimate import DataSet, Prior
 from truenewton.estimators.likelihood import _terms, chi2_at, minimise, start_values
 from truenewton.estimators.maximum_likelihood import find
 from truenewton.estimators.svd import condition_in_units_of_rms
-from truenewton.measurements import Load, StiffnessMatrix
+from truenewton.load import Load
+from truenewton.measurements import StiffnessMatrix
 from truenewton.mirrors import lbt672, p45
 from truenewton.moments import shape_sums
 from truenewton.uncertainty import weight_errors

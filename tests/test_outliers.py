@@ -11,7 +11,7 @@ from truenewton.campaign import Campaign
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimators import calibrate
 from truenewton.estimators.maximum_likelihood import find
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.outliers import against_repeats, squared_distances, standing_out
 
 SIGMA = 1e-3

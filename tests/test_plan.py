@@ -23,7 +23,8 @@ from truenewton.campaign_plan import (
 )
 from truenewton.errors import RankDeficient
 from truenewton.fitsfiles import Sheet, write_fits
-from truenewton.measurements import Load, StiffnessMatrix
+from truenewton.load import Load
+from truenewton.measurements import StiffnessMatrix
 from truenewton.mirrors import p45
 from truenewton.moments import campaign_moments
 from truenewton.prediction import predict, typical

@@ -10,7 +10,7 @@ from tracked import NOISE, campaign_at, drawn, pattern, quiet_cycles, scaled
 
 import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.tracking.days import Day, covariances
 from truenewton.tracking.known import known_from, shared_errors
 

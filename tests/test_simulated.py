@@ -12,7 +12,7 @@ from truenewton.campaign import Campaign
 from truenewton.campaign_files import write_campaign
 from truenewton.errors import LimitExceeded
 from truenewton.estimators import calibrate
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.mirrors import lbt672, p45
 from truenewton.modes import stiffness_modes
 from truenewton.statics import effective_weight, external_load, resultants

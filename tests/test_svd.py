@@ -15,7 +15,7 @@ from truenewton.balance import enabled_arms, system_e
 from truenewton.campaign import Campaign
 from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimators.svd import bias, fit, solve, weight_changes
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.uncertainty import weight_errors
 
 calibrate = partial(estimators.calibrate, method="svd")

@@ -21,7 +21,7 @@ from tracked import (
 
 import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.tracking.days import Day, covariances, gathered, groups
 from truenewton.tracking.family import families, fitted_population, stranger
 from truenewton.tracking.line import fitted_lines

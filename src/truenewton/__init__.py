@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from truenewton.campaign_plan import CampaignPlan, read_plan
     from truenewton.estimators import calibrate
     from truenewton.figures import write_figures
-    from truenewton.measurements import Cycle, Load, StiffnessMatrix
+    from truenewton.load import Load
+    from truenewton.measurements import Cycle, StiffnessMatrix
     from truenewton.modal.dissipation import Limits
     from truenewton.modal.findings import find_modes
     from truenewton.modal.modes_files import write_modes
@@ -86,7 +87,7 @@ _HOMES = {
     "Cycle": "measurements",
     "Layout": "actuators",
     "Limits": "modal.dissipation",
-    "Load": "measurements",
+    "Load": "load",
     "SimulatedBench": "bench.simulated.simulated_bench",
     "StiffnessMatrix": "measurements",
     "acquire": "acquisition.acquire",

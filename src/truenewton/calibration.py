@@ -14,7 +14,7 @@ from truenewton.campaign_files import iso
 from truenewton.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
 from truenewton.errors import FormatError
 from truenewton.fitsfiles import Sheet, write_fits
-from truenewton.measurements import Load
+from truenewton.load import Load
 
 if TYPE_CHECKING:
     from astropy.table import QTable

@@ -8,7 +8,8 @@ from truenewton.actuators import Layout
 from truenewton.calibration import Calibration, UsedSource
 from truenewton.errors import FormatError, TrueNewtonError
 from truenewton.fitscontent import FitsFile
-from truenewton.measurements import Load, located
+from truenewton.load import Load
+from truenewton.measurements import located
 
 
 def is_calibration_file(file: FitsFile) -> bool:

@@ -9,7 +9,8 @@ from typing import Any
 
 from truenewton.actuators import Array, Layout
 from truenewton.errors import CampaignMismatch
-from truenewton.measurements import Cycle, Load, StiffnessMatrix
+from truenewton.load import Load
+from truenewton.measurements import Cycle, StiffnessMatrix
 from truenewton.statics import effective_weight
 
 

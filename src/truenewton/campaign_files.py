@@ -16,7 +16,8 @@ from truenewton.campaign import Campaign
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
 from truenewton.fitscontent import FitsFile, Table
 from truenewton.fitsfiles import Sheet, read_fits, write_fits
-from truenewton.measurements import Cycle, Load, Source, StiffnessMatrix, located
+from truenewton.load import Load
+from truenewton.measurements import Cycle, Source, StiffnessMatrix, located
 from truenewton.outputs import folder_beside
 
 SUFFIXES = (".fits", ".fits.gz")

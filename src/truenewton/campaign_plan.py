@@ -15,7 +15,7 @@ from truenewton.actuators import Array, Layout
 from truenewton.campaign_files import is_stiffness_file, stiffness_from
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.fitsfiles import read_fits
-from truenewton.measurements import Load, check_load
+from truenewton.load import Load, check_load
 from truenewton.mirror_files import mirror_from
 from truenewton.mirrors import Mirror
 from truenewton.modes import stiffness_modes

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from truenewton.actuators import Array, Layout, frozen_array
 from truenewton.errors import FormatError, TrueNewtonError
+from truenewton.load import LARGEST_FORCE, Load, check_error, check_load, check_weight
 from truenewton.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 
 # Beyond these a value is a slip of the unit, not a mirror; they also keep squares finite.
-LARGEST_FORCE = 1e6  # [N]
 LARGEST_LENGTH = 1e3  # [m]
 LONGEST_TIME = 1e8  # [s]
 
@@ -26,73 +26,6 @@ class Source:
 
     file: str
     sha256: str
-
-
-@dataclass(frozen=True)
-class Load:
-    """What hangs on the mirror, and how it leans.
-
-    Attributes
-    ----------
-    name
-        'bare', 'ring', ...; case and surrounding blanks do not count.
-    added, added_error
-        Q and its standard uncertainty [N]; Q is negative, 0 for the bare mirror.
-    tool
-        Name of the weight; loads with the same tool share one error of their weight.
-    tilt, tilt_error
-        Angle between optical axis and vertical, and its standard uncertainty [deg].
-    """
-
-    name: str
-    added: float = 0.0
-    added_error: float = 0.0
-    tool: str | None = None
-    tilt: float = 0.0
-    tilt_error: float = 0.0
-
-    @property
-    def key(self) -> str:
-        """The name as it is compared."""
-        return self.name.strip().casefold()
-
-
-def check_load(load: Load) -> None:
-    """Refuse a load that cannot be.
-
-    Raises
-    ------
-    FormatError
-    """
-    _check_weight("ADDED", load.added)
-    if load.added > 0.0:
-        raise FormatError(
-            f"ADDED is {load.added:g} N",
-            remedy="z points up, so an added weight is negative",
-            got=load.added,
-        )
-    _check_error("E_ADDED", load.added_error)
-    _check_error("E_TILT", load.tilt_error)
-    if not abs(load.tilt) < 90.0:
-        raise FormatError(
-            f"TILT is {load.tilt:g} deg",
-            remedy="give the angle between axis and vertical, under 90 deg",
-        )
-    if not load.name.strip():
-        raise FormatError("LOAD is blank", remedy="name the load")
-
-
-def _check_weight(name: str, weight: float) -> None:
-    if not np.isfinite(weight) or abs(weight) > LARGEST_FORCE:
-        raise FormatError(f"{name} is {weight:g} N", remedy="give the weight in Newton")
-
-
-def _check_error(name: str, error: float) -> None:
-    if not 0.0 <= error <= LARGEST_FORCE:
-        raise FormatError(
-            f"{name} is {error:g}",
-            remedy="give a standard uncertainty, zero or more, in N or deg",
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -162,14 +95,14 @@ class Cycle:
         self._check_rows()
 
     def _check_numbers(self) -> None:
-        _check_weight("WEIGHT", self.weight)
+        check_weight("WEIGHT", self.weight)
         if self.weight >= 0.0:
             raise FormatError(
                 f"WEIGHT is {self.weight:g} N",
                 remedy="z points up, so a weight is negative",
                 got=self.weight,
             )
-        _check_error("E_WEIGHT", self.weight_error)
+        check_error("E_WEIGHT", self.weight_error)
         check_load(self.load)
         if self.number < 1:
             raise FormatError(f"CYCLE is {self.number}", remedy="cycles count from 1")

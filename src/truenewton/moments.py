@@ -25,7 +25,8 @@ from truenewton.balance import enabled_arms
 from truenewton.balanced_rows import BalancedRows, Layer, common_rest, distinct
 from truenewton.campaign import Campaign
 from truenewton.errors import CampaignMismatch
-from truenewton.measurements import Cycle, Load
+from truenewton.load import Load
+from truenewton.measurements import Cycle
 from truenewton.stored_rows import BLOCK_BYTES, blocks
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]

@@ -22,7 +22,7 @@ from truenewton.bench.protocol import Bench, Graded, Operator, OwnTime, Shape
 from truenewton.campaign_files import cycle_name, write_cycle
 from truenewton.campaign_plan import CampaignPlan
 from truenewton.errors import BenchFault, Interrupted
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.mirrors import Mirror
 from truenewton.outputs import to_disk
 

@@ -19,7 +19,8 @@ from truenewton.actuators import Layout
 from truenewton.bench.protocol import Reading, Shape
 from truenewton.campaign_files import cycle_name
 from truenewton.errors import BenchFault, FormatError
-from truenewton.measurements import Cycle, Load
+from truenewton.load import Load
+from truenewton.measurements import Cycle
 from truenewton.mirrors import Mirror
 from truenewton.outputs import in_one_line, to_disk
 

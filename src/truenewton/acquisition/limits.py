@@ -8,7 +8,7 @@ from truenewton.actuators import Array, Layout
 from truenewton.bench.protocol import Reading, Shape
 from truenewton.campaign_plan import CampaignPlan, Limits
 from truenewton.errors import LimitExceeded
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.mirrors import Mirror
 
 CLIPPED = 3.0  # standard deviations: a sample that far beyond the mean shall not saturate either

@@ -14,7 +14,7 @@ import numpy as np
 
 from truenewton.actuators import Array, Layout
 from truenewton.bench.protocol import Reading
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.statics import effective_weight
 
 # alpha lies between 0.7 and 1.1 [paper]; a simulated P45 gave 0.96 to 1.38 in 60 draws.

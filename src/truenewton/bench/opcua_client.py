@@ -21,7 +21,7 @@ from truenewton.bench import opcua_keys as keys
 from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.campaign_plan import BenchChoice
 from truenewton.errors import BenchFault, TrueNewtonError
-from truenewton.measurements import Load
+from truenewton.load import Load
 
 TIMEOUT = 60.0  # for one answer; a reading waits for the mirror to settle [s]
 PATIENCE = 10.0  # with a server that is not there [s]

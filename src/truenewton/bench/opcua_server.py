@@ -22,7 +22,7 @@ from truenewton.bench import opcua_keys as keys
 from truenewton.bench.opcua_door import ClosedServer, Known
 from truenewton.bench.protocol import Bench, Graded, Operator, Shape
 from truenewton.errors import BenchFault, TrueNewtonError
-from truenewton.measurements import Load
+from truenewton.load import Load
 
 PORT = 4840  # registered for OPC UA
 

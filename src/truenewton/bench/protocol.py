@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from truenewton.actuators import Array, Layout
-from truenewton.measurements import Load
+from truenewton.load import Load
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.campaign_files import campaign_from, fits_paths
 from truenewton.errors import BenchFault, FormatError, UnknownName
 from truenewton.fitsfiles import read_fits
-from truenewton.measurements import Load
+from truenewton.load import Load
 
 ANOTHER = 0.1  # of its largest displacement: so far from the recorded shape it is another one
 

@@ -11,7 +11,7 @@ import typer
 if TYPE_CHECKING:
     from truenewton.acquisition.progress import Progress
     from truenewton.campaign_plan import CampaignPlan
-    from truenewton.measurements import Load
+    from truenewton.load import Load
 
 NAME = "acquire"
 

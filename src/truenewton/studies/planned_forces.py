@@ -20,7 +20,8 @@ from truenewton.campaign_plan import (
     with_enabled_only,
 )
 from truenewton.errors import LimitExceeded
-from truenewton.measurements import Cycle, Load
+from truenewton.load import Load
+from truenewton.measurements import Cycle
 from truenewton.mirrors import GRAVITY, Mirror
 from truenewton.shell.held_glass import forces_under, held_glass
 from truenewton.statics import arms

@@ -19,7 +19,8 @@ from truenewton.campaign import Campaign
 from truenewton.errors import GeometryError
 from truenewton.estimators.svd import Solution, solve
 from truenewton.identifiability import geometry_faults
-from truenewton.measurements import Cycle, Load
+from truenewton.load import Load
+from truenewton.measurements import Cycle
 from truenewton.mirrors import Mirror
 from truenewton.statics import external_load
 

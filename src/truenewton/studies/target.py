@@ -10,7 +10,7 @@ import numpy as np
 
 from truenewton.campaign_plan import CampaignPlan
 from truenewton.errors import LimitExceeded
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.studies.planned_forces import Prepared, strain
 from truenewton.studies.planning import duration, predicted, with_added
 

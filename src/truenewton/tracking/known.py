@@ -12,7 +12,7 @@ from truenewton.calibration import Calibration, UsedSource
 from truenewton.campaign import Campaign
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.fitsfiles import read_fits
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.reading import read
 from truenewton.tracking.days import SAME_TEMPERATURE, factor_of
 from truenewton.tracking.law import Tracking

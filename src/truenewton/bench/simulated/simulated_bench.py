@@ -24,7 +24,7 @@ from truenewton.bench.simulated.static import (
 )
 from truenewton.bench.simulated.truth import truth_path, write_truth
 from truenewton.errors import BenchFault, UnknownName
-from truenewton.measurements import Load
+from truenewton.load import Load
 from truenewton.mirrors import Mirror
 
 SAMPLES = 2048  # a reading [conf]

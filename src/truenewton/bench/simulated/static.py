@@ -21,7 +21,8 @@ from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
 from truenewton.bench.simulated.sensors import Sensors, draw_sensors
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
-from truenewton.measurements import Cycle, Load
+from truenewton.load import Load
+from truenewton.measurements import Cycle
 from truenewton.mirrors import GRAVITY, Mirror
 from truenewton.modes import stiffness_modes
 from truenewton.shell.held_glass import HeldGlass, forces_under, held_glass
