@@ -205,6 +205,21 @@ def write_figures(
         "fig6-alpha-map": lambda: plot_map(calibration.layout, calibration.alpha),
         **(more or {}),
     }
+    return write_drawn(figures, folder, overwrite=overwrite)
+
+
+def write_drawn(
+    figures: Mapping[str, Callable[[], Axes]],
+    folder: str | os.PathLike[str],
+    *,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Draw figures and write them, by name, as PDF and PNG into a folder; return the paths.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
     names = []
     with folder_beside(folder, (".pdf", ".png"), overwrite=overwrite) as temporary:
         for name, draw in figures.items():

@@ -19,7 +19,7 @@ from truenewton.modal.measured import MeasuredStiffness, measured_stiffness, wit
 from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.pupil import pupil_of, seen_turbulence
 from truenewton.modal.static_force import force_at_rest, static_force
-from truenewton.modal.stiffness import true_stiffness
+from truenewton.modal.stiffness import places, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 
 MISFIT = 2.0  # of the variance of repeats; hundreds of readings and more hold it within 10 %
@@ -79,8 +79,8 @@ class ModalFindings:
 
     def modes_between(self, cost: Dissipation, limits: Limits) -> tuple[int, int]:
         """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""
-        c, enabled = self.calibration, self.after.stiffness.enabled
-        at = [int(np.flatnonzero(c.layout.id == name)[0]) for name in enabled.id]
+        c = self.calibration
+        at = places(c.layout, self.after.stiffness.enabled.id)
         error: Array = c.error[at] / np.abs(c.alpha[at])
         fewest, most = (cost.modes_within(limits, alpha_error=e) for e in (error, -error))
         return fewest, most

@@ -165,13 +165,14 @@ def _budget(cost: Dissipation, name: str, stiffness: Array | None = None) -> She
     ]
     if stiffness is not None:
         columns.append(("STIFFNESS", "D", "N/m", stiffness))
+    power = cost.power
     figures = (
         ("RESIDUAL", "m", cost.residual),
         ("FORCE_RMS", "N", np.sqrt(np.mean(cost.force**2, axis=0))),
         ("FORCE_WORST", "N", cost.force.max(axis=0)),
         ("REACH", "N", cost.reach.max(axis=0)),
-        ("POWER_MEAN", "W", cost.power.mean(axis=0)),
-        ("POWER_WORST", "W", cost.power.max(axis=0)),
+        ("POWER_MEAN", "W", power.mean(axis=0)),
+        ("POWER_WORST", "W", power.max(axis=0)),
     )
     columns += [(what, "D", unit, values) for what, unit, values in figures]
     return Sheet(name, columns=tuple(columns))

@@ -15,12 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from truenewton.colours import CURVES, FAINT, INK, SIGNED_COLOURS
-from truenewton.figures import COLUMN, STYLE, circles, new_axes, write_figure
+from truenewton.figures import COLUMN, STYLE, circles, new_axes, write_drawn
 from truenewton.modal.dissipation import Limits
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.shown import chosen_modes, least_power, stiffness_text
-from truenewton.outputs import folder_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -85,8 +84,9 @@ def plot_power(base: ModalBase, limits: Limits, ax: Axes | None = None) -> Axes:
         ax = ax or new_axes(0.7)
         for cost, colour in zip(base.costs, CURVES, strict=False):
             number = np.arange(1, cost.residual.size + 1)
-            ax.semilogy(number, cost.power.max(axis=0), color=colour, label=cost.base)
-            ax.semilogy(number, cost.power.mean(axis=0), color=colour, linestyle=":")
+            power = cost.power
+            ax.semilogy(number, power.max(axis=0), color=colour, label=cost.base)
+            ax.semilogy(number, power.mean(axis=0), color=colour, linestyle=":")
         ax.set_ylim(bottom=least_power(base))
         if np.isfinite(limits.power):
             ax.axhline(limits.power, color=FAINT, linewidth=0.6, linestyle="--")
@@ -138,11 +138,4 @@ def write_modes_figures(
     ------
     OutputExists, OutputFailed
     """
-    names = []
-    with folder_beside(folder, (".pdf", ".png"), overwrite=overwrite) as temporary:
-        for name, draw in modes_figures(found, limits).items():
-            ax = draw()
-            for suffix in (".pdf", ".png"):
-                write_figure(ax, temporary / (name + suffix))
-                names.append(name + suffix)
-    return [Path(folder) / name for name in names]
+    return write_drawn(modes_figures(found, limits), folder, overwrite=overwrite)

@@ -44,11 +44,11 @@ def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
     of the worst, and of all together [W].
     """
     cost, count = base.costs[0], base.modes.stiffness.size
-    rows = []
+    powers, rows = cost.power, []
     for number in np.unique(np.linspace(0, count, NUMBERS + 1).round().astype(int))[1:].tolist():
         k = number - 1
         left = (f"{1e9 * each.residual[k]:.4g}" for each in base.costs)
-        force, power = 1e3 * cost.force[:, k], cost.power[:, k]
+        force, power = 1e3 * cost.force[:, k], powers[:, k]
         rows.append(
             (str(number), *left, f"{np.sqrt(np.mean(force**2)):.3g}", f"{force.max():.3g}",
              f"{power.mean():.2g}", f"{power.max():.2g}", f"{power.sum():.3g}")

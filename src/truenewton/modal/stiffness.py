@@ -258,8 +258,7 @@ def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | N
             remedy=remedy,
         )
     theirs = calibration.layout
-    order = np.argsort(theirs.id)
-    at = order[np.minimum(np.searchsorted(theirs.id, layout.id, sorter=order), theirs.n - 1)]
+    at = places(theirs, layout.id)
     unknown = (theirs.id[at] != layout.id) | ~np.isfinite(calibration.alpha[at])
     if unknown.any():
         raise CampaignMismatch(
@@ -277,6 +276,13 @@ def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | N
                 got=int(layout.id[far][0]),
             )
     return np.asarray(calibration.alpha[at])
+
+
+def places(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where in a layout the named actuators stand; anywhere for one that it has not."""
+    order = np.argsort(layout.id)
+    at = np.searchsorted(layout.id, names, sorter=order)
+    return np.asarray(order[np.minimum(at, layout.n - 1)])
 
 
 def _checked_gain(sensor_gain: Array | None, on: NDArray[np.bool_]) -> Array:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from truenewton.actuators import Array, ring_of
 from truenewton.colours import ACCENT, FAINT, INK
-from truenewton.figures import STYLE, new_axes, write_figure
-from truenewton.outputs import folder_beside
+from truenewton.figures import STYLE, new_axes, write_drawn
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
 
@@ -169,14 +168,7 @@ def write_tracking_figures(
     if "drift" in tracking.told:
         figures["track-time"] = lambda: plot_time(tracking)
         figures["track-family-drift"] = lambda: plot_family(tracking, "drift")
-    names = []
-    with folder_beside(folder, (".pdf", ".png"), overwrite=overwrite) as temporary:
-        for name, draw in figures.items():
-            ax = draw()
-            for suffix in (".pdf", ".png"):
-                write_figure(ax, temporary / (name + suffix))
-                names.append(name + suffix)
-    return [Path(folder) / name for name in names]
+    return write_drawn(figures, folder, overwrite=overwrite)
 
 
 def _departed(tracking: Tracking, kinds: tuple[str, ...]) -> NDArray[np.bool_]:
