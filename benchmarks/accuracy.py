@@ -22,13 +22,14 @@ import numpy as np
 import scipy.linalg
 
 import truenewton as tn
-from truenewton.balance import arms_in_units_of_rms, enabled_arms, system_e
 from truenewton.bench.simulated.static import START, StaticBench, static_bench
 from truenewton.errors import TrueNewtonError
-from truenewton.estimators import svd
-from truenewton.glass import Annulus, Shell
-from truenewton.mirrors import GRAVITY, Mirror, p45
-from truenewton.uncertainty import weight_errors
+from truenewton.estimation import cycles_svd
+from truenewton.estimation.systems import system_e
+from truenewton.estimation.weights import weight_errors
+from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.known import GRAVITY, Mirror, p45
+from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
 try:
     import odrpack
@@ -192,10 +193,10 @@ def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
     e, r = system_e(campaign, a)
     rows = len(e) // 3 // len(campaign.loads)
     blocks = tuple((3 * rows * place, rows) for place in range(len(campaign.loads)))
-    fit = svd.Fit(e, r, svd.solve(e, r), blocks)
+    fit = cycles_svd.Fit(e, r, cycles_svd.solve(e, r), blocks)
     n = a.shape[1]
-    statistical = np.diag(svd.scatter_covariance(campaign, fit))[:n]
-    changes = svd.weight_changes(fit, weight_errors(campaign))[:, :n]
+    statistical = np.diag(cycles_svd.scatter_covariance(campaign, fit))[:n]
+    changes = cycles_svd.weight_changes(fit, weight_errors(campaign))[:, :n]
     whole = statistical + np.sum(changes**2, axis=0)
     return Answer(fit.found.solution[:n], np.sqrt(statistical), np.sqrt(whole))
 

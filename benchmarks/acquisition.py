@@ -25,12 +25,12 @@ import numpy as np
 
 import truenewton as tn
 from truenewton.acquisition.journal import record_type
+from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
 from truenewton.acquisition.progress import Progress
 from truenewton.bench.protocol import Bench, Reading, Shape, Status
-from truenewton.campaign_plan import CampaignPlan, PlannedShapes
-from truenewton.fitsfiles import Sheet, write_fits
-from truenewton.mirror_files import mirror_from
-from truenewton.mirrors import Mirror
+from truenewton.files.fits import Sheet, write_fits
+from truenewton.mirrors.file import mirror_from
+from truenewton.mirrors.known import Mirror
 
 SIMULATED_UP_TO = 1000  # actuators; beyond, the model of the shell takes minutes
 START = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)

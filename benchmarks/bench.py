@@ -23,12 +23,12 @@ import numpy as np
 from accuracy import bounds, campaigns, rms, simulation
 
 import truenewton as tn
-from truenewton.bench.simulated.dynamic import rest_displacement, run_loop_cycles
+from truenewton.bench.simulated.loop_campaign import rest_displacement, run_loop_cycles
 from truenewton.bench.simulated.static import StaticBench, run_cycles, static_bench
-from truenewton.colours import CURVES, INK
-from truenewton.figures import STYLE, new_axes
-from truenewton.mirrors import lbt672, mmt336, p45, ring
-from truenewton.shell import finite_elements, fourier
+from truenewton.figures.style import CURVES, INK, STYLE, new_axes
+from truenewton.mirrors.known import lbt672, mmt336, p45, ring
+from truenewton.mirrors.shell import fourier
+from truenewton.mirrors.shell.finite_elements import stiffness
 
 TWO_SIGMA = 1.959964
 
@@ -51,7 +51,7 @@ def costs() -> None:
     series = timed("semi-analytic", lambda: fourier.stiffness(shell, *at, sensor=sensor))
     mesh = timed(
         "finite elements of 15 mm",
-        lambda: finite_elements.stiffness(shell, *at, mesh_size=15e-3, sensor=sensor),
+        lambda: stiffness.stiffness(shell, *at, mesh_size=15e-3, sensor=sensor),
     )
     one, other = (np.linalg.svd(k, compute_uv=False)[:-3] for k in (series, mesh))
     print(f"  their singular values agree to {np.abs(other / one - 1).max():.1e}")

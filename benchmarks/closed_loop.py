@@ -13,14 +13,13 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
+from step_response import plot_step_responses, settling_time, step_responses
 
-from truenewton.bench.simulated.dynamic import loop_of
 from truenewton.bench.simulated.loop import Loop, equilibrium, record, row_noise
+from truenewton.bench.simulated.loop_campaign import loop_of
 from truenewton.bench.simulated.static import static_bench
-from truenewton.bench.simulated.step_response import settling_time, step_responses
-from truenewton.figures import plot_step_responses
-from truenewton.mirrors import p45
-from truenewton.statics import arms
+from truenewton.mirrors.known import p45
+from truenewton.statics.arms import arms
 
 QUIET_COILS = {"dac_step": 1e-15, "driver_noise": 0.0}
 QUIET_SENSORS = {"noise": 0.0, "codes": 2**40}

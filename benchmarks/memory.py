@@ -30,7 +30,7 @@ def write_files(n: int, cycles: int, folder: Path) -> None:
     from speed import NOISE, START, ring_layout
 
     import truenewton as tn
-    from truenewton.statics import arms
+    from truenewton.statics.arms import arms
 
     random, layout = np.random.default_rng(1), ring_layout(n)
     a = arms(layout)
@@ -99,21 +99,21 @@ def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
 
 def calibrate(folder: Path) -> None:
     """Run `truenewton calibrate`, its stages timed."""
-    import truenewton.calibration
-    import truenewton.estimators
+    import truenewton.calibration.methods
+    import truenewton.calibration.result
     import truenewton.reading
     from truenewton.cli.main import main as command
-    from truenewton.estimators import maximum_likelihood, problem, svd
+    from truenewton.estimation import cycles_ml, cycles_svd, problem
 
     for name, module, function in (
         ("tn.read: checksums, SHA256, checks", truenewton.reading, "read_data"),
-        ("means of repeats, rows far from them", maximum_likelihood, "against_repeats"),
+        ("means of repeats, rows far from them", cycles_ml, "against_repeats"),
         ("  a minimisation", problem, "minimise"),
-        ("shapes against the balance", maximum_likelihood, "against_balance"),
-        ("maximum likelihood, all of it", maximum_likelihood, "find"),
-        ("E_CYCLE", svd, "cycle_errors"),
-        ("calibrate, all of it", truenewton.estimators, "calibrate"),
-        ("writing the calibration", truenewton.calibration.Calibration, "write"),
+        ("shapes against the balance", cycles_ml, "against_balance"),
+        ("maximum likelihood, all of it", cycles_ml, "find"),
+        ("E_CYCLE", cycles_svd, "cycle_errors"),
+        ("calibrate, all of it", truenewton.calibration.methods, "calibrate"),
+        ("writing the calibration", truenewton.calibration.result.Calibration, "write"),
     ):
         setattr(module, function, timed(name, getattr(module, function)))
     sys.argv = ["truenewton", "calibrate", str(folder), "-o", str(folder.parent / "alpha.fits")]

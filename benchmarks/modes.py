@@ -17,18 +17,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from modal_truth import score_modes
 
 import truenewton as tn
-from truenewton.bench.simulated.dynamic import run_loop_cycles
+from truenewton.bench.simulated.loop_campaign import run_loop_cycles
 from truenewton.bench.simulated.static import static_bench
-from truenewton.campaign import Campaign
 from truenewton.modal.dissipation import Dissipation, dissipation
 from truenewton.modal.findings import find_modes
 from truenewton.modal.modal_base import modal_base
 from truenewton.modal.pupil import Pupil, seen_turbulence
-from truenewton.modal.stiffness import true_stiffness
+from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere, structure_function
-from truenewton.studies.modal_truth import score_modes
+from truenewton.records.campaign import Campaign
 
 WAYS = ("alpha = 1, symmetric", "singular vectors", "calibrated")
 PUPIL, EFFICIENCY = Pupil(radius=0.452, diameter=8.22), 0.508

@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.actuators import Layout, layout
+from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect
-from truenewton.bench.opcua_client import OpcUaBench
-from truenewton.bench.opcua_keys import (
+from truenewton.bench.opcua.client import OpcUaBench
+from truenewton.bench.opcua.keys import (
     CLIENT_CERTIFICATE,
     CLIENT_KEY,
     PASSWORD,
@@ -29,10 +29,10 @@ from truenewton.bench.opcua_keys import (
     USER,
     make_keys,
 )
-from truenewton.bench.opcua_server import serving
+from truenewton.bench.opcua.server import serving
 from truenewton.bench.protocol import Reading, Shape, Status
-from truenewton.campaign_plan import BenchChoice
-from truenewton.load import Load
+from truenewton.statics.layout import Layout, layout
+from truenewton.statics.load import Load
 
 COUNTS = (45, 672, 5352)
 SHAPES = 200

@@ -16,8 +16,9 @@ from astropy.table import QTable
 from matplotlib.figure import Figure
 
 import truenewton as tn
-from truenewton.estimators import held_out
-from truenewton.figures import ACCENT, COLUMN, INK, plot_map
+from truenewton.calibration.methods import held_out
+from truenewton.figures.maps import ACCENT, INK, plot_map
+from truenewton.figures.style import COLUMN
 
 
 def without_polynomial(values, layout, degree=6):

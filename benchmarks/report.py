@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import report_data
 from browser import Browser
 
-from truenewton.report.findings import investigate
-from truenewton.report.page import write_report
+from truenewton.report.investigate import investigate
+from truenewton.report.page.page import write_report
 
 AFTER_PAINT = """
 const done = arguments[0], start = performance.now();

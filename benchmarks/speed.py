@@ -35,10 +35,10 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotri
 
 import truenewton as tn
-from truenewton.balance import enabled_arms, system_e
-from truenewton.estimators import problem, svd
-from truenewton.moments import ROWS_AT_ONCE, mirrored
-from truenewton.statics import arms
+from truenewton.estimation import cycles_svd, problem
+from truenewton.estimation.systems import system_e
+from truenewton.linalg import ROWS_AT_ONCE, mirrored
+from truenewton.statics.arms import arms, enabled_arms
 
 CYCLES, NOISE = 5, 1e-4
 PRODUCT = "H^-1 D H^-1: 1 n^3"
@@ -103,7 +103,7 @@ def replaced(module: Any, name: str, value: Any) -> Iterator[None]:
 def without_cycle_errors(campaign: tn.Campaign) -> tn.Calibration:
     """Calibrate, but for E_CYCLE."""
     missing = np.full(int(campaign.layout.enabled.sum()), np.nan)
-    with replaced(svd, "cycle_errors", lambda *_: missing):
+    with replaced(cycles_svd, "cycle_errors", lambda *_: missing):
         return tn.calibrate(campaign)
 
 
@@ -245,7 +245,7 @@ def measure(n: int, repeats: int) -> None:
     errors = steps_of_errors(campaign)
     main = {**reference, **errors, "calibrate": lambda: without_cycle_errors(campaign)}
     taken = least(main, repeats)
-    beside = {"E_CYCLE": lambda: svd.cycle_errors(campaign, values)}
+    beside = {"E_CYCLE": lambda: cycles_svd.cycle_errors(campaign, values)}
     if n <= GELSD_UP_TO:
         beside["gelsd on E"] = gelsd_on_e(campaign)
     taken |= least(beside, min(repeats, 3))

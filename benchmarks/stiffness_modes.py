@@ -15,13 +15,13 @@ import numpy as np
 
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.mirrors import lbt672, p45
+from truenewton.mirrors.known import lbt672, p45
+from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.modal.comparison import compare_modes
-from truenewton.modal.measured import measured_stiffness
-from truenewton.modal.stiffness import true_stiffness
-from truenewton.modes import stiffness_modes
-from truenewton.shell.held_glass import held_glass
-from truenewton.statics import arms
+from truenewton.modal.measured_stiffness import measured_stiffness
+from truenewton.modal.true_stiffness import true_stiffness
+from truenewton.statics.arms import arms
+from truenewton.statics.modes import stiffness_modes
 
 SEEDS = 20
 ORDERS = (3, 5, 7, 9, 11, 15, 25)

@@ -19,7 +19,7 @@ import numpy as np
 
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.mirrors import p45
+from truenewton.mirrors.known import p45
 from truenewton.tracking.days import YEAR, Day, covariances
 
 SEED = 8171

@@ -1,9 +1,9 @@
 """Small plans and what their campaigns hold, for tests of acquisition."""
 
 import truenewton as tn
-from truenewton.campaign_files import fits_paths
-from truenewton.campaign_plan import CampaignPlan, PlannedShapes
-from truenewton.fitsfiles import read_fits
+from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
+from truenewton.files.fits import read_fits
+from truenewton.records.file import fits_paths
 
 LOADS = (tn.Load("bare"), tn.Load("ring", -0.05, 0.001, tool="ring"))
 

@@ -6,12 +6,12 @@ from functools import cache
 
 import numpy as np
 
-from truenewton.actuators import rings
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.campaign import Campaign
-from truenewton.load import Load
-from truenewton.measurements import Cycle
-from truenewton.mirrors import p45
+from truenewton.mirrors.known import p45
+from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
+from truenewton.statics.layout import rings
+from truenewton.statics.load import Load
 
 LAYOUT = rings([0.06, 0.1], [5, 9], nz=[0.999, 0.99])
 START = datetime.datetime(2026, 3, 4, 5, 6, 7, tzinfo=datetime.UTC)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from truenewton.actuators import Layout, rings
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.campaign_files import write_campaign
 from truenewton.cli.main import main
-from truenewton.load import Load
-from truenewton.measurements import Cycle
-from truenewton.mirrors import p45
+from truenewton.mirrors.known import p45
+from truenewton.records.cycle import Cycle
+from truenewton.records.file import write_campaign
+from truenewton.statics.layout import Layout, rings
+from truenewton.statics.load import Load
 
 
 class Tiny(NamedTuple):

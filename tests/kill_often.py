@@ -18,7 +18,7 @@ from acquisition_plans import LOADS, contents, small_plan
 from stub_bench import StubBench
 
 import truenewton as tn
-from truenewton.acquisition.runlog import RunLog
+from truenewton.acquisition.run_log import RunLog
 
 STEPS = ("open", "write", "fsync", "ftruncate", "replace", "unlink")
 

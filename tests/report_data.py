@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 from balanced import BARE_AND_RING, BIAS, START, campaign_of
 
-from truenewton.calibration import Calibration
-from truenewton.campaign import Campaign
-from truenewton.load import Load
-from truenewton.mirrors import ring
+from truenewton.calibration.result import Calibration
+from truenewton.mirrors.known import ring
+from truenewton.records.campaign import Campaign
+from truenewton.statics.load import Load
 
 FINE_RING = Load("ring", -0.289, 2e-5, tool="ring A")
 

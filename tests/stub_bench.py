@@ -7,8 +7,8 @@ import numpy as np
 
 from truenewton.bench.protocol import Reading, Status
 from truenewton.errors import BenchFault
-from truenewton.mirrors import ring
-from truenewton.shell.fourier import stiffness
+from truenewton.mirrors.known import ring
+from truenewton.mirrors.shell.fourier import stiffness
 
 START = datetime.datetime(2026, 5, 4, 9, 30, tzinfo=datetime.UTC)
 SMALL = ring(8)

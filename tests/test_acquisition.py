@@ -11,20 +11,21 @@ from acquisition_plans import LOADS, contents, small_plan
 from stub_bench import SMALL, GoneBench, StubBench
 
 import truenewton as tn
-from truenewton.acquisition import taking
-from truenewton.acquisition.cycles import ASKED, IN_A_ROW
-from truenewton.acquisition.loads import judge
-from truenewton.bench.chosen import chosen_bench, seal_truth
+from truenewton.acquisition import taker
+from truenewton.acquisition.benches import chosen_bench, seal_truth
+from truenewton.acquisition.load_check import judge
+from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
+from truenewton.acquisition.run import ASKED, IN_A_ROW
+from truenewton.bench.choice import BenchChoice
 from truenewton.bench.protocol import Status
 from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.bench.simulated.truth import read_truth
-from truenewton.campaign_files import fits_paths
-from truenewton.campaign_plan import BenchChoice, CampaignPlan, PlannedShapes, read_plan
 from truenewton.errors import BenchFault, CampaignMismatch, FormatError, LimitExceeded
-from truenewton.fitsfiles import Sheet, read_fits, write_fits
-from truenewton.mirrors import p45
-from truenewton.settings import toml_text
+from truenewton.files.fits import Sheet, read_fits, write_fits
+from truenewton.files.toml import toml_text
+from truenewton.mirrors.known import p45
+from truenewton.records.file import fits_paths
 
 TWO = (tn.Load("bare"), tn.Load("ring", -0.289, 0.005, tool="ring"))
 
@@ -245,7 +246,7 @@ NAN = np.full(8, np.nan)
 def test_an_unsound_reading_is_retried_then_marked(tmp_path, change, said):
     bench = StubBench(spoil=at(("bare", 1, 2, 1), change))
     tn.acquire(bench, small_plan(), tmp_path / "c")
-    assert bench.read_of.count(("bare", 1, 2, 1)) == taking.ATTEMPTS
+    assert bench.read_of.count(("bare", 1, 2, 1)) == taker.ATTEMPTS
     first, *others = cycles_in(tmp_path / "c")
     assert np.flatnonzero(~first.valid).tolist() == [2]
     assert all(cycle.valid.all() for cycle in others)
@@ -313,7 +314,7 @@ def test_what_nobody_measures_is_left_out(tmp_path):
 
 
 def test_a_server_that_goes_and_comes_back_costs_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(taking, "FIRST_WAIT", 0.001)
+    monkeypatch.setattr(taker, "FIRST_WAIT", 0.001)
     bench = GoneBench(looks=4)
     tn.acquire(bench, small_plan(), tmp_path / "c")
     tn.acquire(StubBench(), small_plan(), tmp_path / "whole")
@@ -336,8 +337,8 @@ def test_a_mirror_that_comes_to_rest_at_the_second_try_is_well(tmp_path):
 
 
 def test_a_server_that_stays_away_ends_the_run_which_goes_on_later(tmp_path, monkeypatch):
-    monkeypatch.setattr(taking, "FIRST_WAIT", 0.001)
-    monkeypatch.setattr(taking, "PATIENCE", 0.01)
+    monkeypatch.setattr(taker, "FIRST_WAIT", 0.001)
+    monkeypatch.setattr(taker, "PATIENCE", 0.01)
     with pytest.raises(BenchFault, match=r"did not come back within 0\.01 s .connection refused"):
         tn.acquire(GoneBench(looks=10**9), small_plan(), tmp_path / "c")
     tn.acquire(StubBench(), small_plan(), tmp_path / "c")

@@ -12,10 +12,10 @@ from stub_bench import SMALL, StubBench
 
 import truenewton as tn
 from truenewton.acquisition.limits import check_command
+from truenewton.acquisition.plan import Limits, PlannedShapes
 from truenewton.bench.protocol import Shape
-from truenewton.campaign_plan import Limits, PlannedShapes
 from truenewton.errors import BenchFault, FormatError, LimitExceeded
-from truenewton.fitsfiles import Sheet, write_fits
+from truenewton.files.fits import Sheet, write_fits
 
 GAP, STROKE = 65e-6, 1e-6
 

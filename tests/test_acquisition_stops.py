@@ -24,9 +24,10 @@ from truenewton.acquisition.clock import SteadyClock, instant_of
 from truenewton.acquisition.folder import locked
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal
+from truenewton.acquisition.plan import PlannedShapes
+from truenewton.bench.choice import BenchChoice
 from truenewton.bench.protocol import Shape
-from truenewton.campaign_plan import BenchChoice, PlannedShapes
-from truenewton.cli import printing
+from truenewton.cli import terminal
 from truenewton.errors import (
     CampaignMismatch,
     FormatError,
@@ -35,8 +36,8 @@ from truenewton.errors import (
     OutputFailed,
     UnreadableFile,
 )
-from truenewton.fitsfiles import Sheet, write_fits
-from truenewton.settings import toml_text
+from truenewton.files.fits import Sheet, write_fits
+from truenewton.files.toml import toml_text
 
 HERE = Path(__file__).parent
 PLACE = ("bare", 2, 2, -1)  # where things happen, unless told
@@ -495,7 +496,7 @@ def test_nobody_at_a_terminal_must_say_yes(inside, tmp_path, monkeypatch):
         benches.append(Hands())
         return benches[-1]
 
-    monkeypatch.setattr("truenewton.bench.chosen.chosen_bench", bench)
+    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", bench)
     monkeypatch.setattr("sys.stdin", None)
     code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
     assert code == 2
@@ -516,7 +517,7 @@ def test_the_person_at_the_terminal_is_asked_again(inside, tmp_path, monkeypatch
         asked.append(question)
         hands.load = LOADS[1] if len(asked) == 3 else LOADS[0]
 
-    monkeypatch.setattr("truenewton.bench.chosen.chosen_bench", lambda plan, beside: hands)
+    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", lambda plan, beside: hands)
     monkeypatch.setattr("builtins.input", answer)
     monkeypatch.setattr("sys.stdin", type("Terminal", (), {"isatty": lambda self: True})())
     code, out, _ = inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c")
@@ -532,14 +533,14 @@ def test_the_person_at_the_terminal_is_asked_again(inside, tmp_path, monkeypatch
 def test_the_bar_shows_how_far_it_is(inside, tmp_path, monkeypatch, capsys):
     shown = []
     monkeypatch.setattr(
-        printing.Bar, "show", lambda self, *figures: shown.append(figures), raising=True
+        terminal.Bar, "show", lambda self, *figures: shown.append(figures), raising=True
     )
     assert inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c")[0] == 0
     done, total, what, figures, left = shown[-1]
     assert (done, total, what) == (24, 24, "ring cycle 2/2 shape 3/3 -")
     assert figures.endswith("N, gap 64.0 um")
     assert left == 0.0
-    assert printing.clock_time(3725.4) == "1:02:05"
+    assert terminal.clock_time(3725.4) == "1:02:05"
 
 
 def test_the_bar_is_drawn_at_a_terminal(tmp_path):

@@ -11,10 +11,10 @@ import pytest
 from astropy.io import fits
 
 from truenewton import reading
-from truenewton.actuators import layout
-from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
-from truenewton.load import Load
-from truenewton.measurements import StiffnessMatrix
+from truenewton.records.file import write_campaign, write_cycle, write_stiffness
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import layout
+from truenewton.statics.load import Load
 
 
 @pytest.fixture

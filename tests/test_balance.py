@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from balanced import campaign_of, p45_campaign, three_loads
 
-from truenewton.balance import enabled_arms, system_c, system_e
+from truenewton.estimation.systems import system_c, system_e
+from truenewton.statics.arms import enabled_arms
 
 
 def paper_e(campaign):

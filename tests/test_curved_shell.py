@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.special import ivp, kvp
 
-from truenewton.actuators import rings
 from truenewton.errors import GeometryError
-from truenewton.glass import Annulus, Shell
-from truenewton.mirrors import lbt672
+from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.known import lbt672
+from truenewton.mirrors.shell.condensation import condense, holding_forces, rearming
+from truenewton.mirrors.shell.fourier import influence, stiffness, uniform_influence
 from truenewton.reading import read_data
-from truenewton.shell.condensation import condense, holding_forces, rearming
-from truenewton.shell.fourier import influence, stiffness, uniform_influence
-from truenewton.statics import arms
+from truenewton.statics.arms import arms
+from truenewton.statics.layout import rings
 
 FLAT = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
 GLASS = replace(FLAT, radius_of_curvature=2.0)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from truenewton.decomposition import CLOSE, MOST_STEPS, largest_eigenvalue, smallest_eigenvalue
+from truenewton.linalg import CLOSE, MOST_STEPS, largest_eigenvalue, smallest_eigenvalue
 
 
 def symmetric(values, seed):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from balanced import BIAS, LAYOUT, arms_of, gradients
 
-from truenewton.balance import enabled_arms
-from truenewton.balanced_rows import BalancedRows, common_rest
-from truenewton.campaign import Campaign
-from truenewton.estimators import calibrate
-from truenewton.moments import campaign_moments
-from truenewton.outliers import repeat_deviations
+from truenewton.calibration.methods import calibrate
+from truenewton.estimation.displaced_rows import BalancedRows, common_rest
+from truenewton.estimation.moments import campaign_moments
+from truenewton.estimation.outliers import repeat_deviations
+from truenewton.records.campaign import Campaign
 from truenewton.report.evidence import campaign_evidence
+from truenewton.statics.arms import enabled_arms
 
 MOVED = 3e-8  # between cycles [m], by 600 /m 2e-5 of alpha
 

@@ -10,7 +10,7 @@ import truenewton as tn
 from truenewton.errors import FormatError
 from truenewton.modal.dissipation import Limits, dissipation
 from truenewton.modal.pupil import Pupil, SeenTurbulence
-from truenewton.modal.stiffness import true_stiffness
+from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 
 N = 12

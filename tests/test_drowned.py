@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 from balanced import p45_bench, ungraded
 
-from truenewton.actuators import layout
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.campaign import Campaign
-from truenewton.estimators import calibrate
-from truenewton.estimators.drowned import drowned_patterns, held_even, with_unknown_patterns
-from truenewton.estimators.problem import posed, reading_noise
-from truenewton.mirrors import p45
-from truenewton.moments import campaign_moments
+from truenewton.calibration.methods import calibrate
+from truenewton.estimation.moments import campaign_moments
+from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.problem import posed
+from truenewton.estimation.undetermined import drowned_patterns, held_even, with_unknown_patterns
+from truenewton.mirrors.known import p45
+from truenewton.records.campaign import Campaign
+from truenewton.statics.layout import layout
 
 
 def faint(seed, size=0.04):

@@ -9,17 +9,17 @@ import pytest
 from astropy.table import QTable
 from balanced import p45_bench
 
-from truenewton.actuators import Layout
+from truenewton.calibration.methods import calibrate, held_out
 from truenewton.errors import RankDeficient
-from truenewton.estimators import calibrate, held_out
-from truenewton.estimators.elastic import (
+from truenewton.estimation.stiffness_svd import (
     balance_modes,
     comparable_arms,
     elastic_modes,
     rms_imbalance,
 )
-from truenewton.measurements import StiffnessMatrix
 from truenewton.reading import read_data
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout
 
 DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 REAL = os.environ.get("TRUENEWTON_REAL_DATA")

@@ -6,10 +6,13 @@ from balanced import campaign_of, p45_campaign
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from PIL import Image
+from step_response import plot_step_responses
 
+from truenewton.calibration.figures import write_figures
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import OutputExists
-from truenewton.estimators import calibrate
-from truenewton.figures import COLUMN, plot_layout, plot_step_responses, write_figures
+from truenewton.figures.maps import plot_layout
+from truenewton.figures.style import COLUMN
 
 
 @pytest.fixture(scope="module")

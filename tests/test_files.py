@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from truenewton.actuators import Layout
-from truenewton.campaign import Campaign
-from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import FormatError, OutputExists, OutputFailed
-from truenewton.estimators import calibrate
-from truenewton.load import Load
-from truenewton.measurements import StiffnessMatrix
+from truenewton.files.stored_rows import StoredRows
 from truenewton.reading import read
-from truenewton.stored_rows import StoredRows
+from truenewton.records.campaign import Campaign
+from truenewton.records.file import write_campaign, write_cycle, write_stiffness
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
 
 
 def same(a, b):

@@ -8,19 +8,19 @@ import pytest
 from scipy.optimize import brentq
 from scipy.special import iv, ivp, jv, jvp, kv, kvp, yv, yvp
 
-from truenewton.actuators import rings
 from truenewton.errors import GeometryError
-from truenewton.glass import Annulus, Shell
-from truenewton.shell import fourier
-from truenewton.shell.argyris import argyris, monomials, quadrature
-from truenewton.shell.energy import elastic_energy, inertia
-from truenewton.shell.finite_elements import (
+from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.shell import fourier
+from truenewton.mirrors.shell.finite_elements.argyris import argyris, monomials, quadrature
+from truenewton.mirrors.shell.finite_elements.energy import elastic_energy, inertia
+from truenewton.mirrors.shell.finite_elements.meshing import annulus_mesh, outline_mesh
+from truenewton.mirrors.shell.finite_elements.stiffness import (
     influence,
     natural_frequencies,
     outline_stiffness,
     stiffness,
 )
-from truenewton.shell.meshing import annulus_mesh, outline_mesh
+from truenewton.statics.layout import rings
 
 GLASS = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
 SPHERE = replace(GLASS, radius_of_curvature=2.0)

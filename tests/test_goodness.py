@@ -9,7 +9,7 @@ from balanced import p45_bench
 
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles
-from truenewton.campaign import Campaign
+from truenewton.records.campaign import Campaign
 
 SIGMA, SHARE, CAMPAIGNS = 1e-4, 0.1, 150
 

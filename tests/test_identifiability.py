@@ -7,20 +7,21 @@ import numpy as np
 import pytest
 from balanced import LAYOUT, RING, WEIGHT, campaign_of, p45_bench, ungraded
 
-from truenewton import estimators
-from truenewton.actuators import layout
-from truenewton.balance import enabled_arms, system_e
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.campaign import Campaign
+from truenewton.calibration import methods
 from truenewton.errors import RankDeficient
-from truenewton.estimators.svd import solve
-from truenewton.identifiability import diagnose, geometry_faults
-from truenewton.load import Load
-from truenewton.mirrors import p45
-from truenewton.moments import campaign_moments
+from truenewton.estimation.cycles_svd import solve
+from truenewton.estimation.identifiability import diagnose, geometry_faults
+from truenewton.estimation.moments import campaign_moments
+from truenewton.estimation.systems import system_e
+from truenewton.mirrors.known import p45
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import enabled_arms
+from truenewton.statics.layout import layout
+from truenewton.statics.load import Load
 
 NOISES = [0.0, 1e-4, 1e-3]
-calibrate = partial(estimators.calibrate, method="svd")
+calibrate = partial(methods.calibrate, method="svd")
 
 
 def judged(campaign):

@@ -5,7 +5,7 @@ import pytest
 from nist import SETS
 
 from truenewton.errors import RankDeficient
-from truenewton.tracking.least_squares import least_squares
+from truenewton.linalg import least_squares
 
 # Correct digits of the worst estimate, the worst standard deviation of an estimate, and the
 # residual standard deviation (0 for the exact sets, which is held to as many decimals).

@@ -20,20 +20,20 @@ from balanced import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truenewton.actuators import Layout, layout, rings
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.campaign import Campaign
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import NotConverged, RankDeficient, UnknownName
-from truenewton.estimators import calibrate
-from truenewton.estimators.estimate import DataSet, Prior
-from truenewton.estimators.likelihood import _terms, chi2_at, minimise, start_values
-from truenewton.estimators.maximum_likelihood import find
-from truenewton.estimators.svd import condition_in_units_of_rms
-from truenewton.load import Load
-from truenewton.measurements import StiffnessMatrix
-from truenewton.mirrors import lbt672, p45
-from truenewton.moments import shape_sums
-from truenewton.uncertainty import weight_errors
+from truenewton.estimation.cycles_ml import find
+from truenewton.estimation.cycles_svd import condition_in_units_of_rms
+from truenewton.estimation.likelihood import _terms, chi2_at, minimise, start_values
+from truenewton.estimation.minimum import DataSet, Prior
+from truenewton.estimation.shape_sums import shape_sums
+from truenewton.estimation.weights import weight_errors
+from truenewton.mirrors.known import lbt672, p45
+from truenewton.records.campaign import Campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout, layout, rings
+from truenewton.statics.load import Load
 
 CAMPAIGNS = 200
 EXACT = (Load("bare"), replace(RING, added_error=0.0))  # weights without error: E_STAT alone

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
+from step_response import settling_time, step_responses
 
 from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control, ramp
@@ -20,13 +21,12 @@ from truenewton.bench.simulated.loop import (
 from truenewton.bench.simulated.plant import advance, film_damping
 from truenewton.bench.simulated.sensors import Sensors, count_step, draw_sensors
 from truenewton.bench.simulated.stability import roots, state_matrix
-from truenewton.bench.simulated.step_response import settling_time, step_responses
 from truenewton.errors import BenchFault, LoopUnstable
-from truenewton.mirrors import GRAVITY, p45
-from truenewton.modes import stiffness_modes
-from truenewton.shell.condensation import condense
-from truenewton.shell.fourier import influence
-from truenewton.statics import arms
+from truenewton.mirrors.known import GRAVITY, p45
+from truenewton.mirrors.shell.condensation import condense
+from truenewton.mirrors.shell.fourier import influence
+from truenewton.statics.arms import arms
+from truenewton.statics.modes import stiffness_modes
 
 PERIOD = 1 / 71.6e3
 GAP = 68e-6

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from truenewton import mirrors
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
-from truenewton.glass import Annulus, Shell
-from truenewton.mirror_files import check_glass, mirror_from, read_mirror
-from truenewton.settings import read_toml
+from truenewton.files.toml import read_toml
+from truenewton.mirrors import known
+from truenewton.mirrors.file import check_glass, mirror_from, read_mirror
+from truenewton.mirrors.glass import Annulus, Shell
 
 MINE = """
 name = "MINE"
@@ -40,7 +40,7 @@ def mine(tmp_path):
     [("p45", 45), ("mmt336", 336), ("mag585", 585), ("LBT672", 672), ("ring5352", 5352)],
 )
 def test_known_mirrors_stand_on_their_glass(name, n):
-    mirror = mirrors.mirror(name)
+    mirror = known.mirror(name)
     assert mirror.layout.n == n
     check_glass(mirror)
     shell = mirror.shell
@@ -50,11 +50,11 @@ def test_known_mirrors_stand_on_their_glass(name, n):
     # Shell and magnets weigh what the mirror is said to, P45's to the paper's 5 mN and the spread
     # of its magnets' mass.
     mass = shell.mass + mirror.magnet_mass * n
-    assert -mirror.weight == pytest.approx(mass * mirrors.GRAVITY, rel=0.02)
+    assert -mirror.weight == pytest.approx(mass * known.GRAVITY, rel=0.02)
 
 
 def test_rings_of_the_mmt():
-    layout = mirrors.mmt336().layout
+    layout = known.mmt336().layout
     radius = np.hypot(layout.x, layout.y)
     values, counts = np.unique(np.round(1e3 * radius, 1), return_counts=True)
     assert values.tolist() == [42.1, 73.4, 104.8, 136.1, 167.5, 198.8, 230.1, 261.5, 290.8, 313.1]
@@ -64,12 +64,12 @@ def test_rings_of_the_mmt():
 
 
 def test_the_family_carries_the_rings_of_lbt672_on():
-    one, other = mirrors.ring(672), mirrors.lbt672()
+    one, other = known.ring(672), known.lbt672()
     assert one.layout.x == pytest.approx(other.layout.x, rel=1e-4, abs=1e-6)
     assert one.weight == pytest.approx(other.weight, rel=0.01)
     for name in ("ring3", "ring5353", "ring", "ringo"):
         with pytest.raises(UnknownName):
-            mirrors.mirror(name)
+            known.mirror(name)
 
 
 def test_a_mirror_from_a_file(mine):

@@ -6,18 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from astropy.io import fits
+from modal_truth import score_modes
 
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.campaign import Campaign
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnknownName
-from truenewton.estimators import calibrate
 from truenewton.modal.dissipation import Limits
+from truenewton.modal.file import modes_paths, write_modes
 from truenewton.modal.findings import find_modes
-from truenewton.modal.modes_files import modes_paths, write_modes
 from truenewton.modal.pupil import Pupil, pupil_of, seen_turbulence
 from truenewton.modal.turbulence import Atmosphere
-from truenewton.studies.modal_truth import score_modes
+from truenewton.records.campaign import Campaign
 
 
 @pytest.fixture(scope="module")

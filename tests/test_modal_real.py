@@ -10,7 +10,7 @@ import pytest
 import truenewton as tn
 from truenewton.modal.modal_base import modal_base
 from truenewton.modal.pupil import Pupil, seen_turbulence
-from truenewton.modal.stiffness import true_stiffness
+from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere, structure_function
 
 NUMBERS = np.array([100, 200, 400, 600, 650])

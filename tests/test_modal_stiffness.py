@@ -12,24 +12,26 @@ import scipy.linalg
 import scipy.optimize
 from balanced import ungraded
 
-from truenewton import moments, reading, stored_rows
-from truenewton.actuators import Layout, rings
-from truenewton.bench.simulated.dynamic import run_loop_cycles
+from truenewton import reading
+from truenewton.bench.simulated.loop_campaign import run_loop_cycles
 from truenewton.bench.simulated.static import rows_of_cycle, run_cycles, static_bench
-from truenewton.campaign import Campaign
-from truenewton.campaign_files import write_campaign
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.estimators import calibrate
-from truenewton.measurements import StiffnessMatrix
-from truenewton.mirrors import lbt672, p45
-from truenewton.modal import repeated_shapes
+from truenewton.estimation import moments
+from truenewton.files import stored_rows
+from truenewton.mirrors.known import lbt672, p45
+from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.modal import shape_products
 from truenewton.modal.comparison import compare_modes
-from truenewton.modal.measured import measured_stiffness
-from truenewton.modal.stiffness import true_stiffness
-from truenewton.modes import stiffness_modes
+from truenewton.modal.measured_stiffness import measured_stiffness
+from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.reading import read
-from truenewton.shell.held_glass import held_glass
-from truenewton.statics import arms
+from truenewton.records.campaign import Campaign
+from truenewton.records.file import write_campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import arms
+from truenewton.statics.layout import Layout, rings
+from truenewton.statics.modes import stiffness_modes
 
 DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 REAL = os.environ.get("TRUENEWTON_REAL_DATA")
@@ -127,7 +129,7 @@ def test_noise_of_the_sensors_does_not_soften():
             tuple(replace(c, position=z) for c, z in zip(cycles, read, strict=True))
         )
         softer.append(np.sum(measured_stiffness(campaign).matrix.stiffness * k) / np.sum(k * k) - 1)
-        alike = repeated_shapes.shape_products(campaign).between
+        alike = shape_products.shape_products(campaign).between
         plain = alike.cz @ np.linalg.inv(alike.zz)
         naive.append(np.sum(plain * k) / np.sum(k * k) - 1)
     error = np.std(naive) / np.sqrt(40)
@@ -237,7 +239,7 @@ def test_rows_may_stay_on_disk(tmp_path, monkeypatch):
     _, campaign, _ = spoilt()
     write_campaign(campaign.cycles, tmp_path / "campaign")
     monkeypatch.setattr(reading, "IN_MEMORY", -1)
-    for module in (stored_rows, moments, repeated_shapes):
+    for module in (stored_rows, moments, shape_products):
         monkeypatch.setattr(module, "BLOCK_BYTES", 4000)
     stored = read(tmp_path / "campaign")
     assert not isinstance(stored.cycles[0].position, np.ndarray)

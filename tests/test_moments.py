@@ -9,17 +9,12 @@ from balanced import RING, campaign_of, gradients
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truenewton.balanced_rows import common_rest
-from truenewton.campaign import Campaign
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch
-from truenewton.estimators import calibrate
-from truenewton.moments import (
-    campaign_moments,
-    chosen_groups,
-    groups_of,
-    merge,
-    mirrored,
-)
+from truenewton.estimation.displaced_rows import common_rest
+from truenewton.estimation.moments import campaign_moments, chosen_groups, groups_of, merge
+from truenewton.linalg import mirrored
+from truenewton.records.campaign import Campaign
 
 
 @cache

@@ -21,11 +21,11 @@ from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from truenewton import reading
-from truenewton.campaign_files import write_cycle
+from truenewton.calibration.methods import calibrate
 from truenewton.cli.main import main
 from truenewton.errors import TrueNewtonError
-from truenewton.estimators import calibrate
 from truenewton.reading import read_data
+from truenewton.records.file import write_cycle
 
 BLOCK, CARD = 2880, 80
 

@@ -19,17 +19,17 @@ from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 import truenewton as tn
-from truenewton.bench import opcua_keys as keys
-from truenewton.bench.chosen import chosen_bench
+from truenewton.acquisition.benches import chosen_bench
+from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect
-from truenewton.bench.opcua_client import OpcUaBench
-from truenewton.bench.opcua_server import serving
+from truenewton.bench.opcua import keys as keys
+from truenewton.bench.opcua.client import OpcUaBench
+from truenewton.bench.opcua.server import serving
 from truenewton.bench.protocol import Bench, Operator, Reading, Shape, Status
-from truenewton.bench.simulated.simulated_bench import SAMPLES
+from truenewton.bench.simulated.bench import SAMPLES
 from truenewton.bench.simulated.static import static_bench
-from truenewton.campaign_plan import BenchChoice
 from truenewton.errors import BenchFault, FormatError, UnknownName, UnreadableFile
-from truenewton.mirrors import p45
+from truenewton.mirrors.known import p45
 
 BARE = tn.Load("bare")
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import truenewton as tn
-from truenewton.bench.opticalib_mirror import OpticalibMirror, from_address
+from truenewton.bench.opticalib import OpticalibMirror, from_address
 from truenewton.bench.protocol import Bench, Shape
-from truenewton.bench.simulated.simulated_bench import SAMPLES
+from truenewton.bench.simulated.bench import SAMPLES
 from truenewton.bench.simulated.static import static_bench
 from truenewton.errors import BenchFault, UnknownName
-from truenewton.mirrors import p45
+from truenewton.mirrors.known import p45
 
 BARE = tn.Load("bare")
 
@@ -185,9 +185,9 @@ import opticalib
 from opticalib.devices import DP, M4AU, AdOpticaDm
 from opticalib.devices._API.base_devices import BaseDeformableMirror
 import truenewton as tn
-from truenewton.bench.opticalib_mirror import OpticalibMirror
+from truenewton.bench.opticalib import OpticalibMirror
 from truenewton.bench.protocol import Shape
-from truenewton.mirrors import p45
+from truenewton.mirrors.known import p45
 
 class Client:
     '''What the electronics' own library does for the device.'''

@@ -7,12 +7,12 @@ import pytest
 from balanced import LAYOUT, RING, arms_of, campaign_of, p45_bench
 
 from truenewton.bench.simulated.static import run_cycles
-from truenewton.campaign import Campaign
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
-from truenewton.estimators import calibrate
-from truenewton.estimators.maximum_likelihood import find
-from truenewton.load import Load
-from truenewton.outliers import against_repeats, squared_distances, standing_out
+from truenewton.estimation.cycles_ml import find
+from truenewton.estimation.outliers import against_repeats, squared_distances, standing_out
+from truenewton.records.campaign import Campaign
+from truenewton.statics.load import Load
 
 SIGMA = 1e-3
 EXACT = (Load("bare"), replace(RING, added_error=0.0))

@@ -10,29 +10,23 @@ import pytest
 from balanced import arms_of, campaign_of, noisy, three_loads
 
 import truenewton as tn
-from truenewton.actuators import Layout
+from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan, template
+from truenewton.acquisition.shapes import planned_shapes, shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.campaign import Campaign
-from truenewton.campaign_plan import (
-    CampaignPlan,
-    PlannedShapes,
-    planned_shapes,
-    read_plan,
-    shapes_and_forces,
-    template,
-)
 from truenewton.errors import RankDeficient
-from truenewton.fitsfiles import Sheet, write_fits
-from truenewton.load import Load
-from truenewton.measurements import StiffnessMatrix
-from truenewton.mirrors import p45
-from truenewton.moments import campaign_moments
-from truenewton.prediction import predict, typical
-from truenewton.studies.planned_forces import holding, noiseless, prepared, strain
-from truenewton.studies.planning import LOOP_RATE, duration, outlook, predicted
-from truenewton.studies.planning_figure import plot_outlook
-from truenewton.studies.target import ways_to
-from truenewton.uncertainty import READINGS, tilt_as_load
+from truenewton.estimation.moments import campaign_moments
+from truenewton.estimation.prediction import predict, typical
+from truenewton.estimation.weights import READINGS, tilt_as_load
+from truenewton.files.fits import Sheet, write_fits
+from truenewton.mirrors.known import p45
+from truenewton.planning.figures import plot_outlook
+from truenewton.planning.forces import holding, noiseless, prepared, strain
+from truenewton.planning.outlook import LOOP_RATE, duration, outlook, predicted
+from truenewton.planning.target import ways_to
+from truenewton.records.campaign import Campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
 
 LOADS = (Load("bare"), Load("ring", -0.289, 0.005, tool="ring"))
 PLAN = CampaignPlan("p45", LOADS)

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from truenewton.cli.printing import by_chance, print_json, print_table
-from truenewton.rounding import percent, significant, to_digits, with_error
+from truenewton.cli.terminal import print_json, print_table
+from truenewton.rounding import by_chance, percent, significant, to_digits, with_error
 
 
 @pytest.mark.parametrize(

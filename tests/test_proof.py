@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truenewton import balance
-from truenewton.actuators import layout
-from truenewton.balance import enabled_arms
 from truenewton.errors import GeometryError
-from truenewton.mirrors import lbt672, p45
+from truenewton.estimation import systems
+from truenewton.mirrors.known import lbt672, p45
+from truenewton.statics.arms import enabled_arms
+from truenewton.statics.layout import layout
 from truenewton.studies import proof
 from truenewton.studies.proof import balanced_forces, prove
 
@@ -45,7 +45,7 @@ def test_the_first_columns_are_as_given_and_the_last_three_balance():
 
 def test_a_wrong_sign_of_a_torque_fails_the_proof(monkeypatch):
     """With B = M = N = 0 the mistake stays hidden: only the loaded half of the proof sees it."""
-    right = balance.external_load
+    right = systems.external_load
 
     def wrong(weight, bias, torque_y, torque_x):
         return right(weight, bias, torque_y, np.negative(torque_x))

@@ -10,9 +10,9 @@ from tracked import NOISE, campaign_at, drawn, pattern, quiet_cycles, scaled
 
 import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.load import Load
+from truenewton.recalibration.known import known_from, shared_errors
+from truenewton.statics.load import Load
 from truenewton.tracking.days import Day, covariances
-from truenewton.tracking.known import known_from, shared_errors
 
 NEW = 16  # place of actuator 17
 ONES = np.ones(45)

@@ -13,18 +13,19 @@ import report_data
 from balanced import arms_of, campaign_of, p45_campaign
 from bokeh.resources import Resources
 
-from truenewton.campaign import Campaign
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, OutputExists, UnknownName
-from truenewton.estimators import calibrate
-from truenewton.measurements import Source, StiffnessMatrix
 from truenewton.reading import read
+from truenewton.records.campaign import Campaign
+from truenewton.records.source import Source
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.change import change
 from truenewton.report.evidence import ModeResiduals
-from truenewton.report.findings import investigate
+from truenewton.report.investigate import investigate
 from truenewton.report.layers import calibration_layers, change_layers
-from truenewton.report.page import page, write_report
+from truenewton.report.page.page import page, write_report
 from truenewton.report.verdict import verdict, verdict_on_change
-from truenewton.statics import external_load
+from truenewton.statics.arms import external_load
 
 GOLDEN = {
     "fine": """\
@@ -222,7 +223,7 @@ def test_the_same_files_are_said_to_be_the_same():
 
 
 def calibrated_source(cycle):
-    from truenewton.calibration import UsedSource
+    from truenewton.records.source import UsedSource
 
     return UsedSource(f"{cycle.load.name}.fits", "0" * 64, 1, 0)
 

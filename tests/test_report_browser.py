@@ -13,8 +13,8 @@ from browser import AXE, CHROMIUM, DRIVER, TOOLTIP, Browser
 from test_report import changed_by, hostile_campaign
 
 from truenewton.report.change import change
-from truenewton.report.findings import investigate
-from truenewton.report.page import write_report
+from truenewton.report.investigate import investigate
+from truenewton.report.page.page import write_report
 
 pytest.importorskip("selenium", reason="selenium is not installed")
 pytestmark = pytest.mark.skipif(

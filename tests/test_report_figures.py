@@ -11,11 +11,13 @@ from matplotlib.figure import Figure
 from test_report import changed_by
 
 from truenewton.bench.simulated.static import START
-from truenewton.figures import COLUMN, write_figure, write_figures
-from truenewton.measurements import StiffnessMatrix
+from truenewton.calibration.figures import write_figures
+from truenewton.figures.style import COLUMN
+from truenewton.figures.writing import write_figure
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.change import change
-from truenewton.report.findings import investigate
-from truenewton.report.still import still_figures
+from truenewton.report.figures import still_figures
+from truenewton.report.investigate import investigate
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +136,7 @@ def test_a_calibration_alone_has_no_residuals_to_draw(p45):
 def test_names_with_dollars_are_no_formulas():
     from dataclasses import replace
 
-    from truenewton.campaign import Campaign
+    from truenewton.records.campaign import Campaign
 
     cycles = report_data.fine().cycles
     hostile = [replace(c, load=replace(c.load, name=f"{c.load.name} $x_{{$")) for c in cycles]

@@ -7,16 +7,16 @@ import pytest
 from balanced import p45_bench, p45_campaign
 
 from truenewton.bench.simulated.static import START
-from truenewton.campaign import Campaign
-from truenewton.measurements import StiffnessMatrix
-from truenewton.modal import shown
+from truenewton.modal import words
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.findings import find_modes
-from truenewton.report import findings as module
-from truenewton.report.findings import investigate
-from truenewton.report.modal_sections import modal_sections
-from truenewton.report.page import page
-from truenewton.report.still import still_figures
+from truenewton.records.campaign import Campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.report import investigate as module
+from truenewton.report.figures import still_figures
+from truenewton.report.investigate import investigate
+from truenewton.report.page.modal_sections import modal_sections
+from truenewton.report.page.page import page
 
 
 @pytest.fixture(scope="module")
@@ -170,17 +170,17 @@ def test_a_calibration_alone_tells_nothing_of_modes(p45):
 
 
 @pytest.mark.parametrize(
-    ("value", "words"),
+    ("value", "text"),
     [(-21.9, "-22 N/m"), (999.4, "1.0 kN/m"), (4632.0, "4.6 kN/m"), (110e3, "110 kN/m"),
      (8.99e6, "9.0 MN/m"), (0.0, "0 N/m")],
 )  # fmt: skip
-def test_a_stiffness_reads_in_its_unit(value, words):
-    assert shown.stiffness_text(value) == words
+def test_a_stiffness_reads_in_its_unit(value, text):
+    assert words.stiffness_text(value) == text
 
 
 def test_equal_modes_are_not_told_apart():
     c = compare_modes(np.eye(4), np.eye(4)[:, ::-1], np.ones(4))
-    assert shown.apart(c).startswith("not to be told from the calibrated")
+    assert words.apart(c).startswith("not to be told from the calibrated")
 
 
 def test_an_axis_of_power_begins_at_what_is_drawn(p45, matrix):
@@ -189,7 +189,7 @@ def test_an_axis_of_power_begins_at_what_is_drawn(p45, matrix):
         costs = found.after.costs
         least = min(cost.power.mean(axis=0).min() for cost in costs)
         most = max(cost.power.max() for cost in costs)
-        start = shown.least_power(found.after)
+        start = words.least_power(found.after)
         if drawn_whole:
             assert 0.5 * least < start < least
         else:

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truenewton.actuators import rings
 from truenewton.errors import GeometryError
-from truenewton.glass import Shell
-from truenewton.mirrors import lbt672, p45
-from truenewton.shell.condensation import condense, holding_forces
-from truenewton.shell.fourier import influence, stiffness, uniform_influence
+from truenewton.mirrors.glass import Shell
+from truenewton.mirrors.known import lbt672, p45
+from truenewton.mirrors.shell.condensation import condense, holding_forces
+from truenewton.mirrors.shell.fourier import influence, stiffness, uniform_influence
+from truenewton.statics.layout import rings
 
 GLASS = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
 COUNTS = np.array([9, 15, 21])

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from truenewton.actuators import rings
-from truenewton.glass import Annulus, Shell
-from truenewton.shell import finite_elements, fourier
+from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.shell import fourier
+from truenewton.mirrors.shell.finite_elements import stiffness
+from truenewton.statics.layout import rings
 
 COUNTS = np.array([9, 15, 21])
 LAYOUT = rings(list(COUNTS * 30.5e-3 / (2 * np.pi)), list(COUNTS))
@@ -21,7 +22,7 @@ FLAT = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
 def test_stiffness_agrees(curvature, sensor, worst):
     shell = replace(FLAT, radius_of_curvature=curvature)
     one = fourier.stiffness(shell, LAYOUT.x, LAYOUT.y, sensor=sensor)
-    other = finite_elements.stiffness(shell, LAYOUT.x, LAYOUT.y, mesh_size=8e-3, sensor=sensor)
+    other = stiffness.stiffness(shell, LAYOUT.x, LAYOUT.y, mesh_size=8e-3, sensor=sensor)
     stretches = [np.linalg.svd(K, compute_uv=False)[:-3] for K in (other, one)]
     assert np.abs(stretches[0] / stretches[1] - 1).max() < worst
     assert np.linalg.norm(other - one) < worst * np.linalg.norm(one)

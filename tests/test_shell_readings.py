@@ -8,12 +8,12 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import iv, ivp, jv, jvp
 
-from truenewton.actuators import rings
 from truenewton.errors import GeometryError
-from truenewton.glass import Annulus, Shell
-from truenewton.shell.condensation import condense
-from truenewton.shell.fourier import influence, stiffness, uniform_influence
-from truenewton.shell.shapes import condensed_mass, influence_functions
+from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.shell.condensation import condense
+from truenewton.mirrors.shell.fourier import influence, stiffness, uniform_influence
+from truenewton.mirrors.shell.moving_mass import condensed_mass, influence_functions
+from truenewton.statics.layout import rings
 
 FLAT = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
 GLASS = replace(FLAT, radius_of_curvature=2.0)

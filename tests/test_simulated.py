@@ -8,14 +8,14 @@ from balanced import p45_bench, p45_campaign, ungraded
 
 from truenewton.bench.simulated.static import rows_of_cycle, run_cycles, static_bench
 from truenewton.bench.simulated.truth import read_truth, truth_path, write_truth
-from truenewton.campaign import Campaign
-from truenewton.campaign_files import write_campaign
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import LimitExceeded
-from truenewton.estimators import calibrate
-from truenewton.load import Load
-from truenewton.mirrors import lbt672, p45
-from truenewton.modes import stiffness_modes
-from truenewton.statics import effective_weight, external_load, resultants
+from truenewton.mirrors.known import lbt672, p45
+from truenewton.records.campaign import Campaign
+from truenewton.records.file import write_campaign
+from truenewton.statics.arms import effective_weight, external_load, resultants
+from truenewton.statics.load import Load
+from truenewton.statics.modes import stiffness_modes
 from truenewton.studies.scoring import score
 
 

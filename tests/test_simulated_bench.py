@@ -7,12 +7,12 @@ import pytest
 
 import truenewton as tn
 from truenewton.bench.protocol import Bench, Shape
-from truenewton.bench.simulated.dynamic import rest_displacement, run_loop_cycles
-from truenewton.bench.simulated.simulated_bench import SAMPLES
+from truenewton.bench.simulated.bench import SAMPLES
+from truenewton.bench.simulated.loop_campaign import rest_displacement, run_loop_cycles
 from truenewton.bench.simulated.static import held_command, run_cycles, static_bench
 from truenewton.bench.simulated.truth import read_truth
 from truenewton.errors import BenchFault, GeometryError, UnknownName
-from truenewton.mirrors import p45
+from truenewton.mirrors.known import p45
 
 
 def test_rows_taken_one_by_one_are_those_of_the_campaign():

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from truenewton.actuators import layout
-from truenewton.balance import enabled_arms, system_c
-from truenewton.statics import arms, effective_weight, external_load, resultants
+from truenewton.estimation.systems import system_c
+from truenewton.statics.arms import arms, effective_weight, enabled_arms, external_load, resultants
+from truenewton.statics.layout import layout
 
 # Four actuators, none on an axis, one leaning: (x, y) in metres, forces in Newton.
 FOUR = layout([0.3, -0.1, 0.2, -0.4], [0.1, 0.5, -0.2, -0.3], nz=[1.0, 1.0, 0.5, 1.0])

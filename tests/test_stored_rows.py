@@ -13,15 +13,17 @@ from astropy.io import fits
 from balanced import arms_of, campaign_of
 from test_files import same
 
-from truenewton import moments, reading, stored_rows
-from truenewton.actuators import rings
-from truenewton.balance import system_c
-from truenewton.campaign_files import write_campaign, write_cycle
+from truenewton import reading
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import UnreadableFile
-from truenewton.estimators import calibrate, svd
-from truenewton.outliers import against_repeats
+from truenewton.estimation import cycle_errors, moments
+from truenewton.estimation.outliers import against_repeats
+from truenewton.estimation.systems import system_c
+from truenewton.files import stored_rows
+from truenewton.files.stored_rows import StoredRows, blocks, largest_in_rows
 from truenewton.reading import read, read_data
-from truenewton.stored_rows import StoredRows, blocks, largest_in_rows
+from truenewton.records.file import write_campaign, write_cycle
+from truenewton.statics.layout import rings
 
 
 @pytest.fixture
@@ -210,7 +212,7 @@ def test_memory_does_not_grow_with_repeats(tmp_path, left_on_disk, monkeypatch):
         tracemalloc.start()
         stored = read_data(tmp_path / str(cycles))
         against_repeats(stored)
-        svd.cycle_errors(stored, np.ones(layout.n + 5))
+        cycle_errors.cycle_errors(stored, np.ones(layout.n + 5))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] - peaks[0] < 0.1 * rows
@@ -246,5 +248,5 @@ def test_a_cycle_near_rank_deficiency_is_solved_from_its_rows(monkeypatch):
     matrix, right = system_c(force, a, *external)
     values = scipy.linalg.svdvals(matrix)
     assert 1e5 < values[0] / values[-1] < 1e9
-    found = svd._from_one_cycle(cycle, a, external)
+    found = cycle_errors._from_one_cycle(cycle, a, external)
     assert found == pytest.approx(scipy.linalg.lstsq(matrix, right)[0], rel=1e-6)

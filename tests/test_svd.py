@@ -9,16 +9,17 @@ from balanced import RING, campaign_of, noisy, p45_campaign, three_loads
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from truenewton import estimators
-from truenewton.actuators import Layout
-from truenewton.balance import enabled_arms, system_e
-from truenewton.campaign import Campaign
+from truenewton.calibration import methods
 from truenewton.errors import RankDeficient, UnknownName
-from truenewton.estimators.svd import bias, fit, solve, weight_changes
-from truenewton.load import Load
-from truenewton.uncertainty import weight_errors
+from truenewton.estimation.cycles_svd import bias, fit, solve, weight_changes
+from truenewton.estimation.systems import system_e
+from truenewton.estimation.weights import weight_errors
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import enabled_arms
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
 
-calibrate = partial(estimators.calibrate, method="svd")
+calibrate = partial(methods.calibrate, method="svd")
 
 
 def solution(calibration):
@@ -218,7 +219,7 @@ def test_solve_refuses_a_singular_matrix_and_too_few_equations():
 
 def test_an_unknown_method_is_named():
     with pytest.raises(UnknownName, match="no method 'magic'; choose ml, svd"):
-        estimators.calibrate(campaign_of(seed=19, noise=0.0)[0], "magic")
+        methods.calibrate(campaign_of(seed=19, noise=0.0)[0], "magic")
 
 
 @pytest.mark.parametrize(

@@ -21,11 +21,12 @@ from tracked import (
 
 import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
-from truenewton.load import Load
+from truenewton.statics.load import Load
 from truenewton.tracking.days import Day, covariances, gathered, groups
 from truenewton.tracking.family import families, fitted_population, stranger
-from truenewton.tracking.line import fitted_lines
-from truenewton.tracking.pictures import write_tracking_figures
+from truenewton.tracking.figures import write_tracking_figures
+from truenewton.tracking.lines import fitted_lines
+from truenewton.tracking.validity import serves
 
 K = np.random.default_rng(11).normal(MEAN_K, SPREAD_K, 45)
 R = np.random.default_rng(12).normal(-4e-3, 1e-3, 45)
@@ -272,7 +273,7 @@ def test_an_actuator_that_was_disabled_on_a_day_is_left_out():
     assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [7]
     assert "left out: 1" in found.limits[-1]
     assert np.isnan(found.alpha_at(20.0).error[7])
-    assert np.isfinite(found.serves(0.01).now)
+    assert np.isfinite(serves(found, 0.01).now)
 
 
 def test_what_cannot_be_tracked_is_refused():
@@ -347,7 +348,7 @@ def test_days_share_the_error_of_a_weight_only_where_all_agrees():
 
 def test_a_calibration_serves_as_far_as_its_error_stays_below_what_is_wanted(tracking):
     wanted = 0.004
-    v, last = tracking.serves(wanted), tracking.days[-1]
+    v, last = serves(tracking, wanted), tracking.days[-1]
     alpha, k = tracking.alpha, tracking.coefficient
     now = np.mean((last.error / last.alpha) ** 2)
     assert v.now == pytest.approx(np.sqrt(now))
@@ -370,7 +371,7 @@ def test_a_calibration_serves_as_far_as_its_error_stays_below_what_is_wanted(tra
 
 
 def test_a_calibration_that_is_too_noisy_serves_nowhere(tracking):
-    v = tracking.serves(1e-5)
+    v = serves(tracking, 1e-5)
     assert v.now > 1e-5
     assert v.temperatures == (tracking.days[-1].temperature,) * 2
     assert v.until == tracking.days[-1].date
@@ -385,7 +386,7 @@ def test_the_file_holds_all_and_serves_electronics(tracking, tmp_path):
 
     tracking.write(tmp_path / "t.fits")
     back = tn.read_tracking(tmp_path / "t.fits")
-    assert back.serves(0.004) == tracking.serves(0.004)
+    assert serves(back, 0.004) == serves(tracking, 0.004)
     one, two = (t.alpha_at(14.0, t.days[2].date) for t in (tracking, back))
     assert np.array_equal(one.covariance, two.covariance)
     assert (back.families, back.departures, back.limits, back.told) == (
@@ -424,7 +425,7 @@ def test_figures_name_who_left(tmp_path):
     paths = write_tracking_figures(found, tmp_path / "figures")
     kinds = ("temperature", "time", "family-temperature", "family-drift")
     assert {p.stem for p in paths} == {f"track-{kind}" for kind in kinds}
-    from truenewton.tracking.pictures import plot_family, plot_temperature
+    from truenewton.tracking.figures import plot_family, plot_temperature
 
     for ax in (plot_temperature(found), plot_family(found, "temperature")):
         assert "5" in {text.get_text() for text in ax.texts}

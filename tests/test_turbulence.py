@@ -11,7 +11,7 @@ import pytest
 from scipy.special import j0, jv
 
 from truenewton.errors import FormatError, GeometryError
-from truenewton.mirrors import mirror
+from truenewton.mirrors.known import mirror
 from truenewton.modal.bases import karhunen_loeve_modes, zernike_modes
 from truenewton.modal.turbulence import (
     FRIED,

@@ -18,28 +18,30 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from truenewton import errors, mirrors
     from truenewton.acquisition.acquire import acquire
-    from truenewton.actuators import Layout, layout, rings, spherical_rings
-    from truenewton.bench.simulated.simulated_bench import SimulatedBench
+    from truenewton.acquisition.plan import CampaignPlan, read_plan
+    from truenewton.bench.simulated.bench import SimulatedBench
     from truenewton.bench.simulated.static import run_cycles, static_bench
-    from truenewton.calibration import Calibration
-    from truenewton.campaign import Campaign
-    from truenewton.campaign_files import write_campaign, write_cycle, write_stiffness
-    from truenewton.campaign_plan import CampaignPlan, read_plan
-    from truenewton.estimators import calibrate
-    from truenewton.figures import write_figures
-    from truenewton.load import Load
-    from truenewton.measurements import Cycle, StiffnessMatrix
+    from truenewton.calibration.figures import write_figures
+    from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.result import Calibration
     from truenewton.modal.dissipation import Limits
+    from truenewton.modal.file import write_modes
     from truenewton.modal.findings import find_modes
-    from truenewton.modal.modes_files import write_modes
     from truenewton.modal.turbulence import Atmosphere
     from truenewton.reading import read
+    from truenewton.recalibration.fit import recalibrate
+    from truenewton.records.campaign import Campaign
+    from truenewton.records.cycle import Cycle
+    from truenewton.records.file import write_campaign, write_cycle, write_stiffness
+    from truenewton.records.stiffness_matrix import StiffnessMatrix
     from truenewton.report.change import change
-    from truenewton.report.findings import investigate
-    from truenewton.report.page import write_report
-    from truenewton.tracking import Tracking, read_tracking, recalibrate, track
-
-__version__ = "0.1.0"
+    from truenewton.report.investigate import investigate
+    from truenewton.report.page.page import write_report
+    from truenewton.statics.layout import Layout, layout, rings, spherical_rings
+    from truenewton.statics.load import Load
+    from truenewton.tracking.file import read_tracking
+    from truenewton.tracking.fit import track
+    from truenewton.tracking.law import Tracking
 
 __all__ = [
     "Atmosphere",
@@ -81,43 +83,47 @@ __all__ = [
 # Imported on first use: the command line answers --help without numpy.
 _HOMES = {
     "Atmosphere": "modal.turbulence",
-    "Calibration": "calibration",
-    "Campaign": "campaign",
-    "CampaignPlan": "campaign_plan",
-    "Cycle": "measurements",
-    "Layout": "actuators",
+    "Calibration": "calibration.result",
+    "Campaign": "records.campaign",
+    "CampaignPlan": "acquisition.plan",
+    "Cycle": "records.cycle",
+    "Layout": "statics.layout",
     "Limits": "modal.dissipation",
-    "Load": "load",
-    "SimulatedBench": "bench.simulated.simulated_bench",
-    "StiffnessMatrix": "measurements",
+    "Load": "statics.load",
+    "SimulatedBench": "bench.simulated.bench",
+    "StiffnessMatrix": "records.stiffness_matrix",
+    "Tracking": "tracking.law",
     "acquire": "acquisition.acquire",
-    "Tracking": "tracking",
-    "calibrate": "estimators",
+    "calibrate": "calibration.methods",
     "change": "report.change",
     "find_modes": "modal.findings",
-    "investigate": "report.findings",
-    "layout": "actuators",
+    "investigate": "report.investigate",
+    "layout": "statics.layout",
     "read": "reading",
-    "read_plan": "campaign_plan",
-    "read_tracking": "tracking",
-    "recalibrate": "tracking",
-    "rings": "actuators",
+    "read_plan": "acquisition.plan",
+    "read_tracking": "tracking.file",
+    "recalibrate": "recalibration.fit",
+    "rings": "statics.layout",
     "run_cycles": "bench.simulated.static",
-    "spherical_rings": "actuators",
+    "spherical_rings": "statics.layout",
     "static_bench": "bench.simulated.static",
-    "track": "tracking",
-    "write_campaign": "campaign_files",
-    "write_cycle": "campaign_files",
-    "write_figures": "figures",
-    "write_modes": "modal.modes_files",
-    "write_report": "report.page",
-    "write_stiffness": "campaign_files",
+    "track": "tracking.fit",
+    "write_campaign": "records.file",
+    "write_cycle": "records.file",
+    "write_figures": "calibration.figures",
+    "write_modes": "modal.file",
+    "write_report": "report.page.page",
+    "write_stiffness": "records.file",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(importlib.import_module(f"truenewton.{_HOMES[name]}"), name)
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("truenewton")
     if name in __all__:
         return importlib.import_module(f"truenewton.{name}")
     raise AttributeError(f"module 'truenewton' has no attribute '{name}'")

@@ -96,3 +96,10 @@ class LoopUnstable(BenchFault):
 
 class Interrupted(TrueNewtonError):
     """A run that someone stopped; what it took is kept."""
+
+
+def located(error: TrueNewtonError, path: object) -> TrueNewtonError:
+    """Return the same error, naming the file it came from."""
+    if error.path is not None:
+        return error
+    return type(error)(error.fault, remedy=error.remedy, path=path, got=error.got, want=error.want)

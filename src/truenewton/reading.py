@@ -6,18 +6,13 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from truenewton.calibration import Calibration
-from truenewton.calibration_files import calibration_from, is_calibration_file
-from truenewton.campaign import Campaign
-from truenewton.campaign_files import (
-    campaign_from,
-    fits_paths,
-    is_stiffness_file,
-    stiffness_from,
-)
+from truenewton.calibration.file import calibration_from, is_calibration_file
+from truenewton.calibration.result import Calibration
 from truenewton.errors import FormatError
-from truenewton.fitsfiles import read_fits
-from truenewton.measurements import StiffnessMatrix
+from truenewton.files.fits import read_fits
+from truenewton.records.campaign import Campaign
+from truenewton.records.file import campaign_from, fits_paths, is_stiffness_file, stiffness_from
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
 

@@ -48,3 +48,9 @@ def significant(value: float, digits: int = 2) -> str:
     if -3 <= decimals <= 6:
         return f"{round(value, decimals):.{max(decimals, 0)}f}"
     return f"{value:.{digits - 1}e}"
+
+
+def by_chance(probability: float) -> str:
+    """Return how often chance alone does that to a mirror, in words."""
+    share = f"{probability:.1g}" if probability > 1e-12 else "fewer than 1e-12"
+    return f"by chance on {share} of such mirrors"

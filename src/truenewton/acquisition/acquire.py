@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from truenewton.acquisition.clock import SteadyClock
-from truenewton.acquisition.cycles import Run, take_all
 from truenewton.acquisition.folder import (
     PLAN,
     begin_or_resume,
@@ -20,15 +19,16 @@ from truenewton.acquisition.folder import (
 )
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.limits import check_shapes
+from truenewton.acquisition.plan import CampaignPlan, planned_mirror
 from truenewton.acquisition.progress import Nobody, Onlooker
-from truenewton.acquisition.runlog import run_log
-from truenewton.acquisition.taking import Taker
+from truenewton.acquisition.run import Run, take_all
+from truenewton.acquisition.run_log import run_log
+from truenewton.acquisition.shapes import planned_shapes
+from truenewton.acquisition.taker import Taker
 from truenewton.bench.protocol import Bench, Operator
-from truenewton.campaign_files import cycle_name
-from truenewton.campaign_plan import CampaignPlan, planned_mirror, planned_shapes
-from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError
-from truenewton.measurements import located
-from truenewton.mirrors import Mirror
+from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
+from truenewton.mirrors.known import Mirror
+from truenewton.records.file import cycle_name
 
 
 def acquire(
@@ -131,12 +131,12 @@ def _check_agreement(bench: Bench, mirror: Mirror) -> None:
 
 
 def _note_start(run: Run) -> None:
-    from truenewton import __version__
+    from importlib.metadata import version
 
     plan = (run.folder / PLAN).read_bytes()
     run.log.note(
         "start",
-        truenewton=__version__,
+        truenewton=version("truenewton"),
         python=platform.python_version(),
         host=platform.node(),
         process=os.getpid(),

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from truenewton.acquisition.clock import instant_of
 from truenewton.acquisition.journal import journal_path
-from truenewton.acquisition.loads import sum_at_rest
-from truenewton.actuators import Array
-from truenewton.campaign_files import SUFFIXES, cycle_from, cycle_name
-from truenewton.campaign_plan import CampaignPlan, read_plan
+from truenewton.acquisition.load_check import sum_at_rest
+from truenewton.acquisition.plan import CampaignPlan, read_plan
+from truenewton.arrays import Array
 from truenewton.errors import (
     CampaignMismatch,
     FormatError,
@@ -29,11 +28,12 @@ from truenewton.errors import (
     OutputFailed,
     UnreadableFile,
 )
-from truenewton.fitsfiles import read_fits
-from truenewton.measurements import Cycle
-from truenewton.mirrors import Mirror
-from truenewton.outputs import file_beside, in_one_line, new_folder, to_disk
-from truenewton.settings import toml_text
+from truenewton.files.fits import read_fits
+from truenewton.files.outputs import file_beside, in_one_line, new_folder, to_disk
+from truenewton.files.toml import toml_text
+from truenewton.mirrors.known import Mirror
+from truenewton.records.cycle import Cycle
+from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
 
 PLAN, SHAPES, LOCK = "plan.toml", ".shapes.npy", ".lock"
 SHOWN = 8  # lines of a difference

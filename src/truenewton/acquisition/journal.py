@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.acquisition.clock import moment
-from truenewton.actuators import Layout
 from truenewton.bench.protocol import Reading, Shape
-from truenewton.campaign_files import cycle_name
 from truenewton.errors import BenchFault, FormatError
-from truenewton.load import Load
-from truenewton.measurements import Cycle
-from truenewton.mirrors import Mirror
-from truenewton.outputs import in_one_line, to_disk
+from truenewton.files.outputs import in_one_line, to_disk
+from truenewton.mirrors.known import Mirror
+from truenewton.records.cycle import Cycle
+from truenewton.records.file import cycle_name
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
 
 VERSION = 1
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from truenewton.actuators import Array, Layout
+from truenewton.acquisition.plan import CampaignPlan, Limits
+from truenewton.arrays import Array
 from truenewton.bench.protocol import Reading, Shape
-from truenewton.campaign_plan import CampaignPlan, Limits
 from truenewton.errors import LimitExceeded
-from truenewton.load import Load
-from truenewton.mirrors import Mirror
+from truenewton.mirrors.known import Mirror
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
 
 CLIPPED = 3.0  # standard deviations: a sample that far beyond the mean shall not saturate either
 

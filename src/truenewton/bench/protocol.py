@@ -6,8 +6,9 @@ import datetime
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from truenewton.actuators import Array, Layout
-from truenewton.load import Load
+from truenewton.arrays import Array
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,12 +7,12 @@ import os
 
 import numpy as np
 
-from truenewton.actuators import Layout
 from truenewton.bench.protocol import Reading, Shape, Status
-from truenewton.campaign_files import campaign_from, fits_paths
 from truenewton.errors import BenchFault, FormatError, UnknownName
-from truenewton.fitsfiles import read_fits
-from truenewton.load import Load
+from truenewton.files.fits import read_fits
+from truenewton.records.file import campaign_from, fits_paths
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
 
 ANOTHER = 0.1  # of its largest displacement: so far from the recorded shape it is another one
 

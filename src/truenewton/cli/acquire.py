@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
+    from truenewton.acquisition.plan import CampaignPlan
     from truenewton.acquisition.progress import Progress
-    from truenewton.campaign_plan import CampaignPlan
-    from truenewton.load import Load
+    from truenewton.statics.load import Load
+
 
 NAME = "acquire"
 
@@ -24,11 +25,11 @@ def run(
     ),
 ) -> None:
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
+    from truenewton.acquisition.benches import seal_truth
     from truenewton.acquisition.folder import is_complete, plan_text, refuse_other_plan
-    from truenewton.bench.chosen import seal_truth
+    from truenewton.acquisition.plan import read_plan
     from truenewton.bench.simulated.truth import truth_path
-    from truenewton.campaign_plan import read_plan
-    from truenewton.outputs import refuse_existing
+    from truenewton.files.outputs import refuse_existing
 
     wanted, beside = read_plan(plan), plan.parent
     simulated, complete = wanted.bench.kind == "simulated", is_complete(output, wanted)
@@ -48,7 +49,7 @@ def run(
 def _acquire(plan: CampaignPlan, beside: Path, output: Path, yes: bool) -> None:
     """Build the bench and run the plan on it."""
     from truenewton.acquisition.acquire import acquire
-    from truenewton.bench.chosen import chosen_bench
+    from truenewton.acquisition.benches import chosen_bench
     from truenewton.bench.protocol import Operator
 
     bench, terminal = chosen_bench(plan, beside), Terminal(yes)
@@ -71,7 +72,7 @@ class Terminal:
     """
 
     def __init__(self, yes: bool) -> None:
-        from truenewton.cli.printing import Bar
+        from truenewton.cli.terminal import Bar
 
         self.bar, self._yes = Bar(), yes
 

@@ -10,7 +10,8 @@ import typer
 from truenewton.cli import options
 
 if TYPE_CHECKING:
-    from truenewton.estimators.elastic import Imbalance
+    from truenewton.estimation.stiffness_svd import Imbalance
+
 
 NAME = "calibrate"
 
@@ -30,17 +31,17 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
-    from truenewton.cli.printing import print_json
-    from truenewton.cli.summary import (
+    from truenewton.calibration.methods import calibrate, held_out
+    from truenewton.calibration.words import (
         imbalance_lines,
         print_summary,
         rejected_lines,
         summary_values,
     )
-    from truenewton.estimators import calibrate, held_out
-    from truenewton.measurements import StiffnessMatrix
-    from truenewton.outputs import refuse_existing
+    from truenewton.cli.terminal import print_json
+    from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
+    from truenewton.records.stiffness_matrix import StiffnessMatrix
 
     if output is not None:
         refuse_existing(output, overwrite=overwrite)

@@ -22,15 +22,15 @@ def run(
     """Show the whole story on a simulated P45: campaign, calibration, truth, report, figures."""
     from truenewton.bench.simulated.static import run_cycles, static_bench
     from truenewton.bench.simulated.truth import truth_path, write_truth
-    from truenewton.campaign_files import write_campaign
-    from truenewton.cli.summary import print_summary
-    from truenewton.estimators import calibrate
-    from truenewton.figures import write_figures
-    from truenewton.mirrors import p45
-    from truenewton.outputs import new_folder, refuse_existing
+    from truenewton.calibration.figures import write_figures
+    from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.words import print_summary
+    from truenewton.files.outputs import new_folder, refuse_existing
+    from truenewton.mirrors.known import p45
     from truenewton.reading import read_data
-    from truenewton.report.findings import investigate
-    from truenewton.report.page import write_report
+    from truenewton.records.file import write_campaign
+    from truenewton.report.investigate import investigate
+    from truenewton.report.page.page import write_report
     from truenewton.rounding import percent
     from truenewton.studies.scoring import score
 

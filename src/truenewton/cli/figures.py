@@ -17,13 +17,13 @@ def run(
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
-    from truenewton.cli.printing import busy
+    from truenewton.calibration.figures import write_figures
+    from truenewton.cli.terminal import busy
     from truenewton.errors import RankDeficient
-    from truenewton.figures import write_figures
-    from truenewton.outputs import refuse_existing
+    from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read
-    from truenewton.report.findings import investigate
-    from truenewton.report.still import still_figures
+    from truenewton.report.figures import still_figures
+    from truenewton.report.investigate import investigate
 
     refuse_existing(output, overwrite=overwrite)
     with busy("drawing"):

@@ -9,7 +9,6 @@ from typing import Any
 
 import typer
 
-from truenewton import __version__
 from truenewton.cli import (
     acquire,
     calibrate,
@@ -31,7 +30,6 @@ from truenewton.errors import TrueNewtonError
 # The base of what typer raises for a wrong command line; it comes from click, or from typer's own
 # copy of it, as the version has it.
 CommandLineError: Any = typer.BadParameter.__mro__[2]
-
 app = typer.Typer(
     name="truenewton",
     help="Force calibration of deformable mirrors from statics: true Newtons per commanded Newton.",
@@ -49,7 +47,9 @@ for command in COMMANDS:
 
 def _version(asked: bool) -> None:
     if asked:
-        typer.echo(f"truenewton {__version__}")
+        from importlib.metadata import version
+
+        typer.echo(f"truenewton {version('truenewton')}")
         raise typer.Exit
 
 

@@ -12,7 +12,8 @@ import typer
 from truenewton.cli import options
 
 if TYPE_CHECKING:
-    from truenewton.mirrors import Mirror
+    from truenewton.mirrors.known import Mirror
+
 
 NAME = "mirrors"
 
@@ -27,10 +28,11 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """List the known mirrors with the sources of their numbers, or draw one."""
-    from truenewton.cli.printing import print_json, print_table
-    from truenewton.figures import plot_layout, write_figure
-    from truenewton.mirror_files import mirror_from
-    from truenewton.mirrors import KNOWN, MOST_ACTUATORS, ring
+    from truenewton.cli.terminal import print_json, print_table
+    from truenewton.figures.maps import plot_layout
+    from truenewton.figures.writing import write_figure
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.known import KNOWN, MOST_ACTUATORS, ring
 
     if not mirror:
         if plot or output:

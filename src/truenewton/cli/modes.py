@@ -47,16 +47,16 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
-    from truenewton.campaign_files import SUFFIXES
-    from truenewton.cli.printing import busy, print_json
+    from truenewton.cli.terminal import busy, print_json
+    from truenewton.files.outputs import refuse_existing
     from truenewton.modal.dissipation import Limits
+    from truenewton.modal.figures import write_modes_figures
+    from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
-    from truenewton.modal.modes_files import modes_paths, write_modes
-    from truenewton.modal.pictures import write_modes_figures
     from truenewton.modal.turbulence import Atmosphere
-    from truenewton.modal.wording import lines, values
-    from truenewton.outputs import refuse_existing
+    from truenewton.modal.words import lines, values
     from truenewton.reading import read_calibration, read_data
+    from truenewton.records.file import SUFFIXES
 
     if output is not None and not output.name.endswith(SUFFIXES):
         raise typer.BadParameter("let -o end in .fits")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from truenewton.mirrors import Mirror
+    from truenewton.mirrors.known import Mirror
+
 
 JSON = typer.Option(False, "--json", help="Print figures as JSON, for scripts.")
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")
@@ -21,9 +22,9 @@ def mirror_or_file(name: str) -> Mirror:
     import dataclasses
     from pathlib import Path
 
-    from truenewton.campaign_files import SUFFIXES, read_layout
-    from truenewton.mirror_files import mirror_from
-    from truenewton.mirrors import p45
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.known import p45
+    from truenewton.records.file import SUFFIXES, read_layout
 
     if name.endswith(SUFFIXES) and Path(name).exists():
         return dataclasses.replace(p45(), name=Path(name).name, layout=read_layout(name))

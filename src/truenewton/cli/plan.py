@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
 
 if TYPE_CHECKING:
-    from truenewton.studies.planning import Curve, Outlook
-    from truenewton.studies.target import Way
+    pass
+
 
 NAME = "plan"
 
@@ -48,8 +47,8 @@ def run(
 
 
 def _new(output: Path | None, overwrite: bool) -> None:
-    from truenewton.campaign_plan import template
-    from truenewton.outputs import file_beside
+    from truenewton.acquisition.plan import template
+    from truenewton.files.outputs import file_beside
 
     if output is None:
         print(template(), end="")
@@ -62,12 +61,13 @@ def _new(output: Path | None, overwrite: bool) -> None:
 def _predict(
     path: Path, target: float | None, plot: Path | None, overwrite: bool, json: bool
 ) -> None:
-    from truenewton.cli.printing import print_json
-    from truenewton.figures import write_figure
-    from truenewton.outputs import refuse_existing
-    from truenewton.studies.planning import read_outlook
-    from truenewton.studies.planning_figure import plot_outlook
-    from truenewton.studies.target import ways_to
+    from truenewton.cli.terminal import print_json
+    from truenewton.figures.writing import write_figure
+    from truenewton.files.outputs import refuse_existing
+    from truenewton.planning.figures import plot_outlook
+    from truenewton.planning.outlook import read_outlook
+    from truenewton.planning.target import ways_to
+    from truenewton.planning.words import lines, values, way_lines
 
     if plot is not None:
         refuse_existing(plot, overwrite=overwrite)
@@ -77,159 +77,9 @@ def _predict(
     if plot is not None:
         write_figure(plot_outlook(outlook, target), plot, overwrite=overwrite)
     if json:
-        print_json(_values(outlook, target, ways))
+        print_json(values(outlook, target, ways))
         return
-    for line in (*_lines(outlook), *_ways(target, ways)):
+    for line in (*lines(outlook), *way_lines(target, ways)):
         print(line)
     if plot is not None:
         print(f"written: {plot}")
-
-
-def _lines(outlook: Outlook) -> Iterator[str]:
-    """Yield what is predicted, as people read it."""
-    from truenewton.prediction import typical
-    from truenewton.rounding import percent
-    from truenewton.studies.planning import reading_time
-
-    ready, borne, found = outlook.ready, outlook.strain, outlook.prediction
-    plan, limits = ready.plan, ready.plan.limits
-    relative, shapes = found.error / found.alpha, len(ready.shapes)
-    names = ", ".join(load.name for load in plan.loads)
-    yield (
-        f"{ready.mirror.name}, predicted: {len(found.alpha)} actuators, {plan.cycles} cycles of"
-        f" {shapes} shapes and their negatives under {len(plan.loads)} loads ({names})"
-    )
-    ids = found.layout.id[found.layout.enabled]
-    rows = []
-    if found.scale_is_free:
-        rows.append(("common scale", "free", "no two loads differ in weight"))
-    else:
-        budget = ", ".join(
-            f"{line.source} {percent(line.relative)}"
-            for line in found.scale_errors
-            if line.relative > 1e-5
-        )
-        rows += [
-            ("typical error of alpha", percent(found.typical),
-             f"E_ALPHA, one sigma; {percent(relative.min())} .. {percent(relative.max())},"
-             f" the largest of actuator {ids[relative.argmax()]}"),
-            ("  budget of the scale", budget, ""),
-            ("  common scale", percent(typical(found.weight_error, found.alpha)),
-             "E_SYST, from the weights"),
-        ]  # fmt: skip
-    readings = 2 * shapes * plan.cycles * len(plan.loads)
-    rows += [
-        ("  reading noise", percent(typical(found.reading_error, found.alpha)),
-         f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
-        ("least known", found.weakest,
-         f"{percent(found.weakest_share)} of the variance E_STAT^2"),
-        ("duration", _time(outlook.duration),
-         f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(plan.loads) - 1} x"
-         f" {_time(plan.pause)} to change the load"),
-        ("largest force", f"{borne.force:.3g} N",
-         f"actuator {borne.actuator} under {borne.load}; {borne.force_at_worst:.3g} N should its"
-         f" alpha be lowest; limit {limits.force:g} N"),
-        ("largest stroke", f"{1e6 * borne.stroke:.3g} um",
-         f"limit {1e6 * limits.displacement:g} um"),
-        ("smallest gap", f"{1e6 * borne.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
-    ]  # fmt: skip
-    for name, value, note in rows:
-        yield f"  {name:<24}{value:<26}{note}".rstrip()
-    yield "  typical errors of alpha against"
-    yield from _table("cycles", outlook.against_cycles, [
-        f"{value:.0f}" for value in outlook.against_cycles.values
-    ])  # fmt: skip
-    yield from _table("added weights, times", outlook.against_weight, [
-        f"{value:g}" for value in outlook.against_weight.values
-    ])  # fmt: skip
-    for fault, remedy in outlook.warnings:
-        yield f"  WARNING: {fault}; {remedy}"
-
-
-def _table(name: str, curve: Curve, heads: Sequence[str]) -> Iterator[str]:
-    """Yield a curve as two lines."""
-    from truenewton.rounding import percent
-
-    if heads:
-        yield f"    {name:<22}" + "".join(f"{head:>9}" for head in heads)
-        for kind, error in (("E_ALPHA", curve.error), ("E_STAT", curve.reading_error)):
-            if error[0] < float("inf"):
-                yield f"      {kind:<20}" + "".join(f"{percent(e):>9}" for e in error.tolist())
-
-
-def _ways(target: float | None, ways: Sequence[Way]) -> Iterator[str]:
-    """Yield what to change for the wanted error."""
-    from truenewton.rounding import percent
-
-    if target is None:
-        return
-    if not ways:
-        yield f"  {percent(target)} is reached as it is"
-        return
-    yield f"  for {percent(target)}, one of these alone:"
-    for way in ways:
-        if way.reached:
-            said = f"{way.change}: {percent(way.error)}, {_time(way.duration)}"
-        elif way.plan is not None:
-            error = percent(way.error) if way.error < float("inf") else "the scale free"
-            said = f"cannot: even {way.change} leaves {error}"
-        else:
-            said = f"cannot: {way.change}"
-        yield f"    {way.what:<22}{said}"
-
-
-def _time(seconds: float) -> str:
-    """Return a time as people say it."""
-    if seconds < 120:
-        return f"{seconds:.3g} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
-
-
-def _values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[str, Any]:
-    """Return the same figures for a script; infinite where the scale is free."""
-    import dataclasses
-
-    from truenewton.prediction import typical
-
-    ready, found = outlook.ready, outlook.prediction
-    curves = {"cycles": outlook.against_cycles, "added_factor": outlook.against_weight}
-    return {
-        "instrument": ready.mirror.name,
-        "shapes": len(ready.shapes),
-        "cycles": ready.plan.cycles,
-        "loads": [dataclasses.asdict(load) for load in ready.plan.loads],
-        "typical_error": found.typical,
-        "typical_e_stat": typical(found.reading_error, found.alpha),
-        "typical_e_syst": typical(found.weight_error, found.alpha),
-        "scale_errors": [
-            {"source": line.source, "relative": line.relative} for line in found.scale_errors
-        ],
-        "actuators": {
-            "id": found.layout.id[found.layout.enabled],
-            "alpha": found.alpha,
-            "e_alpha": found.error,
-            "e_stat": found.reading_error,
-            "e_syst": found.weight_error,
-        },
-        "weakest": found.weakest,
-        "drowned": found.drowned,
-        "duration": outlook.duration,
-        **{f"largest_{key}" if key in ("force", "stroke") else key: value
-           for key, value in dataclasses.asdict(outlook.strain).items()},
-        "curves": {
-            name: {
-                name: curve.values,
-                "error": curve.error,
-                "e_stat": curve.reading_error,
-                "e_syst": curve.weight_error,
-            }
-            for name, curve in curves.items()
-        },
-        "warnings": [fault for fault, _ in outlook.warnings],
-        "target": target,
-        "ways": [
-            {"what": way.what, "reached": way.reached, "change": way.change, "error": way.error,
-             "duration": way.duration}
-            for way in ways
-        ],
-    }  # fmt: skip

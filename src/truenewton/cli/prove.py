@@ -19,7 +19,7 @@ def run(
 
     Exit code 1 if a system has not full rank or errs by more than 20 eps cond.
     """
-    from truenewton.cli.printing import print_json, print_table, track
+    from truenewton.cli.terminal import print_json, print_table, track
     from truenewton.studies.proof import LIMIT, prove
 
     known = options.mirror_or_file(mirror)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
 
 if TYPE_CHECKING:
-    from truenewton.tracking import Recalibration
+    pass
+
 
 NAME = "recalibrate"
 
@@ -28,13 +29,14 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
-    from truenewton.campaign import Campaign
-    from truenewton.cli.printing import print_json
-    from truenewton.cli.summary import print_summary
+    from truenewton.calibration.words import print_summary
+    from truenewton.cli.terminal import print_json
     from truenewton.errors import FormatError
-    from truenewton.outputs import refuse_existing
+    from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
-    from truenewton.tracking import recalibrate
+    from truenewton.recalibration.fit import recalibrate
+    from truenewton.recalibration.words import lines, values
+    from truenewton.records.campaign import Campaign
 
     auto = actuators.strip().casefold() == "auto"
     ids = [] if auto else options.ids(actuators, "--actuators")
@@ -47,57 +49,9 @@ def run(
     if output is not None:
         made.calibration.write(output, overwrite=overwrite)
     if json:
-        print_json(_values(made))
+        print_json(values(made))
         return
     print_summary(made.calibration)
-    for line in _lines(made):
+    for line in lines(made):
         print(line)
     print(f"written: {output}" if output is not None else "not written; -o FILE keeps it")
-
-
-def _lines(made: Recalibration) -> list[str]:
-    from truenewton.cli.printing import by_chance
-    from truenewton.rounding import with_error
-
-    c = made.calibration
-    anew = [(name, "replaced") for name in made.asked]
-    anew += [
-        (one.actuator, f"MOVED: {abs(one.sigmas):.1f} sigma, {by_chance(one.probability)}")
-        for one in made.moved
-    ]
-    lines = [f"  {'given anew':<14}{'before':<12}{'now':<22}change"] if anew else []
-    for name, words in anew:
-        at = int((c.layout.id == name).argmax())
-        before, now = float(made.earlier[at]), float(c.alpha[at])
-        lines.append(
-            f"  {name:<14}{before:<12.4g}{with_error(now, float(c.error[at])):<22}"
-            f"{100 * (now / before - 1):+.2f} %, {words}"
-        )
-    if not anew:
-        lines.append("  nobody changed")
-    lines.append(
-        f"  the others against their earlier calibration: chi2/DOF ="
-        f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"
-        f" probability {made.probability:.2g}; "
-        + ("the rest agree" if made.moved else "none has moved (false alarm on 1 % of mirrors)")
-    )
-    return lines + [f"  WARNING: {limit}" for limit in made.limits]
-
-
-def _values(made: Recalibration) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    from truenewton.cli.summary import summary_values
-
-    return {
-        **summary_values(made.calibration),
-        "asked": list(made.asked),
-        "moved": [asdict(one) for one in made.moved],
-        "earlier": made.earlier,
-        "others": {
-            "chi2": made.chi2,
-            "degrees_of_freedom": made.degrees_of_freedom,
-            "probability": made.probability,
-        },
-        "limits": list(made.limits),
-    }

@@ -12,7 +12,8 @@ from truenewton.cli import options
 
 if TYPE_CHECKING:
     from truenewton.report.change import Change
-    from truenewton.report.findings import Findings
+    from truenewton.report.investigate import Findings
+
 
 NAME = "report"
 
@@ -31,10 +32,10 @@ def run(
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
-    from truenewton.cli.printing import busy
-    from truenewton.outputs import refuse_existing
+    from truenewton.cli.terminal import busy
+    from truenewton.files.outputs import refuse_existing
     from truenewton.report.change import Change
-    from truenewton.report.page import write_report
+    from truenewton.report.page.page import write_report
     from truenewton.report.verdict import verdict, verdict_on_change
 
     if output.suffix.lower() not in (".html", ".htm"):
@@ -56,7 +57,7 @@ def _found(paths: list[Path], method: str, *, population: bool) -> Findings | Ch
     """Return what is to be told: of data or a calibration, or of two calibrations compared."""
     from truenewton.reading import read, read_calibrations
     from truenewton.report.change import change
-    from truenewton.report.findings import investigate
+    from truenewton.report.investigate import investigate
 
     pair = read_calibrations(*paths) if len(paths) == 2 else ()
     if pair:

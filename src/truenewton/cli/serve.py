@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import typer
 
 if TYPE_CHECKING:
-    from truenewton.bench.opcua_server import ServedBench
+    from truenewton.bench.opcua.server import ServedBench
+
 
 NAME = "serve"
 
@@ -31,9 +32,9 @@ def run(
     from truenewton.bench.opcua import require_asyncua
 
     require_asyncua()
-    from truenewton.bench.opcua_keys import make_keys
-    from truenewton.bench.simulated.simulated_bench import SimulatedBench
-    from truenewton.mirror_files import mirror_from
+    from truenewton.bench.opcua.keys import make_keys
+    from truenewton.bench.simulated.bench import SimulatedBench
+    from truenewton.mirrors.file import mirror_from
 
     bench = SimulatedBench(mirror_from(mirror), seed, force_noise=noise)
     make_keys(keys)
@@ -45,7 +46,7 @@ async def _until_stopped(bench: ServedBench, folder: Path, port: int) -> None:
     import asyncio
     import signal
 
-    from truenewton.bench.opcua_server import serving
+    from truenewton.bench.opcua.server import serving
 
     stopped = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -63,7 +64,7 @@ def _table(address: str, folder: Path) -> str:
     """Return the [bench] table of a plan for this server."""
     import json
 
-    from truenewton.bench import opcua_keys as keys
+    from truenewton.bench.opcua import keys as keys
 
     values = {
         "kind": "opcua",

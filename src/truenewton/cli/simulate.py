@@ -11,7 +11,8 @@ import typer
 from truenewton.cli import options
 
 if TYPE_CHECKING:
-    from truenewton.measurements import Cycle
+    from truenewton.records.cycle import Cycle
+
 
 NAME = "simulate"
 
@@ -29,14 +30,14 @@ def run(
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Simulate a campaign with and without the ring: OUTPUT, and its truth in OUTPUT.truth.fits."""
-    from truenewton.bench.simulated.dynamic import run_loop_cycles
-    from truenewton.bench.simulated.simulated_bench import FIDELITIES
+    from truenewton.bench.simulated.bench import FIDELITIES
+    from truenewton.bench.simulated.loop_campaign import run_loop_cycles
     from truenewton.bench.simulated.static import run_cycles, static_bench
     from truenewton.bench.simulated.truth import truth_path, write_truth
-    from truenewton.campaign_files import write_campaign
-    from truenewton.cli.printing import track
-    from truenewton.mirror_files import mirror_from
-    from truenewton.outputs import refuse_existing
+    from truenewton.cli.terminal import track
+    from truenewton.files.outputs import refuse_existing
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.records.file import write_campaign
 
     refuse_existing(output, overwrite=overwrite)
     refuse_existing(truth_path(output), overwrite=overwrite)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.modal.zernikes import zernike
-from truenewton.modes import settled
+from truenewton.statics.modes import settled
 
 NEWNESS = 0.1  # rms that a Zernike must add; with less, rounding grows from mode to mode
 BLOCK = 64  # columns orthogonalised together

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import svds
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 
 NEAR_EQUAL = 0.01  # relative difference of stiffness, up to which two modes are a pair
 ROUNDING = 1e-9  # of the stiffest, by which rigid motions may differ from 0

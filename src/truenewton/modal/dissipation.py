@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from truenewton.actuators import Array, frozen_array
+from truenewton.arrays import Array, frozen_array
 from truenewton.errors import FormatError
 from truenewton.modal.pupil import SeenTurbulence
-from truenewton.modal.stiffness import TrueStiffness
+from truenewton.modal.true_stiffness import TrueStiffness
 
 EFFICIENCY = 0.51  # commanded force per root of power, of LBT's and P45's coils [N/W^1/2]
 SIGMAS = 3.0  # of the turbulent force, beside the static one, that an actuator has to reach

@@ -8,19 +8,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.actuators import Array
-from truenewton.calibration import Calibration, UsedSource
-from truenewton.campaign import Campaign
-from truenewton.estimators import calibrate
-from truenewton.measurements import StiffnessMatrix
+from truenewton.arrays import Array
+from truenewton.calibration.methods import calibrate
+from truenewton.calibration.result import Calibration
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Dissipation, Limits
-from truenewton.modal.measured import MeasuredStiffness, measured_stiffness, with_positions
+from truenewton.modal.measured_stiffness import (
+    MeasuredStiffness,
+    measured_stiffness,
+    with_positions,
+)
 from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.pupil import pupil_of, seen_turbulence
 from truenewton.modal.static_force import force_at_rest, static_force
-from truenewton.modal.stiffness import places, true_stiffness
+from truenewton.modal.true_stiffness import places, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
+from truenewton.records.campaign import Campaign
+from truenewton.records.source import UsedSource
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 MISFIT = 2.0  # of the variance of repeats; hundreds of readings and more hold it within 10 %
 

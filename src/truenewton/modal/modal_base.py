@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.actuators import Array, Layout
-from truenewton.measurements import StiffnessMatrix
+from truenewton.arrays import Array
 from truenewton.modal.dissipation import EFFICIENCY, Dissipation, dissipation
 from truenewton.modal.pupil import SeenTurbulence
-from truenewton.modal.stiffness import TrueStiffness
-from truenewton.modes import StiffnessModes
+from truenewton.modal.true_stiffness import TrueStiffness
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout
+from truenewton.statics.modes import StiffnessModes
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.actuators import Array, Layout, frozen_array
+from truenewton.arrays import Array, frozen_array
 from truenewton.errors import FormatError
 from truenewton.modal.bases import karhunen_loeve_modes, zernike_modes
 from truenewton.modal.turbulence import WAVELENGTH, Atmosphere, wavefront_covariance
+from truenewton.statics.layout import Layout
 
 WIDEST = 100.0  # telescope; beyond it the unit has slipped [m]
 LBT_MAGNIFICATION = 4.11 / 0.452  # pupil over mirror, of LBT's secondaries

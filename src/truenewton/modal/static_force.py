@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from truenewton.actuators import Array
-from truenewton.calibration import Calibration
-from truenewton.campaign import Campaign
-from truenewton.modal.repeated_shapes import rest_force
-from truenewton.modal.stiffness import TrueStiffness
-from truenewton.outliers import against_repeats
-from truenewton.statics import arms, effective_weight, external_load
+from truenewton.arrays import Array
+from truenewton.calibration.result import Calibration
+from truenewton.estimation.outliers import against_repeats
+from truenewton.modal.shape_products import rest_force
+from truenewton.modal.true_stiffness import TrueStiffness
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import arms, effective_weight, external_load
 
 
 def force_at_rest(campaign: Campaign) -> Array:

@@ -8,18 +8,16 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 from scipy.special import gamma, kv
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 from truenewton.errors import FormatError
 
 WAVELENGTH = 500e-9  # at which seeing and r0 are stated [m]
 WORST_SEEING = 30.0  # beyond it the unit has slipped [arcsec]
 ARCSECOND = np.pi / 180 / 3600
-
 # Fried's definition of r0 fixes the structure function 6.88 (r / r0)^(5/3) [rad^2], and that the
 # spectrum 0.0229 r0^(-5/3) f^(-11/3). Both from one constant, lest they differ in the fourth digit.
 FRIED = 2 * (24 / 5 * gamma(6 / 5)) ** (5 / 6)
 SPECTRUM = 5 / 12 * gamma(11 / 6) / gamma(1 / 6) * np.pi ** (-8 / 3) * FRIED
-
 ORDER = 5 / 6  # of the Bessel function K in the closed form
 SERIES_BELOW = 2.0  # 2 pi r / L0 up to which the power series serves
 SERIES_TERMS = 14  # the next is below 1e-17 of the sum

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 
 Integers = NDArray[np.int64]
 

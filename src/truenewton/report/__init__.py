@@ -1,1 +1,12 @@
-"""The report: what a campaign gave, on one page that opens without network."""
+"""The report: what a campaign gave, and what it rests on.
+
+investigate  the calibration, or why there is none, and the evidence for it
+evidence     residuals, balance before and after, singular values
+change       what changed between two calibrations
+verdict      the verdict in words and three numbers, and what to do
+budget       the error budget as bars
+layers       what is known of each actuator, one layer a quantity
+series       rows of a campaign as figures draw them
+figures      figures of the evidence, for papers
+page/        the same on one page that opens without network
+"""

@@ -10,12 +10,13 @@ import numpy as np
 import scipy.stats
 from numpy.typing import NDArray
 
-from truenewton.actuators import Array
-from truenewton.calibration import Calibration
+from truenewton.arrays import Array
+from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
 
 FALSE_ALARM = 0.01  # for all actuators together
 
@@ -62,13 +63,13 @@ class Change:
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas on the map of the actuators; return the axes."""
-        from truenewton.report.still import plot_change_map
+        from truenewton.report.figures import plot_change_map
 
         return plot_change_map(self, ax)
 
     def plot_actuators(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas per actuator; return the axes."""
-        from truenewton.report.still import plot_change
+        from truenewton.report.figures import plot_change
 
         return plot_change(self, ax)
 

@@ -12,18 +12,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.actuators import Array
-from truenewton.balance import enabled_arms
-from truenewton.balanced_rows import BalancedRows
-from truenewton.calibration import Calibration
-from truenewton.campaign import Campaign
-from truenewton.estimators import held_out
-from truenewton.estimators.elastic import comparable_arms, elastic_modes, modal_stiffness
-from truenewton.estimators.problem import posed, reading_noise, with_share_in_balance
-from truenewton.identifiability import balance_spectrum, centred_means
-from truenewton.measurements import StiffnessMatrix
-from truenewton.moments import campaign_moments, row_weights
-from truenewton.outliers import without
+from truenewton.arrays import Array, spread
+from truenewton.calibration.methods import held_out
+from truenewton.calibration.result import Calibration
+from truenewton.estimation.displaced_rows import BalancedRows
+from truenewton.estimation.identifiability import balance_spectrum, centred_means
+from truenewton.estimation.moments import campaign_moments, row_weights
+from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.outliers import without
+from truenewton.estimation.problem import posed, with_share_in_balance
+from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes, modal_stiffness
+from truenewton.records.campaign import Campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import enabled_arms
 
 
 @dataclass(frozen=True)
@@ -148,8 +149,8 @@ def campaign_evidence(campaign: Campaign, calibration: Calibration) -> Evidence:
             kept=kept,
         ),
         balance=_balance_lines(campaign, before, after, s, weight, load, kept),
-        actuator_residual=_spread(_pull(after[kept], weight[kept], arms, s), on),
-        actuator_noise=_spread(
+        actuator_residual=spread(_pull(after[kept], weight[kept], arms, s), on),
+        actuator_noise=spread(
             readings if noise.source == "repeats" else np.full(readings.size, np.nan), on
         ),
         singular_values=np.sqrt(balance_spectrum(centred_means(moments), a, variance)),
@@ -240,15 +241,8 @@ def stiffness_evidence(
             BalanceLine(line.modes, "", line.before, line.after, float("nan"))
             for line in held_out(matrix, method, population=population)
         ),
-        actuator_residual=_spread(_pull(after, even, arms, s), on),
+        actuator_residual=spread(_pull(after, even, arms, s), on),
         actuator_noise=np.full(on.size, np.nan),
         singular_values=np.sqrt(np.maximum(eigenvalues, 0.0)),
         in_noise=False,
     )
-
-
-def _spread(values: Array, on: NDArray[np.bool_]) -> Array:
-    """Put values of the enabled actuators in the order of all, NaN elsewhere."""
-    out = np.full(on.size, np.nan)
-    out[on] = values
-    return out

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truenewton.actuators import Array
-from truenewton.balance import arms_in_units_of_rms
-from truenewton.calibration import Calibration
-from truenewton.identifiability import leverage
+from truenewton.arrays import Array
+from truenewton.calibration.result import Calibration
+from truenewton.estimation.identifiability import leverage
 from truenewton.report.change import Change
-from truenewton.report.findings import Findings
+from truenewton.report.investigate import Findings
 from truenewton.rounding import significant, with_error
+from truenewton.statics.arms import arms_in_units_of_rms
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.actuators import Array
-from truenewton.measurements import Cycle
+from truenewton.arrays import Array
+from truenewton.records.cycle import Cycle
 from truenewton.report.evidence import RowResiduals
 
 POINTS = 200  # of a cycle over time; more cannot be told apart

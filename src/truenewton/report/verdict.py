@@ -9,19 +9,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.calibration import Calibration
-from truenewton.campaign import Campaign
+from truenewton.calibration.result import Calibration
+from truenewton.calibration.words import rejected_sentence, rejected_values, scale_limit
+from truenewton.estimation.weights import scale_total
+from truenewton.records.campaign import Campaign
 from truenewton.report.change import Change
 from truenewton.report.evidence import ModeResiduals
-from truenewton.report.findings import Findings
-from truenewton.report.wording import rejected_sentence, rejected_values, scale_limit
+from truenewton.report.investigate import Findings
 from truenewton.rounding import percent, significant, to_digits, with_error
-from truenewton.uncertainty import scale_total
 
 FAR = 5.0  # robust standard deviations, for an actuator off the others
 IMPROBABLE = 1e-3  # of a fit; as weights are warned of
 MANY = 0.02  # of the rows left out
-
 SOUND, LIMITED, CARE, NONE = "sound", "limited", "care", "none"
 LEVELS = {
     SOUND: "Sound",

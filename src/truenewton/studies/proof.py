@@ -13,16 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.actuators import Array
-from truenewton.balance import enabled_arms, system_c, system_e
-from truenewton.campaign import Campaign
+from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.estimators.svd import Solution, solve
-from truenewton.identifiability import geometry_faults
-from truenewton.load import Load
-from truenewton.measurements import Cycle
-from truenewton.mirrors import Mirror
-from truenewton.statics import external_load
+from truenewton.estimation.cycles_svd import Solution, solve
+from truenewton.estimation.identifiability import geometry_faults
+from truenewton.estimation.systems import system_c, system_e
+from truenewton.mirrors.known import Mirror
+from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
+from truenewton.statics.arms import enabled_arms, external_load
+from truenewton.statics.load import Load
 
 LIMIT = 20.0  # error / (eps cond) that a backward-stable solution stays below
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.bench.simulated.truth import Truth
-from truenewton.calibration import Calibration
+from truenewton.calibration.result import Calibration
 
 
 @dataclass(frozen=True)

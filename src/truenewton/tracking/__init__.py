@@ -1,20 +1,12 @@
-"""Time, temperature and replaced parts."""
+"""How alpha varies with time and temperature, from calibrations of different days.
 
-from truenewton.tracking.family import Family
-from truenewton.tracking.law import Departure, Prediction, Tracking
-from truenewton.tracking.recalibration import Recalibration, recalibrate
-from truenewton.tracking.track import track
-from truenewton.tracking.track_files import read_tracking
-from truenewton.tracking.validity import Validity
-
-__all__ = [
-    "Departure",
-    "Family",
-    "Prediction",
-    "Recalibration",
-    "Tracking",
-    "Validity",
-    "read_tracking",
-    "recalibrate",
-    "track",
-]
+days      the calibrations, gathered, checked, put in order
+lines     the line of every actuator through its days, each alone
+family    one physics, each actuator its own deviation
+fit       from days to the law
+law       the result: alpha at any temperature and time
+validity  when to calibrate again
+file      the tracking file (docs/files.md)
+figures   alpha against temperature and time; the family
+words     in words and numbers: terminal, script
+"""

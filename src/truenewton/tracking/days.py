@@ -8,21 +8,20 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 from numpy.typing import NDArray
 
-from truenewton.actuators import Array
-from truenewton.calibration import Calibration
-from truenewton.campaign import Campaign
-from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError
-from truenewton.estimators import calibrate
-from truenewton.measurements import Cycle, StiffnessMatrix, located
+from truenewton.arrays import Array
+from truenewton.calibration.methods import calibrate
+from truenewton.calibration.result import Calibration
+from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
+from truenewton.linalg import factor_of
 from truenewton.reading import read
+from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 Given = Calibration | Campaign | str | os.PathLike[str]
-
 SAME_TEMPERATURE = 1.0  # [K]; cycles of a campaign farther apart are calibrated apart
-SMALL = 1e-6  # part of the systematic variance that rounding may leave
 YEAR = datetime.timedelta(days=365.25)
 
 
@@ -224,10 +223,3 @@ def relative_factor(days: Sequence[Day], on: NDArray[np.bool_]) -> Array:
         alpha = day.calibration.alpha[on]
         parts.append(covariances(day, on)[1] / np.outer(alpha, alpha))
     return factor_of(np.mean(parts, axis=0))
-
-
-def factor_of(matrix: Array) -> Array:
-    """Return (n, m) F with F F' a positive semi-definite matrix, rounding left out."""
-    values, vectors = scipy.linalg.eigh(matrix)
-    kept = values > SMALL * max(values[-1], 1e-300)
-    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))

@@ -23,7 +23,7 @@ import scipy.linalg
 import scipy.stats
 from numpy.typing import NDArray
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 from truenewton.errors import NotConverged
 
 STEPS = 200

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truenewton.actuators import Array, Layout, frozen_array
+from truenewton.arrays import Array, frozen_array
 from truenewton.errors import RankDeficient
+from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.family import Family
 
 if TYPE_CHECKING:
     from astropy.table import QTable
 
-    from truenewton.tracking.validity import Validity
 
 SAME_TIME = datetime.timedelta(days=1)
 
@@ -202,7 +202,7 @@ class Tracking:
         ------
         OutputExists, OutputFailed
         """
-        from truenewton.tracking.track_files import write_tracking
+        from truenewton.tracking.file import write_tracking
 
         write_tracking(self, path, overwrite=overwrite)
 
@@ -229,16 +229,3 @@ class Tracking:
                 remedy="add a calibration of another time",
             )
         return (time - self.date) / YEAR if "drift" in self.told else 0.0
-
-    def serves(self, accuracy: float) -> Validity:
-        """Return how far from its temperature and date the latest calibration serves.
-
-        Parameters
-        ----------
-        accuracy
-            Wanted: standard uncertainty relative to alpha, root mean square over actuators,
-            errors of the weights left out.
-        """
-        from truenewton.tracking.validity import served
-
-        return served(self, accuracy)

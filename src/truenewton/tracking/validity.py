@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
 
@@ -42,7 +42,7 @@ class Validity:
     law_until: datetime.datetime | None
 
 
-def served(tracking: Tracking, accuracy: float) -> Validity:
+def serves(tracking: Tracking, accuracy: float) -> Validity:
     """Return how far from its temperature and date the latest calibration serves.
 
     Used as it is, it is off by k (T - T_last) + d (t - t_last) beside its E_STAT; the mean over

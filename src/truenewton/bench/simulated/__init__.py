@@ -1,1 +1,13 @@
-"""The simulated bench, which keeps its truth to itself."""
+"""The simulated bench, which keeps its truth to itself.
+
+bench          the bench behind the same door as hardware
+static         every shape held exactly, readings noisy
+loop_campaign  the same campaign in closed loop
+loop           sensors, control, DAC, coils and glass, from sample to sample
+plant          the glass as the loop moves it: M z'' + C z' + K z = f
+sensors        capacitive sensors
+coils          coils and magnets
+control        what runs in the electronics of each actuator
+stability      whether gains hold the loop
+truth          what a simulation knows; written beside the campaign, for scoring only
+"""

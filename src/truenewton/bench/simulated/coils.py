@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 
 REFERENCE_TEMPERATURE = 20.0  # at which alpha and the resistance hold [degC]
 

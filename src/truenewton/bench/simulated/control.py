@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 
 
 @dataclass(frozen=True, eq=False)

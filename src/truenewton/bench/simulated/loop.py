@@ -13,7 +13,7 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 from truenewton.bench.simulated.coils import (
     REFERENCE_TEMPERATURE,
     Coils,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 
 FILM_DAMPING = 64.0  # of the air film, one actuator's cell, at FILM_GAP [N s/m, derived]
 FILM_GAP = 68e-6  # [m]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 
 GAIN_SCATTER = 0.004  # relative, after calibration: 0.25-0.5 % [derived], 2 % before
 OFFSET_SCATTER = 0.5e-6  # of what a sensor reads on the flat mirror [m, guess]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import eigh
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 from truenewton.bench.simulated.plant import advance
 from truenewton.errors import LoopUnstable
 
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from truenewton.bench.simulated.coils import Coils
     from truenewton.bench.simulated.control import Control
     from truenewton.bench.simulated.sensors import Sensors
+
 
 DENSE = 100  # actuators, up to which the whole matrix is taken
 

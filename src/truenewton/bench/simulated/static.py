@@ -16,17 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.actuators import Array
+from truenewton.arrays import Array
 from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
 from truenewton.bench.simulated.sensors import Sensors, draw_sensors
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
-from truenewton.load import Load
-from truenewton.measurements import Cycle
-from truenewton.mirrors import GRAVITY, Mirror
-from truenewton.modes import stiffness_modes
-from truenewton.shell.held_glass import HeldGlass, forces_under, held_glass
-from truenewton.statics import resultants
+from truenewton.mirrors.known import GRAVITY, Mirror
+from truenewton.mirrors.shell.held_glass import HeldGlass, forces_under, held_glass
+from truenewton.records.cycle import Cycle
+from truenewton.statics.arms import resultants
+from truenewton.statics.load import Load
+from truenewton.statics.modes import stiffness_modes
 
 START = datetime.datetime(2026, 1, 1, 9, 0, tzinfo=datetime.UTC)  # of the simulated clock
 SECONDS_PER_SHAPE = 0.5

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.actuators import Array, Layout
-from truenewton.campaign_files import actuators_sheet, layout_from
-from truenewton.fitsfiles import Sheet, read_fits, write_fits
+from truenewton.arrays import Array
+from truenewton.files.fits import Sheet, read_fits, write_fits
+from truenewton.records.file import actuators_sheet, layout_from
+from truenewton.statics.layout import Layout
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,108 @@
+"""Whether a load is really on, from the forces that hold the mirror at rest.
+
+At rest sum nz_i alpha_i c_i = -(W + B) (docs/method.md), so between two loads the sum of nz_i c_i
+changes by -(W_1 - W_2) over a mean of alpha. B is not known, alpha only roughly: one load alone
+tells nothing, two tell whether something of about the right weight came on or off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.bench.protocol import Reading
+from truenewton.statics.arms import effective_weight
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+# alpha lies between 0.7 and 1.1 [paper]; a simulated P45 gave 0.96 to 1.38 in 60 draws.
+CHANGE = (0.6, 1.5)
+SAME = 0.4  # of the smallest step between two loads: so little may the sum change under one load
+SURE = 5.0  # standard deviations of a sum, to which the smallest step must be large
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the forces say of a load.
+
+    Attributes
+    ----------
+    on
+        Whether it is on; None where they cannot tell.
+    why
+        One line.
+    """
+
+    on: bool | None
+    why: str
+
+
+def sum_at_rest(layout: Layout, force: Array) -> float:
+    """Return the sum of nz_i c_i of the enabled actuators [N]."""
+    on = layout.enabled
+    return float(layout.nz[on] @ force[on])
+
+
+def sum_error(layout: Layout, reading: Reading, samples: int) -> float:
+    """Return the standard deviation of that sum by the scatter of samples [N]; 0 if unknown."""
+    scatter = np.nan_to_num((layout.nz * reading.force_scatter)[layout.enabled])
+    return float(np.linalg.norm(scatter) / np.sqrt(samples))
+
+
+def judge(
+    weight: float,
+    loads: Iterable[Load],
+    load: Load,
+    known: Mapping[str, float],
+    total: float,
+    error: float = 0.0,
+) -> Verdict:
+    """Tell whether a load is on.
+
+    Parameters
+    ----------
+    weight
+        P [N].
+    loads
+        All loads of the plan.
+    load
+        The one that should be on.
+    known
+        Sums at rest under the loads that were on before [N], by key, with this one's own if it was.
+    total, error
+        The sum now, and its standard deviation [N].
+    """
+    by_key = {each.key: each for each in loads}
+    step = {
+        key: -float(
+            effective_weight(weight, load.added, load.tilt)
+            - effective_weight(weight, each.added, each.tilt)
+        )
+        for key, each in by_key.items()
+    }
+    smallest = min((abs(value) for value in step.values() if value), default=0.0)
+    if smallest * SAME <= SURE * error:
+        return Verdict(None, f"the loads differ by {smallest:.3g} N, too little to tell them apart")
+    told = [key for key in known if key == load.key or step[key]]
+    if not told:
+        return Verdict(None, "no other load to compare with yet: taken on trust")
+    for key in told:
+        change, name = total - known[key], by_key[key].name
+        if key == load.key:
+            if abs(change) > SAME * smallest:
+                return Verdict(
+                    False,
+                    f"the sum of the forces changed by {change:.4g} N since '{name}' was on before",
+                )
+        elif not CHANGE[0] <= change / step[key] <= CHANGE[1]:
+            low, high = (100 * part for part in CHANGE)
+            return Verdict(
+                False,
+                f"the sum of the forces changed by {change:.4g} N from '{name}', where"
+                f" {step[key]:.4g} N are due ({low:.0f} to {high:.0f} % of it)",
+            )
+    names = ", ".join(f"'{by_key[key].name}'" for key in told)
+    return Verdict(True, f"the sum of the forces is {total:.4g} N, as due beside {names}")

@@ -1,0 +1,178 @@
+"""What a campaign shall be: shapes, loads, cycles and limits, as a person writes them down."""
+
+from __future__ import annotations
+
+import importlib.resources
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from truenewton.bench.choice import KINDS, BenchChoice
+from truenewton.errors import FormatError, LimitExceeded
+from truenewton.files.toml import filled, read_toml
+from truenewton.mirrors.file import mirror_from
+from truenewton.mirrors.known import Mirror
+from truenewton.statics.load import Load, check_load
+
+
+@dataclass(frozen=True)
+class PlannedShapes:
+    """Which shapes, and how large.
+
+    Attributes
+    ----------
+    source
+        'modes': the stiffness modes of the model; else a file: a stiffness file for its measured
+        modes, or a FITS image of shapes x actuators [m], taken as it stands.
+    count
+        How many, softest first; 0 for all.
+    stroke
+        Largest displacement of an actuator in any shape [m].
+    force
+        Largest force of an actuator that a shape may take, static forces aside [N]: true by the
+        model, commanded by a measured matrix.
+    """
+
+    source: str = "modes"
+    count: int = 0
+    stroke: float = 1e-6
+    force: float = 0.3
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the mirror may bear; checked before each command and after each reading.
+
+    Attributes
+    ----------
+    force
+        Largest commanded force of an actuator [N].
+    saturation
+        Commanded force at which a coil saturates, which no sample may come near [N]; 0.8 N [conf].
+    displacement
+        Largest displacement of an actuator from rest [m].
+    gap
+        Smallest distance from the reference plate [m].
+    temperature
+        Lowest and highest [deg C].
+    """
+
+    force: float = 0.6
+    saturation: float = 0.8
+    displacement: float = 5e-6
+    gap: float = 30e-6
+    temperature: tuple[float, float] = (-10.0, 40.0)
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """A day at the bench.
+
+    Attributes
+    ----------
+    mirror
+        Name of a known mirror, or a TOML file of one.
+    loads
+        In the order in which they are put on; two different ones at least give the scale.
+    cycles
+        Runs through all shapes, both signs, under each load.
+    samples
+        Of one reading.
+    settling
+        Time given to the mirror after each command [s].
+    pause
+        Time that it takes to change the load [s]; for the prediction only.
+    force_noise
+        Standard deviation of one reading that the prediction reckons with [N].
+    shapes, limits, bench
+        As they say.
+    """
+
+    mirror: str
+    loads: tuple[Load, ...]
+    cycles: int = 4
+    samples: int = 2048
+    settling: float = 0.02
+    pause: float = 1800.0
+    force_noise: float = 1e-4
+    shapes: PlannedShapes = PlannedShapes()
+    limits: Limits = Limits()
+    bench: BenchChoice = BenchChoice()
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("cycles", 1, 999), ("samples", 1, 10**9)):
+            if not low <= getattr(self, name) <= high:
+                raise _wrong(name, getattr(self, name), f"give {low} to {high}")
+        shapes, limits, bench = self.shapes, self.limits, self.bench
+        for name, value in (
+            ("force_noise", self.force_noise), ("shapes.stroke", shapes.stroke),
+            ("shapes.force", shapes.force), ("limits.force", limits.force),
+            ("limits.displacement", limits.displacement), ("limits.saturation", limits.saturation),
+        ):  # fmt: skip
+            if not 0 < value < np.inf:
+                raise _wrong(name, value, "give a positive number")
+        for name, value in (
+            ("settling", self.settling), ("pause", self.pause), ("limits.gap", limits.gap),
+            ("shapes.count", shapes.count), ("bench.seed", bench.seed),
+            ("bench.force_noise", bench.force_noise),
+        ):  # fmt: skip
+            if not 0 <= value < np.inf:
+                raise _wrong(name, value, "give zero or more")
+        if not limits.temperature[0] < limits.temperature[1]:
+            raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
+        if bench.kind not in KINDS:
+            raise _wrong("bench.kind", bench.kind, f"choose {', '.join(KINDS)}")
+        for load in self.loads:
+            try:
+                check_load(load)
+            except FormatError as error:
+                raise FormatError(
+                    f"load '{load.name}': {error.fault}", remedy=error.remedy, got=error.got
+                ) from None
+        names = [load.key for load in self.loads]
+        if not names or len(set(names)) < len(names):
+            raise _wrong("loads", names, "give every load once, with a name of its own")
+        for what, limit, planned in (
+            ("stroke", limits.displacement, shapes.stroke),
+            ("force", limits.force, shapes.force),
+        ):
+            if planned > limit:
+                raise LimitExceeded(
+                    f"shapes.{what} is {planned:g}, beyond its limit of {limit:g}",
+                    remedy="plan smaller shapes", got=planned, want=limit,
+                )  # fmt: skip
+
+
+def _wrong(name: str, got: Any, remedy: str) -> FormatError:
+    return FormatError(f"{name} is {got!r}", remedy=remedy, got=got)
+
+
+def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
+    """Read a plan (TOML); files that it names stand relative to it.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, LimitExceeded
+    """
+    return filled(CampaignPlan, read_toml(path), path)
+
+
+def template() -> str:
+    """Return a commented plan (TOML), valid as it stands: P45 without and with the ring."""
+    return (importlib.resources.files("truenewton.acquisition") / "plan.toml").read_text(
+        encoding="utf-8"
+    )
+
+
+def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:
+    """Return the mirror of a plan; a file's name stands relative to the folder of the plan.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    beside = Path(folder) / plan.mirror
+    return mirror_from(beside if beside.is_file() else plan.mirror)

@@ -1,0 +1,135 @@
+"""The shapes of a plan, and the forces that they take."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
+from truenewton.arrays import Array
+from truenewton.errors import FormatError
+from truenewton.files.fits import read_fits
+from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.records.file import is_stiffness_file, stiffness_from
+from truenewton.statics.layout import Layout
+from truenewton.statics.modes import stiffness_modes
+
+
+def scaled_shapes(modes: Array, stiffness: Array, shapes: PlannedShapes) -> Array:
+    """Return modes as large as stroke and force allow.
+
+    Parameters
+    ----------
+    modes
+        (m, n) displacements, softest first.
+    stiffness
+        (n, n) force per displacement [N/m].
+    shapes
+        The limits.
+
+    Returns
+    -------
+    numpy.ndarray
+        (count, n) [m].
+    """
+    chosen = modes[: shapes.count or None]
+    force = np.abs(chosen @ stiffness.T).max(axis=1)
+    stroke = np.abs(chosen).max(axis=1)
+    limit = np.minimum(shapes.stroke / stroke, shapes.force / np.maximum(force, 1e-300))
+    return np.asarray(chosen * limit[:, None])
+
+
+def planned_shapes(
+    plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str] = "."
+) -> Array:
+    """Return the (shapes, n) displacements of a plan [m], each to be taken with both signs.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    return shapes_and_forces(plan, mirror, folder)[0]
+
+
+def expected_alpha(mirror: Mirror) -> float:
+    """Return the true over commanded Newton that a plan reckons with: the middle of its range."""
+    return float(np.mean(mirror.alpha_range))
+
+
+def shapes_and_forces(
+    plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str] = "."
+) -> tuple[Array, Array]:
+    """Return the shapes of a plan, and the forces that the electronics may be expected to command.
+
+    Disabled actuators take no part: their displacement and force are 0.
+
+    Returns
+    -------
+    shapes
+        (shapes, n) displacements [m], each to be taken with both signs.
+    force
+        (shapes, n) commanded forces, those of the loads aside [N]: by the measured matrix where
+        that gives the shapes, else by the model over `expected_alpha`.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    on = mirror.layout.enabled
+    path = Path(folder) / plan.shapes.source
+    if plan.shapes.source == "modes":
+        true = model_stiffness(mirror)
+        modes = stiffness_modes(true).modes.T
+        scaled = scaled_shapes(modes, true, plan.shapes)
+        return _spread(scaled, true / expected_alpha(mirror), on)
+    file = read_fits(path)
+    if is_stiffness_file(file):
+        matrix = stiffness_from(file)
+        if not matrix.layout.same_as(mirror.layout):
+            raise FormatError(
+                f"is not of the actuators of {mirror.name}",
+                remedy="plan with the measured matrix of the same mirror",
+                path=path,
+            )
+        measured = matrix.stiffness[np.ix_(on, on)]
+        modes = np.linalg.svd(measured)[2][::-1]
+        return _spread(scaled_shapes(modes, measured, plan.shapes), measured, on)
+    shapes = file.image("SHAPES").values("m")
+    if shapes.ndim != 2 or shapes.shape[1] != on.size or not len(shapes):
+        raise FormatError(
+            f"SHAPES is {shapes.shape}", remedy=f"give shapes x {on.size} actuators", path=path
+        )
+    chosen = shapes[: plan.shapes.count or None, on]
+    if not np.isfinite(chosen).all():
+        raise FormatError("SHAPES holds NaN or inf", remedy="correct it", path=path)
+    return _spread(chosen, model_stiffness(mirror) / expected_alpha(mirror), on)
+
+
+def shapes_are_given(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> bool:
+    """Tell whether a file gives the shapes as they stand, whatever stroke and force say."""
+    source = plan.shapes.source
+    return source != "modes" and not is_stiffness_file(read_fits(Path(folder) / source))
+
+
+def model_stiffness(mirror: Mirror) -> Array:
+    """Return (m, m) true force per reading of the enabled actuators, along normals [N/m]."""
+    return held_glass(with_enabled_only(mirror)).stiffness
+
+
+def with_enabled_only(mirror: Mirror) -> Mirror:
+    """Return the mirror without its disabled actuators."""
+    layout, on = mirror.layout, mirror.layout.enabled
+    kept = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
+    return replace(mirror, layout=kept)
+
+
+def _spread(shapes: Array, stiffness: Array, on: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return shapes of the enabled actuators and their forces in the order of all."""
+    both = np.zeros((2, len(shapes), on.size))
+    both[:, :, on] = shapes, shapes @ stiffness.T
+    return both[0], both[1]

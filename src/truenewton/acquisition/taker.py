@@ -1,0 +1,210 @@
+"""Taking one shape: limits before and after, and again where the reading is not sound."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from truenewton.acquisition.interruption import Interruption
+from truenewton.acquisition.limits import (
+    check_command,
+    check_reading,
+    largest_force,
+    said,
+    smallest_gap,
+)
+from truenewton.acquisition.plan import CampaignPlan
+from truenewton.acquisition.progress import Onlooker
+from truenewton.acquisition.run_log import RunLog
+from truenewton.arrays import Array
+from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape
+from truenewton.errors import BenchFault
+from truenewton.statics.layout import Layout
+
+ATTEMPTS = 3  # of each shape, before it is marked as not valid
+PATIENCE = 120.0  # with a bench that is gone [s]
+FIRST_WAIT, LONGEST_WAIT = 0.5, 10.0  # between two looks at it [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """A shape as it was taken.
+
+    Attributes
+    ----------
+    reading
+        The last one; None where there is none.
+    fault
+        Why it is not valid; empty where it is.
+    """
+
+    reading: Reading | None
+    fault: str
+
+
+class Taker:
+    """Takes shapes on a bench, and remembers what the next reading is compared with.
+
+    Attributes
+    ----------
+    largest_force, smallest_gap
+        So far [N], [m].
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        plan: CampaignPlan,
+        log: RunLog,
+        onlooker: Onlooker,
+        interruption: Interruption,
+    ) -> None:
+        self._bench, self._plan, self._log = bench, plan, log
+        self._onlooker, self._interruption = onlooker, interruption
+        self._layout, self._gap = bench.layout, bench.gap
+        self._counter: int | None = None
+        self._sound: tuple[Shape, Reading] | None = None  # the last
+        self.largest_force, self.smallest_gap = 0.0, bench.gap
+
+    def take(self, shape: Shape, forecast: Array | None = None) -> Taken:
+        """Command a shape and read it, a few times if need be.
+
+        Raises
+        ------
+        LimitExceeded
+            Before the command, or after the reading, something is beyond its limit.
+        BenchFault
+            The bench takes no commands, or is gone and does not come back.
+        Interrupted
+            Someone asked to stop while the bench was gone.
+        """
+        check_command(self._plan.limits, self._layout, self._gap, shape, forecast)
+        reading, fault = None, ""
+        for attempt in range(1, ATTEMPTS + 1):
+            self._await_bench()
+            try:
+                reading = self._command_and_read(shape)
+            except BenchFault as error:
+                fault = error.fault
+            else:
+                fault = self._unsound(shape, reading)
+                self._counter = reading.counter
+                if not fault:
+                    self._sound = shape, reading
+                    break
+            self._log.note("not sound", **described(shape), attempt=attempt, fault=fault)
+            self._onlooker.say(f"{said(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
+        return Taken(reading, fault)
+
+    def rest(self) -> None:
+        """Bring the mirror to rest; wait for a bench that is gone.
+
+        Raises
+        ------
+        BenchFault
+        """
+        for attempt in range(1, ATTEMPTS + 1):
+            self._await_bench()
+            try:
+                self._bench.rest()
+            except BenchFault as error:
+                self._log.note("not at rest", attempt=attempt, fault=error.fault)
+                if attempt == ATTEMPTS:
+                    raise
+            else:
+                return
+
+    def _command_and_read(self, shape: Shape) -> Reading:
+        plan, bench = self._plan, self._bench
+        stroke = float(np.abs(shape.position).max())
+        self._log.note("command", **described(shape), stroke=stroke)
+        bench.command(shape)
+        if isinstance(bench, OwnTime):
+            bench.wait(plan.settling)
+        else:
+            time.sleep(plan.settling)
+        reading = bench.read(plan.samples)
+        _check_size(self._layout, reading)
+        force = largest_force(self._layout, reading)
+        gap = smallest_gap(self._layout, self._gap, reading)
+        self.largest_force = max(self.largest_force, force)
+        self.smallest_gap = min(self.smallest_gap, gap)
+        self._log.note(
+            "reading",
+            **described(shape),
+            largest_force=force,
+            smallest_gap=gap,
+            temperature=reading.temperature,
+            counter=reading.counter,
+            settled=reading.settled,
+        )
+        check_reading(plan.limits, self._layout, self._gap, shape, reading)
+        return reading
+
+    def _unsound(self, shape: Shape, reading: Reading) -> str:
+        """Return what speaks against a reading, or nothing."""
+        on, before = self._layout.enabled, None
+        if self._sound is not None and not np.array_equal(self._sound[0].position, shape.position):
+            before = self._sound[1]
+        if reading.counter == self._counter:
+            return f"the counter stands still at {reading.counter}: the reading is stale"
+        for name, values in (("force", reading.force), ("position", reading.position)):
+            if (wrong := ~np.isfinite(values[on])).any():
+                return f"the {name} of actuator {self._layout.id[on][wrong][0]} is NaN"
+            if before is not None and np.array_equal(values[on], getattr(before, name)[on]):
+                return f"no {name} has changed since the last shape: the reading is frozen"
+        return "" if reading.settled else "the mirror did not settle"
+
+    def _await_bench(self) -> None:
+        """Return when the bench takes commands; wait for one that is gone."""
+        gone, wait, start = "", FIRST_WAIT, time.monotonic()
+        while True:
+            try:
+                status = self._bench.status()
+            except BenchFault as error:
+                gone = error.fault
+            else:
+                if status.ready:
+                    if self._counter is None:
+                        self._counter = status.counter
+                    return
+                if not gone:
+                    raise BenchFault(
+                        f"the bench takes no commands: {status.message}", remedy="see to it"
+                    )
+                gone = status.message
+            if time.monotonic() - start > PATIENCE:
+                raise BenchFault(
+                    f"the bench did not come back within {PATIENCE:g} s ({gone})",
+                    remedy="see to it",
+                )
+            self._log.note("gone", fault=gone)
+            self._onlooker.say(f"the bench is gone ({gone}); looking again in {wait:g} s")
+            self._interruption.sleep(wait)
+            wait = min(2 * wait, LONGEST_WAIT)
+
+
+def _check_size(layout: Layout, reading: Reading) -> None:
+    for name in ("force", "position", "force_scatter", "position_scatter"):
+        if (got := np.shape(getattr(reading, name))) != (layout.n,):
+            raise BenchFault(f"the bench gives {name} of shape {got} for {layout.n} actuators")
+
+
+def described(shape: Shape) -> dict[str, Any]:
+    """Return which shape it is, for the log."""
+    return {
+        "load": shape.load.name,
+        "cycle": shape.cycle,
+        "shape": shape.number,
+        "sign": shape.sign,
+    }
+
+
+def noise_of(layout: Layout, reading: Reading | None, samples: int) -> float:
+    """Return the RMS over actuators of the error of a mean force [N], samples independent."""
+    if reading is None:
+        return float("nan")
+    return float(np.sqrt(np.mean(reading.force_scatter[layout.enabled] ** 2) / samples))

@@ -1,0 +1,58 @@
+"""The way to a bench behind OPC UA; needs the extra `opcua` only when it is gone.
+
+client  a bench behind an OPC UA server, as any other bench
+server  the simulated bench behind a server on the loopback
+door    nothing is said, and nothing heard, but to known clients
+keys    certificates, private keys and a password, in a folder of the owner
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from truenewton.errors import BenchFault
+
+if TYPE_CHECKING:
+    from truenewton.bench.choice import BenchChoice
+    from truenewton.bench.opcua.client import OpcUaBench
+
+
+def require_asyncua() -> None:
+    """Refuse where the extra is not installed.
+
+    Raises
+    ------
+    BenchFault
+    """
+    try:
+        import asyncua  # noqa: F401
+    except ModuleNotFoundError as error:
+        raise BenchFault(
+            f"OPC UA needs {error.name}", remedy="install it: pip install 'truenewton[opcua]'"
+        ) from error
+
+
+def connect(choice: BenchChoice, folder: str | os.PathLike[str] = ".") -> OpcUaBench:
+    """Return a bench behind an OPC UA server, connected.
+
+    Parameters
+    ----------
+    choice
+        Its address, and user, password_file, certificate, private_key and server_certificate,
+        without which nobody connects.
+    folder
+        Relative to which the files stand: that of the plan.
+
+    Raises
+    ------
+    BenchFault
+        The extra is not installed, something is missing in the choice, nobody answers, or the
+        server refuses us.
+    UnreadableFile, FormatError
+        Keys that cannot be used.
+    """
+    require_asyncua()
+    from truenewton.bench.opcua.client import OpcUaBench
+
+    return OpcUaBench(choice, folder)

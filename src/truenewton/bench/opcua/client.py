@@ -1,0 +1,300 @@
+"""A bench behind an OPC UA server, as any other bench: calls that wait for their answer."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+import time
+from collections.abc import Coroutine
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from asyncua import Client, ua
+from asyncua.client.ua_client import UaClientState
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.opcua import keys as keys
+from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.errors import BenchFault, TrueNewtonError
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+TIMEOUT = 60.0  # for one answer; a reading waits for the mirror to settle [s]
+PATIENCE = 10.0  # with a server that is not there [s]
+PAUSE = 0.2  # between two attempts [s]
+Type = ua.VariantType
+Answer = TypeVar("Answer")
+ERRORS = {error.__name__: error for error in TrueNewtonError.__subclasses__()}
+
+
+class OpcUaBench:
+    """A mirror behind an OPC UA server, signed, encrypted, with user and password.
+
+    A connection that is lost comes back with the next call. A reading is refused then until a
+    shape was commanded anew: nobody knows what the mirror did meanwhile.
+
+    Parameters
+    ----------
+    choice, folder
+        As `opcua.connect` has them.
+    timeout
+        Longest wait for one answer [s].
+    patience
+        Longest wait for a server that is not there [s].
+
+    Raises
+    ------
+    BenchFault, UnreadableFile, FormatError
+    """
+
+    def __init__(
+        self,
+        choice: BenchChoice,
+        folder: str | os.PathLike[str] = ".",
+        *,
+        timeout: float = TIMEOUT,
+        patience: float = PATIENCE,
+    ) -> None:
+        self._choice, self._timeout, self._patience = choice, timeout, patience
+        self._secrets = _Secrets(choice, Path(folder))
+        self._client: Client | None = None
+        self._mirror: tuple[str, float, Layout, list[float]] | None = None
+        self._connections = 0  # so far
+        self._commanded: int | None = None  # in which of them the last shape was commanded
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
+        self._one_at_a_time = threading.Lock()
+        try:
+            self._wait(self._connected())
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def instrument(self) -> str:
+        """The mirror's name."""
+        return self._known[0]
+
+    @property
+    def layout(self) -> Layout:
+        """Its actuators."""
+        return self._known[2]
+
+    @property
+    def gap(self) -> float:
+        """Nominal distance from the reference plate [m]."""
+        return self._known[1]
+
+    @property
+    def gradients(self) -> tuple[float | None, float | None]:
+        """COILGRAD [1/m] and BIASGRAD [N/m]; None where the server does not know."""
+        coil, bias = (None if np.isnan(value) else float(value) for value in self._known[3])
+        return coil, bias
+
+    def put_on(self, load: Load) -> None:
+        """Have a load put on, or taken off for the bare mirror."""
+        self._call("PutOn", ua.Variant(load.name, Type.String))
+
+    def command(self, shape: Shape) -> None:
+        """Bring the mirror to a shape."""
+        self._call(
+            "Command",
+            ua.Variant(shape.load.name, Type.String),
+            ua.Variant(shape.cycle, Type.Int32),
+            ua.Variant(shape.number, Type.Int32),
+            ua.Variant(shape.sign, Type.Int32),
+            ua.Variant(shape.position.tolist(), Type.Double),
+        )
+        self._commanded = self._connections
+
+    def read(self, samples: int) -> Reading:
+        """Return the mean of so many samples, when the mirror has settled."""
+        when, force, position, force_scatter, position_scatter, *rest = self._call(
+            "Read", ua.Variant(samples, Type.Int32)
+        )
+        return Reading(
+            when,
+            np.array(force, dtype=float),
+            np.array(position, dtype=float),
+            np.array(force_scatter, dtype=float),
+            np.array(position_scatter, dtype=float),
+            *rest,
+        )
+
+    def status(self) -> Status:
+        """Return how the bench is."""
+        return Status(*self._call("Status"))
+
+    def rest(self) -> None:
+        """Bring the mirror to rest."""
+        self._call("Rest")
+
+    def close(self) -> None:
+        """End the connection; the bench is of no more use."""
+        if self._loop.is_closed():
+            return
+        self._wait(self._drop(broken=False))
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def _known(self) -> tuple[str, float, Layout, list[float]]:
+        assert self._mirror is not None  # since the first connection
+        return self._mirror
+
+    def _wait(self, answer: Coroutine[Any, Any, Answer]) -> Answer:
+        return asyncio.run_coroutine_threadsafe(answer, self._loop).result()
+
+    def _call(self, method: str, *arguments: ua.Variant) -> list[Any]:
+        """Call a method of the server and return what it gives; raise its fault."""
+        with self._one_at_a_time:
+            fault, *values = self._wait(self._answer(method, arguments))
+        if fault:
+            kind, said, remedy = fault
+            raise ERRORS.get(kind, BenchFault)(said, remedy=remedy)
+        return values
+
+    async def _answer(self, method: str, arguments: tuple[ua.Variant, ...]) -> list[Any]:
+        client = await self._connected()
+        if method == "Read" and self._commanded not in (None, self._connections):
+            raise BenchFault(
+                "the connection was lost since the shape was commanded",
+                remedy="command it again",
+            )
+        request = ua.CallMethodRequest(
+            ua.NodeId("Bench", self._space),
+            ua.NodeId(f"Bench.{method}", self._space),
+            list(arguments),
+        )
+        try:
+            (result,) = await client.uaclient.call([request])
+        except TimeoutError:
+            await self._drop()
+            raise self._fault(
+                f"does not answer {method} within {self._timeout:g} s",
+                "see to the bench: it may still be moving",
+            ) from None
+        except (OSError, ua.UaError) as error:
+            await self._drop()
+            raise self._fault(f"was lost in {method} ({_said(error)})", "try again") from error
+        if not result.StatusCode.is_good():
+            raise self._fault(f"fails in {method} ({result.StatusCode.name})", "see its log")
+        return [variant.Value for variant in result.OutputArguments]
+
+    async def _connected(self) -> Client:
+        """Return a client with a session, the one there is or a new one."""
+        client = self._client
+        if client is not None and client.uaclient.state is UaClientState.CONNECTED:
+            return client
+        await self._drop()
+        deadline = time.monotonic() + self._patience
+        while True:
+            client = self._secrets.client(self._choice, self._timeout)
+            try:
+                await asyncio.wait_for(client.connect(), self._patience)
+            except (OSError, TimeoutError) as error:
+                client.disconnect_socket()
+                if time.monotonic() + PAUSE > deadline:
+                    raise self._fault(
+                        f"cannot be reached ({_said(error)})",
+                        "start it; if it runs, it does not trust this certificate, or is not the"
+                        " one of server_certificate",
+                    ) from error
+                await asyncio.sleep(PAUSE)
+            except ua.UaError as error:
+                client.disconnect_socket()
+                raise self._fault(
+                    f"refuses user '{self._choice.user}' ({_said(error)})",
+                    "check user, password_file, certificate and server_certificate",
+                ) from error
+            else:
+                self._client, self._connections = client, self._connections + 1
+                await self._recognise(client)
+                return client
+
+    async def _recognise(self, client: Client) -> None:
+        """Learn what the mirror is, or see that it is still the same."""
+        names = ("Instrument", "Gap", "Gradients", "Id", "X", "Y", "Nz", "Enabled")
+        try:
+            self._space = await client.get_namespace_index(keys.NAMESPACE)
+            nodes = [client.get_node(ua.NodeId(f"Bench.{name}", self._space)) for name in names]
+            instrument, gap, gradients, *columns = await client.read_values(nodes)
+        except (OSError, ValueError, ua.UaError) as error:
+            await self._drop()
+            raise self._fault(
+                f"is not the server of a bench ({_said(error)})", "check bench.address"
+            ) from error
+        layout = Layout(*(np.array(column) for column in columns))
+        if self._mirror is None:
+            self._mirror = instrument, gap, layout, gradients
+        elif instrument != self.instrument or not layout.same_as(self.layout):
+            await self._drop()
+            raise self._fault(
+                f"is no longer the server of {self.instrument} with its {self.layout.n} actuators",
+                "connect anew",
+            )
+
+    async def _drop(self, *, broken: bool = True) -> None:
+        """End the connection; without a farewell, which would wait, where it is broken."""
+        client, self._client = self._client, None
+        if client is not None:
+            if broken:
+                client.disconnect_socket()
+            await client.disconnect()
+
+    def _fault(self, said: str, remedy: str) -> BenchFault:
+        return BenchFault(said, remedy=remedy, path=self._choice.address)
+
+
+def _said(error: BaseException) -> str:
+    return str(error) or type(error).__name__
+
+
+class _Secrets:
+    """What proves who we are and who the server is, read once."""
+
+    def __init__(self, choice: BenchChoice, folder: Path) -> None:
+        for name in ("address", "user", "password_file", "certificate", "private_key",
+                     "server_certificate"):  # fmt: skip
+            if not getattr(choice, name):
+                raise BenchFault(
+                    f"OPC UA needs bench.{name}",
+                    remedy="give it in the plan; `truenewton serve` prints its own",
+                )
+        self._password = keys.read_password(folder / choice.password_file)
+        self._certificate = keys.read_certificate(folder / choice.certificate)
+        self._key = keys.read_private_key(folder / choice.private_key)
+        self._server = keys.read_certificate(folder / choice.server_certificate)
+
+    def client(self, choice: BenchChoice, timeout: float) -> Client:
+        """Return a client that is not yet connected."""
+        # asyncua asks the server now and then how it is, and waits so long for the answer: not
+        # while it waits for a reading.
+        client = Client(choice.address, timeout=timeout, watchdog_intervall=timeout)
+        client.application_uri = keys.CLIENT_URI
+        client.session_timeout = 600_000  # [ms]
+        client.set_user(choice.user)
+        client.set_password(self._password)
+        policy = SecurityPolicyBasic256Sha256(
+            self._server, self._certificate, self._key, ua.MessageSecurityMode.SignAndEncrypt
+        )
+        client.security_policy = policy
+        client.uaclient.set_security(policy)
+        return client

@@ -1,0 +1,233 @@
+"""A bench behind an OPC UA server on the loopback.
+
+Nodes of the namespace urn:truenewton:bench: the object Bench with the variables Instrument, Gap,
+Gradients, Id, X, Y, Nz, Enabled and the methods PutOn, Command, Read, Status, Rest
+(docs/hardware.md).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import threading
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from asyncua import Server, ua
+
+from truenewton.bench.opcua import keys as keys
+from truenewton.bench.opcua.door import ClosedServer, Known
+from truenewton.bench.protocol import Bench, Graded, Operator, Shape
+from truenewton.errors import BenchFault, TrueNewtonError
+from truenewton.statics.load import Load
+
+PORT = 4840  # registered for OPC UA
+Type = ua.VariantType
+Arguments = list[tuple[str, Any]]
+# What each method takes and, after the fault, gives; a list is an array.
+METHODS: dict[str, tuple[Arguments, Arguments]] = {
+    "PutOn": ([("Load", Type.String)], []),
+    "Command": (
+        [("Load", Type.String), ("Cycle", Type.Int32), ("Number", Type.Int32),
+         ("Sign", Type.Int32), ("Position", [Type.Double])],
+        [],
+    ),
+    "Read": (
+        [("Samples", Type.Int32)],
+        [("Time", Type.DateTime), ("Force", [Type.Double]), ("Position", [Type.Double]),
+         ("ForceScatter", [Type.Double]), ("PositionScatter", [Type.Double]),
+         ("Temperature", Type.Double), ("Counter", Type.Int64), ("Settled", Type.Boolean)],
+    ),
+    "Status": (
+        [], [("Ready", Type.Boolean), ("Message", Type.String), ("Counter", Type.Int64)]
+    ),
+    "Rest": ([], []),
+}  # fmt: skip
+
+
+class ServedBench(Bench, Operator, Protocol):
+    """A bench that can be told which load to bear."""
+
+
+@contextlib.asynccontextmanager
+async def serving(
+    bench: ServedBench, folder: str | os.PathLike[str], port: int = PORT
+) -> AsyncIterator[str]:
+    """Serve a bench at 127.0.0.1 while the block lasts, and give its address.
+
+    Parameters
+    ----------
+    bench
+        Never called twice at once.
+    folder
+        Of the keys that `opcua_keys.make_keys` made.
+    port
+        TCP port.
+
+    Raises
+    ------
+    BenchFault
+        The port is taken or may not be had.
+    UnreadableFile, FormatError
+        Keys that cannot be used.
+    """
+    place = Path(folder)
+    certificate = keys.read_certificate(place / keys.SERVER_CERTIFICATE)
+    private = keys.read_private_key(place / keys.SERVER_KEY)
+    trusted = keys.read_trusted(place / keys.TRUSTED)
+    password = keys.read_password(place / keys.PASSWORD)
+    _refuse_taken(port)
+    server = ClosedServer(Known(trusted, keys.USER, password), certificate, private)
+    await server.init()
+    await server.set_application_uri(keys.SERVER_URI)
+    server.set_server_name(f"truenewton {bench.instrument}")
+    server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
+    await _publish(server, bench)
+    await server.start()
+    try:
+        yield server.endpoint.geturl()
+    finally:
+        await server.stop()
+
+
+def _refuse_taken(port: int) -> None:
+    """Refuse a port that cannot be had, before the seconds that a server takes to start."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError as error:
+            raise BenchFault(
+                f"port {port} cannot be had ({error.strerror})",
+                remedy="choose another port",
+                got=port,
+            ) from error
+
+
+def _gradients(bench: ServedBench) -> list[float]:
+    """Return COILGRAD and BIASGRAD; not a number where the bench does not know."""
+    known = bench.gradients if isinstance(bench, Graded) else (None, None)
+    return [float("nan") if value is None else value for value in known]
+
+
+async def _publish(server: Server, bench: ServedBench) -> None:
+    """Add the nodes of a bench."""
+    space = await server.register_namespace(keys.NAMESPACE)
+    node = await server.nodes.objects.add_object(ua.NodeId("Bench", space), f"{space}:Bench")
+    layout = bench.layout
+    for name, value, kind in (
+        ("Instrument", bench.instrument, Type.String),
+        ("Gap", float(bench.gap), Type.Double),
+        ("Gradients", _gradients(bench), Type.Double),
+        ("Id", layout.id.tolist(), Type.Int64),
+        ("X", layout.x.tolist(), Type.Double),
+        ("Y", layout.y.tolist(), Type.Double),
+        ("Nz", layout.nz.tolist(), Type.Double),
+        ("Enabled", layout.enabled.tolist(), Type.Boolean),
+    ):
+        await node.add_variable(
+            ua.NodeId(f"Bench.{name}", space), f"{space}:{name}", ua.Variant(value, kind)
+        )
+    methods = _Methods(bench)
+    for name, (takes, gives) in METHODS.items():
+        await node.add_method(
+            ua.NodeId(f"Bench.{name}", space),
+            f"{space}:{name}",
+            methods.guarded(name),
+            [_argument(*one) for one in takes],
+            [_argument(*one) for one in (("Fault", [Type.String]), *gives)],
+        )
+
+
+def _argument(name: str, kind: Any) -> ua.Argument:
+    array = isinstance(kind, list)
+    return ua.Argument(
+        Name=name,
+        DataType=ua.NodeId(_scalar(kind).value),
+        ValueRank=ua.ValueRank.OneDimension if array else ua.ValueRank.Scalar,
+    )
+
+
+def _scalar(kind: Any) -> Any:
+    return kind[0] if isinstance(kind, list) else kind
+
+
+class _Methods:
+    """The methods of the node, one at a time; each raises what the bench raises.
+
+    A server that was started anew does not know what hangs on the mirror: it takes no shape until
+    it was told, so that no row is taken under another load than its file says.
+    """
+
+    def __init__(self, bench: ServedBench) -> None:
+        self._bench = bench
+        self._one_at_a_time = threading.Lock()
+        self._load: Load | None = None
+
+    def guarded(self, name: str) -> Callable[..., list[ua.Variant]]:
+        """Return the method behind a name: its fault as values, then what it gives."""
+        methods: dict[str, Callable[..., tuple[Any, ...]]] = {
+            "PutOn": self._put_on, "Command": self._command, "Read": self._read,
+            "Status": self._status, "Rest": self._rest,
+        }  # fmt: skip
+        method = methods[name]
+        kinds = [_scalar(kind) for _, kind in METHODS[name][1]]
+
+        def call(_parent: ua.NodeId, *arguments: ua.Variant) -> list[ua.Variant]:
+            try:
+                with self._one_at_a_time:
+                    values = method(*(argument.Value for argument in arguments))
+            except TrueNewtonError as error:
+                fault = [type(error).__name__, error.fault, error.remedy]
+                return [ua.Variant(fault, Type.String)]
+            given = [ua.Variant(value, kind) for value, kind in zip(values, kinds, strict=True)]
+            return [ua.Variant([], Type.String), *given]
+
+        return call
+
+    def _put_on(self, name: str) -> tuple[()]:
+        load = Load(name)
+        self._load = None
+        self._bench.put_on(load)
+        self._load = load
+        return ()
+
+    def _command(
+        self, load: str, cycle: int, number: int, sign: int, position: list[float]
+    ) -> tuple[()]:
+        borne = self._load
+        if borne is None or borne.key != Load(load).key:
+            raise BenchFault(
+                f"the shape is for load '{load}', and the server knows of "
+                + ("no load on the mirror" if borne is None else f"'{borne.name}' on the mirror"),
+                remedy="put the load on first",
+            )
+        displacement = np.array(position, dtype=float)
+        if not np.isfinite(displacement).all():
+            raise BenchFault("a displacement is not finite", remedy="give metres")
+        self._bench.command(Shape(borne, cycle, number, sign, displacement))
+        return ()
+
+    def _read(self, samples: int) -> tuple[Any, ...]:
+        reading = self._bench.read(samples)
+        return (
+            reading.time,
+            reading.force.tolist(),
+            reading.position.tolist(),
+            reading.force_scatter.tolist(),
+            reading.position_scatter.tolist(),
+            float(reading.temperature),
+            int(reading.counter),
+            bool(reading.settled),
+        )
+
+    def _status(self) -> tuple[Any, ...]:
+        status = self._bench.status()
+        return bool(status.ready), status.message, int(status.counter)
+
+    def _rest(self) -> tuple[()]:
+        self._bench.rest()
+        return ()

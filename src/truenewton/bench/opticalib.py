@@ -1,0 +1,247 @@
+"""A mirror after opticalib's deformable-mirror protocol (opticalib 2) as a bench.
+
+opticalib's devices share `n_acts`, `set_shape(cmd, differential)` and `get_shape()`; those with
+force sensing (`AdOpticaDm`, `DP`, `M4AU` in opticalib.devices 2.3) add `get_force()`. Any object
+with these four will do; opticalib itself is not needed here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import importlib
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from truenewton.arrays import Array
+from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.errors import BenchFault, UnknownName
+from truenewton.mirrors.known import Mirror
+from truenewton.statics.layout import Layout
+
+REST_SAMPLES = 64  # of the position at rest, from which displacements count
+FEWEST_TO_TELL = 32  # samples, to see from them that the mirror still moves
+DRIFT = 6.0  # of the mean in standard errors, beyond which it does
+
+
+class DeformableMirror(Protocol):
+    """What is asked of the object: displacements in metres along +z, forces in newtons."""
+
+    @property
+    def n_acts(self) -> int:
+        """Number of actuators."""
+
+    def set_shape(self, cmd: Array, differential: bool, /) -> None:
+        """Command displacements from rest, or from the present shape where differential."""
+
+    def get_shape(self) -> ArrayLike:
+        """Return the positions by the sensors; their zero is free."""
+
+    def get_force(self) -> ArrayLike:
+        """Return the commanded forces."""
+
+
+class OpticalibMirror:
+    """A bench around an object that follows opticalib's protocol.
+
+    Displacements are counted from the positions that the sensors show at the first command, with
+    the mirror at rest: opticalib's devices add the shape of their bias to what they return.
+
+    Parameters
+    ----------
+    device
+        The object.
+    mirror
+        What it is: name, actuators in the order of the device, gap.
+    settling
+        Time given to the mirror after each command [s].
+
+    Raises
+    ------
+    BenchFault
+        The object lacks something, or has another number of actuators.
+    """
+
+    def __init__(self, device: DeformableMirror, mirror: Mirror, *, settling: float = 0.2) -> None:
+        lacking = [
+            name
+            for name in ("n_acts", "set_shape", "get_shape", "get_force")
+            if not hasattr(device, name)
+        ]
+        if lacking:
+            raise BenchFault(
+                f"{type(device).__name__} has no {', '.join(lacking)}",
+                remedy="give a mirror after opticalib's protocol, with forces",
+            )
+        if int(device.n_acts) != mirror.layout.n:
+            raise BenchFault(
+                f"{type(device).__name__} has {device.n_acts} actuators, {mirror.name} has"
+                f" {mirror.layout.n}",
+                remedy="give the mirror that it is",
+                got=int(device.n_acts),
+                want=mirror.layout.n,
+            )
+        self._device, self._mirror, self._settling = device, mirror, settling
+        self._rest: Array | None = None  # the positions there [m]
+        self._in_shape = False
+        self._since = 0.0  # when the last command was given
+        self._last: Array | None = None
+        self._counter = 0
+
+    @property
+    def instrument(self) -> str:
+        """The mirror's name."""
+        return self._mirror.name
+
+    @property
+    def layout(self) -> Layout:
+        """Its actuators."""
+        return self._mirror.layout
+
+    @property
+    def gap(self) -> float:
+        """Nominal distance from the reference plate [m]."""
+        return self._mirror.gap
+
+    def command(self, shape: Shape) -> None:
+        """Bring the mirror to a shape."""
+        if shape.position.shape != (self.layout.n,):
+            raise BenchFault(
+                f"{shape.position.size} displacements for {self.layout.n} actuators",
+                remedy="plan for this mirror",
+            )
+        if self._rest is None:
+            self.rest()
+            self._settle()
+            self._rest = self._samples(self._device.get_shape, REST_SAMPLES).mean(axis=0)
+        self._set(shape.position)
+        self._in_shape = True
+
+    def read(self, samples: int) -> Reading:
+        """Return the mean of so many calls of get_force and get_shape.
+
+        The mirror counts as settled where the mean position of the second half of the samples lies
+        within 6 standard errors of that of the first, for every actuator; always below 32 samples.
+        Readings that are to the bit the ones before do not move the counter.
+        """
+        if not self._in_shape or self._rest is None:
+            raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
+        self._settle()
+        now = datetime.datetime.now(datetime.UTC)
+        both = self._samples(lambda: (self._device.get_force(), self._device.get_shape()), samples)
+        force, position = both[:, 0], both[:, 1] - self._rest
+        if self._last is None or not np.array_equal(both[-1], self._last):
+            self._counter += 1
+        self._last = both[-1]
+        return Reading(
+            time=now,
+            force=force.mean(axis=0),
+            position=position.mean(axis=0),
+            force_scatter=force.std(axis=0, ddof=min(1, samples - 1)),
+            position_scatter=position.std(axis=0, ddof=min(1, samples - 1)),
+            temperature=np.nan,
+            counter=self._counter,
+            settled=_still(position),
+        )
+
+    def status(self) -> Status:
+        """Return how the bench is."""
+        return Status(True, "in shape" if self._in_shape else "at rest", self._counter)
+
+    def rest(self) -> None:
+        """Bring the mirror to rest."""
+        self._in_shape = False
+        self._set(np.zeros(self.layout.n))
+
+    def _set(self, displacement: Array) -> None:
+        with self._faults("set_shape"):
+            # A copy: some devices add to what they are given. By place: the names differ.
+            self._device.set_shape(displacement.copy(), False)
+        self._since = time.monotonic()
+
+    def _settle(self) -> None:
+        time.sleep(max(0.0, self._since + self._settling - time.monotonic()))
+
+    def _samples(self, get: Callable[[], Any], samples: int) -> Array:
+        """Return (samples, ..., n) values of a call."""
+        with self._faults("get_shape or get_force"):
+            values = np.array([get() for _ in range(samples)], dtype=float)
+        if values.shape[-1] != self.layout.n or not np.isfinite(values).all():
+            raise BenchFault(
+                f"readings of shape {values.shape[1:]}, finite: {np.isfinite(values).all()}",
+                remedy=f"return one finite number for each of the {self.layout.n} actuators",
+            )
+        return values
+
+    @contextlib.contextmanager
+    def _faults(self, what: str) -> Iterator[None]:
+        """Turn whatever the object raises into a fault."""
+        try:
+            yield
+        except Exception as error:
+            raise BenchFault(
+                f"{type(self._device).__name__} fails in {what} ({type(error).__name__}: {error})",
+                remedy="see to the mirror",
+            ) from error
+
+
+def _still(position: Array) -> bool:
+    """Tell whether the second half of (samples, n) positions has the mean of the first."""
+    half = len(position) // 2
+    if len(position) < FEWEST_TO_TELL:
+        return True
+    first, second = position[:half], position[half : 2 * half]
+    error = np.sqrt((first.var(axis=0, ddof=1) + second.var(axis=0, ddof=1)) / half)
+    return bool((np.abs(second.mean(axis=0) - first.mean(axis=0)) <= DRIFT * error).all())
+
+
+def from_address(
+    address: str, mirror: Mirror, folder: str | os.PathLike[str] = "."
+) -> OpticalibMirror:
+    """Return a bench around the object that `module:object` names.
+
+    Parameters
+    ----------
+    address
+        Module and name of the object, or of a class or function that makes it without arguments.
+    mirror
+        What it is.
+    folder
+        Where the module may stand beside those that are installed: that of the plan.
+
+    Raises
+    ------
+    UnknownName
+        There is no such module or object.
+    BenchFault
+        It cannot be made, or is no such mirror.
+    """
+    module, _, name = address.partition(":")
+    sys.path.insert(0, os.fspath(folder))
+    try:
+        found: Any = importlib.import_module(module)
+        for part in name.split("."):
+            found = getattr(found, part)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise UnknownName(
+            f"there is no mirror '{address}' ({error})",
+            remedy="write bench.address as module:object",
+            got=address,
+        ) from error
+    finally:
+        sys.path.remove(os.fspath(folder))
+    if isinstance(found, type) or not hasattr(found, "set_shape"):
+        try:
+            found = found()
+        except Exception as error:
+            raise BenchFault(
+                f"{address} cannot be made ({type(error).__name__}: {error})",
+                remedy="name a mirror, or a function that makes it without arguments",
+            ) from error
+    return OpticalibMirror(found, mirror)

@@ -1,0 +1,186 @@
+"""The simulated bench behind the same door as hardware; the truth stays inside."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Sequence
+
+import numpy as np
+
+from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.bench.simulated.loop import Loop, record
+from truenewton.bench.simulated.loop import row_noise as loop_noise
+from truenewton.bench.simulated.loop_campaign import loop_of
+from truenewton.bench.simulated.static import (
+    PAUSE,
+    SECONDS_PER_SHAPE,
+    SENSOR_NOISE,
+    START,
+    held_command,
+    row_noise,
+    static_bench,
+)
+from truenewton.bench.simulated.truth import truth_path, write_truth
+from truenewton.errors import BenchFault, UnknownName
+from truenewton.mirrors.known import Mirror
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+SAMPLES = 2048  # a reading [conf]
+FIDELITIES = ("static", "loop")
+
+
+class SimulatedBench:
+    """A mirror with its electronics and someone who puts weights on it, in simulation.
+
+    Parameters
+    ----------
+    mirror
+        What is known of the mirror.
+    seed
+        Decides everything random. The noise of a reading depends on it and on load, cycle, number
+        and sign of the shape only: readings can be taken again in any order.
+    loads
+        Those that can be put on, as declared; the bare mirror and its own tool unless told.
+    force_noise
+        Standard deviation of one commanded-force reading of 2,048 samples [N]; a closed loop has
+        its own.
+    fidelity
+        'static', every shape is held exactly; 'loop', the loop runs sample by sample.
+
+    Raises
+    ------
+    UnknownName
+        There is no such fidelity.
+    """
+
+    def __init__(
+        self,
+        mirror: Mirror,
+        seed: int = 1,
+        *,
+        loads: Sequence[Load] = (),
+        force_noise: float = 1e-4,
+        fidelity: str = "static",
+    ) -> None:
+        if fidelity not in FIDELITIES:
+            raise UnknownName(
+                f"there is no fidelity '{fidelity}'",
+                remedy=f"choose {', '.join(FIDELITIES)}",
+                got=fidelity,
+                want=FIDELITIES,
+            )
+        self._bench = static_bench(mirror, seed, loads=loads, force_noise=force_noise)
+        self._loop = loop_of(self._bench) if fidelity == "loop" else None
+        self._loads = [load.key for load in self._bench.loads]
+        self._place, self._counter, self._clock = 0, 0, START
+        self._shape: Shape | None = None
+
+    @property
+    def instrument(self) -> str:
+        """The mirror's name."""
+        return self._bench.mirror.name
+
+    @property
+    def layout(self) -> Layout:
+        """Its actuators."""
+        return self._bench.mirror.layout
+
+    @property
+    def gap(self) -> float:
+        """Nominal distance from the reference plate [m]."""
+        return self._bench.mirror.gap
+
+    @property
+    def gradients(self) -> tuple[float | None, float | None]:
+        """COILGRAD [1/m] and BIASGRAD [N/m]."""
+        return self._bench.coils.coil_gradient, self._bench.coils.bias_gradient
+
+    def put_on(self, load: Load) -> None:
+        """Put a load on, or take it off for the bare mirror.
+
+        Raises
+        ------
+        UnknownName
+            The bench has no such load.
+        """
+        if load.key not in self._loads:
+            raise UnknownName(
+                f"the simulated bench has no load '{load.name}'",
+                remedy=f"it has {', '.join(self._loads)}",
+                got=load.name,
+                want=tuple(self._loads),
+            )
+        self._place = self._loads.index(load.key)
+        self._clock += PAUSE
+
+    def wait(self, seconds: float) -> None:
+        """Let simulated time pass."""
+        self._clock += datetime.timedelta(seconds=seconds)
+
+    def command(self, shape: Shape) -> None:
+        """Bring the mirror to a shape."""
+        if shape.position.shape != (self.layout.n,):
+            raise BenchFault(
+                f"{shape.position.size} displacements for {self.layout.n} actuators",
+                remedy="plan for this mirror",
+            )
+        self._shape = shape
+
+    def read(self, samples: int) -> Reading:
+        """Return the mean of so many samples of the shape that is set."""
+        shape, bench, n = self._shape, self._bench, self.layout.n
+        if shape is None:
+            raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
+        self._counter += 1
+        self._clock += datetime.timedelta(seconds=SECONDS_PER_SHAPE)
+        if self._loop is not None:
+            return self._recorded(self._loop, shape, samples)
+        exact = held_command(bench, self._place, shape.position)
+        random = row_noise(bench.truth.seed, shape.load, shape.cycle, shape.number, shape.sign)
+        noise = random.standard_normal(2 * n) * np.sqrt(SAMPLES / samples)
+        return Reading(
+            time=self._clock,
+            force=exact + bench.force_noise * noise[:n],
+            position=shape.position + SENSOR_NOISE * noise[n:],
+            force_scatter=np.full(n, bench.force_noise * np.sqrt(SAMPLES)),
+            position_scatter=np.full(n, SENSOR_NOISE * np.sqrt(SAMPLES)),
+            temperature=bench.temperature,
+            counter=self._counter,
+            settled=True,
+        )
+
+    def _recorded(self, loop: Loop, shape: Shape, samples: int) -> Reading:
+        """Return what the closed loop records of a shape."""
+        bench, load_force = self._bench, self._bench.load_force[self._place][:, None]
+        seed, key = bench.truth.seed, shape.load.key
+        noise = [loop_noise(seed, key, shape.cycle, shape.number, shape.sign)]
+        found = record(loop, shape.position[:, None], load_force, noise, samples=samples)
+        return Reading(
+            time=self._clock,
+            force=found.force[:, 0],
+            position=found.position[:, 0],
+            force_scatter=found.force_scatter[:, 0],
+            position_scatter=found.position_scatter[:, 0],
+            temperature=bench.temperature,
+            counter=self._counter,
+            settled=bool(found.settled[0]),
+        )
+
+    def status(self) -> Status:
+        """Return how the bench is."""
+        return Status(True, "at rest" if self._shape is None else "in shape", self._counter)
+
+    def rest(self) -> None:
+        """Bring the mirror to rest."""
+        self._shape = None
+
+    def write_truth(self, campaign: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Seal the truth in a file beside a campaign's folder, for scoring only.
+
+        Raises
+        ------
+        OutputExists, OutputFailed
+        """
+        write_truth(self._bench.truth, truth_path(campaign), overwrite=overwrite)

@@ -1,0 +1,75 @@
+"""The simulated mirror in closed loop: the same campaign as the static one, with its dynamics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.bench.simulated.control import Control
+from truenewton.bench.simulated.loop import Loop, closed_loop, equilibrium, record, row_noise
+from truenewton.bench.simulated.plant import film_damping
+from truenewton.bench.simulated.static import StaticBench, cycle_of, rows_of_cycle, schedule
+from truenewton.mirrors.shell.held_glass import moving_mass
+from truenewton.records.cycle import Cycle
+
+
+def loop_of(bench: StaticBench) -> Loop:
+    """Close the loop around the glass of a bench, its feed-forward as a calibration gives it.
+
+    Raises
+    ------
+    LoopUnstable
+        The gains do not hold it.
+    """
+    n = bench.mirror.layout.n
+    mass, pucks = moving_mass(bench.glass)
+    to_forces = np.asarray(
+        np.linalg.inv(pucks.T), dtype=np.float64
+    )  # M z'' + C z' + K~ z = S' f, in terms of f
+    softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(n)
+    feed_forward = softer / bench.coils.alpha[:, None] * bench.sensors.gain
+    return closed_loop(
+        bench.glass.stiffness,
+        to_forces @ mass,
+        film_damping(bench.mirror.gap) * to_forces,
+        bench.coils,
+        bench.sensors,
+        Control(feed_forward),
+    )
+
+
+def rest_displacement(bench: StaticBench) -> Array:
+    """Return (L, n) the true displacement at which the loop holds the flat mirror under each load.
+
+    Along +z [m]. There a coil gives alpha (1 + COILGRAD z), and that is what a campaign in closed
+    loop can find; `Truth.alpha` is that at z = 0.
+    """
+    flat = np.zeros((bench.mirror.layout.n, len(bench.loads)))
+    return equilibrium(loop_of(bench), flat, bench.load_force.T, bench.temperature)[0].T
+
+
+def run_loop_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
+    """Yield the cycles of a campaign in closed loop, all shapes of a cycle together.
+
+    A row that has not settled is marked as not valid; what noise the forces have is left to their
+    repeats to tell.
+
+    Raises
+    ------
+    LoopUnstable, BenchFault
+    """
+    loop = loop_of(bench)
+    shape, sign, position = rows_of_cycle(bench)
+    for place, number, start in schedule(bench, cycles):
+        key, seed = bench.loads[place].key, bench.truth.seed
+        noise = [
+            row_noise(seed, key, number, k, s)
+            for k, s in zip(shape.tolist(), sign.tolist(), strict=True)
+        ]
+        load_force = bench.load_force[place][:, None]
+        found = record(loop, position.T, load_force, noise, temperature=bench.temperature)
+        yield cycle_of(
+            bench, place, number, start, found.force.T, found.position.T, found.settled, 0.0
+        )

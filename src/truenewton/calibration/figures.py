@@ -1,0 +1,82 @@
+"""Figures of a calibration (paper, figs. 5 and 6), and all of them as files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+
+from truenewton.figures.maps import ALPHA_LABEL, plot_layout, plot_map
+from truenewton.figures.style import ACCENT, FAINT, INK, STYLE, new_axes
+from truenewton.figures.writing import write_drawn
+from truenewton.statics.layout import ring_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from truenewton.calibration.result import Calibration
+
+
+def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
+    """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
+
+    The bars are three standard uncertainties from the readings (3 E_STAT), the paper's level. The
+    error of the common scale moves all points together: it stands above.
+    """
+    with mpl.rc_context(STYLE):
+        ax = ax or new_axes(0.75)
+        layout, alpha = calibration.layout, calibration.alpha
+        bars = 3 * calibration.statistical
+        ring = ring_of(layout)
+        order = np.argsort(ring, kind="stable")
+        place = np.arange(1, layout.n + 1)
+        few = layout.n <= 100
+        ax.errorbar(
+            place, alpha[order], yerr=bars[order], fmt="o", color=ACCENT, ecolor=INK,
+            markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
+        )  # fmt: skip
+        edges = np.flatnonzero(np.diff(ring[order])) + 1.5
+        for edge in edges:
+            ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
+        ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
+        for extreme in (np.nanargmin(alpha), np.nanargmax(alpha)):
+            at = (place[order == extreme][0], alpha[extreme])
+            ax.annotate(str(layout.id[extreme]), at, xytext=(3, 0), textcoords="offset points",
+                        fontsize=6.0, va="center")  # fmt: skip
+        ax.set_xlabel("actuator, ring by ring from the centre" if len(edges) else "actuator")
+        ax.set_ylabel(ALPHA_LABEL)
+        ax.margins(y=0.12)
+        note = "bars: 3σ, readings"
+        if calibration.scale != "mean 1":
+            scale = np.nanmedian(calibration.systematic_error / np.abs(alpha))
+            note += f"; common scale ±{100 * scale:.1f} % (1σ)"
+        else:
+            note += f"; scale: {calibration.scale}"
+        ax.set_title(note, loc="right", fontsize=6.5, color=INK)
+    return ax
+
+
+def write_figures(
+    calibration: Calibration,
+    folder: str | os.PathLike[str],
+    *,
+    more: Mapping[str, Callable[[], Axes]] | None = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write figures 2, 5 and 6, and more by name, as PDF and PNG into a folder; return the paths.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    figures: dict[str, Callable[[], Axes]] = {
+        "fig2-actuators": lambda: plot_layout(calibration.layout),
+        "fig5-alpha": lambda: plot_actuators(calibration),
+        "fig6-alpha-map": lambda: plot_map(calibration.layout, calibration.alpha),
+        **(more or {}),
+    }
+    return write_drawn(figures, folder, overwrite=overwrite)

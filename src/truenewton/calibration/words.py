@@ -1,0 +1,234 @@
+"""A calibration in words and numbers: for a terminal, a page, a script."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load
+from truenewton.rounding import percent, to_digits, with_error
+
+if TYPE_CHECKING:
+    from truenewton.calibration.result import Calibration
+    from truenewton.estimation.diagnosis import RejectedRow
+    from truenewton.estimation.stiffness_svd import Imbalance
+    from truenewton.records.campaign import Campaign
+
+
+def print_summary(calibration: Calibration) -> None:
+    """Print what was found, how sure it is, and what limits it."""
+    c = calibration
+    print(headline(c))
+    for name, value, note in summary_rows(c):
+        print(f"  {name:<24}{value:<36}{note}".rstrip())
+    limit = scale_limit(c)
+    if limit is not None:
+        fault, remedy = limit
+        print(f"  {fault[0].upper()}{fault[1:]}{': ' if remedy else ''}{remedy}.")
+    for fault, remedy in c.diagnosis.warnings if c.diagnosis else ():
+        print(f"  WARNING: {fault}; {remedy}")
+
+
+def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:
+    """Yield the rows left out, a line each, the farthest first, at most five."""
+    rows = rejected_values(campaign, rejected)
+    for row in rows[:5]:
+        yield f"  left out: {rejected_sentence(row)}"
+    if len(rows) > 5:
+        yield f"  and {len(rows) - 5} rows more"
+
+
+def imbalance_lines(judged: Sequence[Imbalance]) -> Iterator[str]:
+    """Yield a table of the imbalance of elastic modes before and after, if there are any."""
+    if judged:
+        yield "  rms imbalance of elastic modes, force and torques, per unit of force:"
+        yield f"    {'':<32}alpha = 1   calibrated"
+        for line in judged:
+            yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
+
+
+def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -> dict[str, Any]:
+    """Return the same figures for a script."""
+    c = calibration
+    return {
+        "instrument": c.instrument,
+        "date": c.date.isoformat(),
+        "method": c.method,
+        "scale": c.scale,
+        "shapes": c.shapes_used,
+        "invalid": c.invalid,
+        "rejected": c.rejected,
+        "noise": c.noise,
+        "condition": c.condition,
+        "rank": c.rank,
+        "separation": c.diagnosis.separation if c.diagnosis else None,
+        "warnings": [fault for fault, _ in c.diagnosis.warnings] if c.diagnosis else [],
+        "bias_force": c.bias_force,
+        "e_bias_force": c.bias_force_error,
+        "loads": [
+            {"load": load.name, "torque_y": my, "e_torque_y": e[0], "torque_x": mx,
+             "e_torque_x": e[1]}
+            for load, my, mx, e in zip(
+                c.loads, c.torque_y.tolist(), c.torque_x.tolist(), c.torque_errors.tolist(),
+                strict=True,
+            )
+        ],
+        "actuators": {
+            "id": c.layout.id,
+            "alpha": c.alpha,
+            "e_alpha": c.error,
+            "e_stat": c.statistical,
+            "e_syst": c.systematic_error,
+            "e_cycle": c.cycle_error,
+        },
+        "chi2": c.chi2,
+        "degrees_of_freedom": c.degrees_of_freedom,
+        "goodness": None if c.goodness is None else {
+            "chi2": c.goodness.chi2,
+            "degrees_of_freedom": c.goodness.degrees_of_freedom,
+            "against": c.goodness.against,
+            "probability": c.goodness.probability,
+        },
+        "scale_errors": [
+            {"source": line.source, "relative": line.relative} for line in c.scale_errors
+        ],
+        "weakest": c.diagnosis.weakest if c.diagnosis else "",
+        "imbalance": [
+            {"modes": line.modes, "before": line.before, "after": line.after} for line in judged
+        ],
+    }  # fmt: skip
+
+
+def headline(calibration: Calibration) -> str:
+    """Return what was calibrated, from how much."""
+    c, on = calibration, calibration.layout.enabled
+    return (
+        f"{c.instrument}, {c.date:%Y-%m-%d}: {on.sum()} actuators"
+        + (f" ({(~on).sum()} disabled)" if not on.all() else "")
+        + f", {c.shapes_used} {'rows' if c.loads else 'elastic modes'}"
+        + (f" under {len(c.loads)} loads" if c.loads else "")
+        + (f", {c.invalid} rows not valid left out" if c.invalid else "")
+    )
+
+
+def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
+    """Return name, value and note of what was found, how sure it is, and what limits it."""
+    c, on = calibration, calibration.layout.enabled
+    relative = c.error[on] / np.abs(c.alpha[on])
+    low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
+    ids = c.layout.id
+    ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
+    rows = [
+        ("alpha", f"{ends[0]} .. {ends[1]}", "true N / commanded N"
+         + f", lowest actuator {ids[low]}, highest {ids[high]}"),
+        ("typical error of alpha", percent(float(np.median(relative))), "E_ALPHA, one sigma"),
+    ]  # fmt: skip
+    if c.scale != "mean 1":
+        rows += _budget(c)
+        rows += [
+            ("bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""),
+            *(
+                (f"torques, {load.name}",
+                 f"{with_error(1e3 * my, 1e3 * e[0])}, {with_error(1e3 * mx, 1e3 * e[1])}",
+                 "M_y, M_x [mN m]")
+                for load, my, mx, e in zip(
+                    c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
+                )
+            ),
+        ]  # fmt: skip
+    else:
+        rows.append(("common scale", "free", "mean alpha set to 1; weights would fix it"))
+    if np.isfinite(c.noise):
+        rows.append(("noise of one reading", f"{1e3 * c.noise:.3g} mN", "from repeated shapes"))
+    if c.goodness is not None:
+        rows.append(
+            ("fit", f"chi2/DOF = {c.goodness.reduced:.3g}",
+             f"DOF {c.goodness.degrees_of_freedom}, noise from {c.goodness.against}"
+             + (f", probability {c.goodness.probability:.2g}"
+                if np.isfinite(c.goodness.probability) else ""))
+        )  # fmt: skip
+    if c.diagnosis is not None and c.diagnosis.weakest:
+        rows.append(
+            ("least known", c.diagnosis.weakest,
+             f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2")
+        )  # fmt: skip
+    if c.diagnosis is not None and c.diagnosis.eigenvalues:
+        rows.append(
+            ("alpha stands apart by", f"{c.diagnosis.separation:.3g}",
+             "second over smallest singular value; noise alone gives 1")
+        )  # fmt: skip
+    rows.append(("condition", f"{c.condition:.3g}", f"rank {c.rank}"))
+    return rows
+
+
+def _budget(c: Calibration) -> list[tuple[str, str, str]]:
+    """Return the lines that say where the error comes from."""
+    alpha = np.abs(c.alpha)
+    parts = ", ".join(
+        f"{line.source} {percent(line.relative)}" for line in c.scale_errors if line.relative > 1e-5
+    )
+    lines = [
+        ("  common scale", percent(float(np.nanmedian(c.systematic_error / alpha))),
+         "E_SYST, from the weights"),
+        ("  reading noise", percent(float(np.nanmedian(c.statistical / alpha))),
+         "E_STAT" + (", scatter only: svd is biased besides" if c.method == "svd" else "")),
+    ]  # fmt: skip
+    if parts:
+        lines.insert(1, ("    budget", parts, ""))
+    if np.isfinite(c.cycle_error).any():
+        low, high = np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)
+        lines.append(("  the paper's error", f"{low:.1e} .. {high:.1e}", "E_CYCLE, 3 sigma"))
+    return lines
+
+
+def scale_limit(c: Calibration) -> tuple[str, str] | None:
+    """Return what limits the common scale and what would help; None where the weights do not."""
+    if not c.scale_errors or c.scale_errors[0].source == READINGS:
+        return None
+    total, largest = scale_total(c.scale_errors), c.scale_errors[0]
+    share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
+    fault = f"the common scale is known to {percent(total)}, {share} from the {largest.source}"
+    remedies = []
+    heaviest = max(c.loads, key=lambda load: load.added_error)
+    if largest.source.startswith(("weight of", "added weight")) and heaviest.added_error:
+        better = np.sqrt(total**2 - 0.99 * largest.relative**2)
+        finer = 1e3 * heaviest.added_error / 10
+        remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")
+    if not any(load.tilt for load in c.loads):
+        tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
+        if tilted < total:
+            remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
+    return fault, "; ".join(remedies)
+
+
+def rejected_values(
+    campaign: Campaign, rejected: Sequence[RejectedRow]
+) -> list[dict[str, int | float | str]]:
+    """Return the rows left out, farthest first, for a script."""
+    return [
+        {
+            "file": cycle_name(campaign, row.cycle),
+            "row": row.row + 1,
+            "actuator": row.actuator,
+            "sigmas": row.sigmas,
+            "against": row.against,
+        }
+        for row in sorted(rejected, key=lambda row: -row.sigmas)
+    ]
+
+
+def cycle_name(campaign: Campaign, place: int) -> str:
+    """Return the file of a cycle, or its load and number where it has none."""
+    cycle = campaign.cycles[place]
+    return cycle.source.file if cycle.source else f"{cycle.load.name} {cycle.number}"
+
+
+def rejected_sentence(row: dict[str, int | float | str]) -> str:
+    """Say of one row how far it lay, and which actuator stands out."""
+    return (
+        f"{row['file']} row {row['row']}, {row['sigmas']:.0f} sigma from"
+        f" {'its repeats' if row['against'] == 'repeats' else 'balance'}, actuator"
+        f" {row['actuator']} stands out"
+    )

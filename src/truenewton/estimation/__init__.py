@@ -1,0 +1,36 @@
+"""The method: from commanded forces to alpha, B and torques, with their covariance.
+
+Where the equations of the paper (Ricci, Riccardi and Zanotti 2008) stand:
+
+    eq. 1   sum f + W + B = 0, the torques       `statics.arms`: `arms`, `external_load`
+    eq. 2   D alpha = q, one bare load           `systems`: `system_d`
+    eq. 3   C alpha = p, B and torques known     `systems`: `system_c`
+    eq. 4   E alpha' = r, all loads              `systems`: `system_e`
+    sec. 4  solution by SVD                      `cycles_svd`: `find`
+    sec. 4  the proof code                       `studies.proof`
+    sec. 5  the error over the cycles, E_CYCLE   `cycle_errors`: `cycle_errors`
+
+Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md). The files, in the
+order in which data pass through them:
+
+    systems          the linear systems C, D, E
+    cycles_svd       the paper's method: E alpha' = r by singular value decomposition
+    cycle_errors     the paper's error: each cycle solved alone
+    displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
+    moments          repeats put together: number, mean, scatter; they merge
+    shape_sums       sums over shapes: what the likelihood needs of the means
+    outliers         rows that do not belong
+    noise            of one reading: from repeats, as declared, or left to the fit
+    weights          errors of the weights, and the budget of the common scale
+    problem          what the likelihood is asked: data, noise, unknowns, priors
+    likelihood       maximum likelihood itself: score, information, minimisation
+    minimum          what goes into the likelihood, and what comes out
+    cycles_ml        `ml` on a campaign
+    stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
+    stiffness_ml     `ml` on a stiffness matrix
+    undetermined     patterns of alpha that drown in noise
+    identifiability  what the data can and cannot fix
+    diagnosis        how well alpha is determined and how well the data fit, in records
+    estimate         what every method hands over
+    prediction       errors of a campaign before a reading is taken
+"""

@@ -1,0 +1,306 @@
+"""`ml`: a campaign through the likelihood, its outliers left out, the result judged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow
+from truenewton.estimation.displaced_rows import is_displaced
+from truenewton.estimation.estimate import Found
+from truenewton.estimation.identifiability import (
+    diagnose,
+    in_words,
+    leverage,
+    refuse,
+    structural_faults,
+)
+from truenewton.estimation.likelihood import chi2_at, gram_of_e
+from truenewton.estimation.minimum import Estimate
+from truenewton.estimation.moments import WEIGHED_NOISE, Moments, chosen_groups
+from truenewton.estimation.noise import Noise, reading_noise
+from truenewton.estimation.outliers import (
+    against_balance,
+    against_repeats,
+    refuse_too_many,
+    rows_of,
+)
+from truenewton.estimation.problem import (
+    Problem,
+    load_data,
+    posed,
+    roughly_scaled,
+    with_noise_from_minimum,
+    with_share_in_balance,
+)
+from truenewton.estimation.stiffness_ml import population_spread
+from truenewton.estimation.undetermined import (
+    drowned_patterns,
+    held_even,
+    tolerable,
+    with_unknown_patterns,
+)
+from truenewton.estimation.weights import scale_errors
+from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
+
+
+def find(campaign: Campaign, population: bool = False) -> Found:
+    """Find the likeliest alpha of a campaign, outliers left out.
+
+    Parameters
+    ----------
+    campaign
+        Cycles under two loads at least, and a stiffness matrix if there is one.
+    population
+        Whether alpha is taken for a sample of one normal population, whose spread the data give.
+
+    Raises
+    ------
+    RankDeficient, TooManyOutliers, NotConverged
+    """
+    rows = sum(int(c.valid.sum()) for c in campaign.cycles)
+    moments, sound, rejected = against_repeats(campaign)
+    refuse(Diagnosis((), 0, structural_faults(sound, moments)))
+    refuse_too_many(len(rejected), rows)
+    free = posed(campaign, reading_noise(sound, moments))
+    kept, distance, (problem, estimate), patterns = _fitted(free, sound, moments)
+    free = with_share_in_balance(free, sound, moments, estimate.values[: free.n])
+    if free.noise.share != 1.0:
+        kept, distance, (problem, estimate), patterns = _fitted(free, sound, moments)
+    if not kept.all():
+        actuator = problem.standing_out(estimate.values, moments)
+        rejected += tuple(rows_of(sound, moments, ~kept, distance, actuator))
+        refuse_too_many(len(rejected), rows)
+        moments = chosen_groups(moments, kept)
+    problem, estimate = with_noise_from_minimum(problem, moments, estimate)
+    if patterns.size:
+        estimate = with_unknown_patterns(estimate, patterns)
+    method = "ml"
+    if population:
+        covariance = estimate.statistical[: problem.n, : problem.n]
+        spread = population_spread(estimate.values[: problem.n], covariance)
+        problem = replace(problem, prior=free.prior).with_population(spread)
+        estimate = problem.fitted(moments, estimate.values)
+        method = f"ml, population {spread:.2g}"
+    found = found_of(method, problem, moments, estimate, rejected, patterns.shape[1])
+    if found.diagnosis.undetermined:
+        judged = diagnose(sound, moments)
+        if 3 * judged.span < problem.n - 1:  # not even without noise
+            refuse(judged)
+    return found
+
+
+Fitted = tuple[Problem, Estimate]
+
+
+def _fitted(
+    problem: Problem, campaign: Campaign, moments: Moments
+) -> tuple[NDArray[np.bool_], Array, Fitted, Array]:
+    """Fit the groups that belong; return these, distances, the fit, and patterns held even.
+
+    None is held unless the data hold no more than noise along some.
+    """
+    nothing = np.empty((problem.n, 0))
+    try:
+        return *fitted_groups(problem, moments), nothing
+    except (RankDeficient, NotConverged, TooManyOutliers):
+        judged = diagnose(campaign, moments)  # which knows better what is missing
+        if not judged.undetermined or not tolerable(judged, problem.n):
+            refuse(judged)
+            raise
+    for count in range(judged.undetermined, 2 * judged.undetermined + 2):
+        patterns = drowned_patterns(problem, moments, count)
+        try:
+            return *fitted_groups(held_even(problem, patterns), moments), patterns
+        except (RankDeficient, NotConverged):
+            continue
+    fault, remedy = judged.faults[0]
+    raise RankDeficient(fault, remedy=remedy, got=judged.undetermined, want=0)
+
+
+def fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:
+    """Fit the groups that belong; return these, the distances of all, and the fit."""
+
+    def fit(groups: Moments) -> Fitted:
+        scaled = roughly_scaled(problem, groups)
+        return scaled, scaled.fitted(groups)
+
+    def distances(fitted: Fitted) -> Array:
+        scaled, estimate = fitted
+        return scaled.distances(estimate.values, moments)
+
+    known = problem.noise.source != "minimum"
+    return against_balance(moments, fit, distances, noise_known=known)
+
+
+def found_of(
+    method: str,
+    problem: Problem,
+    moments: Moments,
+    estimate: Estimate,
+    rejected: tuple[RejectedRow, ...],
+    held: int,
+) -> Found:
+    """Put the estimate into the form that all methods share."""
+    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
+    chi2, freedom = estimate.chi2, problem.degrees_of_freedom(moments)
+    size = chi2 / freedom if freedom > 0 else float("nan")
+    tested = problem.noise.source != "minimum" and freedom > 0
+    probability = _probability(chi2, freedom, problem.noise) if tested else float("nan")
+    declared = float("nan")
+    if all(c.force_error for c in campaign.cycles):
+        same = np.full(n, WEIGHED_NOISE**2)
+        at_declared = load_data(campaign, moments, same, problem.errors)
+        declared = chi2_at(problem.a, [at_declared], estimate.values)
+    diagnosis = _diagnosis(problem, moments, estimate, held)
+    warnings = weights_warning(estimate.values[unknowns:], len(campaign.loads))
+    warnings += zeros_warning(campaign, moments)
+    diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
+    e_condition = condition(campaign, moments, estimate.statistical)  # while there is room
+    return Found(
+        method=method,
+        scale="weights",
+        values=estimate.values[:unknowns],
+        statistical=estimate.statistical,
+        systematic=estimate.changes @ estimate.changes.T,
+        noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
+        condition=e_condition,
+        rank=unknowns - diagnosis.undetermined,
+        diagnosis=diagnosis,
+        goodness=Goodness(chi2, freedom, problem.noise.source, probability),
+        declared_chi2=declared,
+        scale_errors=scale_errors(
+            estimate.values[:n],
+            estimate.statistical[:n, :n],
+            estimate.changes[:n].T,
+            problem.errors,
+        ),
+        rejected=rejected,
+    )
+
+
+def _probability(chi2: float, freedom: int, noise: Noise) -> float:
+    """Return how often chance makes chi^2 as large, the noise being known only so well."""
+    if np.isinf(noise.share_freedom):
+        return float(scipy.stats.chi2.sf(chi2, freedom))
+    return float(scipy.stats.f.sf(chi2 / freedom, freedom, noise.share_freedom))
+
+
+def weights_warning(errors: Array, loads: int) -> tuple[tuple[str, str], ...]:
+    """Warn of weights that disagree more than their errors allow; two loads cannot tell.
+
+    Parameters
+    ----------
+    errors
+        Of the weights as the data have them, in units of their standard uncertainties.
+    loads
+        L: the common scale and B take up two of them.
+    """
+    size = float(np.sum(errors**2))
+    if loads < 3 or scipy.stats.chi2.sf(size, loads - 2) > 1e-3:
+        return ()
+    return (
+        (
+            f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
+            "check ADDED, TILT and their errors",
+        ),
+    )
+
+
+def zeros_warning(campaign: Campaign, moments: Moments) -> tuple[tuple[str, str], ...]:
+    """Warn of sensors whose zero was set anew: how far the glass moved meanwhile is not known."""
+    anew = int(np.count_nonzero(np.isnan(moments.reference)))
+    if not anew or not any(map(is_displaced, campaign.cycles)):
+        return ()
+    return (
+        (
+            f"the zeros of {anew} sensors were set anew between files: these count from each"
+            " file's own mean, and E_STAT knows nothing of motion between files",
+            "keep the zeros of the sensors through a campaign",
+        ),
+    )
+
+
+def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate, held: int) -> Diagnosis:
+    """Judge alpha by what its information stands above what noise feigns, and name what is weak.
+
+    So many patterns as are held even drown for sure.
+    """
+    n, layout = problem.n, problem.campaign.layout
+    covariance = estimate.statistical[:n, :n]
+    free = held + patterns_near_noise(estimate, moments.groups)
+    value, vector = largest_eigenvalue(covariance)
+    weakest = in_words(vector, layout)
+    warnings: tuple[tuple[str, str], ...] = ()
+    if free:
+        patterns = "pattern of alpha stands" if free == 1 else "patterns of alpha stand"
+        warnings = (
+            (
+                f"{free} {patterns} hardly above the noise, the weakest {weakest}",
+                "repeat more often, use larger forces, or add a stiffness matrix",
+            ),
+        )
+    if held:
+        error = np.sqrt(value / n)
+        each = "pattern of alpha drowns" if held == 1 else "patterns of alpha drown"
+        warnings += (
+            (
+                f"{held} {each} in noise: held even over the mirror, each uncertain by as much as"
+                f" alpha varies otherwise, {100 * error:.2g} % of it RMS",
+                "trust E_ALPHA, and differences along other patterns by COVARIANCE",
+            ),
+        )
+    return Diagnosis(
+        eigenvalues=(),
+        undetermined=free,
+        faults=(),
+        warnings=warnings,
+        weakest=weakest,
+        weakest_share=value / float(np.trace(covariance)),
+        leverage=tuple(leverage(problem.a * estimate.values[:n], problem.noise.variance).tolist()),
+    )
+
+
+def patterns_near_noise(estimate: Estimate, shapes: int) -> int:
+    """Count the patterns of alpha in which M reaches less than what noise alone may.
+
+    What noise alone feigns, D, spreads by (1 +- root(n / 3 N))^2; so count the negative eigenvalues
+    of M - reach D, B and the torques eliminated. There is none if all of D together is too small,
+    as mostly, or if there is a Cholesky factor.
+    """
+    n = len(estimate.feigned.diagonal)
+    reach = 1.1 * (1 + np.sqrt(n / (3 * shapes))) ** 2
+    if (reach - 1.0) * estimate.feigned_share < 0.9:
+        return 0
+    less = estimate.feigned.taken_from(estimate.information, reach - 1.0)  # M = H + D
+    if dpotrf(less, lower=True, clean=False)[1] == 0:
+        return 0
+    less = mirrored(less.T)
+    schur = less[:n, :n] - less[:n, n:] @ np.linalg.pinv(less[n:, n:]) @ less[n:, :n]
+    return int(np.count_nonzero(scipy.linalg.eigvalsh(schur) <= 0.0))
+
+
+def condition(campaign: Campaign, moments: Moments, statistical: Array) -> float:
+    """Return the condition of E, each coordinate in units of its RMS, from E' E.
+
+    Its inverse is, but for a factor, nearly the covariance from the readings, torques in the same
+    units.
+    """
+    a = arms_in_units_of_rms(campaign.layout)
+    gram = gram_of_e(a, load_data(campaign, moments, np.ones(a.shape[1]), ()))
+    unit = np.ones(len(gram))
+    for axis in (1, 2):
+        unit[a.shape[1] + axis :: 2] = np.sqrt(np.mean(enabled_arms(campaign.layout)[axis] ** 2))
+    smallest, _ = smallest_eigenvalue(
+        lambda x: gram @ x, len(gram), lambda x: statistical @ (x / unit) / unit
+    )
+    return float(np.sqrt(largest_eigenvalue(gram)[0] / max(smallest, 1e-300)))

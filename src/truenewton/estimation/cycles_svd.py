@@ -1,0 +1,241 @@
+"""The paper's method: E alpha' = r by singular value decomposition, rows as they are.
+
+It puts the noise where there is none (the right-hand side) and none where it is (the matrix): with
+noisy readings it is biased, and its errors here are scatter and weights, without that bias.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+from truenewton.estimation.estimate import Found
+from truenewton.estimation.identifiability import diagnose, refuse
+from truenewton.estimation.moments import campaign_moments
+from truenewton.estimation.systems import load_force, system_e
+from truenewton.estimation.weights import WeightError, scale_errors, weight_errors
+from truenewton.linalg import singular_values_and_vectors
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Least squares of a linear system.
+
+    Attributes
+    ----------
+    solution
+        (unknowns,).
+    singular_values
+        (unknowns,) descending.
+    inverse
+        (unknowns, unknowns) of E' E.
+    """
+
+    solution: Array
+    singular_values: Array
+    inverse: Array
+
+    @property
+    def condition(self) -> float:
+        """Largest over smallest singular value."""
+        smallest = self.singular_values[-1]
+        return float(self.singular_values[0] / smallest) if smallest > 0 else float("inf")
+
+    @property
+    def rank(self) -> int:
+        """Singular values above rounding: says nothing of noisy data."""
+        limit = self.singular_values[0] * np.finfo(float).eps * len(self.singular_values)
+        return int(np.count_nonzero(self.singular_values > limit))
+
+
+def solve(matrix: Array, right_side: Array) -> Solution:
+    """Solve an overdetermined system by singular value decomposition.
+
+    A QR factorisation comes first, which keeps the singular values and makes tall systems cheap.
+
+    Raises
+    ------
+    RankDeficient
+        The matrix is singular to rounding.
+    """
+    unknowns = matrix.shape[1]
+    if len(matrix) < unknowns:
+        raise RankDeficient(
+            f"{len(matrix)} equations for {unknowns} unknowns",
+            remedy="apply more shapes",
+            got=len(matrix),
+            want=unknowns,
+        )
+    triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
+    left, values, right = singular_values_and_vectors(triangle[:, :-1])
+    found = Solution(np.empty(0), values, np.empty((0, 0)))
+    if found.rank < unknowns:
+        raise RankDeficient(
+            f"the system has rank {found.rank} of {unknowns}",
+            remedy="apply more independent shapes, or a load that differs",
+            got=found.rank,
+            want=unknowns,
+        )
+    pseudo_inverse = right.T / values
+    return Solution(
+        solution=pseudo_inverse @ (left.T @ triangle[:, -1]),
+        singular_values=values,
+        inverse=pseudo_inverse @ pseudo_inverse.T,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """E alpha' = r of a campaign, solved.
+
+    Attributes
+    ----------
+    e, r
+        The system.
+    found
+        Its solution.
+    blocks
+        Of each load, its first equation and its number of rows.
+    """
+
+    e: Array
+    r: Array
+    found: Solution
+    blocks: tuple[tuple[int, int], ...]
+
+
+def fit(campaign: Campaign) -> Fit:
+    """Solve E alpha' = r, rows unweighted and torques in N m, as the paper writes it.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    rows = [len(load_force(campaign, place)) for place in range(len(campaign.loads))]
+    starts = 3 * np.cumsum([0, *rows])[:-1]
+    return Fit(e, r, solve(e, r), tuple(zip(starts.tolist(), rows, strict=True)))
+
+
+def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
+    """Return the covariance of the solution about its own mean, from the scatter of the rows.
+
+    The three equations of a row share its noise, and that noise is in the matrix: residuals are
+    neither independent nor alike. How far each row pulls, e' (r - e alpha'), scatters among its
+    repeats, whatever the form of the noise (the sandwich of Huber and White); a row without a
+    repeat counts with all of its pull.
+    """
+    residual = fit.r - fit.e @ fit.found.solution
+    pull = np.concatenate(
+        [
+            np.einsum(
+                "krp,kr->rp",
+                fit.e[start : start + 3 * rows].reshape(3, rows, -1),
+                residual[start : start + 3 * rows].reshape(3, rows),
+            )
+            for start, rows in fit.blocks
+        ]
+    )
+    member = row_groups(campaign)
+    count = np.bincount(member)
+    mean = np.zeros((len(count), pull.shape[1]))
+    np.add.at(mean, member, pull)
+    mean /= count[:, None]
+    pull -= np.where((count > 1)[:, None], mean, 0.0)[member]
+    pull *= np.sqrt(count / np.maximum(count - 1, 1))[member, None]
+    return np.asarray(fit.found.inverse @ (pull.T @ pull) @ fit.found.inverse)
+
+
+def row_groups(campaign: Campaign) -> NDArray[np.int64]:
+    """Return (rows,) the group (load, shape, sign) of each row, in the order of E."""
+    labels = [
+        np.stack([np.full(int(c.valid.sum()), place), c.shape[c.valid], c.sign[c.valid]], axis=1)
+        for place in range(len(campaign.loads))
+        for c, at in zip(campaign.cycles, campaign.load_index, strict=True)
+        if at == place
+    ]
+    return np.unique(np.concatenate(labels), axis=0, return_inverse=True)[1].ravel()
+
+
+def weight_changes(fit: Fit, errors: Sequence[WeightError]) -> Array:
+    """Return (errors, unknowns) the change of the solution by each error of the weights."""
+    by_load = np.stack(  # d solution / d W of each load
+        [fit.found.inverse @ fit.e[start : start + rows].sum(axis=0) for start, rows in fit.blocks]
+    )
+    changes = [error.change @ by_load for error in errors]
+    return np.array(changes).reshape(-1, len(fit.found.solution))
+
+
+def condition_in_units_of_rms(campaign: Campaign) -> float:
+    """Return the condition of E, each coordinate in units of its RMS over the actuators."""
+    e, _ = system_e(campaign, arms_in_units_of_rms(campaign.layout))
+    values = scipy.linalg.svdvals(scipy.linalg.qr(e, mode="r")[0][: e.shape[1]])
+    return float(values[0] / values[-1])
+
+
+def bias(campaign: Campaign, fit: Fit, variance: Array) -> Array:
+    """Return the bias of the solution to first order: -(E'E)^-1 D alpha.
+
+    Noise of variance s_i^2 in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2) to E'E and
+    nothing to E'r.
+    """
+    a = enabled_arms(campaign.layout)
+    n = a.shape[1]
+    rows = sum(rows for _, rows in fit.blocks)
+    d = rows * variance * np.sum(a**2, axis=0)
+    return np.asarray(-fit.found.inverse[:, :n] @ (d * fit.found.solution[:n]))
+
+
+def bias_warning(biased: Array, scatter: Array) -> tuple[tuple[str, str], ...]:
+    """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
+    size = np.sqrt(np.mean(biased**2))
+    if not size > 0.2 * np.sqrt(np.mean(scatter**2)):
+        return ()
+    return (
+        (
+            f"svd is biased by {100 * size:.2g} % (RMS over actuators, to first order), which its"
+            " errors leave out",
+            "use ml",
+        ),
+    )
+
+
+def find(campaign: Campaign) -> Found:
+    """Solve E alpha' = r of a campaign, as the paper does.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    moments = campaign_moments(campaign)
+    diagnosis = diagnose(campaign, moments)
+    refuse(diagnosis)
+    fitted, errors = fit(campaign), weight_errors(campaign)
+    solution = fitted.found.solution
+    n = int(campaign.layout.enabled.sum())
+    statistical = scatter_covariance(campaign, fitted)
+    changes = weight_changes(fitted, errors)
+    if moments.repeats:
+        biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
+        warnings = bias_warning(biased, np.sqrt(np.diag(statistical)[:n]))
+        diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
+    return Found(
+        method="svd",
+        scale="weights",
+        values=solution,
+        statistical=statistical,
+        systematic=changes.T @ changes,
+        noise=moments.noise,
+        condition=condition_in_units_of_rms(campaign),
+        rank=len(solution) - diagnosis.undetermined,
+        diagnosis=diagnosis,
+        scale_errors=scale_errors(solution[:n], statistical[:n, :n], changes[:, :n], errors),
+    )

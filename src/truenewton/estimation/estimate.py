@@ -1,0 +1,49 @@
+"""What every method hands over: values, covariances, and how they came about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An estimate over the enabled actuators.
+
+    Attributes
+    ----------
+    method, scale
+        As they stand in the calibration file.
+    values
+        (n + 1 + 2 L,) alpha, B, then M_y, M_x of each load; (n,) from a stiffness matrix alone.
+    statistical, systematic
+        Their covariance from the readings and from the weights.
+    noise
+        Standard deviation of one reading [N]; NaN if unknown.
+    condition, rank
+        As in the calibration file.
+    diagnosis, goodness
+        How well alpha is determined, and how well the data fit it; None where it has no meaning.
+    declared_chi2
+        Against FORCERR; NaN where not every file gives it.
+    scale_errors
+        Budget of the common scale.
+    rejected
+        Rows left out.
+    """
+
+    method: str
+    scale: str
+    values: Array
+    statistical: Array
+    systematic: Array
+    noise: float
+    condition: float
+    rank: int
+    diagnosis: Diagnosis
+    goodness: Goodness | None = None
+    declared_chi2: float = float("nan")
+    scale_errors: tuple[ScaleError, ...] = ()
+    rejected: tuple[RejectedRow, ...] = ()

@@ -1,0 +1,144 @@
+"""What goes into the likelihood, and what comes out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.estimation.shape_sums import ShapeSums
+
+
+@dataclass(frozen=True, eq=False)
+class DataSet:
+    """Shapes under L loads that share one noise.
+
+    Attributes
+    ----------
+    sums
+        The shapes.
+    variance
+        (n,) of one reading of weight 1, the diagonal of Sigma, as the balance feels it.
+    load
+        (L, 3) the part of k known beforehand: (W, 0, 0).
+    nuisance
+        (L, 3, p) derivative of k with respect to the unknowns beside alpha.
+    excess
+        All of the variance of a reading in terms of ``variance``: more than 1 where the mirror's
+        own motion, which balances, makes part of the noise.
+    """
+
+    sums: ShapeSums
+    variance: Array
+    load: Array
+    nuisance: Array
+    excess: float = 1.0
+
+    def external(self, psi: Array) -> Array:
+        """Return (L, 3) k of every load."""
+        return np.asarray(self.load + self.nuisance @ psi)
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the unknowns besides the data, all of it normal.
+
+    Attributes
+    ----------
+    mean
+        (u,) of all unknowns.
+    information
+        (k, k) on the first k of them; may be singular, and is 0 by 0 where nothing is known.
+    measured
+        How many of the last unknowns are errors of the weights: measured as 0 +- 1.
+    held
+        Whether they stay 0: under two loads B and the common scale take up whatever they are, and
+        the data say nothing of them.
+    """
+
+    mean: Array
+    information: Array
+    measured: int = 0
+    held: bool = False
+
+    def added_to(self, matrix: Array) -> Array:
+        """Add all of the information to a matrix of the first unknowns, in place; return it."""
+        k, last = len(self.information), np.arange(len(self.mean) - self.measured, len(matrix))
+        matrix[:k, :k] += self.information
+        matrix[last, last] += 1.0
+        return matrix
+
+    def pull(self, values: Array) -> Array:
+        """Return (u,) the information times how far the values are from the mean."""
+        k, t, apart = len(self.information), len(self.mean) - self.measured, values - self.mean
+        return np.concatenate([self.information @ apart[:k], np.zeros(t - k), apart[t:]])
+
+    def with_more(self, information: Array) -> Prior:
+        """Return the prior with (n, n) more information on alpha."""
+        before = self.information if self.information.size else 0.0
+        return replace(self, information=before + information)
+
+
+@dataclass(frozen=True, eq=False)
+class Feigned:
+    """D, what noise alone would feign of the information on alpha: diag(d) - R' R.
+
+    A' S^-1 A and what S takes from V have rank 3 each, so their product by elements has 9.
+
+    Attributes
+    ----------
+    diagonal, root
+        (n,) d and (9, n) R, nine more rows for each further noise.
+    """
+
+    diagonal: Array
+    root: Array
+
+    def __matmul__(self, vectors: Array) -> Array:
+        """Return D v of (n, m) vectors."""
+        return np.asarray(self.diagonal[:, None] * vectors - self.root.T @ (self.root @ vectors))
+
+    def taken_from(self, matrix: Array, times: float) -> Array:
+        """Return what D, so many times, leaves of a (u, u) symmetric matrix, its upper triangle.
+
+        In the order of Fortran, so in the lower triangle.
+        """
+        n, left = len(self.diagonal), np.array(matrix.T, order="F")
+        at = np.arange(n)
+        left[at, at] -= times * self.diagonal
+        left[:n, :n] += times * (self.root.T @ self.root)
+        return left
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The minimum and what it is worth; t unknowns without the errors of the weights.
+
+    Attributes
+    ----------
+    values
+        (u,) alpha, then the unknowns beside it.
+    chi2
+        Sum of r rho' S^-1 rho over the data, prior left out.
+    information
+        (u, u) H, that of the prior added: its upper triangle.
+    feigned, feigned_share
+        D, by how much M is larger; the sum of its eigenvalues in terms of H, B and the torques
+        eliminated.
+    statistical
+        (t, t) covariance from the readings (and from a population).
+    changes
+        (t, measured) change of the values by one standard uncertainty of each error of the weights.
+    iterations
+        Steps taken.
+    """
+
+    values: Array
+    chi2: float
+    information: Array
+    feigned: Feigned
+    feigned_share: float
+    statistical: Array
+    changes: Array
+    iterations: int

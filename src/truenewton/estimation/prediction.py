@@ -1,0 +1,177 @@
+"""What a campaign will give, from the forces that it will command, before a reading is taken.
+
+From noiseless forces the likelihood's own sums give the information on alpha that readings with
+noise will hold (Fisher's; its inverse is the bound of Cramer and Rao), and the covariance that the
+estimator will state: the same code, at the truth instead of at the minimum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.estimation.cycles_ml import patterns_near_noise
+from truenewton.estimation.diagnosis import Diagnosis, ScaleError
+from truenewton.estimation.identifiability import in_words, load_faults, refuse, structural_faults
+from truenewton.estimation.likelihood import expected
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.problem import Problem, posed
+from truenewton.estimation.shape_sums import ShapeSums
+from truenewton.estimation.undetermined import held_even, tolerable
+from truenewton.estimation.weights import scale_errors
+from truenewton.linalg import largest_eigenvalue
+from truenewton.records.campaign import Campaign
+from truenewton.statics.layout import Layout
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The errors that a calibration will state, over the n enabled actuators.
+
+    Attributes
+    ----------
+    layout
+        The actuators, disabled ones among them.
+    alpha
+        (n,) the alpha that was reckoned with.
+    statistical, systematic
+        (n, n) covariance of alpha from the readings and from the weights.
+    scale_errors
+        Budget of the common scale, largest first; empty where the scale is free.
+    weakest, weakest_share
+        The pattern of alpha that the readings will hold least, in words, and its share of the
+        variance E_STAT^2 summed over actuators.
+    drowned
+        Number of patterns that will stand hardly above noise.
+    warnings
+        What will be weak, each with its remedy.
+    """
+
+    layout: Layout
+    alpha: Array
+    statistical: Array
+    systematic: Array
+    scale_errors: tuple[ScaleError, ...]
+    weakest: str
+    weakest_share: float
+    drowned: int
+    warnings: tuple[tuple[str, str], ...]
+
+    @property
+    def scale_is_free(self) -> bool:
+        """Whether no two loads differ in weight; the readings then give patterns alone."""
+        return not self.scale_errors
+
+    @property
+    def reading_error(self) -> Array:
+        """(n,) E_STAT; of patterns alone where the scale is free."""
+        return np.sqrt(np.diag(self.statistical))
+
+    @property
+    def weight_error(self) -> Array:
+        """(n,) E_SYST; infinite where the scale is free."""
+        if self.scale_is_free:
+            return np.full(len(self.alpha), np.inf)
+        return np.sqrt(np.diag(self.systematic))
+
+    @property
+    def error(self) -> Array:
+        """(n,) E_ALPHA."""
+        return np.hypot(self.reading_error, self.weight_error)
+
+    @property
+    def typical(self) -> float:
+        """Median over actuators of E_ALPHA relative to alpha."""
+        return typical(self.error, self.alpha)
+
+
+def typical(error: Array, alpha: Array) -> float:
+    """Return the median over actuators of an error relative to alpha."""
+    return float(np.median(error / np.abs(alpha)))
+
+
+def predict(
+    campaign: Campaign, moments: Moments, cycles: int = 1, alpha: Array | None = None
+) -> Prediction:
+    """Predict the errors of alpha from noiseless forces, whoever made them.
+
+    Parameters
+    ----------
+    campaign
+        One cycle for each load, of forces as the electronics would command them without noise;
+        with alpha they balance. FORCERR is the noise that one reading will have.
+    moments
+        Of this campaign.
+    cycles
+        How often each cycle will be run.
+    alpha
+        (n,) of the enabled actuators; 1 unless told.
+
+    Raises
+    ------
+    RankDeficient
+        The shapes or the actuators cannot fix alpha, whatever the noise.
+    """
+    free = load_faults(campaign)
+    faults = [fault for fault in structural_faults(campaign, moments) if fault not in free]
+    refuse(Diagnosis((), 0, tuple(faults)))
+    problem = posed(campaign, reading_noise(campaign, moments))
+    n = problem.n
+    alpha = np.ones(n) if alpha is None else alpha
+    values = _true_values(problem, moments, alpha)
+    if free:
+        problem = held_even(problem, alpha[:, None] / np.linalg.norm(alpha))
+    of_loads, *elastic = problem.data(moments)
+    data = [replace(of_loads, sums=_repeated(of_loads.sums, cycles)), *elastic]
+    estimate = expected(problem.a, data, problem.prior, values)
+    statistical, changes = estimate.statistical[:n, :n], estimate.changes[:n]
+    drowned = patterns_near_noise(estimate, of_loads.sums.shapes)
+    value, vector = largest_eigenvalue(statistical)
+    return Prediction(
+        layout=campaign.layout,
+        alpha=alpha,
+        statistical=statistical,
+        systematic=changes @ changes.T,
+        scale_errors=() if free else scale_errors(alpha, statistical, changes.T, problem.errors),
+        weakest=in_words(vector, campaign.layout),
+        weakest_share=value / float(np.trace(statistical)),
+        drowned=drowned,
+        warnings=free + _drowning(drowned, n),
+    )
+
+
+def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
+    """Return the (u,) unknowns for which the forces balance: alpha, B, torques, no error."""
+    sums = moments.sums
+    mean = sums.force / sums.weight[:, None]
+    k = -(mean * alpha) @ problem.a.T  # (W + B, M_y, -M_x) of each load
+    bias = np.mean(k[:, 0] - problem.campaign.effective_weights)
+    torques = (k[:, 1:] * [1.0, -1.0]).ravel()
+    return np.concatenate([alpha, [bias], torques, np.zeros(len(problem.errors))])
+
+
+def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
+    """Return the sums over the same shapes, each read so many times."""
+    return replace(
+        sums,
+        weight=cycles * sums.weight,
+        force=cycles * sums.force,
+        square=cycles * sums.square,
+        known=cycles * sums.known,
+        known_force=cycles * sums.known_force,
+        known_square=cycles * sums.known_square,
+    )
+
+
+def _drowning(drowned: int, n: int) -> tuple[tuple[str, str], ...]:
+    """Warn of patterns that will drown, and of a campaign that will be refused for it."""
+    if not drowned:
+        return ()
+    patterns = "pattern of alpha stands" if drowned == 1 else "patterns of alpha stand"
+    fault = f"{drowned} {patterns} hardly above the noise"
+    if not tolerable(Diagnosis((), drowned, (), span=n), n):
+        fault += ", so many that the campaign will be refused"
+    return ((fault, "repeat more often, use larger forces, or add shapes"),)

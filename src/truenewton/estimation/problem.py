@@ -1,0 +1,190 @@
+"""What the likelihood is asked: data, noise, unknowns and priors of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.likelihood import minimise, start_values
+from truenewton.estimation.minimum import DataSet, Estimate, Prior
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.noise import SHARE_ROWS, Noise, least_variance
+from truenewton.estimation.outliers import (
+    MEDIAN_CHI2,
+    repeat_deviations,
+    squared_distances,
+    standing_out,
+)
+from truenewton.estimation.stiffness_ml import likeliest, mode_data, population_prior
+from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
+from truenewton.estimation.weights import WeightError, weight_errors
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import enabled_arms
+
+
+def load_data(
+    campaign: Campaign, moments: Moments, variance: Array, errors: Sequence[WeightError]
+) -> DataSet:
+    """Return the shapes of all loads with their weights and the unknowns beside alpha."""
+    loads = len(campaign.loads)
+    place = np.arange(loads)
+    nuisance = np.zeros((loads, 3, 1 + 2 * loads + len(errors)))
+    nuisance[:, 0, 0] = 1.0  # B
+    nuisance[place, 1, 1 + 2 * place] = 1.0  # M_y
+    nuisance[place, 2, 2 + 2 * place] = -1.0  # M_x
+    for at, error in enumerate(errors):
+        nuisance[:, 0, 1 + 2 * loads + at] = error.change
+    weight = np.zeros((loads, 3))
+    weight[:, 0] = campaign.effective_weights
+    return DataSet(moments.sums, variance, weight, nuisance)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """All that the likelihood needs besides the moments.
+
+    Attributes
+    ----------
+    campaign, a
+        The campaign and the (3, n) arms of its enabled actuators.
+    errors
+        Of the weights; their size is the last of the unknowns.
+    noise
+        Of a reading.
+    prior
+        Of the errors of the weights, and of alpha where it is one of a population.
+    elastic
+        Shapes from a stiffness matrix.
+    """
+
+    campaign: Campaign
+    a: Array
+    errors: tuple[WeightError, ...]
+    noise: Noise
+    prior: Prior
+    elastic: tuple[DataSet, ...]
+
+    @property
+    def n(self) -> int:
+        """Number of enabled actuators."""
+        return int(self.a.shape[1])
+
+    @property
+    def unknowns(self) -> int:
+        """Number of alphas, B and torques: all but the errors of the weights."""
+        return self.n + 1 + 2 * len(self.campaign.loads)
+
+    def degrees_of_freedom(self, moments: Moments) -> int:
+        """Return equations less unknowns; errors of the weights are measured, so neither."""
+        shapes = moments.groups + sum(part.sums.shapes for part in self.elastic)
+        return 3 * shapes - self.unknowns
+
+    def data(self, moments: Moments) -> list[DataSet]:
+        """Return the shapes of each load, with its weight and unknowns, and the elastic ones."""
+        of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
+        return [replace(of_loads, excess=1.0 / self.noise.share), *self.elastic]
+
+    def fitted(self, moments: Moments, start: Array | None = None) -> Estimate:
+        """Return the likeliest values."""
+        data = self.data(moments)
+        begin = start_values(self.a, data, self.prior) if start is None else start
+        return minimise(self.a, data, self.prior, begin)
+
+    def imbalance(self, values: Array, moments: Moments) -> tuple[Array, Array]:
+        """Return (g, 3) rho of the groups, and S."""
+        arms = self.a * values[: self.n]
+        of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
+        k = of_loads.external(values[self.n :])
+        rho = (arms @ moments.mean.T).T + moments.known + k[moments.labels[:, 0]]
+        return rho, (arms * self.noise.in_balance) @ arms.T
+
+    def distances(self, values: Array, moments: Moments) -> Array:
+        """Return (g,) squared Mahalanobis distances of the groups."""
+        rho, s = self.imbalance(values, moments)
+        return squared_distances(rho, moments.weight, s)
+
+    def standing_out(self, values: Array, moments: Moments) -> NDArray[np.int64]:
+        """Return (g,) the ID that would best explain the imbalance of each group."""
+        rho, s = self.imbalance(values, moments)
+        ids = self.campaign.layout.id[self.campaign.layout.enabled]
+        return np.asarray(ids[standing_out(rho, self.a * values[: self.n], s)])
+
+    def with_population(self, spread: float) -> Problem:
+        """Return the problem with alpha drawn from a normal population of unknown mean."""
+        of_population = population_prior(self.n, spread).information
+        return replace(self, prior=self.prior.with_more(of_population))
+
+
+def posed(campaign: Campaign, noise: Noise) -> Problem:
+    """Pose the problem of a campaign."""
+    errors = weight_errors(campaign)
+    a = enabled_arms(campaign.layout)
+    count = a.shape[1] + 1 + 2 * len(campaign.loads) + len(errors)
+    elastic: tuple[DataSet, ...] = ()
+    if campaign.stiffness is not None:
+        modes = elastic_modes(campaign.stiffness)
+        data = mode_data(modes, likeliest(modes, comparable_arms(campaign.stiffness)).variance)
+        elastic = (replace(data, nuisance=np.zeros((1, 3, count - a.shape[1]))),)
+    return Problem(
+        campaign,
+        a,
+        errors,
+        noise,
+        Prior(np.zeros(count), np.zeros((0, 0)), len(errors), held=len(campaign.loads) < 3),
+        elastic,
+    )
+
+
+def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
+    """Give an unknown noise a first size, from the imbalance that least squares leave."""
+    if problem.noise.source != "minimum":
+        return problem
+    start = start_values(problem.a, problem.data(moments), problem.prior)
+    # From the median, and rather too small: bad rows shall not swell it, lest D outgrow M.
+    distance = problem.distances(start, moments)[moments.rows > 0]
+    size = 0.25 * float(np.median(distance)) / MEDIAN_CHI2
+    return replace(problem, noise=Noise(problem.noise.variance * max(size, 1.0), "minimum"))
+
+
+def with_share_in_balance(
+    problem: Problem, campaign: Campaign, moments: Moments, alpha: Array
+) -> Problem:
+    """Return the problem with the share of the repeats' scatter that reaches the balance.
+
+    From the imbalance of deviations from the mean, A diag(alpha) (c - c_mean), of some repeated
+    rows; 1 unless they say otherwise by more than four standard errors.
+    """
+    if problem.noise.source != "repeats":
+        return problem
+    arms = problem.a * alpha
+    deviations = repeat_deviations(campaign, moments, SHARE_ROWS)
+    rho = np.concatenate([arms @ apart.T for apart in deviations], axis=1).T
+    s = (arms * problem.noise.variance) @ arms.T
+    share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
+    share = max(share, least_variance(moments) / problem.noise.variance.mean())
+    repeats = moments.rows[moments.rows > 1]
+    freedom = 3 * len(rho) * float(1.0 - repeats.size / repeats.sum())  # their means are theirs
+    if abs(share - 1.0) < 4 * np.sqrt(2 / freedom):
+        return problem
+    return replace(problem, noise=replace(problem.noise, share=share, share_freedom=freedom))
+
+
+def with_noise_from_minimum(
+    problem: Problem, moments: Moments, estimate: Estimate
+) -> tuple[Problem, Estimate]:
+    """Give the noise its size from the minimum, where nothing else does; with it D."""
+    freedom = max(problem.degrees_of_freedom(moments), 1)
+    for _ in range(20):
+        size = estimate.chi2 / freedom
+        if problem.noise.source != "minimum" or abs(size - 1.0) < 1e-6:
+            break
+        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
+        if np.array_equal(variance, problem.noise.variance):
+            break
+        problem = replace(problem, noise=Noise(variance, "minimum"))
+        estimate = problem.fitted(moments, estimate.values)
+    return problem, estimate

@@ -1,0 +1,145 @@
+"""`ml` on a stiffness matrix: the modes as shapes without weight, and a population if asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.estimate import Found
+from truenewton.estimation.identifiability import geometry_faults, refuse
+from truenewton.estimation.likelihood import minimise
+from truenewton.estimation.minimum import DataSet, Prior
+from truenewton.estimation.shape_sums import shape_sums
+from truenewton.estimation.stiffness_svd import (
+    ElasticSolution,
+    balance_modes,
+    comparable_arms,
+    elastic_modes,
+    found_from,
+    mode_covariance,
+)
+from truenewton.estimation.systems import balance_rows
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import enabled_arms
+
+
+def mode_data(modes: Array, variance: float) -> DataSet:
+    """Return elastic modes as shapes without any external load, for the likelihood."""
+    m, n = modes.shape
+    sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.zeros(m, dtype=np.int64))
+    return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticFit:
+    """The likeliest relative alpha of elastic modes.
+
+    Attributes
+    ----------
+    alpha, covariance
+        (n,) with mean 1, and its (n, n) covariance.
+    variance
+        Of the noise of one element of a mode, from the minimum.
+    spread
+        Of the population that alpha was taken from; infinite for none.
+    start
+        The singular vector from which it began.
+    """
+
+    alpha: Array
+    covariance: Array
+    variance: float
+    spread: float
+    start: ElasticSolution
+
+
+def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit:
+    """Find the likeliest relative alpha, equal noise in all elements of the modes.
+
+    Parameters
+    ----------
+    modes, a
+        (m, n) force patterns of unit length; (3, n) arms.
+    population
+        Take alpha for samples of a normal population, whose spread the modes give.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    start = balance_modes(modes, a)
+    found = _at_spread(modes, a, np.inf, start)
+    if not population:
+        return found
+    return _at_spread(modes, a, population_spread(found.alpha, found.covariance), start)
+
+
+def _at_spread(modes: Array, a: Array, spread: float, start: ElasticSolution) -> ElasticFit:
+    n, freedom = a.shape[1], 3 * len(modes) - a.shape[1] + 1
+    s = (a * start.alpha**2) @ a.T
+    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a) @ start.alpha
+    least = 1e-18 / n  # rounding of a mode's element
+    variance, values = max(float(rows @ rows) / freedom, least), start.alpha
+    for _ in range(20):
+        # Elastic forces leave the scale free, so nothing but this holds the mean at 1.
+        scale = float(np.sum(start.singular_values**2)) / variance
+        prior = population_prior(n, spread, scale)
+        estimate = minimise(a, [mode_data(modes, variance)], prior, values)
+        size, values = estimate.chi2 / freedom, estimate.values / estimate.values.mean()
+        if abs(size - 1.0) < 1e-6 or variance * size < least:
+            break
+        variance *= size
+    s = (a * values**2) @ a.T
+    pull = population_prior(n, spread).information * variance
+    return ElasticFit(values, mode_covariance(modes, a, values, s, pull), variance, spread, start)
+
+
+def population_prior(n: int, spread: float, scale: float = 0.0) -> Prior:
+    """Return a normal prior of (n,) alpha about their common mean, and of the mean about 1.
+
+    Parameters
+    ----------
+    n
+        Number of alphas.
+    spread
+        Standard deviation about the mean; infinite for no prior.
+    scale
+        Information on the mean; 0 leaves it free.
+    """
+    mean = np.full((n, n), 1.0 / n)
+    return Prior(np.ones(n), (np.eye(n) - mean) / spread**2 + scale * mean)
+
+
+def population_spread(alpha: Array, covariance: Array) -> float:
+    """Return the likeliest spread of a normal population of which alpha are noisy samples.
+
+    alpha about its mean ~ N(0, spread^2 I + covariance), maximised over the spread.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    projected = (vectors.T @ (alpha - alpha.mean())) ** 2
+
+    def minus_log_likelihood(log_spread: float) -> float:
+        total = np.exp(2 * log_spread) + np.maximum(values, 0.0)
+        return float(0.5 * np.sum(np.log(total) + projected / total))
+
+    found = scipy.optimize.minimize_scalar(
+        minus_log_likelihood, bounds=(np.log(1e-5), np.log(1.0)), method="bounded"
+    )
+    return float(np.exp(found.x))
+
+
+def find(matrix: StiffnessMatrix, population: bool) -> Found:
+    """Find relative alpha by maximum likelihood, with a population if asked for.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    refuse(Diagnosis((), 0, geometry_faults(enabled_arms(matrix.layout))))
+    fit = likeliest(elastic_modes(matrix), comparable_arms(matrix), population=population)
+    method = f"ml, population {fit.spread:.2g}" if population else "ml"
+    return found_from(matrix, method, fit.alpha, fit.covariance, fit.start.singular_values)

@@ -1,0 +1,237 @@
+"""Relative alpha from a stiffness matrix alone: elastic forces balance by themselves (k = 0).
+
+The left singular vectors of the measured stiffness are force patterns on which weight, bias and
+torques cancel. With equal weight each, alpha is the pattern that best balances them all: the
+smallest singular vector of the stacked A diag(u), its mean set to 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.estimate import Found
+from truenewton.estimation.identifiability import geometry_faults, refuse
+from truenewton.estimation.systems import balance_rows
+from truenewton.linalg import singular_values_and_vectors
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import enabled_arms
+
+# Softer modes mix with the rigid motions through the bias magnets' gradient [N/m].
+SOFTEST = 1e3
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticSolution:
+    """Alpha that balances elastic modes.
+
+    Attributes
+    ----------
+    alpha
+        (n,) with mean 1.
+    singular_values
+        (n,) of the stacked system, ascending; the first belongs to alpha.
+    """
+
+    alpha: Array
+    singular_values: Array
+
+
+@dataclass(frozen=True)
+class Imbalance:
+    """Rms imbalance of elastic modes, each of unit length, over modes and the three equations."""
+
+    modes: str
+    before: float
+    after: float
+
+
+def elastic_modes(matrix: StiffnessMatrix) -> Array:
+    """Return (m, n_enabled) force patterns of unit length, softest left out, stiffest first."""
+    on = matrix.layout.enabled
+    left, values, _ = singular_values_and_vectors(matrix.stiffness[np.ix_(on, on)])
+    return np.asarray(left[:, values > SOFTEST].T)
+
+
+def modal_stiffness(matrix: StiffnessMatrix) -> Array:
+    """Return (n_enabled,) singular values, stiffest first [N/m]."""
+    on = matrix.layout.enabled
+    return singular_values_and_vectors(matrix.stiffness[np.ix_(on, on)])[1]
+
+
+def asymmetry(matrix: StiffnessMatrix) -> float:
+    """Return |K - K'| / |K + K'|; 0 for calibrated actuators and sensors (Maxwell and Betti)."""
+    on = matrix.layout.enabled
+    k = matrix.stiffness[np.ix_(on, on)]
+    return float(np.linalg.norm(k - k.T) / np.linalg.norm(k + k.T))
+
+
+def comparable_arms(matrix: StiffnessMatrix) -> Array:
+    """Return the (3, n_enabled) arms with lengths in units of the RMS distance from the axis."""
+    a = enabled_arms(matrix.layout)
+    length = np.sqrt(np.mean(a[1] ** 2 + a[2] ** 2))
+    return np.asarray(a / np.array([[1.0], [length], [length]]))
+
+
+def balance_modes(modes: Array, a: Array) -> ElasticSolution:
+    """Return the alpha that balances the modes best: the smallest singular vector, its mean 1.
+
+    Raises
+    ------
+    RankDeficient
+        The modes are too few, or a second pattern balances them as well.
+    """
+    n = a.shape[1]
+    if len(modes) * 3 < n + 1:
+        raise RankDeficient(
+            f"only {len(modes)} modes are stiffer than {SOFTEST:g} N/m, for {n} actuators",
+            remedy="measure a stiffness matrix of full rank, in N/m",
+            got=len(modes),
+            want=n - 3,
+        )
+    triangle = scipy.linalg.qr(balance_rows(modes, a), mode="r")[0][:n]
+    _, values, right = singular_values_and_vectors(triangle)
+    values, right = values[::-1], right[::-1]
+    # Nearer than this the second pattern is decided by the same noise as the first.
+    if values[1] < 1.5 * max(values[0], 1e-10 * values[-1]):
+        raise RankDeficient(
+            f"a second pattern of alpha balances the modes as well ({values[1]:.2g} after"
+            f" {values[0]:.2g})",
+            remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
+            got=float(values[1]),
+        )
+    mean = right[0].mean()
+    alpha = right[0] / mean
+    if abs(mean) * np.sqrt(n) < 0.1 or (alpha <= 0).any():
+        raise RankDeficient(
+            "the alpha that balances the modes is not positive for every actuator",
+            remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
+        )
+    return ElasticSolution(alpha, values)
+
+
+def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array) -> Array:
+    """Return the (n, n) covariance of alpha with mean 1, from the imbalance that each mode leaves.
+
+    The noise of a mode need not be that of another: soft ones carry more. So each mode is left out
+    in turn, to first order, and the scatter of what the others then say is the error, which errs
+    on the safe side (the jackknife HC3; MacKinnon and White, J. Econometrics 29, 1985). With e the
+    three equations of a mode, whitened by S, and G = sum e'e, its omission moves alpha by
+    G^-1 e' (1 - e G^-1 e')^-1 e alpha.
+
+    Parameters
+    ----------
+    modes, a, alpha
+        (m, n) modes, (3, n) arms, (n,) alpha.
+    s
+        (3, 3) covariance of the three equations, but for a factor.
+    prior
+        (n, n) information beside the modes, in units of the same factor.
+    """
+    n = len(alpha)
+    root = np.linalg.inv(np.linalg.cholesky(s))
+    e = balance_rows(modes, root @ a).reshape(3, -1, n)
+    information = e.reshape(-1, n).T @ e.reshape(-1, n) + prior
+    # The modes leave the scale free; the mean of alpha is held, so what is common is no error.
+    inverse = np.linalg.inv(information + np.trace(information) / n**2)
+    held = np.eye(n) - np.outer(alpha, np.full(n, 1.0 / n))
+    inverse = held @ inverse @ held.T
+    solved = e @ inverse
+    leverage = np.einsum("kmi,lmi->mkl", solved, e)
+    residual = np.einsum("kmi,i->mk", e, alpha)
+    weighed = np.linalg.solve(np.eye(3) - leverage, residual[:, :, None])[:, :, 0]
+    moved = np.einsum("kmi,mk->mi", solved, weighed)
+    return np.asarray(moved.T @ moved)
+
+
+def find(matrix: StiffnessMatrix) -> Found:
+    """Find relative alpha as the smallest singular vector of the balance of the modes.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    refuse(Diagnosis((), 0, geometry_faults(enabled_arms(matrix.layout))))
+    modes, a = elastic_modes(matrix), comparable_arms(matrix)
+    solved, n = balance_modes(modes, a), a.shape[1]
+    covariance = mode_covariance(modes, a, solved.alpha, np.eye(3), np.zeros((n, n)))
+    return found_from(matrix, "svd", solved.alpha, covariance, solved.singular_values)
+
+
+def found_from(
+    matrix: StiffnessMatrix, method: str, alpha: Array, covariance: Array, singular_values: Array
+) -> Found:
+    """Put a relative alpha into the form that all methods share."""
+    n = len(alpha)
+    return Found(
+        method=method,
+        scale="mean 1",
+        values=alpha,
+        statistical=covariance,
+        systematic=np.zeros((n, n)),
+        noise=float("nan"),
+        condition=float(singular_values[-1] / singular_values[1]),
+        rank=n - 1,
+        diagnosis=Diagnosis(
+            tuple((singular_values**2).tolist()), 0, (), orientation_warning(matrix)
+        ),
+    )
+
+
+def orientation_warning(matrix: StiffnessMatrix) -> tuple[tuple[str, str], ...]:
+    """Warn of a transposed matrix: a rigid displacement must cost little force.
+
+    K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
+    {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
+    """
+    on = matrix.layout.enabled
+    k, rigid = matrix.stiffness[np.ix_(on, on)], np.linalg.qr(enabled_arms(matrix.layout).T)[0]
+    if np.linalg.norm(rigid.T @ k) >= 0.5 * np.linalg.norm(k @ rigid):
+        return ()
+    return (
+        (
+            "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
+            " balance",
+            "store [i, j], the force of actuator i per displacement of sensor j",
+        ),
+    )
+
+
+def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
+    """Return the rms of A diag(alpha) u over modes of unit length and the three equations."""
+    return float(np.sqrt(np.mean((modes * alpha @ a.T) ** 2)))
+
+
+def imbalances(
+    matrix: StiffnessMatrix, fit: Callable[[Array, Array], Array]
+) -> tuple[Imbalance, ...]:
+    """Return the imbalance with alpha = 1 and with alpha fitted: on all modes, and held out.
+
+    Held out: fitted on every second mode and judged on the others, both ways round.
+
+    Parameters
+    ----------
+    matrix
+        The stiffness.
+    fit
+        Returns alpha from modes and arms.
+    """
+    modes, a = elastic_modes(matrix), comparable_arms(matrix)
+    ones = np.ones(a.shape[1])
+
+    def judged(name: str, fitted: Array, judge: Array) -> Imbalance:
+        after = rms_imbalance(judge, fit(fitted, a), a)
+        return Imbalance(name, rms_imbalance(judge, ones, a), after)
+
+    even, odd = modes[0::2], modes[1::2]
+    return (
+        judged("all modes, fitted", modes, modes),
+        judged("odd modes, fitted on the even", even, odd),
+        judged("even modes, fitted on the odd", odd, even),
+    )

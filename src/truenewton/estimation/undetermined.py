@@ -1,0 +1,67 @@
+"""Patterns of alpha that drown in noise: which they are, and how badly.
+
+Where noise alone feigns as much imbalance as a pattern of alpha would make, the data say nothing of
+that pattern (docs/likelihood.md). It is left even over the mirror, and taken to be as large, root
+mean square over the actuators, as all that alpha is seen to vary by: an error that claims little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.identifiability import balance_patterns, centred_means
+from truenewton.estimation.minimum import Estimate
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.problem import Problem
+
+STIFF = 1e10  # information on a pattern held even: it is known to 1e-5, for the time being
+
+
+def drowned_patterns(problem: Problem, moments: Moments, count: int) -> Array:
+    """Return (n, count) patterns of alpha, orthonormal and of mean 0, that the data hold least.
+
+    One pattern more than ``count`` cannot be told from alpha; of all that these make up together,
+    those without a mean leave alpha as even as can be.
+
+    Parameters
+    ----------
+    problem
+        With its noise.
+    moments
+        All groups.
+    count
+        How many drown.
+    """
+    centred = centred_means(moments)
+    _, patterns = balance_patterns(centred, problem.a, problem.noise.variance, count + 1)
+    without_mean = scipy.linalg.null_space(patterns.mean(axis=0, keepdims=True))
+    return np.asarray(np.linalg.qr(patterns @ without_mean)[0])
+
+
+def held_even(problem: Problem, patterns: Array) -> Problem:
+    """Return the problem with (n, k) patterns held at nothing."""
+    return replace(problem, prior=problem.prior.with_more(STIFF * patterns @ patterns.T))
+
+
+def with_unknown_patterns(estimate: Estimate, patterns: Array) -> Estimate:
+    """Return the estimate with what is not known of (n, k) patterns in its covariance."""
+    n, t = len(patterns), len(estimate.statistical)
+    pulled = np.zeros((t, patterns.shape[1]))
+    pulled[:n] = STIFF * patterns
+    spread = float(estimate.values[:n].std())
+    answer = scipy.linalg.solve(estimate.information[:t, :t], pulled, assume_a="pos")
+    answer *= spread * np.sqrt(n)  # of length 1: RMS over actuators 1 / root n
+    return replace(estimate, statistical=estimate.statistical + answer @ answer.T)
+
+
+def tolerable(judged: Diagnosis, n: int) -> bool:
+    """Tell whether an answer is worth having though some patterns drown.
+
+    Not where the shapes would be too few even without noise, nor where a tenth of the patterns go.
+    """
+    return 3 * judged.span >= n - 1 and 10 * judged.undetermined <= n

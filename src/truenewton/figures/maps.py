@@ -1,0 +1,137 @@
+"""The paper's figures: the actuators (2), alpha with errors (5), alpha on the map (6).
+
+Drawn at the width of a journal's column. Every call takes axes or makes its own, and returns them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.collections import PatchCollection
+from matplotlib.patches import Circle
+
+from truenewton.arrays import Array
+from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, STYLE, new_axes
+from truenewton.statics.layout import Layout, ring_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
+
+
+def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
+    """Draw the actuators with their names, rings and axes (paper, fig. 2)."""
+    with mpl.rc_context(STYLE):
+        ax = ax or new_axes(1.0)
+        _frame(layout, ax)
+        ax.add_collection(
+            PatchCollection(circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
+        )
+        if layout.n <= 100:
+            for name, x, y in zip(layout.id, layout.x, layout.y, strict=True):
+                ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
+                        fontsize=5.5)  # fmt: skip
+    return ax
+
+
+def plot_map(
+    layout: Layout,
+    values: Array,
+    ax: Axes | None = None,
+    *,
+    label: str = ALPHA_LABEL,
+    colours: str = COLOURS,
+    limits: tuple[float, float] | None = None,
+) -> Axes:
+    """Draw values on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
+
+    An actuator without a value (disabled) is an open circle. Among many, the few farthest out take
+    up no colours of their own, unless ``limits`` say where the colours end.
+    """
+    with mpl.rc_context(STYLE):
+        ax = ax or new_axes(1.02)
+        _frame(layout, ax)
+        known = np.isfinite(values)
+        patches = np.array(circles(layout), dtype=object)
+        ax.add_collection(
+            PatchCollection(patches[~known], facecolor="none", edgecolor=FAINT, linewidth=0.6)
+        )
+        dots = PatchCollection(patches[known], cmap=colours, edgecolor=INK, linewidth=0.3)
+        dots.set_array(values[known])
+        clipped = layout.n > 100 or limits is not None
+        if clipped:
+            ends = limits or np.percentile(values[known], [1.0, 99.0])
+            dots.set_clim(float(ends[0]), float(ends[1]))
+        ax.add_collection(dots)
+        bar = ax.figure.colorbar(
+            dots,
+            ax=ax,
+            orientation="horizontal",
+            fraction=0.05,
+            pad=0.02,
+            aspect=35,
+            extend="both" if clipped else "neither",
+        )
+        bar.set_label(label)
+        bar.outline.set_linewidth(0.4)
+        if layout.n <= 100:
+            for name, x, y, value in zip(layout.id, layout.x, layout.y, values, strict=True):
+                light = np.dot(dots.to_rgba(value)[:3], [0.299, 0.587, 0.114])
+                colour = INK if light > 0.5 else "white"
+                ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
+                        fontsize=5.0, color=colour if np.isfinite(value) else FAINT)  # fmt: skip
+    return ax
+
+
+def _frame(layout: Layout, ax: Axes) -> None:
+    """Draw rings and axes, in millimetres, seen along -z."""
+    radius = np.hypot(layout.x, layout.y) / MILLIMETRE
+    ring = ring_of(layout)
+    if ring.max() > 0:
+        for k in range(ring.max() + 1):
+            r = radius[ring == k].mean()
+            ax.add_patch(Circle((0, 0), r, fill=False, color=FAINT, linewidth=0.4, zorder=0))
+    reach = 1.08 * (radius.max() + _dot(layout))
+    arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
+    for name, (x, y), ha, va in (("$x$", (reach, 0.0), "right", "bottom"),
+                                 ("$y$", (0.0, reach), "left", "top")):  # fmt: skip
+        ax.annotate("", (x, y), (-x, -y), arrowprops=arrow, zorder=0)
+        ax.annotate(name, (x, y), xytext=(2, 2), textcoords="offset points", ha=ha, va=va)
+    ax.set_xlim(-reach, reach)
+    ax.set_ylim(-reach, reach)
+    ax.set_aspect("equal")
+    ax.set_axis_off()
+    bar = _round_length(radius.max() / 2)
+    ax.plot([reach - bar, reach], [-0.97 * reach] * 2, color=INK, linewidth=1.0,
+            solid_capstyle="butt")  # fmt: skip
+    ax.text(reach - bar / 2, -0.95 * reach, f"{bar:g} mm", ha="center", va="bottom", fontsize=6.5)
+
+
+def _round_length(length: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten below a length."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(power * max(k for k in (1, 2, 5) if k * power <= length))
+
+
+def _dot(layout: Layout) -> float:
+    """Return the radius of a dot that leaves its neighbours free [mm]."""
+    from scipy.spatial import cKDTree
+
+    if layout.n == 1:
+        return 1.0
+    points = np.stack([layout.x, layout.y], axis=1) / MILLIMETRE
+    distance = np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1]
+    return float(0.42 * np.median(distance))
+
+
+def circles(layout: Layout) -> list[Circle]:
+    """Return a dot for each actuator, in millimetres."""
+    radius = _dot(layout)
+    return [
+        Circle((x / MILLIMETRE, y / MILLIMETRE), radius)
+        for x, y in zip(layout.x, layout.y, strict=True)
+    ]

@@ -1,0 +1,9 @@
+"""FITS and TOML on disk, whatever they mean; outputs that are complete or not there.
+
+fits           FITS in and out, safely: the only importer of astropy.io.fits
+content        what a FITS file held, asked for by name, type and unit
+stored_rows    rows of a table that stay in their file, for campaigns larger than memory
+stored_tables  where such tables stand in their file
+outputs        outputs written beside their target, then renamed
+toml           TOML tables, held against the dataclass that they fill
+"""

@@ -1,0 +1,172 @@
+"""Rows of a table that stay in their file: read anew, some at a time, whenever they are used."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from io import BufferedIOBase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import UnreadableFile
+
+BLOCK_BYTES = 2**24  # of the rows that are taken at once
+FAR = 4  # times a column's own width: where the next row is further, the rest is skipped, not read
+
+
+def blocks(rows: int, row_bytes: int) -> Iterator[slice]:
+    """Cut rows into slices of `BLOCK_BYTES` at most, of one row at least."""
+    step = max(1, BLOCK_BYTES // max(row_bytes, 1))
+    for start in range(0, rows, step):
+        yield slice(start, min(start + step, rows))
+
+
+def state_of(file: BufferedIOBase) -> tuple[int, int]:
+    """Return what tells whether an open file has changed: its size and time of change [ns]."""
+    status = os.fstat(file.fileno())
+    return status.st_size, status.st_mtime_ns
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRows:
+    """Vectors of one column, (N, n), left in an uncompressed file.
+
+    Indexed by rows as an array is, it gives float64 in SI units; ``np.asarray`` gives all of it.
+    Plain reads, no memory map: pages of a map would count as the memory of this process.
+
+    Attributes
+    ----------
+    path, state
+        The file, and its size and time of change when it was verified.
+    start, stride
+        Bytes before the first vector, and from one to the next.
+    shape
+        (N, n).
+    stored
+        Type and byte order in the file.
+    in_unit
+        Converts values as stored to the unit wanted.
+
+    Raises
+    ------
+    UnreadableFile
+        On use: the file is gone or not what it was.
+    """
+
+    path: str
+    state: tuple[int, int]
+    start: int
+    stride: int
+    shape: tuple[int, int]
+    stored: np.dtype[Any]
+    in_unit: Callable[[Array], Array] = lambda values: values
+    _largest: dict[bytes, Array] = field(default_factory=dict, init=False, repr=False)
+
+    dtype = np.dtype(np.float64)
+    ndim = 2
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, rows: int | slice | NDArray[Any] | list[int]) -> Array:
+        at = np.arange(len(self))[rows]
+        every, width = np.atleast_1d(at), self.shape[1]
+        try:
+            with Path(self.path).open("rb") as file:
+                values = read_rows(file, self.start, self.stride, every, width, self.stored)
+                changed = state_of(file) != self.state
+        except EOFError:
+            changed = True
+        except OSError as error:
+            raise UnreadableFile(
+                f"cannot be read any more ({error.strerror or error})",
+                remedy="read the campaign again",
+                path=self.path,
+            ) from error
+        if changed:
+            raise UnreadableFile(
+                "was changed while it was in use", remedy="read the campaign again", path=self.path
+            )
+        values = self.in_unit(values.astype(np.float64, copy=False))
+        return values if at.ndim else np.asarray(values[0])
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        if copy is False:
+            raise ValueError("rows in a file become an array by copying only")
+        return np.asarray(self[:], dtype=dtype)
+
+    def largest(self, columns: NDArray[np.bool_]) -> Array:
+        """Return (N,) the largest magnitude of some columns in each row; read once."""
+        key = columns.tobytes()
+        if key not in self._largest:
+            self._largest[key] = _largest_in_rows(self, columns)
+        return self._largest[key]
+
+
+Rows = Array | StoredRows
+
+
+def largest_in_rows(values: Rows, columns: NDArray[np.bool_]) -> Array:
+    """Return (N,) the largest magnitude of some columns in each row; NaN where one is NaN."""
+    if isinstance(values, StoredRows):
+        return values.largest(columns)
+    return _largest_in_rows(values, columns)
+
+
+def _largest_in_rows(values: Rows, columns: NDArray[np.bool_]) -> Array:
+    largest = np.empty(len(values))
+    for some in blocks(len(values), 8 * values.shape[1]):
+        size = np.abs(values[some])
+        largest[some] = (size if columns.all() else size[:, columns]).max(axis=1, initial=0.0)
+    return largest
+
+
+def read_rows(
+    file: BufferedIOBase,
+    start: int,
+    stride: int,
+    at: NDArray[np.int64],
+    width: int,
+    stored: np.dtype[Any],
+) -> NDArray[Any]:
+    """Read (rows, width) values of a column, in native byte order.
+
+    Parameters
+    ----------
+    file
+        Open for reading.
+    start, stride
+        Bytes before the column in row 0, and from row to row.
+    at
+        (rows,) which ones; rows that follow each other are read together.
+    width, stored
+        Number of values in a row, and their type in the file.
+
+    Raises
+    ------
+    EOFError
+        The file ends before its rows do.
+    """
+    values = np.empty((len(at), width), dtype=stored.newbyteorder("="))
+    size = width * stored.itemsize
+    if not size:
+        return values
+    together = 1 if stride > (FAR + 1) * size else max(1, BLOCK_BYTES // max(stride, 1))
+    edges = np.flatnonzero(np.diff(at) != 1) + 1
+    raw = bytearray(min(together, max(len(at), 1)) * stride + size)
+    for first, end in zip([0, *edges.tolist()], [*edges.tolist(), len(at)], strict=True):
+        for row in range(first, end, together):
+            rows = min(together, end - row)
+            span = (rows - 1) * stride + size
+            file.seek(start + int(at[row]) * stride)
+            if file.readinto(memoryview(raw)[:span]) != span:
+                raise EOFError
+            values[row : row + rows] = np.ndarray(
+                (rows, width), stored, buffer=raw, strides=(stride, stored.itemsize)
+            )
+    return values

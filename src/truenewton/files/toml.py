@@ -1,0 +1,133 @@
+"""What people write by hand: TOML tables, held against the dataclass that they fill."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from types import UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+
+Filled = TypeVar("Filled")
+NAMES = {float: "a number", int: "an integer", str: "text", bool: "true or false"}
+
+
+def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the tables of a TOML file.
+
+    Raises
+    ------
+    UnreadableFile
+        It cannot be opened or is not TOML.
+    """
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise UnreadableFile(
+            f"cannot be read ({error.strerror})", remedy="check its name", path=path
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise UnreadableFile(
+            f"is not TOML ({error})", remedy="correct it; key = value, text in quotes", path=path
+        ) from error
+
+
+def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: str = "") -> Filled:
+    """Return a dataclass filled from a table, its values held against their types.
+
+    Parameters
+    ----------
+    kind
+        A dataclass of numbers, texts, pairs of numbers, other such dataclasses, and tuples of them.
+    table
+        Keys are the fields' names; a field with a default may be left out.
+    path, where
+        The file and the table, for the message.
+
+    Raises
+    ------
+    FormatError
+        A key that is unknown, missing, or of the wrong kind.
+    TrueNewtonError
+        What the dataclass itself refuses.
+    """
+    fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    place = f"[{where}] " if where else ""
+    for key in table:
+        if key not in fields:
+            raise FormatError(
+                f"{place}knows no '{key}'", remedy=f"the keys are {', '.join(fields)}", path=path,
+                got=key, want=tuple(fields),
+            )  # fmt: skip
+    hints, values = get_type_hints(kind), {}
+    for name, field in fields.items():
+        if name in table:
+            inside = f"{where}.{name}" if where else name
+            values[name] = _value(hints[name], table[name], path, inside)
+        elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
+            raise FormatError(f"{place}lacks '{name}'", remedy="add it", path=path, want=name)
+    try:
+        return kind(**values)
+    except TrueNewtonError as error:
+        raise type(error)(
+            f"{place}{error.fault}", remedy=error.remedy, path=path, got=error.got, want=error.want
+        ) from None
+
+
+def _value(kind: Any, value: Any, path: object, where: str) -> Any:
+    if get_origin(kind) in (Union, UnionType):
+        kind = next(part for part in get_args(kind) if part is not type(None))
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        if isinstance(value, Mapping):
+            return filled(kind, value, path, where)
+        raise _wrong(where, "a table", value, path)
+    if get_origin(kind) is tuple:
+        inner = get_args(kind)
+        if not isinstance(value, list) or (inner[-1] is not ... and len(value) != len(inner)):
+            raise _wrong(where, "a list" if inner[-1] is ... else f"{len(inner)} values", value,
+                         path)  # fmt: skip
+        return tuple(_value(inner[0], part, path, where) for part in value)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        value = float(value) if abs(value) < 1e300 else math.inf
+    if type(value) is not kind or (kind is float and math.isnan(value)):
+        raise _wrong(where, NAMES[kind], value, path)
+    return value
+
+
+def toml_text(record: Any) -> str:
+    """Return a dataclass as TOML that `filled` takes back; what is None is left out."""
+    return "\n".join(_lines(record, "")) + "\n"
+
+
+def _lines(record: Any, where: str) -> list[str]:
+    own, below = [], []
+    for field in dataclasses.fields(record):
+        name, value = field.name, getattr(record, field.name)
+        inside = f"{where}.{name}" if where else name
+        if dataclasses.is_dataclass(value):
+            below += ["", f"[{inside}]", *_lines(value, inside)]
+        elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
+            for part in value:
+                below += ["", f"[[{inside}]]", *_lines(part, inside)]
+        elif value is not None:
+            own.append(f"{name} = {_written(value)}")
+    return own + below
+
+
+def _written(value: Any) -> str:
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(_written, value))}]"
+    if isinstance(value, float):
+        return repr(float(value))
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _wrong(where: str, want: str, got: Any, path: object) -> FormatError:
+    shown = repr(got)[:60]
+    return FormatError(f"{where} is {shown}", remedy=f"give {want}", path=path, got=got, want=want)

@@ -1,0 +1,161 @@
+"""Decompositions and least squares, on LAPACK and BLAS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+
+ROWS_AT_ONCE = 96  # a block of rows stays in the processor's cache
+MIRRORED_AT_ONCE = 96
+SMALL = 1e-6  # part of the systematic variance that rounding may leave
+SINGULAR = 1e-13  # of the columns at unit length, below which one depends on the others
+CLOSE = 1e-3  # of an eigenvalue, which it may be off by at most
+MOST_STEPS = 60  # beyond, a full decomposition is as fast
+
+
+def singular_values_and_vectors(matrix: NDArray[np.floating[Any]]) -> tuple[Array, Array, Array]:
+    """Return U, s, V' of a matrix, s descending.
+
+    LAPACK's fast driver (gesdd) fails to converge on a rare matrix; the plain one (gesvd) then
+    does.
+    """
+    try:
+        return scipy.linalg.svd(matrix, full_matrices=False)
+    except np.linalg.LinAlgError:
+        return scipy.linalg.svd(matrix, full_matrices=False, lapack_driver="gesvd")
+
+
+def smallest_eigenvalue(
+    times: Callable[[Array], Array],
+    n: int,
+    nearly_solved: Callable[[Array], Array] = lambda residual: residual,
+) -> tuple[float, Array]:
+    """Return the smallest eigenvalue of a symmetric matrix and its vector, found step by step.
+
+    What the best vector so far leaves over, nearly solved for, widens the space in which the next
+    is sought (Davidson, J. Comput. Phys. 17, 87, 1975; without a solution nearby, Lanczos). Some
+    eigenvalue is no further away than the remainder is long, at the end a thousandth of it; its
+    square counts for the smallest. A full decomposition costs more than all of a calibration.
+
+    Parameters
+    ----------
+    times, n
+        Multiplies (n,) vectors, or the columns of a matrix, by the matrix; its order.
+    nearly_solved
+        Multiplies (n,) vectors by about the inverse, whatever its scale.
+    """
+    most = min(n, MOST_STEPS)
+    basis, images = np.empty((most, n)), np.empty((most, n))
+    new = np.random.default_rng(n).standard_normal(n)
+    for k in range(most):
+        for _ in range(2):  # once leaves too much of what is in the space already
+            new -= (basis[:k] @ new) @ basis[:k]
+        basis[k] = new / np.linalg.norm(new)
+        images[k] = times(basis[k])
+        values, vectors = np.linalg.eigh(basis[: k + 1] @ images[: k + 1].T)
+        vector = vectors[:, 0] @ basis[: k + 1]
+        residual = vectors[:, 0] @ images[: k + 1] - values[0] * vector
+        if np.linalg.norm(residual) <= CLOSE * abs(values[0]):
+            return float(values[0]), vector
+        new = nearly_solved(residual)
+    values, vectors = scipy.linalg.eigh(times(np.eye(n)), subset_by_index=[0, 0])
+    return float(values[0]), vectors[:, 0]
+
+
+def largest_eigenvalue(matrix: Array) -> tuple[float, Array]:
+    """Return the largest eigenvalue of a symmetric matrix, as `smallest_eigenvalue`, its vector."""
+    value, vector = smallest_eigenvalue(lambda x: -(matrix @ x), len(matrix))
+    return -value, vector
+
+
+def mirrored(upper: Array) -> Array:
+    """Copy the upper triangle of a square matrix into the lower one, in place; return the matrix.
+
+    By blocks, since a transposed copy of the whole would miss the cache at every element.
+    """
+    for start in range(0, len(upper), MIRRORED_AT_ONCE):
+        end = start + MIRRORED_AT_ONCE
+        block = upper[start:end, start:end]
+        block[...] = np.triu(block) + np.triu(block, 1).T
+        for right in range(end, len(upper), MIRRORED_AT_ONCE):
+            columns = slice(right, right + MIRRORED_AT_ONCE)
+            upper[columns, start:end] = upper[start:end, columns].T
+    return upper
+
+
+def factor_of(matrix: Array) -> Array:
+    """Return (n, m) F with F F' a positive semi-definite matrix, rounding left out."""
+    values, vectors = scipy.linalg.eigh(matrix)
+    kept = values > SMALL * max(values[-1], 1e-300)
+    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Least squares of whitened equations: each right-hand side has variance 1.
+
+    Attributes
+    ----------
+    values
+        (p,) the solution.
+    root
+        (p, p) upper triangular; covariance = root root'. Its leading (q, q) block is the root of
+        the covariance of the first q unknowns where the others are known.
+    residual
+        (m,) right-hand side less matrix times values.
+    orthogonal
+        (m, p) orthonormal basis of the columns.
+    """
+
+    values: Array
+    root: Array
+    residual: Array
+    orthogonal: Array
+
+    @property
+    def chi2(self) -> float:
+        """Sum of the squared residuals."""
+        return float(self.residual @ self.residual)
+
+
+def least_squares(matrix: Array, right: Array) -> Solution:
+    """Minimise the length of right - matrix @ values.
+
+    Householder's QR of the columns at unit length: squares of the condition, as in the normal
+    equations, never arise (Golub and Van Loan, Matrix Computations, section 5.3).
+
+    Parameters
+    ----------
+    matrix, right
+        (m, p) and (m,), m >= p.
+
+    Raises
+    ------
+    RankDeficient
+        A column is a combination of the others.
+    """
+    length = np.sqrt(np.sum(matrix**2, axis=0))
+    if not (length > 0.0).all():
+        raise _dependent()
+    q, r = scipy.linalg.qr(matrix / length, mode="economic", check_finite=False)
+    if np.abs(np.diag(r)).min() < SINGULAR:
+        raise _dependent()
+    inverse, _ = dtrtri(r)
+    values = scipy.linalg.solve_triangular(r, q.T @ right, check_finite=False) / length
+    root = np.triu(inverse) / length[:, None]
+    return Solution(values, root, right - matrix @ values, q)
+
+
+def _dependent() -> RankDeficient:
+    return RankDeficient(
+        "the data cannot tell the unknowns apart", remedy="add days at other temperatures"
+    )

@@ -1,0 +1,11 @@
+"""The known mirrors, mirrors from files, and the shell between the actuators.
+
+known      P45, LBT672, MMT336, ...: numbers with their standing
+glass      glass and sensors: dimensions and material
+file       mirrors that someone else has: TOML and a table
+shell/     the elastic shell: what forces hold it, and how it moves
+"""
+
+from truenewton.mirrors.known import Mirror, lbt672, mag585, mirror, mmt336, p45, ring
+
+__all__ = ["Mirror", "lbt672", "mag585", "mirror", "mmt336", "p45", "ring"]

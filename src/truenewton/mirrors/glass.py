@@ -1,0 +1,103 @@
+"""The glass of a mirror and the sensors over it: dimensions and material.
+
+Standing of a number as in `mirrors`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.errors import GeometryError
+
+
+@dataclass(frozen=True)
+class Annulus:
+    """The electrode of a capacitive sensor, round the magnet of its actuator.
+
+    A reading is the mean displacement over it. 8 to 12.5 mm [conf].
+
+    Attributes
+    ----------
+    inner_radius, outer_radius
+        From the axis of the actuator [m]; equal, they make a circle.
+
+    Raises
+    ------
+    GeometryError
+        Radii that make neither.
+    """
+
+    inner_radius: float = 8e-3
+    outer_radius: float = 12.5e-3
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.inner_radius <= self.outer_radius and 0 < self.outer_radius < np.inf):
+            raise GeometryError(
+                f"a sensor from {self.inner_radius:.6g} m to {self.outer_radius:.6g} m",
+                remedy="give its inner radius, then its outer one",
+                got=(self.inner_radius, self.outer_radius),
+            )
+
+
+@dataclass(frozen=True)
+class Shell:
+    """The glass: a thin annulus of even thickness, flat or cut from a sphere.
+
+    Attributes
+    ----------
+    inner_radius, outer_radius, thickness
+        Dimensions [m]; radii along the glass, arcs on a sphere.
+    young_modulus
+        E [Pa]; Zerodur 90.3 GPa [conf].
+    poisson_ratio
+        nu; Zerodur 0.24 [conf].
+    density
+        [kg/m3]; Zerodur 2530 [conf].
+    radius_of_curvature
+        R [m]; positive where the side toward +z is hollow (concave), negative where it bulges
+        (convex), infinite on a flat mirror. Normal forces and displacements know no difference
+        between concave and convex.
+    """
+
+    inner_radius: float
+    outer_radius: float
+    thickness: float
+    young_modulus: float = 90.3e9
+    poisson_ratio: float = 0.24
+    density: float = 2530.0
+    radius_of_curvature: float = np.inf
+
+    @property
+    def bending_stiffness(self) -> float:
+        """D = E t^3 / 12 (1 - nu^2) [N m]."""
+        return self.young_modulus * self.thickness**3 / (12 * (1 - self.poisson_ratio**2))
+
+    @property
+    def mass(self) -> float:
+        """Mass of the glass [kg]."""
+        area = np.pi * (self.outer_radius**2 - self.inner_radius**2)
+        return float(area * self.thickness * self.density)
+
+    def along(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return positions along the glass, R asin(r / R) from the axis, of points seen along it.
+
+        Layouts give what the balance needs, the distance from the axis; the model of the shell
+        wants the way along the glass. On a flat shell they are the same.
+
+        Raises
+        ------
+        GeometryError
+            A point beside the sphere.
+        """
+        sine = np.hypot(x, y) / abs(self.radius_of_curvature)
+        if not (sine <= 1).all():
+            raise GeometryError(
+                f"a point lies beside the sphere of radius {abs(self.radius_of_curvature):.6g} m",
+                remedy="correct the radius of curvature or the position",
+            )
+        # asin(s) / s, 1 at the axis
+        longer = np.divide(np.arcsin(sine), sine, out=np.ones_like(sine), where=sine > 0)
+        return x * longer, y * longer

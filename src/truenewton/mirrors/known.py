@@ -1,0 +1,266 @@
+"""The known mirrors: numbers with their standing.
+
+Standing of a number: [paper] Ricci et al. 2008; [conf] published configuration files of the LBT
+and Magellan adaptive secondaries; [lit] other publications; [derived] computed; [guess] an
+engineering value nobody vouches for.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from truenewton.errors import UnknownName
+from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.statics.layout import Layout, spherical_rings
+
+GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
+MOST_ACTUATORS = 5352
+
+
+@dataclass(frozen=True)
+class Mirror:
+    """What is known of a mirror before it is measured.
+
+    Attributes
+    ----------
+    name
+        As in INSTRUME.
+    layout
+        The actuators.
+    shell
+        The glass.
+    weight, weight_error
+        P and its standard uncertainty [N]; negative, z points up.
+    added_weight, added_weight_error
+        Q of the weight tool and its standard uncertainty [N].
+    bias_force
+        Force of one bias magnet on the shell [N].
+    magnet_mass
+        Magnet with its puck [kg].
+    alpha_range
+        Lowest and highest true Newton / commanded Newton that the simulation draws.
+    gap
+        Nominal distance from the reference plate [m].
+    puck_radius
+        Of the circle on which a magnet's puck pushes the glass [m]; 5 mm [guess].
+    sensor
+        Over which a reading is the mean displacement.
+    coil_gradient
+        COILGRAD, relative change of a coil's force per displacement along +z [1/m]; 600 [conf].
+    bias_gradient
+        BIASGRAD, change of one bias force per displacement along +z [N/m]; 31 [conf] where there
+        are bias magnets.
+    """
+
+    name: str
+    layout: Layout
+    shell: Shell
+    weight: float
+    weight_error: float
+    added_weight: float
+    added_weight_error: float
+    bias_force: float
+    magnet_mass: float
+    alpha_range: tuple[float, float]
+    gap: float
+    puck_radius: float = 5e-3
+    sensor: Annulus = field(default_factory=Annulus)
+    coil_gradient: float = 600.0
+    bias_gradient: float = 31.0
+
+
+def p45() -> Mirror:
+    """Return the paper's mirror.
+
+    45 actuators in rings of 9, 15, 21, shell 1.6 mm, P = -2.920 +- 0.005 N, Q = -0.289 +- 0.005 N,
+    gap 68 um, alpha 0.70 to 1.10 [paper]; ring radii 43.04, 73.34, 103.62 mm, the shell's 27.5 to
+    120.005 mm and 1955 mm of curvature [conf]; bias 97 mN an actuator, magnets 2.75 g [conf of LBT,
+    same design]. The paper takes it for flat, nz = 1; here nz = 0.9998 to 0.9986.
+    """
+    return Mirror(
+        name="P45",
+        layout=_lbt_rings(3),
+        shell=Shell(27.5e-3, 120.005e-3, 1.6e-3, radius_of_curvature=1.955),
+        weight=-2.920,
+        weight_error=0.005,
+        added_weight=-0.289,
+        added_weight_error=0.005,
+        bias_force=0.097,
+        magnet_mass=2.75e-3,
+        alpha_range=(0.70, 1.10),
+        gap=68e-6,
+    )
+
+
+def _lbt_rings(count: int) -> Layout:
+    """Return the first rings of an LBT secondary: 9 + 6k actuators at 1.2615 + 0.8884 k degrees."""
+    k = np.arange(count)
+    return spherical_rings(list(np.radians(1.2615 + 0.8884 * k)), list(9 + 6 * k), 1.955)
+
+
+def lbt672() -> Mirror:
+    """Return an adaptive secondary of the Large Binocular Telescope.
+
+    672 actuators on 14 rings of 9 + 6k at polar angles 1.2615 + 0.8884 k degrees, radius of
+    curvature 1955 mm, shell 27.5 to 455.5 mm, 1.6 mm thick, bias 97 mN [conf]; weight about -44 N
+    [derived]; alpha scatters by 2-5 % [derived from measured matrices]; a weight tool of -0.5 N, as
+    much as its three wedges may bring to the inner ring, and all uncertainties [guess].
+    """
+    return Mirror(
+        name="LBT672",
+        layout=_lbt_rings(14),
+        shell=Shell(27.5e-3, 455.5e-3, 1.6e-3, radius_of_curvature=1.955),
+        weight=-44.0,
+        weight_error=0.02,
+        added_weight=-0.5,
+        added_weight_error=0.005,
+        bias_force=0.097,
+        magnet_mass=2.75e-3,
+        alpha_range=(0.90, 1.10),
+        gap=65e-6,
+    )
+
+
+def mag585() -> Mirror:
+    """Return the adaptive secondary of the Magellan telescope.
+
+    The first 13 rings of LBT672, 585 actuators, shell 27.5 to 425.35 mm, 1.6 mm thick, bias 97 mN,
+    gap 60 um [conf]; alpha scatters by 3 % [derived]; the weight is that of shell and magnets; the
+    weight tool and all uncertainties [guess].
+    """
+    layout = _lbt_rings(13)
+    shell = Shell(27.5e-3, 425.35e-3, 1.6e-3, radius_of_curvature=1.955)
+    return Mirror(
+        name="MAG585",
+        layout=layout,
+        shell=shell,
+        weight=_weight(shell, layout),
+        weight_error=0.02,
+        added_weight=-0.5,
+        added_weight_error=0.005,
+        bias_force=0.097,
+        magnet_mass=2.75e-3,
+        alpha_range=(0.95, 1.05),
+        gap=60e-6,
+    )
+
+
+def mmt336() -> Mirror:
+    """Return the adaptive secondary of the MMT.
+
+    336 actuators on rings of 6, 12, ... 48, 60, 60 from 42.1 to 313.1 mm, the ninth turned by 3
+    degrees [conf]; shell 2.0 mm thick [lit, +-10 %], 27.5 to 321 mm, convex with radius 1700 mm
+    [guess]; no bias magnets [paper: they were new on P45]; gap 40 um, alpha within 5 %, a tool of
+    -0.5 N, sensors of 3.5 to 6 mm that fit between the outermost ring and the edge, pucks of 3 mm,
+    all uncertainties [guess]; the weight is that of shell and magnets.
+    """
+    radii = [42.1, 73.4, 104.8, 136.1, 167.5, 198.8, 230.1, 261.5, 290.8, 313.1]
+    curvature, counts = 1.7, [6, 12, 18, 24, 30, 36, 42, 48, 60, 60]
+    turned = [0.0] * 8 + [np.radians(3.0), 0.0]
+    angles = np.arcsin(1e-3 * np.array(radii) / curvature)
+    layout = spherical_rings(list(angles), counts, curvature, turned=turned)
+    shell = Shell(27.5e-3, 321e-3, 2.0e-3, radius_of_curvature=-curvature)
+    return Mirror(
+        name="MMT336",
+        layout=layout,
+        shell=shell,
+        weight=_weight(shell, layout),
+        weight_error=0.02,
+        added_weight=-0.5,
+        added_weight_error=0.005,
+        bias_force=0.0,
+        magnet_mass=2.75e-3,
+        alpha_range=(0.915, 1.085),
+        gap=40e-6,
+        puck_radius=3e-3,
+        sensor=Annulus(3.5e-3, 6e-3),
+        bias_gradient=0.0,
+    )
+
+
+def ring(actuators: int) -> Mirror:
+    """Return a member of the family ring4 ... ring5352: rings of 9 + 6k, 30.3 mm apart.
+
+    The rings, glass and magnets of LBT672 carried on to any number of actuators, the outermost ring
+    with what is left over; the radius of curvature grows with the mirror beyond LBT672, so that its
+    edge is as steep; a tool of a tenth of the weight, up to 0.5 N [guess, all that LBT672 does not
+    vouch for].
+
+    Parameters
+    ----------
+    actuators
+        4 to 5,352.
+
+    Raises
+    ------
+    UnknownName
+        There is no such member.
+    """
+    if not 4 <= actuators <= MOST_ACTUATORS:
+        raise UnknownName(
+            f"there is no mirror of {actuators} rings of actuators",
+            remedy=f"give ring4 to ring{MOST_ACTUATORS}",
+            got=actuators,
+        )
+    counts: list[int] = []
+    while sum(counts) < actuators:
+        counts.append(min(9 + 6 * len(counts), actuators - sum(counts)))
+    spacing = 1.955 * np.radians(0.8884)
+    arc = 1.42 * spacing + spacing * np.arange(len(counts))
+    edge = arc[-1] + 18.4e-3
+    curvature = max(1.955, edge * 1.955 / 0.4555)
+    shell = Shell(27.5e-3, float(edge), 1.6e-3, radius_of_curvature=float(curvature))
+    layout = spherical_rings(list(arc / curvature), counts, float(curvature))
+    weight = _weight(shell, layout)
+    return Mirror(
+        name=f"RING{actuators}",
+        layout=layout,
+        shell=shell,
+        weight=weight,
+        weight_error=round(-weight * 5e-4, 4),
+        added_weight=round(max(-0.5, 0.1 * weight), 4),
+        added_weight_error=0.005,
+        bias_force=0.097,
+        magnet_mass=2.75e-3,
+        alpha_range=(0.90, 1.10),
+        gap=65e-6,
+    )
+
+
+def _weight(shell: Shell, layout: Layout) -> float:
+    """Return the weight of shell and magnets of 2.75 g [N]."""
+    return -round((shell.mass + 2.75e-3 * layout.n) * GRAVITY, 2)
+
+
+KNOWN: dict[str, Callable[[], Mirror]] = {
+    "p45": p45,
+    "mmt336": mmt336,
+    "mag585": mag585,
+    "lbt672": lbt672,
+}
+
+
+def mirror(name: str) -> Mirror:
+    """Return the mirror called ``name``; case does not count.
+
+    Raises
+    ------
+    UnknownName
+        No mirror is called so.
+    """
+    known = name.lower()
+    if known in KNOWN:
+        return KNOWN[known]()
+    if re.fullmatch(r"ring\d{1,9}", known):
+        return ring(int(known[4:]))
+    raise UnknownName(
+        f"no mirror is called '{name}'",
+        remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MOST_ACTUATORS};"
+        " or give a file",
+        got=name,
+        want=tuple(KNOWN),
+    )

@@ -1,0 +1,221 @@
+"""A mesh over a glass of any outline, with a vertex at every actuator.
+
+A hexagonal lattice, relaxed between the boundary and the actuators (optimal Delaunay
+triangulation: L. Chen, Proc. 13th Int. Meshing Roundtable, 2004, p. 109), then refined until no
+angle is small (J. Ruppert, J. Algorithms 18, 1995, p. 548): sides that another vertex crowds are
+halved, and bad triangles get a vertex at the centre of their circle. Delaunay's triangulation is
+scipy's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import Delaunay, cKDTree
+
+from truenewton.arrays import Array
+from truenewton.errors import GeometryError
+from truenewton.mirrors.glass import Shell
+from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
+from truenewton.mirrors.shell.finite_elements.outline import checked_places, checked_sides, inside
+
+SMALLEST_ANGLE = 25.0  # of a triangle [deg]
+WIDEST_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
+RELAXATIONS = 12
+MOST_ROUNDS = 300  # of refinement; some ten are usual
+
+
+def annulus_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) -> Mesh:
+    """Mesh a round glass; both edges are polygons of the circles' areas.
+
+    Parameters
+    ----------
+    shell
+        Gives the radii; an inner radius of 0 means a full disc.
+    x, y
+        (n,) positions of the actuators [m].
+    mesh_size
+        Length of the triangles' sides [m], shorter where actuators crowd.
+
+    Raises
+    ------
+    GeometryError
+        Radii that cannot be; else as `outline_mesh`.
+    """
+    inner, outer = shell.inner_radius, shell.outer_radius
+    if not 0 <= inner < outer < np.inf:
+        raise GeometryError(
+            f"the glass reaches from {inner:.6g} m to {outer:.6g} m",
+            remedy="give an inner radius below the outer one; 0 for a full disc",
+            got=(inner, outer),
+        )
+    rounds = [_circle(radius, mesh_size) for radius in (outer, inner) if radius > 0]
+    return outline_mesh(rounds[0], x, y, mesh_size=mesh_size, holes=rounds[1:])
+
+
+def outline_mesh(
+    outline: ArrayLike,
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    mesh_size: float,
+    holes: Sequence[ArrayLike] = (),
+) -> Mesh:
+    """Mesh a glass of any outline.
+
+    Parameters
+    ----------
+    outline
+        (n_vertices, 2) the polygon around the glass [m], convex or not, either way round.
+    x, y
+        (n,) positions of the actuators [m].
+    mesh_size
+        Length of the triangles' sides [m], shorter where actuators crowd.
+    holes
+        Polygons, as the outline, where there is no glass.
+
+    Raises
+    ------
+    GeometryError
+        A mesh size that is not positive or far too fine; polygons that cross themselves or one
+        another, or turn more sharply than triangles can follow; actuators off the glass, all but
+        on an edge, or all but at one place.
+    """
+    loops = checked_sides([outline, *holes], mesh_size)
+    places = checked_places(loops, x, y, mesh_size)
+    rims = [_divided(loop, mesh_size) for loop in loops]
+    starts = len(places) + np.cumsum([0, *(len(rim) for rim in rims)])
+    sides = np.concatenate([
+        start + np.stack([np.arange(len(rim)), np.roll(np.arange(len(rim)), -1)], axis=1)
+        for start, rim in zip(starts[:-1], rims, strict=True)
+    ])  # fmt: skip
+    fixed = np.concatenate([places, *rims])
+    points = _relaxed(fixed, _lattice(loops[0], mesh_size), loops, mesh_size)
+    return _refined(points, sides, loops, mesh_size, len(places))
+
+
+def _circle(radius: float, mesh_size: float) -> Array:
+    """Return the polygon of a circle's area: its edge errs inward as much as outward."""
+    size = mesh_size if mesh_size > 0 else radius  # refused with the rest, further on
+    count = max(16, int(np.ceil(2 * np.pi * radius / max(size, 1e-4 * radius))))
+    step = 2 * np.pi / count
+    angle = step * np.arange(count)
+    corner = radius * np.sqrt(step / np.sin(step))
+    return np.asarray(corner * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+def _divided(loop: Array, mesh_size: float) -> Array:
+    """Return the vertices of a polygon with its sides divided evenly."""
+    to = np.roll(loop, -1, axis=0)
+    parts = np.ceil(np.linalg.norm(to - loop, axis=1) / mesh_size - 1e-9).astype(int)
+    return np.concatenate([
+        start + (end - start) * np.arange(n)[:, None] / n
+        for start, end, n in zip(loop, to, parts, strict=True)
+    ])  # fmt: skip
+
+
+def _lattice(outline: Array, mesh_size: float) -> Array:
+    """Return hexagonal lattice points over the box of the outline."""
+    low, high = outline.min(axis=0), outline.max(axis=0)
+    row = mesh_size * np.sqrt(0.75)
+    columns, rows = np.ceil((high - low) / [mesh_size, row]).astype(int) + 1
+    across, up = np.meshgrid(np.arange(columns), np.arange(rows))
+    lattice = np.stack([mesh_size * (across + 0.5 * (up % 2)), row * up], axis=-1)
+    return np.asarray(low + lattice.reshape(-1, 2))
+
+
+def _relaxed(fixed: Array, free: Array, loops: list[Array], mesh_size: float) -> Array:
+    """Return fixed points and free ones moved to the mean circumcentre of their triangles."""
+    tree = cKDTree(fixed)
+
+    def apart(places: Array, least: float) -> Array:
+        gap, _ = tree.query(places)
+        roomy = places[gap > least * mesh_size]
+        return roomy[inside(loops, roomy)]
+
+    free = apart(free, 0.7)
+    for _ in range(RELAXATIONS):
+        points = np.concatenate([fixed, free])
+        triangles = _triangles(points, loops, mesh_size)
+        centre, _, area = _circles(points[triangles])
+        # Beside the boundary the circle's centre may lie outside: the triangle's own then.
+        out = ~inside(loops, centre)
+        centre[out] = points[triangles[out]].mean(axis=1)
+        total, moment = np.zeros(len(points)), np.zeros((len(points), 2))
+        np.add.at(total, triangles, area[:, None])
+        np.add.at(moment, triangles, (area[:, None] * centre)[:, None])
+        moved = points.copy()
+        moved[total > 0] = moment[total > 0] / total[total > 0, None]
+        free = apart(moved[len(fixed) :], 0.6)
+    return np.concatenate([fixed, free])
+
+
+def _refined(
+    points: Array, sides: Indices, loops: list[Array], mesh_size: float, actuators: int
+) -> Mesh:
+    """Add vertices until all triangles are good (Ruppert's algorithm, many vertices a round)."""
+    for _ in range(MOST_ROUNDS):
+        middle, half = points[sides].mean(axis=1), _half_lengths(points, sides)
+        within = cKDTree(points).query_ball_point(middle, half * (1 - 1e-9), return_length=True)
+        crowded = np.asarray(within) > 0
+        new = np.zeros((0, 2))
+        if not crowded.any():
+            triangles = _triangles(points, loops, mesh_size)
+            centre, radius, _ = _circles(points[triangles])
+            side = np.linalg.norm(np.diff(points[triangles][:, [0, 1, 2, 0]], axis=1), axis=2)
+            slender = side.min(axis=1) < 2 * radius * np.sin(np.radians(SMALLEST_ANGLE))
+            bad = slender | (radius > WIDEST_CIRCLE * mesh_size)
+            if not bad.any():
+                return Mesh(points, triangles, actuators)
+            new = _scattered(centre[bad], radius[bad])
+            to_middle, near = cKDTree(new).query(middle)
+            crowded = np.asarray(to_middle) < half
+            new = np.delete(new, np.asarray(near)[crowded], axis=0)
+        count = len(points)
+        points = np.concatenate([points, middle[crowded], new])
+        added = count + np.arange(np.count_nonzero(crowded))
+        first, second = sides[crowded].T
+        sides = np.concatenate([
+            sides[~crowded], np.stack([first, added], axis=1), np.stack([added, second], axis=1)
+        ])  # fmt: skip
+    raise GeometryError(
+        f"no mesh of {mesh_size:.6g} m with sound angles was found for this outline",
+        remedy="take a smaller mesh size, or blunt the outline's sharpest corners",
+    )
+
+
+def _half_lengths(points: Array, sides: Indices) -> Array:
+    return np.asarray(0.5 * np.linalg.norm(np.diff(points[sides], axis=1)[:, 0], axis=1))
+
+
+def _triangles(points: Array, loops: list[Array], mesh_size: float) -> Indices:
+    """Return Delaunay's triangles on the glass, counter-clockwise, slivers left out."""
+    triangles = Delaunay(points).simplices.astype(np.int64)
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    triangles[twice < 0] = triangles[twice < 0][:, ::-1]
+    sound = np.abs(twice) > 1e-9 * mesh_size**2
+    return np.asarray(triangles[sound & inside(loops, points[triangles].mean(axis=1))])
+
+
+def _circles(corners: Array) -> tuple[Array, Array, Array]:
+    """Return centre and radius of the circle around each triangle, and its area."""
+    one, other = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
+    twice = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    squares = np.stack([(one**2).sum(axis=1), (other**2).sum(axis=1)], axis=1)
+    x = (squares[:, 0] * other[:, 1] - squares[:, 1] * one[:, 1]) / (2 * twice)
+    y = (squares[:, 1] * one[:, 0] - squares[:, 0] * other[:, 0]) / (2 * twice)
+    return corners[:, 0] + np.stack([x, y], axis=1), np.hypot(x, y), 0.5 * np.abs(twice)
+
+
+def _scattered(centre: Array, radius: Array) -> Array:
+    """Return those centres, from the widest circle on, that lie in no circle already taken."""
+    order = np.argsort(-radius)
+    taken: list[int] = []
+    for i in order:
+        gap = np.linalg.norm(centre[taken] - centre[i], axis=1)
+        if not taken or (gap > radius[taken]).all():
+            taken.append(int(i))
+    return centre[taken]

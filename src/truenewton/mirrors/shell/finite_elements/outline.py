@@ -1,0 +1,170 @@
+"""Polygons around a glass, refused where no mesh could follow them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from truenewton.arrays import Array
+from truenewton.errors import GeometryError
+
+SHARPEST_CORNER = 45.0  # [deg]; below, halving one side of a corner crowds the other for ever
+MOST_TRIANGLES = 100_000  # 22 000 of a curved glass take 1.5 GB, and more than in proportion
+CLOSEST = 0.02  # actuators to one another and to an edge, in mesh sizes
+
+
+def inside(loops: Sequence[Array], places: Array) -> NDArray[np.bool_]:
+    """Tell (n,) whether (n, 2) places lie within the first polygon and none of the others.
+
+    A line from each place to +x crosses the polygons an odd number of times.
+    """
+    x, y = places.T
+    odd = np.zeros(len(places), dtype=bool)
+    for loop in loops:
+        for (x_0, y_0), (x_1, y_1) in zip(loop, np.roll(loop, -1, axis=0), strict=True):
+            if y_0 != y_1:
+                spans = (y_0 > y) != (y_1 > y)
+                odd ^= spans & (x < x_0 + (y - y_0) * ((x_1 - x_0) / (y_1 - y_0)))
+    return odd
+
+
+def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array]:
+    """Return the outline and its holes as (n_vertices, 2) arrays [m], once a mesh can follow them.
+
+    Raises
+    ------
+    GeometryError
+        A mesh size that is not positive or far too fine; a polygon without three finite vertices,
+        with corners too sharp, crossing itself or another; holes off the glass.
+    """
+    if not 0 < mesh_size < np.inf:
+        raise GeometryError(
+            f"mesh size {mesh_size:.6g} m", remedy="give a positive length", got=mesh_size
+        )
+    loops = [np.asarray(polygon, dtype=float) for polygon in polygons]
+    for loop in loops:
+        _check_loop(loop)
+    area = abs(_signed_area(loops[0])) - sum(abs(_signed_area(hole)) for hole in loops[1:])
+    triangles = area / (np.sqrt(3 / 16) * mesh_size**2)
+    if triangles > MOST_TRIANGLES:
+        coarser = mesh_size * np.sqrt(triangles / MOST_TRIANGLES)
+        raise GeometryError(
+            f"a mesh size of {mesh_size:.6g} m makes some {triangles:.1e} triangles",
+            remedy=f"give {coarser:.2g} m or more",
+            got=mesh_size,
+        )
+    start = np.concatenate(loops)
+    end = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
+    for i in range(len(start)):
+        met = _meets(start[i], end[i], start, end)
+        if met.any():
+            raise GeometryError(
+                f"two sides of the outline meet near x = {start[i, 0]:.6g} m, "
+                f"y = {start[i, 1]:.6g} m",
+                remedy="give polygons that cross neither themselves nor one another",
+            )
+    for i, hole in enumerate(loops[1:]):
+        others = [loop for j, loop in enumerate(loops[1:]) if j != i]
+        if not inside([loops[0]], hole[:1])[0] or any(inside([o], hole[:1])[0] for o in others):
+            raise GeometryError(
+                f"hole {i} does not lie in the glass", remedy="give holes within the outline, apart"
+            )
+    return loops
+
+
+def checked_places(loops: Sequence[Array], x: ArrayLike, y: ArrayLike, mesh_size: float) -> Array:
+    """Return (n, 2) positions of actuators [m], once known to be on the glass and apart.
+
+    Raises
+    ------
+    GeometryError
+        Actuators off the glass, all but on an edge, or all but at one place.
+    """
+    across, up = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    if across.ndim != 1 or across.shape != up.shape:
+        raise GeometryError(
+            f"X has shape {across.shape} and Y {up.shape}", remedy="give two numbers an actuator"
+        )
+    places = np.stack([across, up], axis=1)
+    closest = CLOSEST * mesh_size
+    for i in np.flatnonzero(~inside(loops, places)):
+        raise GeometryError(
+            f"actuator {i} at x = {across[i]:.6g} m, y = {up[i]:.6g} m is off the glass",
+            remedy="bring it within the outline",
+        )
+    for i in np.flatnonzero(_distance_to_sides(loops, places) < closest):
+        raise GeometryError(
+            f"actuator {i} at x = {across[i]:.6g} m, y = {up[i]:.6g} m is all but on an edge",
+            remedy=f"keep actuators {closest:.2g} m away from edges, or take a smaller mesh size",
+        )
+    for one, other in cKDTree(places).query_pairs(closest) if len(places) else ():
+        raise GeometryError(
+            f"actuators {one} and {other} stand at one place, or all but",
+            remedy="correct the positions, drop one, or take a smaller mesh size",
+        )
+    return places
+
+
+def _check_loop(loop: Array) -> None:
+    if loop.ndim != 2 or loop.shape[0] < 3 or loop.shape[1] != 2 or not np.isfinite(loop).all():
+        raise GeometryError(
+            f"an outline of shape {loop.shape}",
+            remedy="give three or more vertices, x and y of each, all finite",
+            got=loop.shape,
+        )
+    ahead, back = np.roll(loop, -1, axis=0) - loop, np.roll(loop, 1, axis=0) - loop
+    length = np.linalg.norm(ahead, axis=1)
+    if length.min() <= 1e-9 * length.max():
+        i = int(length.argmin())
+        raise GeometryError(
+            f"vertices {i} and {(i + 1) % len(loop)} of the outline stand at one place",
+            remedy="give every vertex once; the polygon closes itself",
+        )
+    cosine = (ahead * back).sum(axis=1) / (length * np.roll(length, 1))
+    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    if angle.min() < SHARPEST_CORNER:
+        i = int(angle.argmin())
+        raise GeometryError(
+            f"the outline turns back to {angle[i]:.3g} degrees at its vertex {i}",
+            remedy=f"blunt corners below {SHARPEST_CORNER:g} degrees",
+            got=float(angle[i]),
+        )
+
+
+def _signed_area(loop: Array) -> float:
+    (x, y), (x_1, y_1) = loop.T, np.roll(loop, -1, axis=0).T
+    return float(0.5 * (x * y_1 - x_1 * y).sum())
+
+
+def _meets(p: Array, q: Array, start: Array, end: Array) -> NDArray[np.bool_]:
+    """Tell which sides start-end touch the side p-q without sharing a vertex with it."""
+
+    def turn(a: Array, b: Array, c: Array) -> Array:
+        (u, v), (s, t) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
+        return np.asarray(np.sign(u * t - v * s))
+
+    def ends_at(r: Array) -> NDArray[np.bool_]:
+        return np.asarray((start == r).all(axis=1) | (end == r).all(axis=1))
+
+    crossing = (turn(p, q, start) * turn(p, q, end) <= 0) & (
+        turn(start, end, p) * turn(start, end, q) <= 0
+    )
+    overlap = (np.minimum(start, end) <= np.maximum(p, q)) & (
+        np.maximum(start, end) >= np.minimum(p, q)
+    )
+    return np.asarray(crossing & overlap.all(axis=1) & ~ends_at(p) & ~ends_at(q))
+
+
+def _distance_to_sides(loops: Sequence[Array], places: Array) -> Array:
+    """Return (n,) distance from each place to the nearest side."""
+    nearest = np.full(len(places), np.inf)
+    for loop in loops:
+        for start, end in zip(loop, np.roll(loop, -1, axis=0), strict=True):
+            along = end - start
+            part = np.clip((places - start) @ along / (along @ along), 0, 1)
+            gap = places - start - part[:, None] * along
+            nearest = np.minimum(nearest, np.hypot(*gap.T))
+    return nearest

@@ -1,0 +1,69 @@
+"""Where forces and sensors may stand on a glass, and how many harmonics they take."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import GeometryError
+from truenewton.mirrors.glass import Shell
+
+Points = tuple[Array, Array]
+MOST_HARMONICS = 5000  # more are wanted only where a force all but touches an edge
+
+
+def shallowness(shell: Shell) -> float:
+    """Return lambda, b in units of the length over which bending decays; 0 on a flat plate."""
+    stiffness_ratio = 12 * (1 - shell.poisson_ratio**2)
+    length = np.sqrt(shell.thickness * abs(shell.radius_of_curvature))
+    return float(shell.outer_radius / length * stiffness_ratio**0.25)
+
+
+def on_glass(
+    shell: Shell, places: Points, what: str, extent: float = 0.0
+) -> NDArray[np.complex128]:
+    """Return (n,) places as x + i y in units of the outer radius, once known to be on the glass."""
+    a, b, nu = shell.inner_radius, shell.outer_radius, shell.poisson_ratio
+    if not 1e-4 * b <= a < b < np.inf:  # in a finer hole rounding eats more than eight digits
+        raise GeometryError(
+            f"the glass reaches from {a:.6g} m to {b:.6g} m",
+            remedy="give an inner radius below the outer one; to a full disc a thousandth of it",
+            got=(a, b),
+        )
+    if not (0 < shell.bending_stiffness < np.inf and -1 < nu < 0.5):
+        raise GeometryError(
+            f"bending stiffness {shell.bending_stiffness:.6g} N m and Poisson ratio {nu:.6g}",
+            remedy="give positive thickness and Young's modulus, and a ratio in (-1, 0.5)",
+        )
+    if not abs(shell.radius_of_curvature) > b:
+        raise GeometryError(
+            f"radius of curvature {shell.radius_of_curvature:.6g} m of a glass of {b:.6g} m",
+            remedy="the shell is taken as shallow: give several outer radii, or infinity",
+            got=shell.radius_of_curvature,
+        )
+    if not extent >= 0:
+        raise GeometryError(f"a puck radius of {extent:.6g} m", remedy="give 0 m for a point")
+    x, y = (np.asarray(coordinate, dtype=float) for coordinate in places)
+    radius = np.hypot(x, y)
+    slack = 1e-12 * b - extent  # a point computed to lie on an edge does
+    off = np.flatnonzero(~((radius >= a - slack) & (radius <= b + slack)))
+    if off.size:
+        i = off[0]
+        wide = f" and {extent:.6g} m round it" if extent else ""
+        raise GeometryError(
+            f"{what} {i} at x = {x[i]:.6g} m, y = {y[i]:.6g} m{wide} is off the glass",
+            remedy=f"bring it between the edges at {a:.6g} m and {b:.6g} m from the axis",
+        )
+    return np.asarray((x + 1j * y) / b)
+
+
+def harmonics(fading: float, digits: int, shell: Shell) -> int:
+    """Return how many harmonics it takes until ``fading`` ** m falls below 10 ** -digits."""
+    if fading >= 10.0 ** (-digits / MOST_HARMONICS):
+        nearest = shell.outer_radius * digits * np.log(10) / MOST_HARMONICS
+        raise GeometryError(
+            "a force acts on an edge of the glass, or so near that its series hardly converges",
+            remedy=f"keep forces {nearest:.2g} m away from the edges",
+        )
+    return max(3, int(np.ceil(-digits * np.log(10) / np.log(fading))))

@@ -1,0 +1,244 @@
+"""A modal base in words for people and in figures for scripts, alike on screen and on the page."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from truenewton.modal.comparison import ModesComparison
+from truenewton.modal.dissipation import Dissipation, Limits
+from truenewton.modal.findings import ModalFindings
+from truenewton.modal.measured_stiffness import MeasuredStiffness
+from truenewton.modal.modal_base import ModalBase
+from truenewton.rounding import percent, significant
+
+WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns
+NUMBERS = 8  # of modes, in the table
+FAINTEST = 1e-5  # of the largest power; below it, a piston that costs nothing takes up all the axis
+
+
+def chosen_modes(count: int) -> list[int]:
+    """Return which modes are drawn: the softest eight, and four more up to the stiffest."""
+    more = np.geomspace(8, count, 5)[1:] - 1
+    return sorted({*range(min(8, count)), *(round(k) for k in more if count > 8)})
+
+
+def stiffness_text(value: float) -> str:
+    """Return a stiffness [N/m] with two digits: '-22 N/m', '4.6 kN/m', '9.0 MN/m'."""
+    for size, unit in ((1e6, "MN/m"), (1e3, "kN/m")):
+        if abs(value) >= 0.995 * size:
+            return f"{significant(value / size)} {unit}"
+    return f"{significant(value)} N/m"
+
+
+def negative_text(base: ModalBase) -> str:
+    """Say how many elastic modes are of negative stiffness, and why; nothing where none is."""
+    count = int(np.count_nonzero(base.modes.stiffness[3:] < 0))
+    return f"{count} negative: bias magnets, or errors of the measurement" if count else ""
+
+
+def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
+    """Return what some numbers of modes leave and cost, a row for each.
+
+    The number; the rms wavefront left by so many modes of each of the three bases [nm]; and of the
+    stiffness modes the force, rms and of the worst actuator [mN], and the power: mean of all coils,
+    of the worst, and of all together [W].
+    """
+    cost, count = base.costs[0], base.modes.stiffness.size
+    powers, rows = cost.power, []
+    for number in np.unique(np.linspace(0, count, NUMBERS + 1).round().astype(int))[1:].tolist():
+        k = number - 1
+        left = (f"{1e9 * each.residual[k]:.4g}" for each in base.costs)
+        force, power = 1e3 * cost.force[:, k], powers[:, k]
+        rows.append(
+            (str(number), *left, f"{np.sqrt(np.mean(force**2)):.3g}", f"{force.max():.3g}",
+             f"{power.mean():.2g}", f"{power.max():.2g}", f"{power.sum():.3g}")
+        )  # fmt: skip
+    return rows
+
+
+def least_power(base: ModalBase) -> float:
+    """Return where a logarithmic axis of the power of a coil begins [W]."""
+    means = np.concatenate([cost.power.mean(axis=0) for cost in base.costs])
+    most = max(float(cost.power.max()) for cost in base.costs)
+    return max(0.8 * float(means.min()), FAINTEST * most)
+
+
+def measured_text(measured: MeasuredStiffness) -> str:
+    """Say of how many shapes and rows a stiffness is, and how well it is known."""
+    m = measured
+    return (
+        f"{m.shapes} shapes, {m.rows} rows"
+        + (f"; repeats to {percent(m.relative_error)}" if math.isfinite(m.relative_error) else "")
+        + (f", chi2/DOF {m.misfit:.3g}" if math.isfinite(m.misfit) else "")
+        + (f"; {len(m.rejected)} rows left out" if m.rejected else "")
+    )
+
+
+def rigid_text(measured: MeasuredStiffness) -> str:
+    """Say which rigid motions no shape holds; nothing where they hold all."""
+    if not measured.rigid_assumed:
+        return ""
+    return f"no shape holds {measured.rigid_assumed} of 3 rigid motions: taken to cost nothing"
+
+
+def apart(comparison: ModesComparison) -> str:
+    """Say how far the modes taken with alpha = 1 lie from the calibrated."""
+    c = comparison
+    if not c.orders.size:
+        return "not to be told from the calibrated: all are of nearly the same stiffness"
+    worst = int(c.largest_angle.argmax())
+    return (
+        f"{math.degrees(c.distance):.2g} deg rms from the calibrated; at worst"
+        f" {math.degrees(c.largest_angle[worst]):.2g} deg, between the spans of the first"
+        f" {c.orders[worst]}"
+    )
+
+
+def turbulence(base: ModalBase) -> str:
+    """Say which turbulence meets how large a mirror."""
+    a, pupil = base.seen.atmosphere, base.seen.pupil
+    return (
+        f"seeing {a.seeing:g} arcsec, r0 {100 * a.fried_parameter:.3g} cm, L0"
+        f" {a.outer_scale:g} m; pupil {pupil.diameter:.3g} m on a mirror of"
+        f" {2e3 * pupil.radius:.0f} mm"
+    )
+
+
+def between_actuators(base: ModalBase) -> str:
+    """Say what no number of modes takes away."""
+    return (
+        f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, whatever the"
+        " number of modes"
+    )
+
+
+def static_force(cost: Dissipation) -> str:
+    """Say between which limits the static forces lie."""
+    force = 1e3 * cost.static
+    if not force.any():
+        return "unknown, taken for 0: a stiffness file alone tells no weight"
+    return f"{force.min():.3g} .. {force.max():.3g} mN"
+
+
+def lines(found: ModalFindings, limits: Limits) -> list[str]:
+    """Return what was found, for people."""
+    before, after = found.before.stiffness, found.after.stiffness
+    base, c = found.after, found.calibration
+    count = base.modes.stiffness.size
+    told = [
+        f"{base.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
+    ]
+    if (m := found.measured) is not None:
+        told.append(f"  {'measured stiffness':<24}{measured_text(m)}")
+        if m.rigid_assumed:
+            told.append(f"  {'':<24}{rigid_text(m)}")
+    rigid = ", ".join(f"{value:.3g}" for value in after.rigid_stiffness)
+    elastic = base.modes.stiffness[3:]
+    told += [
+        f"  {'':<24}{'alpha = 1':<12}calibrated",
+        f"  {'asymmetry of it':<24}{percent(before.asymmetry):<12}{percent(after.asymmetry)}",
+        f"  {'imbalance of it':<24}{percent(before.imbalance):<12}{percent(after.imbalance)}",
+        f"  {'rigid motions':<24}{'':<12}{rigid} N/m",
+        f"  {'elastic modes':<24}{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
+        + (f"; {negative}" if (negative := negative_text(base)) else ""),
+        f"  {'modes by alpha = 1':<24}{apart(found.comparison)}",
+        f"  {'turbulence':<24}{turbulence(base)}",
+        f"  {'between actuators':<24}{between_actuators(base)}",
+        f"  {'static force':<24}{static_force(base.costs[0])}",
+    ]
+    told += _table(base) + _within(found, limits)
+    warnings = c.diagnosis.warnings if c.diagnosis else ()
+    return told + [
+        f"  WARNING: {fault}; {remedy}" for fault, remedy in (*warnings, *found.warnings)
+    ]
+
+
+def _table(base: ModalBase) -> list[str]:
+    """Return residual, force and power against the number of modes."""
+    names = "".join(f"{cost.base:<15}" for cost in base.costs)
+    lines = [
+        f"  {'':<8}{'residual wavefront at actuators [nm]':<45}"
+        "stiffness modes: force [mN], power [W]",
+        f"  {'modes':<8}{names}rms     worst   mean     worst    total",
+    ]
+    for row in cost_rows(base):
+        cells = (f"{cell:<{width}}" for cell, width in zip(row, WIDTHS, strict=True))
+        lines.append(f"  {''.join(cells)}")
+    return lines
+
+
+def _within(found: ModalFindings, limits: Limits) -> list[str]:
+    """Return how many modes the limits allow, and what alpha has to do with it."""
+    if not limits.any:
+        return ["  --power, --total-power or --force asks how many modes they allow"]
+    asked = [f"{limits.power:g} W in the worst coil"] if math.isfinite(limits.power) else []
+    asked += [f"{limits.total:g} W in all"] if math.isfinite(limits.total) else []
+    asked += [f"{limits.force:g} N on any actuator"] if math.isfinite(limits.force) else []
+    lines = [f"  within {' and '.join(asked)}, piston and tilts counted:"]
+    for cost, uncalibrated in zip(found.after.costs, found.before.costs, strict=True):
+        number = cost.modes_within(limits)
+        fewest, most = found.modes_between(cost, limits)
+        words = "none" if number == 0 else f"{number} of {cost.residual.size}"
+        if number:
+            words += f", {1e9 * cost.residual[number - 1]:.3g} nm left"
+        if fewest != most:
+            words += f"; {fewest} to {most} by the error of alpha"
+        words += f"; with alpha = 1 it would seem {uncalibrated.modes_within(limits)}"
+        lines.append(f"    {cost.base:<22}{words}")
+    return lines
+
+
+def values(found: ModalFindings, limits: Limits) -> dict[str, Any]:
+    """Return the same figures for a script."""
+    base, m, c = found.after, found.measured, found.comparison
+    told: dict[str, Any] = {
+        "instrument": base.instrument,
+        "date": base.date.isoformat(),
+        "method": found.calibration.method,
+        "scale": found.calibration.scale,
+        "seeing": base.seen.atmosphere.seeing,
+        "fried_parameter": base.seen.atmosphere.fried_parameter,
+        "outer_scale": base.seen.atmosphere.outer_scale,
+        "diameter": base.seen.pupil.diameter,
+        "radius": base.seen.pupil.radius,
+        "efficiency": base.costs[0].efficiency,
+        "fitting_error": base.seen.fitting_error,
+        "static_force": base.costs[0].static,
+        "stiffness": base.modes.stiffness,
+        "asymmetry": [x.stiffness.asymmetry for x in (found.before, base)],
+        "imbalance": [x.stiffness.imbalance for x in (found.before, base)],
+        "rigid_stiffness": base.stiffness.rigid_stiffness,
+        "uncalibrated_modes": {
+            "distance": c.distance,
+            "overlap": c.overlap,
+            "orders": c.orders,
+            "largest_angle": c.largest_angle,
+        },
+        "limits": {"power": limits.power, "total": limits.total, "force": limits.force},
+        "warnings": [list(warning) for warning in found.warnings],
+        "bases": [
+            {
+                "base": cost.base,
+                "residual": cost.residual,
+                "force_rms": np.sqrt(np.mean(cost.force**2, axis=0)),
+                "force_worst": cost.force.max(axis=0),
+                "reach": cost.reach.max(axis=0),
+                "power_mean": cost.power.mean(axis=0),
+                "power_worst": cost.power.max(axis=0),
+                "modes_within": cost.modes_within(limits),
+                "modes_between": found.modes_between(cost, limits),
+                "modes_within_uncalibrated": uncalibrated.modes_within(limits),
+            }
+            for cost, uncalibrated in zip(base.costs, found.before.costs, strict=True)
+        ],
+    }
+    if m is not None:
+        told["measured"] = {
+            "shapes": m.shapes, "rows": m.rows, "residual": m.residual, "misfit": m.misfit,
+            "relative_error": m.relative_error, "rigid_assumed": m.rigid_assumed,
+            "rejected": len(m.rejected),
+        }  # fmt: skip
+    return told

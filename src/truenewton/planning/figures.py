@@ -1,0 +1,80 @@
+"""The figure of a plan: error of alpha against cycles and against the added weight."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from truenewton.arrays import Array
+from truenewton.figures.style import ACCENT, COLUMN, FAINT, INK, STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from truenewton.planning.outlook import Curve, Outlook
+
+
+def plot_outlook(outlook: Outlook, target: float | None = None) -> Axes:
+    """Draw the typical error of alpha and its two parts, the plan itself as a dot.
+
+    Parameters
+    ----------
+    outlook
+        From `planning.outlook`.
+    target
+        A wanted error, drawn as a line.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The first of two panels of one figure; without added weights, the only one.
+    """
+    plan, by_weight = outlook.ready.plan, outlook.against_weight
+    heaviest = max(abs(load.added) for load in plan.loads)
+    with mpl.rc_context(STYLE):
+        count = 2 if by_weight.values.size else 1
+        figure = Figure(figsize=(COLUMN, 0.62 * COLUMN), layout="constrained")
+        FigureCanvasAgg(figure)
+        panels: list[Axes] = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
+        first, *second = panels
+        _panel(first, outlook.against_cycles.values, outlook.against_cycles, plan.cycles, target)
+        first.set_xlabel("cycles")
+        first.set_ylabel(r"typical error of $\alpha$, 1σ (%)")
+        for ax in second:
+            _panel(ax, heaviest * by_weight.values, by_weight, heaviest, target)
+            ax.set_xlabel("added weight (N)")
+        figure.legend(
+            *first.get_legend_handles_labels(), frameon=False, fontsize=6.5, ncols=3,
+            loc="outside upper center", handlelength=1.8, columnspacing=1.2,
+        )  # fmt: skip
+    return first
+
+
+def _panel(ax: Axes, x: Array, curve: Curve, planned: float, target: float | None) -> None:
+    """Draw the curves against x, where the plan stands at one of the points."""
+    for values, line, colour, width, name in (
+        (curve.error, "-", ACCENT, 1.8, "E_ALPHA"),
+        (curve.reading_error, "--", INK, 0.8, "from the readings"),
+        (curve.weight_error, ":", FAINT, 1.2, "from the weights"),
+    ):
+        if np.isfinite(values).all():
+            ax.plot(x, 100 * values, line, color=colour, linewidth=width, label=name)
+    at = int(np.argmin(np.abs(x - planned)))
+    if np.isfinite(curve.error[at]):
+        ax.plot(x[at], 100 * curve.error[at], "o", color=ACCENT, markersize=4.5)
+    if target is not None:
+        ax.axhline(100 * target, color=INK, linewidth=0.4, zorder=0)
+        ax.annotate(
+            "wanted", (1.0, 100 * target), xycoords=("axes fraction", "data"), xytext=(-2, -2),
+            textcoords="offset points", ha="right", va="top", fontsize=6.0,
+        )  # fmt: skip
+    ax.set_xscale("log", base=2)
+    ax.set_yscale("log")
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,204 @@
+"""What a plan asks of the mirror: the forces of its shapes and loads, stroke and gap."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truenewton.acquisition.plan import CampaignPlan, planned_mirror
+from truenewton.acquisition.shapes import (
+    expected_alpha,
+    shapes_and_forces,
+    shapes_are_given,
+    with_enabled_only,
+)
+from truenewton.arrays import Array
+from truenewton.bench.simulated.static import START, tool_wedges
+from truenewton.errors import LimitExceeded
+from truenewton.mirrors.known import GRAVITY, Mirror
+from truenewton.mirrors.shell.held_glass import forces_under, held_glass
+from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
+from truenewton.statics.arms import arms
+from truenewton.statics.load import Load
+
+
+@dataclass(frozen=True, eq=False)
+class Holding:
+    """True forces that hold the flat mirror at rest, in parts, over the enabled actuators [N].
+
+    Attributes
+    ----------
+    own
+        (n,) against the weight of glass and magnets, the axis vertical.
+    tool
+        (n,) for each Newton of added weight, along +z as all forces.
+    bias
+        (n,) against the bias magnets, whatever the tilt.
+    """
+
+    own: Array
+    tool: Array
+    bias: Array
+
+    def under(self, loads: Sequence[Load]) -> Array:
+        """Return the (L, n) forces under loads."""
+        added = np.array([load.added for load in loads])
+        cosine = np.cos(np.radians([load.tilt for load in loads]))
+        return np.asarray(cosine[:, None] * (self.own + added[:, None] * self.tool) + self.bias)
+
+
+def holding(mirror: Mirror) -> Holding:
+    """Return what holds a mirror, by the model.
+
+    The glass spread evenly, magnets and bias magnets at their actuators, an added weight on three
+    wedges at the inner edge, 120 degrees apart: the simulated bench without its scatter.
+    """
+    glass = held_glass(with_enabled_only(mirror))
+    nz = glass.mirror.layout.nz
+    magnets = np.full(nz.size, -mirror.magnet_mass * GRAVITY)
+    wedges = tool_wedges(mirror)
+    return Holding(
+        own=forces_under(glass, mirror.weight - magnets.sum(), wedges, np.zeros(3)) - magnets / nz,
+        tool=forces_under(glass, 0.0, wedges, np.full(3, 1 / 3)),
+        bias=np.full(nz.size, -mirror.bias_force),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A plan with what the model makes of it.
+
+    Attributes
+    ----------
+    plan, mirror
+        What is planned, and for which mirror.
+    shapes, force
+        (shapes, n) displacements [m] and the commanded forces that they take, loads aside [N].
+    holding
+        What holds the mirror.
+    given
+        Whether a file gives the shapes as they stand.
+    """
+
+    plan: CampaignPlan
+    mirror: Mirror
+    shapes: Array
+    force: Array
+    holding: Holding
+    given: bool
+
+    def changed(self, plan: CampaignPlan) -> Prepared:
+        """Return the same for a plan that differs in cycles, loads, or stroke and force alike."""
+        larger = plan.shapes.stroke / self.plan.shapes.stroke
+        if larger == 1.0 or self.given:
+            return replace(self, plan=plan)
+        return replace(self, plan=plan, shapes=larger * self.shapes, force=larger * self.force)
+
+
+def prepared(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Prepared:
+    """Let the model say what forces a plan takes; files that it names stand relative to a folder.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    mirror = planned_mirror(plan, folder)
+    shapes, force = shapes_and_forces(plan, mirror, folder)
+    return Prepared(plan, mirror, shapes, force, holding(mirror), shapes_are_given(plan, folder))
+
+
+@dataclass(frozen=True, eq=False)
+class Strain:
+    """What the mirror has to bear.
+
+    Attributes
+    ----------
+    force, actuator, load
+        Largest commanded force [N], the ID of its actuator, the name of the load.
+    force_at_worst
+        The same if this actuator's alpha were the lowest of its range [N].
+    stroke, gap
+        Largest displacement of an actuator, smallest distance from the reference plate [m].
+    """
+
+    force: float
+    actuator: int
+    load: str
+    force_at_worst: float
+    stroke: float
+    gap: float
+
+
+def strain(ready: Prepared) -> Strain:
+    """Return what a plan asks of the mirror.
+
+    Raises
+    ------
+    LimitExceeded
+        More than the plan itself allows.
+    """
+    plan, mirror, limits = ready.plan, ready.mirror, ready.plan.limits
+    on, alpha = mirror.layout.enabled, expected_alpha(mirror)
+    static = ready.holding.under(plan.loads) / alpha
+    largest = np.abs(static) + np.abs(ready.force[:, on]).max(axis=0)  # both signs are taken
+    load, place = np.unravel_index(largest.argmax(), largest.shape)
+    force, stroke = float(largest.max()), float(np.abs(ready.shapes).max())
+    found = Strain(
+        force=force,
+        actuator=int(mirror.layout.id[on][place]),
+        load=plan.loads[load].name,
+        force_at_worst=force * alpha / min(mirror.alpha_range),
+        stroke=stroke,
+        gap=mirror.gap - stroke,
+    )
+    for what, got, want, beyond, remedy in (
+        (f"actuator {found.actuator} takes {force:.3g} N under load '{found.load}'", force,
+         limits.force, force > limits.force, "plan a smaller shapes.force, or a lighter load"),
+        (f"the stroke is {stroke:.3g} m", stroke, limits.displacement,
+         stroke > limits.displacement, "plan smaller shapes"),
+        (f"the gap closes to {found.gap:.3g} m", found.gap, limits.gap, found.gap < limits.gap,
+         "plan a smaller shapes.stroke"),
+    ):  # fmt: skip
+        if beyond:
+            raise LimitExceeded(
+                f"{what}, beyond its limit of {want:g}", remedy=remedy, got=got, want=want
+            )
+    return found
+
+
+def noiseless(ready: Prepared) -> Campaign:
+    """Return one cycle for each load, without noise, FORCERR that of the plan."""
+    plan, mirror, count = ready.plan, ready.mirror, len(ready.shapes)
+    layout, sign = mirror.layout, np.repeat([1, -1], count)
+    static = np.zeros((len(plan.loads), layout.n))
+    static[:, layout.enabled] = ready.holding.under(plan.loads) / expected_alpha(mirror)
+    elastic = _balanced(ready.force, arms(layout) * layout.enabled)
+    return Campaign(
+        tuple(
+            Cycle(
+                instrument=mirror.name,
+                date=START,
+                number=1,
+                load=load,
+                weight=mirror.weight,
+                weight_error=mirror.weight_error,
+                layout=layout,
+                time=np.arange(2.0 * count),
+                shape=np.tile(np.arange(1, count + 1), 2),
+                sign=sign,
+                force=np.concatenate([elastic, -elastic]) + held,
+                valid=np.ones(2 * count, dtype=bool),
+                force_error=plan.force_noise,
+            )
+            for load, held in zip(plan.loads, static, strict=True)
+        )
+    )
+
+
+def _balanced(force: Array, a: Array) -> Array:
+    """Take out the little by which measured forces, or given shapes, miss A f = 0."""
+    return np.asarray(force - (force @ a.T) @ np.linalg.pinv(a).T)

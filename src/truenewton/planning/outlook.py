@@ -1,0 +1,174 @@
+"""What a plan comes to: the errors that it will give, how long it takes, what would change them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from truenewton.acquisition.plan import CampaignPlan, read_plan
+from truenewton.acquisition.shapes import expected_alpha
+from truenewton.arrays import Array
+from truenewton.errors import LimitExceeded, TrueNewtonError, located
+from truenewton.estimation.moments import campaign_moments
+from truenewton.estimation.prediction import Prediction, predict, typical
+from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain
+
+LOOP_RATE = 71.6e3  # samples a second [conf]
+
+
+def predicted(ready: Prepared) -> Prediction:
+    """Return the errors that a plan will give.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    return _predicted_for(ready, [ready.plan.cycles])[0]
+
+
+def _predicted_for(ready: Prepared, cycles: Sequence[int]) -> list[Prediction]:
+    """Predict for several numbers of cycles."""
+    campaign = noiseless(ready)
+    moments = campaign_moments(campaign)
+    alpha = np.full(moments.mean.shape[1], expected_alpha(ready.mirror))
+    return [predict(campaign, moments, r, alpha) for r in cycles]
+
+
+def duration(plan: CampaignPlan, shapes: int) -> float:
+    """Return how long a plan takes [s]: so many shapes, both signs, and the changes of load."""
+    readings = len(plan.loads) * plan.cycles * 2 * shapes
+    return readings * reading_time(plan) + (len(plan.loads) - 1) * plan.pause
+
+
+def reading_time(plan: CampaignPlan) -> float:
+    """Return the time of one reading, settling included [s]."""
+    return plan.settling + plan.samples / LOOP_RATE
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Errors against one thing that could be changed.
+
+    Attributes
+    ----------
+    values
+        (m,) cycles, or factors of the added weights.
+    error, reading_error, weight_error
+        (m,) typical E_ALPHA, E_STAT and E_SYST, relative to alpha.
+    """
+
+    values: Array
+    error: Array
+    reading_error: Array
+    weight_error: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Outlook:
+    """All that is predicted of a plan.
+
+    Attributes
+    ----------
+    ready, prediction, strain
+        The plan with its forces, the errors, and what the mirror has to bear.
+    duration
+        [s]
+    against_cycles, against_weight
+        Errors against cycles, and against factors of the added weights (empty without any).
+    warnings
+        Each with its remedy.
+    """
+
+    ready: Prepared
+    prediction: Prediction
+    strain: Strain
+    duration: float
+    against_cycles: Curve
+    against_weight: Curve
+    warnings: tuple[tuple[str, str], ...]
+
+
+def read_outlook(path: str | os.PathLike[str]) -> Outlook:
+    """Predict what the plan in a file will give.
+
+    Raises
+    ------
+    TrueNewtonError
+        The plan or a file that it names is at fault, or asks more than its limits allow.
+    """
+    plan = read_plan(path)
+    try:
+        return outlook(prepared(plan, Path(path).parent))
+    except TrueNewtonError as error:
+        raise located(error, path) from None
+
+
+def outlook(ready: Prepared) -> Outlook:
+    """Predict what a plan will give.
+
+    Raises
+    ------
+    LimitExceeded, RankDeficient, FormatError
+    """
+    borne, prediction = strain(ready), predicted(ready)
+    warnings = prediction.warnings
+    limit = ready.plan.limits.force
+    if borne.force_at_worst > limit:
+        warnings += (
+            (
+                f"an actuator whose alpha is {min(ready.mirror.alpha_range):g} would take"
+                f" {borne.force_at_worst:.3g} N, beyond its limit of {limit:g}",
+                "plan a smaller shapes.force",
+            ),
+        )
+    return Outlook(
+        ready,
+        prediction,
+        borne,
+        duration(ready.plan, len(ready.shapes)),
+        _curve(*_by_cycles(ready)),
+        _curve(*_by_weight(ready)),
+        warnings,
+    )
+
+
+def _by_cycles(ready: Prepared) -> tuple[list[float], list[Prediction]]:
+    """Predict for cycles in powers of two, and those of the plan."""
+    planned = ready.plan.cycles
+    most = max(64, 4 * planned)
+    cycles = sorted({2**k for k in range(10) if 2**k <= most} | {planned})
+    return list(map(float, cycles)), _predicted_for(ready, cycles)
+
+
+def _by_weight(ready: Prepared) -> tuple[list[float], list[Prediction]]:
+    """Predict for added weights in powers of two of those planned, as far as the limits allow."""
+    factors, predictions = [], []
+    if any(load.added for load in ready.plan.loads):
+        for factor in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0):
+            heavier = ready.changed(with_added(ready.plan, factor))
+            try:
+                strain(heavier)
+            except LimitExceeded:
+                break
+            factors.append(factor)
+            predictions.append(predicted(heavier))
+    return factors, predictions
+
+
+def with_added(plan: CampaignPlan, factor: float) -> CampaignPlan:
+    """Return the plan with added weights so many times as heavy, their errors as they are."""
+    heavier = tuple(replace(one, added=float(f"{factor * one.added:.6g}")) for one in plan.loads)
+    return replace(plan, loads=heavier)
+
+
+def _curve(values: list[float], predictions: list[Prediction]) -> Curve:
+    return Curve(
+        np.array(values),
+        np.array([one.typical for one in predictions]),
+        np.array([typical(one.reading_error, one.alpha) for one in predictions]),
+        np.array([typical(one.weight_error, one.alpha) for one in predictions]),
+    )

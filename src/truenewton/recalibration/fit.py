@@ -1,0 +1,265 @@
+"""After an actuator, a magnet or a coil was replaced: a short run beside the earlier calibration.
+
+The earlier calibration is the prior of all actuators but those replaced; B and the torques are free
+anew, since the bias magnet sits in the actuator. The others carry the scale, so that one load
+suffices. The error of the earlier scale stays common to all (see `known.shared_errors`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.calibration.methods import calibration_of
+from truenewton.calibration.result import Calibration
+from truenewton.errors import FormatError, RankDeficient, UnknownName
+from truenewton.estimation.cycles_ml import found_of
+from truenewton.estimation.diagnosis import Goodness, RejectedRow, ScaleError
+from truenewton.estimation.identifiability import geometry_faults
+from truenewton.estimation.minimum import Estimate
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.outliers import against_repeats
+from truenewton.estimation.problem import Problem
+from truenewton.estimation.weights import READINGS
+from truenewton.reading import read
+from truenewton.recalibration.known import (
+    EARLIER,
+    Known,
+    known_from,
+    run_temperature,
+    shared_errors,
+)
+from truenewton.recalibration.short_run import (
+    Run,
+    degrees_of,
+    inverse_of,
+    pulls,
+    sifted,
+    with_noise,
+)
+from truenewton.records.campaign import Campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import enabled_arms
+from truenewton.tracking.days import SAME_TEMPERATURE
+from truenewton.tracking.law import Departure, Tracking
+
+FALSE_ALARM = 0.01  # for the whole mirror
+ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
+MOST = 0.25  # of the actuators that may have moved
+
+
+@dataclass(frozen=True, eq=False)
+class Recalibration:
+    """What a short run after a replacement gives.
+
+    Attributes
+    ----------
+    calibration
+        Of all actuators; an ordinary calibration. TEMPERAT is where the earlier one holds, since
+        the others carry its scale.
+    asked
+        IDs that were named as replaced, or had no earlier calibration.
+    moved
+        Others that no longer agree with their earlier calibration, the surest first; given anew
+        as well.
+    earlier
+        (n,) alpha as it was.
+    chi2, degrees_of_freedom, probability
+        Of all that stayed against their earlier calibration; chance of a larger chi2.
+    limits
+        What cannot be said, in words.
+    """
+
+    calibration: Calibration
+    asked: tuple[int, ...]
+    moved: tuple[Departure, ...]
+    earlier: Array
+    chi2: float
+    degrees_of_freedom: int
+    probability: float
+    limits: tuple[str, ...]
+
+
+def recalibrate(
+    campaign: Campaign | str | os.PathLike[str],
+    known: Calibration | Tracking | str | os.PathLike[str],
+    actuators: Sequence[int] = (),
+) -> Recalibration:
+    """Calibrate replaced actuators by a short run, all others being known.
+
+    Parameters
+    ----------
+    campaign
+        The run after the replacement, or its path: one cycle under one load can do.
+    known
+        The earlier calibration, or the law that tracking found, or a path to either.
+    actuators
+        IDs of the actuators replaced; if none are named, who changed is found out.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch
+        Files that cannot be used, or not together.
+    UnknownName
+        There is no such actuator.
+    RankDeficient
+        Too little data, or too many have moved.
+    TooManyOutliers, NotConverged
+    """
+    if not isinstance(campaign, Campaign):
+        campaign = _campaign(campaign)
+    if campaign.stiffness is not None:
+        raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
+    before = known_from(known, campaign)
+    layout = campaign.layout
+    on = layout.enabled
+    new = _new(campaign, before, actuators)
+    moments, sound, rejected = against_repeats(campaign)
+    _refuse_too_little(sound, moments, int(new.sum()))
+    errors, scale = shared_errors(before, campaign)
+    alpha = np.where(np.isfinite(before.alpha), before.alpha, np.nanmean(before.alpha))[on]
+    run = Run(before, sound, errors, alpha, before.covariance[np.ix_(on, on)])
+    problem, moments, estimate, lost = sifted(run, moments, new)
+    moved: list[Departure] = []
+    stay = ~new
+    while True:
+        problem = replace(problem, prior=run.problem(problem.noise, run.tight(stay)).prior)
+        estimate = problem.fitted(moments, estimate.values)
+        z, chi2, degrees = pulls(problem, estimate, stay)
+        worst = int(np.abs(z).argmax())
+        chance = float(2 * scipy.stats.norm.sf(abs(z[worst])))
+        mirror = float(-np.expm1(stay.sum() * np.log1p(-min(chance, 1 - 1e-16))))
+        if mirror >= FALSE_ALARM:
+            break
+        moved.append(Departure(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
+        stay[worst] = False
+        if len(moved) > MOST * len(stay):
+            raise RankDeficient(
+                f"more than {len(moved) - 1} actuators no longer agree with {before.name}",
+                remedy="calibrate anew",
+                got=len(moved),
+                want=MOST * len(stay),
+            )
+    problem, _, estimate = with_noise(problem, moments, estimate)
+    calibration = _calibration(run, problem, moments, estimate, (*rejected, *lost), scale, stay)
+    probability = float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan")
+    return Recalibration(
+        calibration=calibration,
+        asked=tuple(layout.id[on][new].tolist()),
+        moved=tuple(sorted(moved, key=lambda one: one.probability)),
+        earlier=before.alpha,
+        chi2=chi2,
+        degrees_of_freedom=degrees,
+        probability=probability,
+        limits=_limits(run, probability),
+    )
+
+
+def _campaign(path: str | os.PathLike[str]) -> Campaign:
+    data = read(path)
+    if isinstance(data, Calibration | StiffnessMatrix):
+        raise FormatError("holds no cycles", remedy="give the run after the change", path=path)
+    return data
+
+
+def _new(campaign: Campaign, known: Known, actuators: Sequence[int]) -> NDArray[np.bool_]:
+    """Return (n,) who of the enabled is named, or has no earlier calibration."""
+    ids, on = campaign.layout.id, campaign.layout.enabled
+    for name in actuators:
+        if name not in ids[on]:
+            raise UnknownName(
+                f"there is no actuator {name} that is enabled",
+                remedy=f"IDs run from {ids.min()} to {ids.max()}",
+                got=name,
+            )
+    new = np.asarray(np.isin(ids[on], list(actuators)) | ~np.isfinite(known.alpha[on]))
+    if 2 * new.sum() > new.size:
+        raise RankDeficient(
+            f"{new.sum()} of {new.size} actuators are new, too many for the others to carry them",
+            remedy="calibrate anew",
+        )
+    return new
+
+
+def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
+    faults = geometry_faults(enabled_arms(campaign.layout))
+    if faults:
+        raise RankDeficient(faults[0][0], remedy=faults[0][1])
+    wanted = new + 1 + 2 * len(campaign.loads)
+    if 3 * len(moments.rows) <= wanted:
+        raise RankDeficient(
+            f"there are too few shapes: {len(moments.rows)} for {new} new actuators, bias and"
+            " torques",
+            remedy="apply more shapes, both signs",
+            got=3 * len(moments.rows),
+            want=wanted + 1,
+        )
+
+
+def _calibration(
+    run: Run,
+    problem: Problem,
+    moments: Moments,
+    estimate: Estimate,
+    rejected: tuple[RejectedRow, ...],
+    scale: float,
+    stay: NDArray[np.bool_],
+) -> Calibration:
+    """Return an ordinary calibration, the error of the earlier scale common to all."""
+    known, campaign = run.known, run.campaign
+    n, count = problem.n, problem.unknowns
+    inverse = inverse_of(problem, estimate)
+    values = estimate.values[:count]
+    changes = estimate.changes.copy()
+    changes[:, 0] += scale * values
+    # Uneven errors of the earlier weights come through the prior.
+    uneven = (known.alpha[:, None] * known.uneven)[campaign.layout.enabled][stay]
+    information = problem.prior.information[np.ix_(stay, stay)]
+    through = inverse[:count, :n][:, stay] @ information @ uneven
+    statistical = estimate.statistical - through @ through.T
+    found = found_of("ml, recalibrated", problem, moments, estimate, rejected, 0)
+    degrees = degrees_of(problem, moments, inverse)
+    tested = problem.noise.source != "minimum"
+    probability = float(scipy.stats.chi2.sf(estimate.chi2, degrees)) if tested else float("nan")
+    size = estimate.chi2 / degrees
+    direction = values[:n] / (values[:n] @ values[:n])
+    readings = float(np.sqrt(direction @ statistical[:n, :n] @ direction))
+    budget = (ScaleError(READINGS, readings), ScaleError(EARLIER, known.scale))
+    found = replace(
+        found,
+        scale="given" if run.held else "weights",
+        statistical=statistical,
+        systematic=changes @ changes.T + through @ through.T,
+        noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
+        goodness=Goodness(estimate.chi2, round(degrees), problem.noise.source, probability),
+        scale_errors=tuple(sorted(budget, key=lambda line: -line.relative)),
+    )
+    made = calibration_of(campaign, found)
+    temperature = known.temperature if np.isfinite(known.temperature) else made.temperature
+    return replace(made, temperature=temperature, sources=(*made.sources, *known.sources))
+
+
+def _limits(run: Run, probability: float) -> tuple[str, ...]:
+    limits: tuple[str, ...] = ()
+    if probability < ALL_TOGETHER:
+        limits += (
+            "all others together disagree with their earlier calibration, though none stands out:"
+            " calibrate anew",
+        )
+    then, now = run.known.temperature, run_temperature(run.campaign)
+    if not (np.isfinite(then) and np.isfinite(now)):
+        limits += ("the temperatures are not all known: others may seem to have moved",)
+    elif abs(now - then) > SAME_TEMPERATURE:
+        limits += (
+            f"the earlier calibration holds at {then:.1f} deg C, the run was at {now:.1f}: others"
+            f" may seem to have moved; alpha is given at {then:.1f} deg C (a tracking file as"
+            " --known takes temperature into account)",
+        )
+    return limits

@@ -1,0 +1,159 @@
+"""A short run beside an earlier calibration: its likelihood, its bad rows, who has moved.
+
+Who has moved besides: with I the information of the prior and H^-1 M H^-1 the covariance of the
+estimate (docs/likelihood.md), errors of the weights included, the pull of the prior and its
+covariance are
+
+    q = I (alpha - alpha_earlier),        I - 2 I H^-1 I + I H^-1 M H^-1 I,
+
+and q_i over its standard deviation is standard normal unless actuator i has moved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.cycles_ml import fitted_groups
+from truenewton.estimation.diagnosis import RejectedRow
+from truenewton.estimation.minimum import Estimate, Prior
+from truenewton.estimation.moments import Moments, chosen_groups
+from truenewton.estimation.noise import Noise, least_variance, reading_noise
+from truenewton.estimation.outliers import refuse_too_many, rows_of
+from truenewton.estimation.problem import Problem, with_share_in_balance
+from truenewton.estimation.weights import WeightError
+from truenewton.linalg import mirrored
+from truenewton.recalibration.known import Known
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import enabled_arms
+
+LOOSE = 0.2  # relative, of a prior that lets everyone move: bad rows are judged by it
+SCALE_HELD = 1e-4  # of the common scale in it
+SMALL = 1e-6  # part of the prior's variance below which the run says nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run and what is known beside it; (n,) arrays over its enabled actuators."""
+
+    known: Known
+    campaign: Campaign
+    errors: tuple[WeightError, ...]
+    alpha: Array
+    covariance: Array
+
+    @property
+    def held(self) -> bool:
+        """Whether B takes up every error of a weight: all loads weigh the same."""
+        weights = self.campaign.effective_weights
+        return bool(np.ptp(weights) <= 1e-6 * np.abs(weights).max())
+
+    def problem(self, noise: Noise, information: Array) -> Problem:
+        """Pose the problem with (n, n) information on alpha."""
+        n, errors = len(self.alpha), len(self.errors)
+        count = n + 1 + 2 * len(self.campaign.loads) + errors
+        mean = np.zeros(count)
+        mean[:n] = self.alpha
+        prior = Prior(mean, information, errors, self.held)
+        arms = enabled_arms(self.campaign.layout)
+        return Problem(self.campaign, arms, self.errors, noise, prior, ())
+
+    def tight(self, stay: NDArray[np.bool_]) -> Array:
+        """Return the information of the earlier calibration on those who stay."""
+        information = np.zeros_like(self.covariance)
+        at = np.ix_(stay, stay)
+        information[at] = scipy.linalg.inv(self.covariance[at])
+        return information
+
+    def loose(self, new: NDArray[np.bool_]) -> Array:
+        """Return information that holds little but the common scale."""
+        size = np.where(new, 1e3, LOOSE) * self.alpha
+        stay = ~new / self.alpha / np.count_nonzero(~new)
+        return np.asarray(np.diag(size**-2) + np.outer(stay, stay) / SCALE_HELD**2)
+
+
+def sifted(
+    run: Run, moments: Moments, new: NDArray[np.bool_]
+) -> tuple[Problem, Moments, Estimate, list[RejectedRow]]:
+    """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
+
+    Held to its earlier calibration, one that was replaced would make good shapes look bad.
+    """
+    noise = reading_noise(run.campaign, moments)
+    try:
+        posed = run.problem(noise, run.loose(new))
+        kept, distance, (problem, estimate) = fitted_groups(posed, moments)
+    except (RankDeficient, NotConverged):  # too little data to let everyone move
+        posed = run.problem(noise, run.tight(~new))
+        kept, distance, (problem, estimate) = fitted_groups(posed, moments)
+    alpha = estimate.values[: problem.n]
+    shared = with_share_in_balance(posed, run.campaign, moments, alpha)
+    if shared.noise.share != 1.0:
+        kept, distance, (problem, estimate) = fitted_groups(shared, moments)
+    lost: list[RejectedRow] = []
+    if not kept.all():
+        actuator = problem.standing_out(estimate.values, moments)
+        lost = rows_of(run.campaign, moments, ~kept, distance, actuator)
+        refuse_too_many(len(lost), int(moments.rows.sum()))
+        moments = chosen_groups(moments, kept)
+    return *with_noise(problem, moments, estimate), lost
+
+
+def inverse_of(problem: Problem, estimate: Estimate) -> Array:
+    """Return H^-1 of the unknowns that are not held."""
+    prior = problem.prior
+    free = len(estimate.values) - (prior.measured if prior.held else 0)
+    return np.asarray(scipy.linalg.inv(mirrored(estimate.information[:free, :free])))
+
+
+def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
+    """Return equations less what the data themselves say of the unknowns."""
+    free = len(inverse)
+    from_prior = float(np.sum(inverse * problem.prior.added_to(np.zeros((free, free)))))
+    return 3 * moments.groups - free + from_prior
+
+
+def with_noise(
+    problem: Problem, moments: Moments, estimate: Estimate
+) -> tuple[Problem, Moments, Estimate]:
+    """Give the noise its size from the minimum where nothing else does."""
+    for _ in range(20):
+        if problem.noise.source != "minimum":
+            break
+        size = estimate.chi2 / max(degrees_of(problem, moments, inverse_of(problem, estimate)), 1.0)
+        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
+        if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
+            break
+        problem = replace(problem, noise=Noise(variance, "minimum"))
+        estimate = problem.fitted(moments, estimate.values)
+    return problem, moments, estimate
+
+
+def pulls(
+    problem: Problem, estimate: Estimate, stay: NDArray[np.bool_]
+) -> tuple[Array, float, int]:
+    """Return (n,) how far each who stays is pulled, in sigmas; chi2 of all together; degrees."""
+    n = problem.n
+    at = np.ix_(stay, stay)
+    prior = problem.prior
+    information = prior.information[at]
+    apart = (estimate.values - prior.mean)[:n][stay]
+    root = scipy.linalg.cholesky(information, lower=True)
+    # In units of the prior: variances 0 (the run says nothing) to 1 (it says all).
+    inverse = root.T @ inverse_of(problem, estimate)[:n, :n][at] @ root
+    by_weights = estimate.changes[:n][stay]
+    spread = root.T @ (estimate.statistical[:n, :n][at] + by_weights @ by_weights.T) @ root
+    variance = np.eye(len(apart)) - 2 * inverse + spread
+    pull = root.T @ apart
+    values, vectors = scipy.linalg.eigh(variance)
+    held = values > SMALL
+    chi2 = float(np.sum((vectors[:, held].T @ pull) ** 2 / values[held]))
+    z = np.zeros(n)
+    of_each = np.einsum("ia,ab,ib->i", root, variance, root)
+    z[stay] = root @ pull / np.sqrt(np.maximum(of_each, SMALL * np.sum(root**2, axis=1)))
+    return z, chi2, int(np.count_nonzero(held))

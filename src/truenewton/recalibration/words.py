@@ -1,0 +1,55 @@
+"""What a recalibration found, in words for people and in figures for scripts."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from truenewton.calibration.words import summary_values
+from truenewton.rounding import by_chance, with_error
+
+if TYPE_CHECKING:
+    from truenewton.recalibration.fit import Recalibration
+
+
+def lines(made: Recalibration) -> list[str]:
+    """Return what was found, for people."""
+    c = made.calibration
+    anew = [(name, "replaced") for name in made.asked]
+    anew += [
+        (one.actuator, f"MOVED: {abs(one.sigmas):.1f} sigma, {by_chance(one.probability)}")
+        for one in made.moved
+    ]
+    lines = [f"  {'given anew':<14}{'before':<12}{'now':<22}change"] if anew else []
+    for name, words in anew:
+        at = int((c.layout.id == name).argmax())
+        before, now = float(made.earlier[at]), float(c.alpha[at])
+        lines.append(
+            f"  {name:<14}{before:<12.4g}{with_error(now, float(c.error[at])):<22}"
+            f"{100 * (now / before - 1):+.2f} %, {words}"
+        )
+    if not anew:
+        lines.append("  nobody changed")
+    lines.append(
+        f"  the others against their earlier calibration: chi2/DOF ="
+        f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"
+        f" probability {made.probability:.2g}; "
+        + ("the rest agree" if made.moved else "none has moved (false alarm on 1 % of mirrors)")
+    )
+    return lines + [f"  WARNING: {limit}" for limit in made.limits]
+
+
+def values(made: Recalibration) -> dict[str, Any]:
+    """Return the same figures for a script."""
+    return {
+        **summary_values(made.calibration),
+        "asked": list(made.asked),
+        "moved": [asdict(one) for one in made.moved],
+        "earlier": made.earlier,
+        "others": {
+            "chi2": made.chi2,
+            "degrees_of_freedom": made.degrees_of_freedom,
+            "probability": made.probability,
+        },
+        "limits": list(made.limits),
+    }

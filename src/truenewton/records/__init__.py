@@ -1,0 +1,8 @@
+"""What was measured: frozen records that check themselves, and their files (docs/files.md).
+
+cycle             one run through all shapes under one load
+campaign          cycles of one mirror that belong together
+stiffness_matrix  a measured stiffness: commanded force per displacement
+source            the file that data came from, and the file that went into a result
+file              cycle and stiffness files, both ways
+"""

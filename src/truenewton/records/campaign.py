@@ -1,0 +1,146 @@
+"""Cycles of one mirror that belong together, and the refusal of those that do not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from truenewton.arrays import Array
+from truenewton.errors import CampaignMismatch
+from truenewton.records.cycle import Cycle
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import effective_weight
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Campaign:
+    """Cycles of one mirror, which together are calibrated.
+
+    Attributes
+    ----------
+    cycles
+        Ordered by load, the bare one first, then by number.
+    stiffness
+        A stiffness matrix of the same mirror, which helps to tell its actuators apart; or None.
+
+    Raises
+    ------
+    CampaignMismatch
+        Cycles that disagree on the mirror, a weight or the actuators, or stand twice.
+    """
+
+    cycles: tuple[Cycle, ...]
+    stiffness: StiffnessMatrix | None = None
+
+    def __post_init__(self) -> None:
+        if not self.cycles:
+            raise CampaignMismatch("there are no cycle files", remedy="give at least one")
+        ordered = sorted(self.cycles, key=_campaign_order)
+        object.__setattr__(self, "cycles", tuple(ordered))
+        first_of_load: dict[str, Cycle] = {}
+        seen: dict[tuple[str, int], Cycle] = {}
+        for cycle in ordered:
+            _agree(ordered[0], cycle, ("instrument", "weight", "weight_error"))
+            if not ordered[0].layout.same_as(cycle.layout):
+                raise _mismatch(ordered[0], cycle, "the ACTUATORS table")
+            twin = first_of_load.setdefault(cycle.load.key, cycle)
+            _agree(twin, cycle, ("load.added", "load.added_error", "load.tilt", "load.tilt_error",
+                                 "load.tool"))  # fmt: skip
+            double = seen.setdefault((cycle.load.key, cycle.number), cycle)
+            if double is not cycle:
+                raise CampaignMismatch(
+                    f"LOAD '{cycle.load.name}' has CYCLE {cycle.number} twice",
+                    remedy=f"leave one out, or number it anew (the other is {_file(double)})",
+                    path=_file(cycle),
+                )
+        matrix = self.stiffness
+        if matrix is not None and not (
+            matrix.instrument == self.instrument and matrix.layout.same_as(self.layout)
+        ):
+            raise CampaignMismatch(
+                f"disagrees with {_file(ordered[0])} on INSTRUME or the ACTUATORS table",
+                remedy="give the stiffness matrix of the same mirror",
+                path=matrix.source.file if matrix.source else "stiffness matrix",
+            )
+
+    def __repr__(self) -> str:
+        loads = ", ".join(load.name for load in self.loads)
+        return (
+            f"<Campaign of {self.instrument}: {self.layout.n} actuators,"
+            f" {len(self.cycles)} cycles under {loads}>"
+        )
+
+    @property
+    def layout(self) -> Layout:
+        """The actuators."""
+        return self.cycles[0].layout
+
+    @property
+    def instrument(self) -> str:
+        """The mirror's name."""
+        return self.cycles[0].instrument
+
+    @property
+    def weight(self) -> float:
+        """P [N]."""
+        return self.cycles[0].weight
+
+    @property
+    def weight_error(self) -> float:
+        """Standard uncertainty of P [N]."""
+        return self.cycles[0].weight_error
+
+    @cached_property
+    def loads(self) -> tuple[Load, ...]:
+        """The loads, the bare one first."""
+        return tuple({cycle.load.key: cycle.load for cycle in self.cycles[::-1]}.values())[::-1]
+
+    @cached_property
+    def load_index(self) -> tuple[int, ...]:
+        """For each cycle, the place of its load in ``loads``."""
+        keys = [load.key for load in self.loads]
+        return tuple(keys.index(cycle.load.key) for cycle in self.cycles)
+
+    @property
+    def effective_weights(self) -> Array:
+        """W = (P + Q) cos(tilt) of each load [N]."""
+        return effective_weight(
+            self.weight, [load.added for load in self.loads], [load.tilt for load in self.loads]
+        )
+
+
+def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:
+    load = cycle.load
+    return (load.added != 0.0, load.tilt != 0.0, load.key, cycle.number)
+
+
+def _file(cycle: Cycle) -> str:
+    return cycle.source.file if cycle.source else f"{cycle.load.name} {cycle.number}"
+
+
+def _mismatch(
+    one: Cycle, other: Cycle, what: str, values: Iterable[object] = ()
+) -> CampaignMismatch:
+    shown = " and ".join(str(v) for v in values)
+    return CampaignMismatch(
+        f"disagrees with {_file(one)} on {what}" + (f" ({shown})" if shown else ""),
+        remedy="calibrate files of one campaign only",
+        path=_file(other),
+    )
+
+
+def _agree(one: Cycle, other: Cycle, names: Iterable[str]) -> None:
+    """Refuse two cycles that differ in one of the named attributes."""
+    keywords = {"instrument": "INSTRUME", "weight": "WEIGHT", "weight_error": "E_WEIGHT",
+                "load.added": "ADDED", "load.added_error": "E_ADDED", "load.tilt": "TILT",
+                "load.tilt_error": "E_TILT", "load.tool": "TOOL"}  # fmt: skip
+    for name in names:
+        a, b = one, other
+        for part in name.split("."):
+            a, b = getattr(a, part), getattr(b, part)
+        if a != b:
+            raise _mismatch(one, other, keywords[name], (b, a))

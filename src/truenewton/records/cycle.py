@@ -1,0 +1,239 @@
+"""Frozen records of what was measured; nothing here knows how it was measured or what is true."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array, frozen_array
+from truenewton.errors import FormatError
+from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
+from truenewton.records.source import Source, check_date
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import LARGEST_FORCE, Load, check_error, check_load, check_weight
+
+# Beyond these a value is a slip of the unit, not a mirror; they also keep squares finite.
+LARGEST_LENGTH = 1e3  # [m]
+LONGEST_TIME = 1e8  # [s]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Cycle:
+    """One run through all shapes under one load (docs/files.md).
+
+    Attributes
+    ----------
+    instrument, date, number
+        INSTRUME; start (UTC); CYCLE, from 1.
+    load
+        What hung on the mirror.
+    weight, weight_error
+        P and its standard uncertainty [N].
+    layout
+        The n actuators.
+    time, shape, sign, valid
+        (N,) seconds since ``date``; index of the shape from 1; +1 or -1; false for rows that take
+        no part, whatever they hold.
+    force
+        (N, n) commanded forces c [N]; of a campaign larger than memory `StoredRows`, which
+        ``numpy.asarray`` reads.
+    temperature, position
+        (N,) [deg C] and (N, n) [m], as ``force``; or None.
+    coil_gradient, bias_gradient
+        COILGRAD [1/m] and BIASGRAD [N/m], or None.
+    gap, force_error
+        GAP [m] and FORCERR [N], or None.
+    source
+        The file, or None.
+
+    Raises
+    ------
+    FormatError
+        Rows that count hold what they may not.
+    """
+
+    instrument: str
+    date: datetime.datetime
+    number: int
+    load: Load
+    weight: float
+    weight_error: float
+    layout: Layout
+    time: Array
+    shape: NDArray[np.int64]
+    sign: NDArray[np.int64]
+    force: Rows
+    valid: NDArray[np.bool_]
+    temperature: Array | None = None
+    position: Rows | None = None
+    coil_gradient: float | None = None
+    bias_gradient: float | None = None
+    gap: float | None = None
+    force_error: float | None = None
+    source: Source | None = None
+
+    def __post_init__(self) -> None:
+        for name, dtype in (("time", float), ("shape", np.int64), ("sign", np.int64),
+                            ("force", float), ("valid", bool), ("temperature", float),
+                            ("position", float)):  # fmt: skip
+            value = getattr(self, name)
+            if value is not None and not isinstance(value, StoredRows):
+                object.__setattr__(self, name, frozen_array(value, dtype))
+        check_date(self.date)
+        self._check_numbers()
+        self._check_rows()
+
+    def _check_numbers(self) -> None:
+        check_weight("WEIGHT", self.weight)
+        if self.weight >= 0.0:
+            raise FormatError(
+                f"WEIGHT is {self.weight:g} N",
+                remedy="z points up, so a weight is negative",
+                got=self.weight,
+            )
+        check_error("E_WEIGHT", self.weight_error)
+        check_load(self.load)
+        if self.number < 1:
+            raise FormatError(f"CYCLE is {self.number}", remedy="cycles count from 1")
+        if self.force_error is not None and not 0.0 < self.force_error <= LARGEST_FORCE:
+            raise FormatError(
+                f"FORCERR is {self.force_error:g} N",
+                remedy="a standard deviation is positive; leave it out if unknown",
+            )
+        for name, gradient in (("COILGRAD", self.coil_gradient), ("BIASGRAD", self.bias_gradient)):
+            if gradient is not None and abs(gradient) > LARGEST_FORCE:
+                raise FormatError(f"{name} is {gradient:g}", remedy="check its unit")
+
+    def _check_rows(self) -> None:
+        rows, n = np.size(self.time), self.layout.n
+        wanted = {"time": (rows,), "shape": (rows,), "sign": (rows,), "valid": (rows,),
+                  "temperature": (rows,), "force": (rows, n), "position": (rows, n)}  # fmt: skip
+        for name, want in wanted.items():
+            value = getattr(self, name)
+            if value is not None and value.shape != want:
+                raise FormatError(
+                    f"{name.upper()} has shape {value.shape} for {rows} rows and {n} actuators",
+                    remedy=f"give it the shape {want}",
+                    got=value.shape,
+                    want=want,
+                )
+        if not self.valid.any():
+            what = "valid rows" if rows else "rows"
+            raise FormatError(f"MEASUREMENTS has no {what}", remedy="leave this file out")
+        row = self.row_where(~np.isin(self.sign, (-1, 1)))
+        if row is not None:
+            raise FormatError(f"SIGN in row {row + 1} is {self.sign[row]}", remedy="it is +1 or -1")
+        row = self.row_where(self.shape < 1)
+        if row is not None:
+            raise FormatError(
+                f"SHAPE in row {row + 1} is {self.shape[row]}", remedy="shapes count from 1"
+            )
+        self._check_finite("time", self.time, LONGEST_TIME)
+        self._check_finite("temperature", self.temperature, 1e4)
+        self._check_finite("force", self.force, LARGEST_FORCE)
+        self._check_finite("position", self.position, LARGEST_LENGTH)
+        if self.layout.enabled.any() and not self.largest_force:
+            raise FormatError("FORCE is zero throughout", remedy="record the commanded forces")
+
+    def row_where(self, fault: NDArray[np.bool_]) -> int | None:
+        """Return the first row that counts and has the fault, or None."""
+        rows = np.flatnonzero(fault & self.valid)
+        return int(rows[0]) if rows.size else None
+
+    def _check_finite(self, name: str, value: Rows | None, largest: float) -> None:
+        if value is None:
+            return
+        counted = self.layout.enabled if value.ndim == 2 else np.ones(1, dtype=bool)
+        rows = value if value.ndim == 2 else np.asarray(value)[:, None]
+        row = self.row_where(~(largest_in_rows(rows, counted) <= largest))
+        if row is not None:
+            some = rows[row][counted]
+            bad = some[~(np.abs(some) <= largest)][0]
+            raise FormatError(
+                f"{name.upper()} in row {row + 1} is {bad:g}",
+                remedy="mark the row as not VALID, or correct it",
+                got=bad,
+            )
+
+    def __repr__(self) -> str:
+        return (
+            f"<Cycle {self.number} of {self.instrument}, load '{self.load.name}':"
+            f" {len(self.time)} rows, {self.layout.n} actuators>"
+        )
+
+    @property
+    def used_force(self) -> Array:
+        """(N_valid, n_enabled) commanded forces of the rows and actuators that count [N]."""
+        return self.used(self.force, slice(None))
+
+    @cached_property
+    def _counting(self) -> NDArray[np.int64] | None:
+        """The rows that count; None where all do."""
+        return None if self.valid.all() else np.flatnonzero(self.valid)
+
+    def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
+        """Return FORCE or POSITION of some of the rows that count, enabled actuators only."""
+        chosen = values[rows if self._counting is None else self._counting[rows]]
+        return chosen if self.layout.enabled.all() else chosen[:, self.layout.enabled]
+
+    def used_blocks(self) -> Iterator[slice]:
+        """Cut the rows that count into blocks that are taken at once."""
+        return blocks(int(self.valid.sum()), 8 * self.layout.n)
+
+    @property
+    def largest_force(self) -> float:
+        """Largest magnitude of a commanded force that counts [N]."""
+        return float(largest_in_rows(self.force, self.layout.enabled)[self.valid].max())
+
+    @cached_property
+    def _paired(self) -> NDArray[np.bool_]:
+        """(N_valid,) whether a row has its opposite."""
+        code = self.sign[self.valid] * self.shape[self.valid]
+        return np.isin(-code, code)
+
+    @property
+    def knows_rest(self) -> bool:
+        """Whether a shape stands with both signs, so that ``rest_position`` is no displacement."""
+        return bool(self._paired.any())
+
+    @property
+    def rest_rows(self) -> NDArray[np.bool_]:
+        """(N_valid,) the rows that have their opposite: their mean is the mirror at rest.
+
+        All rows where none has one.
+        """
+        return self._paired if self.knows_rest else np.ones_like(self._paired)
+
+    @property
+    def rest_position(self) -> Array:
+        """(n_enabled,) mean reading of each sensor over ``rest_rows`` [m]; 0 without POSITION.
+
+        That is the flat mirror, whatever rows are missing.
+        """
+        return self._rest_and_stroke[0]
+
+    @property
+    def stroke(self) -> Array:
+        """(n_enabled,) rms distance of the readings from ``rest_position`` [m]; or 0."""
+        return self._rest_and_stroke[1]
+
+    @cached_property
+    def _rest_and_stroke(self) -> tuple[Array, Array]:
+        """Take both in one pass, from the first row on: a zero far off costs no digits."""
+        n = int(self.layout.enabled.sum())
+        if self.position is None:
+            return np.zeros(n), np.zeros(n)
+        counted = np.stack([self.rest_rows, np.ones(self._paired.size)])
+        first, sums, square = self.used(self.position, slice(1))[0], np.zeros((2, n)), np.zeros(n)
+        for some in self.used_blocks():
+            moved = self.used(self.position, some) - first
+            sums += counted[:, some] @ moved
+            square += np.einsum("ij,ij->j", moved, moved)
+        rest, mean = sums / counted.sum(axis=1)[:, None]
+        square = square / self._paired.size - 2.0 * rest * mean + rest**2
+        return first + rest, np.sqrt(np.maximum(square, 0.0))

@@ -1,0 +1,58 @@
+"""A measured stiffness matrix: commanded force per displacement of each sensor."""
+
+from __future__ import annotations
+
+import datetime
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.arrays import Array, frozen_array
+from truenewton.errors import FormatError
+from truenewton.records.source import Source, check_date
+from truenewton.statics.layout import Layout
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StiffnessMatrix:
+    """A measured stiffness or feed-forward matrix (docs/files.md).
+
+    Attributes
+    ----------
+    instrument, date
+        INSTRUME; when it was measured (UTC).
+    layout
+        The n actuators.
+    stiffness
+        (n, n), commanded force of actuator i per unit displacement of sensor j [N/m].
+    source
+        The file, or None.
+    """
+
+    instrument: str
+    date: datetime.datetime
+    layout: Layout
+    stiffness: Array
+    source: Source | None = None
+
+    def __post_init__(self) -> None:
+        check_date(self.date)
+        object.__setattr__(self, "stiffness", frozen_array(self.stiffness))
+        n = self.layout.n
+        if self.stiffness.shape != (n, n):
+            raise FormatError(
+                f"STIFFNESS is {' x '.join(map(str, self.stiffness.shape))} for {n} actuators",
+                remedy=f"give an image of {n} x {n}",
+                got=self.stiffness.shape,
+                want=(n, n),
+            )
+        on = self.layout.enabled
+        counted = self.stiffness[np.ix_(on, on)]
+        # 1e15 N/m: a slip of the unit, and squares must stay finite.
+        if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > 1e15:
+            raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
+        if not counted.any():
+            raise FormatError("STIFFNESS is zero throughout", remedy="measure it first")
+
+    def __repr__(self) -> str:
+        return f"<StiffnessMatrix of {self.instrument}: {self.layout.n} actuators>"

@@ -1,0 +1,198 @@
+"""What a report tells of: the calibration, or why there is none, and the evidence for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from truenewton.calibration.methods import calibrate
+from truenewton.calibration.result import Calibration
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers, TrueNewtonError
+from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.identifiability import diagnose
+from truenewton.estimation.outliers import against_repeats
+from truenewton.modal.dissipation import Limits
+from truenewton.modal.findings import ModalFindings, find_modes
+from truenewton.records.campaign import Campaign
+from truenewton.records.source import UsedSource
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.report.evidence import Evidence, campaign_evidence, stiffness_evidence
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+MOST_MODES = 1500  # eigenmodes of thousands of actuators take minutes
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """All that a report tells of one set of data, or of a finished calibration.
+
+    Attributes
+    ----------
+    data
+        What was calibrated; None where a calibration file was given.
+    calibration
+        Its result; None where the data cannot give one.
+    evidence
+        Residuals, balance and singular values; None without data or without calibration.
+    faults
+        Why there is no calibration, each with its remedy.
+    modes
+        The modal base that the data and alpha give, if they do.
+    no_modes
+        Why they do not, in a sentence; empty without data or without calibration.
+    """
+
+    data: Campaign | StiffnessMatrix | None
+    calibration: Calibration | None
+    evidence: Evidence | None = None
+    faults: tuple[tuple[str, str], ...] = ()
+    modes: ModalFindings | None = None
+    no_modes: str = ""
+
+    @property
+    def instrument(self) -> str:
+        """The mirror's name."""
+        known = self.calibration or self.data
+        return known.instrument if known is not None else ""
+
+    @property
+    def inputs(self) -> tuple[UsedSource, ...]:
+        """The files: those that went into the calibration, or those that did not suffice."""
+        if self.calibration is not None:
+            return self.calibration.sources
+        if isinstance(self.data, Campaign):
+            return tuple(
+                UsedSource(c.source.file, c.source.sha256, 0, 0)
+                for c in self.data.cycles
+                if c.source
+            )
+        if self.data is not None and self.data.source is not None:
+            return (UsedSource(self.data.source.file, self.data.source.sha256, 0, 0),)
+        return ()
+
+    def plot_layer(self, key: str, ax: Axes | None = None) -> Axes:
+        """Draw one layer, as 'e_stat', 'leverage', 'residual', on the map; return the axes."""
+        from truenewton.report.figures import plot_layer
+
+        return plot_layer(self, key, ax)
+
+    def plot_budget(self, ax: Axes | None = None) -> Axes:
+        """Draw the error budget; return the axes."""
+        from truenewton.report.figures import plot_budget
+
+        return plot_budget(self, ax)
+
+    def plot_residuals(self, ax: Axes | None = None) -> Axes:
+        """Draw how far rows or modes are out of balance; return the axes."""
+        from truenewton.report.figures import plot_residuals
+
+        return plot_residuals(self, ax)
+
+    def plot_balance(self, ax: Axes | None = None) -> Axes:
+        """Draw the imbalance with alpha = 1 and with alpha as found; return the axes."""
+        from truenewton.report.figures import plot_balance
+
+        return plot_balance(self, ax)
+
+    def plot_singular_values(self, ax: Axes | None = None) -> Axes:
+        """Draw how clearly the data hold each pattern of alpha; return the axes."""
+        from truenewton.report.figures import plot_singular_values
+
+        return plot_singular_values(self, ax)
+
+    def plot_temperatures(self, ax: Axes | None = None) -> Axes:
+        """Draw when the cycles ran, and how warm it was; return the axes."""
+        from truenewton.report.figures import plot_temperatures
+
+        return plot_temperatures(self, ax)
+
+    def plot_modes(self) -> Axes:
+        """Draw stiffness modes on maps of the mirror; return the axes of the first."""
+        from truenewton.modal.figures import plot_modes
+
+        return plot_modes(self._modes_found().after)
+
+    def plot_residual_wavefront(self, ax: Axes | None = None) -> Axes:
+        """Draw the wavefront that the first N modes of each base leave; return the axes."""
+        from truenewton.modal.figures import plot_residual
+
+        return plot_residual(self._modes_found().after, ax)
+
+    def plot_power(self, ax: Axes | None = None) -> Axes:
+        """Draw the power of the worst coil and the mean against modes; return the axes."""
+        from truenewton.modal.figures import plot_power
+
+        return plot_power(self._modes_found().after, Limits(), ax)
+
+    def plot_modes_comparison(self, ax: Axes | None = None) -> Axes:
+        """Draw how far modes with alpha = 1 lie from the calibrated; return the axes."""
+        from truenewton.modal.figures import plot_comparison
+
+        return plot_comparison(self._modes_found(), ax)
+
+    def _modes_found(self) -> ModalFindings:
+        if self.modes is None:
+            raise ValueError(self.no_modes or "a calibration file tells no modes; give the data")
+        return self.modes
+
+
+def investigate(
+    data: Campaign | StiffnessMatrix | Calibration, method: str = "ml", *, population: bool = False
+) -> Findings:
+    """Calibrate data and gather the evidence; data that do not suffice are diagnosed instead.
+
+    Parameters
+    ----------
+    data
+        What is to be reported on; a finished calibration is taken as it is.
+    method, population
+        As in `calibrate`.
+
+    Raises
+    ------
+    UnknownName
+        There is no such method, or it takes no such data.
+    """
+    if isinstance(data, Calibration):
+        return Findings(None, data)
+    try:
+        calibration = calibrate(data, method, population=population)
+    except (RankDeficient, TooManyOutliers, NotConverged) as error:
+        return Findings(data, None, faults=_faults(data) or ((error.fault, error.remedy),))
+    if isinstance(data, Campaign):
+        evidence = campaign_evidence(data, calibration)
+    else:
+        evidence = stiffness_evidence(data, calibration, method, population=population)
+    modes, no_modes = _modes(data, calibration)
+    return Findings(data, calibration, evidence, modes=modes, no_modes=no_modes)
+
+
+def _modes(
+    data: Campaign | StiffnessMatrix, calibration: Calibration
+) -> tuple[ModalFindings | None, str]:
+    """Return the modal base, or why there is none."""
+    if data.layout.n > MOST_MODES:
+        return (
+            None,
+            f"Those of {data.layout.n} actuators take a while: truenewton modes finds them.",
+        )
+    try:
+        return find_modes(data, calibration), ""
+    except TrueNewtonError as error:
+        why = "; ".join(filter(None, (error.fault, error.remedy)))
+        return None, f"The data do not tell them: {why}."
+
+
+def _faults(data: Campaign | StiffnessMatrix) -> tuple[tuple[str, str], ...]:
+    """Return all that a campaign lacks; the estimator names the first only."""
+    if not isinstance(data, Campaign):
+        return ()
+    try:
+        moments, sound, _ = against_repeats(data)
+        diagnosis: Diagnosis = diagnose(sound, moments)
+    except (RankDeficient, TooManyOutliers):
+        return ()
+    return diagnosis.faults

@@ -1,0 +1,153 @@
+"""The page's figures of actuators, for Bokeh: all share one source, and so one selection."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from bokeh.core.properties import value
+from bokeh.models import (
+    BoxSelectTool,
+    ColumnDataSource,
+    HoverTool,
+    LassoSelectTool,
+    LinearColorMapper,
+    TapTool,
+)
+from bokeh.models.annotations import ColorBar, Span
+from bokeh.palettes import Cividis256, PuOr11
+
+from truenewton.calibration.result import Calibration
+from truenewton.figures.style import ACCENT, ALARM, FAINT, INK
+from truenewton.report.change import Change
+from truenewton.report.layers import Layer
+from truenewton.report.page.looks import FONT, Plot, empty_plot
+from truenewton.statics.layout import Layout, ring_of
+
+NAMED = 100  # up to so many actuators bear their names
+CROWDED = 1000  # beyond so many, outlines would be all that is seen
+MILLIMETRE = 1e-3
+
+
+def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSource:
+    """Return what all views of the actuators share: places, values and texts of every layer."""
+    ring = ring_of(layout)
+    place = np.empty(layout.n)
+    place[np.argsort(ring, kind="stable")] = np.arange(1, layout.n + 1)
+    columns: dict[str, Any] = {
+        "id": layout.id.astype(np.int32),
+        "ring": (ring + 1).astype(np.int32),
+        "x": layout.x / MILLIMETRE,
+        "y": layout.y / MILLIMETRE,
+        "place": place.astype(np.int32),
+        "shown": layers[0].values.copy(),
+        "ink": ["#000000"] * layout.n,  # of the name on its dot; the page sets it
+    }
+    for layer in layers:
+        columns[layer.key] = np.array(layer.values)
+        columns[f"{layer.key}_text"] = list(layer.texts)
+    return ColumnDataSource(columns, name="actuators")
+
+
+def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ...]) -> Plot:
+    """Return the map of the actuators; the page changes the layer that colours it."""
+    plot = empty_plot(height=None, aspect=True)
+    plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm)", "y (mm)"
+    plot.grid.visible = False
+    radius, ring = np.hypot(layout.x, layout.y) / MILLIMETRE, ring_of(layout)
+    if ring.max() > 0:
+        radii = [float(radius[ring == k].mean()) for k in range(ring.max() + 1)]
+        plot.circle(x=0.0, y=0.0, radius=radii, fill_color=None, line_color=FAINT, line_width=0.5,
+                    level="underlay")  # fmt: skip
+    low, high = layers[0].limits
+    mapper = LinearColorMapper(
+        palette=palette(layers[0]), low=low, high=high, nan_color="#ffffff", name="colours"
+    )
+    dots = plot.circle(
+        x="x", y="y", radius=dot_radius(layout), source=source,
+        fill_color={"field": "shown", "transform": mapper}, line_width=0.5,
+        line_color=INK if layout.n <= CROWDED else None,
+        selection_line_color=ALARM, selection_line_width=3.0,
+        nonselection_fill_alpha=0.35, nonselection_line_alpha=0.35,
+    )  # fmt: skip
+    if layout.n <= NAMED:
+        plot.text(x="x", y="y", text={"field": "id"}, source=source, text_color={"field": "ink"},
+                  text_font=value(FONT), text_font_size="0.65em", text_align="center",
+                  text_baseline="middle", nonselection_text_alpha=0.6)  # fmt: skip
+    bar = ColorBar(color_mapper=mapper, title=layers[0].title, name="bar", height=12,
+                   title_text_font_style="normal", title_text_font=FONT,
+                   major_label_text_font=FONT)  # fmt: skip
+    plot.add_layout(bar, "below")
+    _with_actuator_tools(plot, dots, layers)
+    return plot
+
+
+def palette(layer: Layer) -> tuple[str, ...]:
+    """Return the colours of a layer."""
+    return PuOr11 if layer.signed else Cividis256
+
+
+def dot_radius(layout: Layout) -> float:
+    """Return the radius of a dot that leaves its neighbours free [mm]."""
+    from scipy.spatial import cKDTree
+
+    if layout.n == 1:
+        return 1.0
+    points = np.stack([layout.x, layout.y], axis=1) / MILLIMETRE
+    distance = np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1]
+    return float(0.44 * np.median(distance))
+
+
+def alpha_by_ring(
+    source: ColumnDataSource, calibration: Calibration, layers: tuple[Layer, ...]
+) -> Plot:
+    """Return alpha per actuator, ring by ring, with bars of three errors from the readings."""
+    plot, layout = empty_plot(), calibration.layout
+    source.data["low"] = calibration.alpha - 3 * calibration.statistical
+    source.data["high"] = calibration.alpha + 3 * calibration.statistical
+    plot.segment(x0="place", x1="place", y0="low", y1="high", source=source, line_color=INK,
+                 nonselection_line_alpha=0.2)  # fmt: skip
+    _actuator_points(plot, source, layout, "alpha", layers)
+    plot.yaxis.axis_label = "alpha (true N / commanded N)"
+    return plot
+
+
+def change_by_ring(source: ColumnDataSource, change: Change, layers: tuple[Layer, ...]) -> Plot:
+    """Return the change per actuator in sigmas, and how far chance alone reaches."""
+    plot = empty_plot()
+    for level in (-change.limit, 0.0, change.limit):
+        plot.add_layout(Span(location=level, dimension="width", line_color=FAINT,
+                             line_dash="solid" if level == 0.0 else "dashed"))  # fmt: skip
+    _actuator_points(plot, source, change.one.layout, "sigmas", layers)
+    plot.yaxis.axis_label = "change (sigma)"
+    return plot
+
+
+def _actuator_points(
+    plot: Plot, source: ColumnDataSource, layout: Layout, key: str, layers: tuple[Layer, ...]
+) -> None:
+    """Draw a value per actuator, ring by ring."""
+    dots = plot.scatter(
+        x="place", y=key, source=source, size=7 if layout.n <= NAMED else 4, color=ACCENT,
+        selection_color=ALARM, selection_line_color=INK, nonselection_alpha=0.25,
+    )  # fmt: skip
+    rings = np.bincount(ring_of(layout))
+    for edge in np.cumsum(rings)[:-1]:
+        plot.add_layout(Span(location=float(edge) + 0.5, dimension="height", line_color=FAINT,
+                             line_dash="dotted", line_width=1))  # fmt: skip
+    plot.xaxis.axis_label = "place, ring by ring from the centre" if len(rings) > 1 else "place"
+    plot.x_range.range_padding = 0.02
+    _with_actuator_tools(plot, dots, layers)
+
+
+def _with_actuator_tools(plot: Plot, dots: Any, layers: tuple[Layer, ...]) -> None:
+    """Let the pointer tell of an actuator in full, and select actuators in all views."""
+    told = [("actuator", "@id"), ("ring", "@ring"), ("x, y", "@x{0.0}, @y{0.0} mm")]
+    told += [(layer.name, f"@{layer.key}_text {layer.unit}".rstrip()) for layer in layers]
+    plot.add_tools(
+        HoverTool(renderers=[dots], tooltips=told, visible=False),
+        TapTool(renderers=[dots]),
+        BoxSelectTool(renderers=[dots]),
+        LassoSelectTool(renderers=[dots]),
+    )
+    plot.toolbar.active_drag = None

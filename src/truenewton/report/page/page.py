@@ -1,0 +1,236 @@
+"""The page itself: one file that opens in any browser without network."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass
+from importlib import metadata
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from bokeh.core.json_encoder import serialize_json
+from bokeh.document import Document
+from bokeh.resources import Resources
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2.utils import htmlsafe_json_dumps
+
+from truenewton.calibration.result import Calibration
+from truenewton.calibration.words import headline, summary_rows
+from truenewton.files.outputs import file_beside
+from truenewton.report.change import Change
+from truenewton.report.investigate import Findings
+from truenewton.report.layers import Layer, calibration_layers, change_layers
+from truenewton.report.page import actuator_plots
+from truenewton.report.page.modal_sections import modal_sections
+from truenewton.report.page.section import Section, Table
+from truenewton.report.page.sections import evidence_sections, map_caption, ring_caption, times
+from truenewton.report.verdict import Verdict, verdict, verdict_on_change
+from truenewton.statics.layout import Layout
+
+LIBRARIES = ("numpy", "scipy", "astropy", "bokeh")
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """The views of the actuators, which share one selection.
+
+    Attributes
+    ----------
+    layout
+        The actuators.
+    layers
+        What is known of them.
+    views
+        The map first, then a figure by ring.
+    """
+
+    layout: Layout
+    layers: tuple[Layer, ...]
+    views: tuple[Section, ...]
+
+
+def write_report(
+    path: str | os.PathLike[str],
+    findings: Findings | Change,
+    *,
+    command: str = "",
+    overwrite: bool = False,
+) -> None:
+    """Write what was found, or what changed, on one page that opens without network.
+
+    Parameters
+    ----------
+    path
+        The page, HTML.
+    findings
+        From `investigate`, or `change` for two calibrations.
+    command
+        The command that makes the page again, if there is one.
+    overwrite
+        Replace a page that stands.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    with file_beside(path, overwrite=overwrite) as temporary:
+        temporary.write_text(page(findings, command), encoding="utf-8")
+
+
+def page(findings: Findings | Change, command: str = "") -> str:
+    """Return the page as HTML."""
+    if isinstance(findings, Change):
+        return _rendered(
+            title=f"{findings.one.instrument}: what changed",
+            heading=f"{findings.one.instrument}: two calibrations compared",
+            judged=verdict_on_change(findings),
+            actuators=_changed_actuators(findings),
+            sections=(),
+            tables=(_summaries(findings), *_inputs(findings.one, "First calibration: files"),
+                    *_inputs(findings.other, "Second calibration: files")),
+            command=command,
+        )  # fmt: skip
+    c = findings.calibration
+    return _rendered(
+        title=f"{findings.instrument}: calibration of its actuators",
+        heading=headline(c) if c else f"{findings.instrument}: no calibration",
+        judged=verdict(findings),
+        actuators=_calibrated_actuators(findings, c) if c else None,
+        sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
+        tables=(*((_summary(c),) if c else ()), *_inputs(findings, "Files")),
+        command=command,
+    )
+
+
+def _calibrated_actuators(findings: Findings, c: Calibration) -> Actuators:
+    layers = calibration_layers(findings)
+    source = actuator_plots.actuator_source(c.layout, layers)
+    plot = actuator_plots.mirror_map(source, c.layout, layers)
+    by_ring = actuator_plots.alpha_by_ring(source, c, layers)
+    return Actuators(
+        c.layout,
+        layers,
+        (
+            Section("map", "Map of the mirror", (), plot, map_caption(c)),
+            Section("rings", "Alpha by ring", (), by_ring, ring_caption(c)),
+        ),
+    )
+
+
+def _changed_actuators(change: Change) -> Actuators:
+    layers, layout = change_layers(change), change.one.layout
+    source = actuator_plots.actuator_source(layout, layers)
+    plot = actuator_plots.mirror_map(source, layout, layers)
+    by_ring = actuator_plots.change_by_ring(source, change, layers)
+    shown = (
+        f"Map of the {layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
+        " above. The table of actuators holds every value."
+    )
+    rings = (
+        "Change of each actuator in sigmas, ring by ring from the centre. Between the dashed lines"
+        f" ({change.limit:.1f} sigma) chance alone explains it."
+    )
+    return Actuators(
+        layout,
+        layers,
+        (
+            Section("map", "Map of the change", (), plot, shown),
+            Section("rings", "Change by ring", (), by_ring, rings),
+        ),
+    )
+
+
+def _summary(c: Calibration) -> Table:
+    return Table("All figures", ("figure", "value", "note"), tuple(summary_rows(c)), wraps=True)
+
+
+def _summaries(change: Change) -> Table:
+    one, other = ({n: (v, note) for n, v, note in summary_rows(c)} for c in
+                  (change.one, change.other))  # fmt: skip
+    names = [*one, *(name for name in other if name not in one)]
+    blank = ("", "")
+    rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in (change.one, change.other))),
+            ("method", change.one.method, change.other.method)]  # fmt: skip
+    rows += [(name, one.get(name, blank)[0], other.get(name, blank)[0]) for name in names]
+    return Table("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
+
+
+def _inputs(given: Findings | Calibration, caption: str) -> tuple[Table, ...]:
+    sources = given.sources if isinstance(given, Calibration) else given.inputs
+    rows = tuple(
+        (s.file, str(s.rows) if s.rows else "none", str(s.rejected), s.sha256) for s in sources
+    )
+    return (Table(caption, ("file", "rows used", "rejected", "SHA256"), rows),) if rows else ()
+
+
+def _rendered(
+    *,
+    title: str,
+    heading: str,
+    judged: Verdict,
+    actuators: Actuators | None,
+    sections: tuple[Section, ...],
+    tables: tuple[Table, ...],
+    command: str,
+) -> str:
+    """Put the page together; what comes from files goes through autoescape or as JSON."""
+    environment = Environment(
+        loader=PackageLoader("truenewton.report.page"), autoescape=True, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )  # fmt: skip
+    read = Path(__file__).with_name("templates")
+    views = actuators.views if actuators else ()
+    plots = {part.key: part.plot for part in (*views, *sections) if part.plot is not None}
+    return environment.get_template("page.html.j2").render(
+        title=title,
+        heading=heading,
+        verdict=judged,
+        actuators=actuators,
+        views=views,
+        sections=sections,
+        tables=tables,
+        command=command,
+        versions=_versions(),
+        style=(read / "report.css").read_text(encoding="utf-8"),
+        script=(read / "report.js").read_text(encoding="utf-8"),
+        bokeh=_bokeh() if plots else "",
+        payload=htmlsafe_json_dumps(_payload(plots, actuators), dumps=_as_json) if plots else "",
+    )
+
+
+def _payload(plots: dict[str, Any], actuators: Actuators | None) -> dict[str, Any]:
+    """Return what the script needs: Bokeh's document, where its figures go, and the layers."""
+    document = Document()
+    for plot in plots.values():
+        document.add_root(plot)
+    places = {plot.id: f"plot-{key}" for key, plot in plots.items()}
+    return {
+        "documents": {"report": document.to_json(deferred=False)},
+        "places": [{"docid": "report", "roots": places, "root_ids": list(places)}],
+        "layers": [_of_layer(layer) for layer in actuators.layers] if actuators else [],
+    }
+
+
+def _of_layer(layer: Layer) -> dict[str, Any]:
+    low, high = layer.limits
+    return {
+        "key": layer.key, "name": layer.name, "unit": layer.unit, "title": layer.title,
+        "meaning": layer.meaning, "low": low, "high": high,
+        "palette": list(actuator_plots.palette(layer)),
+    }  # fmt: skip
+
+
+def _as_json(value: Any, **_: Any) -> str:
+    return serialize_json(value)
+
+
+def _bokeh() -> str:
+    """Return Bokeh's script, which stands in the page; only what figures need."""
+    return "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
+
+
+def _versions() -> str:
+    libraries = ", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES)
+    return f"truenewton {version('truenewton')}, Python {platform.python_version()}, {libraries}"

@@ -1,1 +1,0 @@
-"""Tower A: the elastic shell."""

@@ -1,0 +1,214 @@
+"""Where the actuators stand and which way they push."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from truenewton.arrays import Array, frozen_array
+from truenewton.errors import GeometryError
+
+FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit has slipped
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Layout:
+    """Actuators in the frame of the torques.
+
+    Attributes
+    ----------
+    id
+        (n,) integer names, unique.
+    x, y
+        (n,) positions of the magnets [m].
+    nz
+        (n,) cosine between the force of each actuator and +z; 1 on a flat mirror.
+    enabled
+        (n,) false where an actuator applies no force and takes no part.
+
+    Raises
+    ------
+    GeometryError
+        Duplicate names, two actuators at one place, values that are not finite.
+    """
+
+    id: NDArray[np.int64]
+    x: Array
+    y: Array
+    nz: Array
+    enabled: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        n = np.size(self.id)
+        for name, dtype in (("id", np.int64), ("x", float), ("y", float), ("nz", float),
+                            ("enabled", bool)):  # fmt: skip
+            array = frozen_array(getattr(self, name), dtype)
+            if array.shape != (n,):
+                raise GeometryError(
+                    f"{name.upper()} has shape {array.shape}",
+                    remedy=f"give one number for each of the {n} actuators",
+                    got=array.shape,
+                    want=(n,),
+                )
+            object.__setattr__(self, name, array)
+        self._check()
+
+    def _check(self) -> None:
+        if self.n == 0:
+            raise GeometryError("there are no actuators", remedy="give at least one")
+        for name in ("x", "y", "nz"):
+            bad = ~np.isfinite(getattr(self, name))
+            if bad.any():
+                raise GeometryError(
+                    f"{name.upper()} of actuator {self.id[bad][0]} is not finite",
+                    remedy="give the position and direction of every actuator",
+                )
+        if np.abs([self.x, self.y]).max() > FARTHEST:
+            raise GeometryError(
+                f"an actuator stands {np.abs([self.x, self.y]).max():.3g} m from the axis",
+                remedy="X and Y are metres; check their unit",
+            )
+        if (self.nz > 1.0).any() or (self.nz < 0.01).any():
+            raise GeometryError(
+                "NZ lies outside 0.01 to 1", remedy="NZ is the cosine between the force and +z"
+            )
+        values, count = np.unique(self.id, return_counts=True)
+        if (count > 1).any():
+            raise GeometryError(
+                f"actuator ID {values[count > 1][0]} stands {count.max()} times",
+                remedy="give every actuator its own ID",
+            )
+        places, count = np.unique(
+            np.round([self.x / 1e-9, self.y / 1e-9]), axis=1, return_counts=True
+        )
+        if (count > 1).any():
+            x, y = places[:, count > 1][:, 0] * 1e-9
+            raise GeometryError(
+                f"two actuators stand at x = {x:.6g} m, y = {y:.6g} m",
+                remedy="correct their positions",
+            )
+
+    def __repr__(self) -> str:
+        off = f", {np.count_nonzero(~self.enabled)} disabled" if not self.enabled.all() else ""
+        return f"<Layout of {self.n} actuators{off}>"
+
+    @property
+    def n(self) -> int:
+        """Number of actuators, disabled ones included."""
+        return int(np.size(self.id))
+
+    def same_as(self, other: Layout) -> bool:
+        """Tell whether two layouts are one: same order, positions to 1e-9 m (docs/files.md)."""
+        return (
+            np.array_equal(self.id, other.id)
+            and np.array_equal(self.enabled, other.enabled)
+            and all(
+                np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=1e-9)
+                for name in ("x", "y", "nz")
+            )
+        )
+
+
+def layout(
+    x: ArrayLike,
+    y: ArrayLike,
+    *,
+    id: ArrayLike | None = None,
+    nz: ArrayLike | None = None,
+    enabled: ArrayLike | None = None,
+) -> Layout:
+    """Make a layout; names count from 1, forces point along +z, all enabled, unless told.
+
+    ``x`` and ``y`` are numbers in metres or Quantities of any length.
+    """
+    n = np.size(x)
+    return Layout(
+        id=np.arange(1, n + 1) if id is None else np.asarray(id, dtype=np.int64),
+        x=_metres(x),
+        y=_metres(y),
+        nz=np.ones(n) if nz is None else np.asarray(nz, dtype=float),
+        enabled=np.ones(n, dtype=bool) if enabled is None else np.asarray(enabled, dtype=bool),
+    )
+
+
+def _metres(values: Any) -> Array:
+    return np.asarray(values.to_value("m") if hasattr(values, "to_value") else values, dtype=float)
+
+
+def rings(
+    radii: Sequence[float],
+    counts: Sequence[int],
+    *,
+    nz: Sequence[float] = (),
+    turned: Sequence[float] = (),
+) -> Layout:
+    """Lay actuators evenly on concentric rings, one of each ring on the +y axis.
+
+    Numbered from the innermost ring outward, counter-clockwise from +y. With counts divisible by
+    three this has the 120 degree symmetry of the paper's mirror (paper, section 2).
+
+    Parameters
+    ----------
+    radii
+        Radius of each ring [m], projected on the x, y plane.
+    counts
+        Actuators on each ring.
+    nz
+        Cosine between force and +z on each ring; 1 when not given.
+    turned
+        Angle by which each ring is turned, counter-clockwise [rad]; 0 when not given.
+    """
+    start = 0.5 * np.pi + (np.asarray(turned) if len(turned) else np.zeros(len(counts)))
+    angle = np.concatenate(
+        [first + 2 * np.pi * np.arange(k) / k for first, k in zip(start, counts, strict=True)]
+    )
+    radius = np.repeat(radii, counts)
+    cosines = np.repeat(nz, counts) if len(nz) else None
+    return layout(radius * np.cos(angle), radius * np.sin(angle), nz=cosines)
+
+
+def spherical_rings(
+    polar_angles: Sequence[float],
+    counts: Sequence[int],
+    radius: float,
+    *,
+    turned: Sequence[float] = (),
+) -> Layout:
+    """Lay rings on a spherical shell whose actuators push along its normals.
+
+    An actuator at polar angle t has nz = cos t and stands, for the torques, on the circle of
+    radius R sin t: the exact arms for piston and tilts about the vertex (docs/method.md).
+
+    Parameters
+    ----------
+    polar_angles
+        Angle of each ring from the axis, seen from the centre of curvature [rad].
+    counts
+        Actuators on each ring.
+    radius
+        Radius of curvature R [m].
+    turned
+        As in `rings`.
+    """
+    t = np.asarray(polar_angles, dtype=float)
+    return rings(list(radius * np.sin(t)), counts, nz=list(np.cos(t)), turned=turned)
+
+
+def ring_of(layout: Layout) -> NDArray[np.int64]:
+    """Return (n,) the ring of each actuator, 0 the innermost, by radius to a tenth of a millimetre.
+
+    Returns
+    -------
+    numpy.ndarray
+        All zeros where the actuators stand on no rings (as many radii as half the actuators).
+    """
+    radius = np.hypot(layout.x, layout.y)
+    order = np.argsort(radius, kind="stable")
+    steps = np.diff(radius[order], prepend=radius[order[0]]) > 1e-4
+    ring = np.empty(layout.n, dtype=np.int64)
+    ring[order] = np.cumsum(steps)
+    return ring if ring.max() < layout.n // 2 else np.zeros(layout.n, dtype=np.int64)

@@ -1,0 +1,86 @@
+"""Stiffness modes: the eigenmodes of a stiffness matrix, softest first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class StiffnessModes:
+    """Eigenmodes of a symmetric stiffness.
+
+    Attributes
+    ----------
+    stiffness
+        (n,) eigenvalues, of ascending magnitude but for rigid motions, which come first [N/m].
+    modes
+        (n, n), one mode a column, of unit length.
+    """
+
+    stiffness: Array
+    modes: Array
+
+
+def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessModes:
+    """Return the eigenmodes of a symmetric (n, n) stiffness, those that take least force first.
+
+    That is by magnitude: bias magnets make the stiffness of rigid motions negative, errors of
+    measurement that of soft modes. On large mirrors rigid motions may thus cost more than the
+    softest bending; where they shall come first all the same, ``rigid``, (n, r), names them, and
+    the r modes that lie most in their span do. Of nearly equal stiffness, they are turned among
+    themselves towards the names, in their order: piston stays piston.
+
+    A symmetric mirror has pairs of equal stiffness, which are settled: see `settled`.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+    order = np.argsort(np.abs(values), kind="stable")
+    if rigid is not None:
+        names, upright = np.linalg.qr(rigid)
+        part = np.sum((names.T @ vectors) ** 2, axis=0)
+        first = np.zeros(len(values), dtype=bool)
+        first[np.argsort(-part, kind="stable")[: rigid.shape[1]]] = True
+        order = np.concatenate([order[first[order]], order[~first[order]]])
+    values, vectors = values[order], vectors[:, order]
+    largest = np.abs(values).max()
+    apart = np.abs(np.diff(values)) > 1e-11 * largest + 1e-6 * np.abs(values[1:])
+    modes = settled(vectors, apart)
+    if rigid is not None:
+        r = rigid.shape[1]
+        turn = _nearest_rotation(vectors[:, :r].T @ (names * np.sign(np.diag(upright))))
+        modes[:, :r] = vectors[:, :r] @ turn
+        values[:r] = values[:r] @ turn**2
+    return StiffnessModes(values, modes)
+
+
+def settled(vectors: Array, apart: NDArray[np.bool_]) -> Array:
+    """Return eigenvectors, one a column, of which rounding chooses neither sign nor rotation.
+
+    Among equal eigenvalues rounding would choose the vectors. So each set of equals gets the basis
+    nearest to fixed random vectors: the same on every machine, to rounding. That settles the signs
+    as well.
+
+    Parameters
+    ----------
+    vectors
+        (n, k), one of unit length a column, in the order of their eigenvalues.
+    apart
+        (k - 1,) whether an eigenvalue and the next one differ.
+    """
+    n, count = vectors.shape
+    reference = np.random.default_rng(0).standard_normal((n, count))
+    modes = np.empty_like(vectors)
+    for equal in np.split(np.arange(count), np.flatnonzero(apart) + 1):
+        own = vectors[:, equal]
+        modes[:, equal] = own @ _nearest_rotation(own.T @ reference[:, equal])
+    return modes
+
+
+def _nearest_rotation(overlaps: Array) -> Array:
+    """Return the orthogonal matrix nearest to overlaps, by polar decomposition: no ties."""
+    left, _, right = np.linalg.svd(overlaps)
+    return np.asarray(left @ right)

@@ -1,0 +1,168 @@
+"""The line of every actuator through its days, each alone; how well the days lie on it.
+
+With the temperature T and the time t counted from the middle of the days,
+
+    alpha_i(T, t) = a_i (1 + k_i T + r_i t)
+
+is linear in a, a k and a r. Days enter with the covariance of their readings over all actuators.
+An error of a weight is one unknown for all days that share it, measured as 0 +- 1: it multiplies
+the whole law, so that k and r do not feel it where all days share it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import FormatError
+from truenewton.linalg import Solution, least_squares
+from truenewton.tracking.days import Day, covariances, groups, relative_factor
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """What the days say of each actuator before the family is asked.
+
+    Attributes
+    ----------
+    alpha
+        (n,) a, at the middle of the days.
+    effects
+        (q, n) relative change of alpha per unit of each effect, as k and r.
+    root
+        ((1 + q) n, u) covariance of a, then of the effects, is root root'; its first (1 + q) n
+        columns are the part from the readings, the others the errors of the weights.
+    chi2, degrees_of_freedom
+        Of the days about their lines.
+    each, each_degrees
+        (n,) the share of each actuator, chi-squared distributed given all others; its degrees.
+    """
+
+    alpha: Array
+    effects: Array
+    root: Array
+    chi2: float
+    degrees_of_freedom: int
+    each: Array
+    each_degrees: int
+
+
+def own_scatter(days: Sequence[Day], on: NDArray[np.bool_], settings: Array) -> Array:
+    """Return (n,) how far each actuator's days scatter about its line, relative to alpha."""
+    alpha = np.array([day.calibration.alpha[on] for day in days])
+    design = np.column_stack([np.ones(len(days)), settings])
+    off = scipy.linalg.null_space(design.T)
+    left = off.T @ (alpha / alpha.mean(axis=0))
+    return np.asarray(np.sqrt(np.sum(left**2, axis=0) / max(len(left), 1)))
+
+
+def fitted_lines(
+    days: Sequence[Day], on: NDArray[np.bool_], settings: Array, scatter: Array
+) -> Lines:
+    """Fit the lines.
+
+    Parameters
+    ----------
+    days
+        J calibrations.
+    on
+        (n_all,) the actuators that take part; n of them.
+    settings
+        (J, q) temperature and time of the days, counted from their middle.
+    scatter
+        (n,) standard deviation of each actuator about its line, relative, beside the readings.
+
+    Raises
+    ------
+    RankDeficient
+        The settings cannot tell the effects apart.
+    """
+    alpha = np.array([day.calibration.alpha[on] for day in days])
+    count, n = alpha.shape
+    design = np.column_stack([np.ones(count), settings])
+    q = settings.shape[1]
+    # Relative to the mean, all actuators weigh alike in one matrix.
+    mean = alpha.mean(axis=0)
+    y = alpha / mean
+    each_mean = np.outer(mean, mean)
+    roots = np.array(
+        [
+            _inverse_root(day, covariances(day, on)[0] / each_mean + np.diag(scatter**2))
+            for day in days
+        ]
+    )
+    whitened = np.einsum("jab,jk->jakb", roots, design).reshape(count * n, (1 + q) * n)
+    # Errors of the weights multiply the law; taken from the readings they would carry noise.
+    law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
+    changes = [np.zeros((count, n, 0))]
+    for group in groups(days):
+        factor = relative_factor([days[k] for k in group], on)
+        changed = np.zeros((count, n, factor.shape[1]))
+        changed[group] = law[group] * factor
+        changes.append(changed)
+    change = np.concatenate(changes, axis=2)
+    errors = change.shape[2]
+    matrix = np.zeros((count * n + errors, (1 + q) * n + errors))
+    matrix[: count * n, : (1 + q) * n] = whitened
+    matrix[: count * n, (1 + q) * n :] = (roots @ change).reshape(count * n, errors)
+    matrix[count * n :, (1 + q) * n :] = np.eye(errors)
+    right = np.concatenate([np.einsum("jab,jb->ja", roots, y).ravel(), np.zeros(errors)])
+    found = least_squares(matrix, right)
+    values = found.values[: (1 + q) * n].reshape(1 + q, n)
+    a, effects = values[0], values[1:] / values[0]
+    root = found.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
+    root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
+    root[0] *= mean[:, None]
+    each, each_degrees = _share(found, roots, design)
+    return Lines(
+        alpha=a * mean,
+        effects=effects,
+        root=root.reshape((1 + q) * n, -1),
+        chi2=found.chi2,
+        degrees_of_freedom=count * n - (1 + q) * n,
+        each=each,
+        each_degrees=each_degrees,
+    )
+
+
+def _inverse_root(day: Day, covariance: Array) -> Array:
+    """Return W with W' W the inverse of a covariance."""
+    try:
+        lower = scipy.linalg.cholesky(covariance, lower=True)
+    except np.linalg.LinAlgError:
+        raise FormatError(
+            "COVARIANCE less SYSTEMATIC is no covariance",
+            remedy="calibrate again",
+            path=day.name,
+        ) from None
+    return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
+
+
+def _share(found: Solution, roots: Array, design: Array) -> tuple[Array, int]:
+    """Return (n,) chi2 of the days of one actuator given all others, and its degrees of freedom.
+
+    Columns Z that shift each day of the actuator freely would lower chi2 by s' (Z' M Z)^+ s, with
+    s = Z' residual and M the projection off the columns of the fit; whatever law the actuator
+    itself obeys is left out of the rank.
+    """
+    count, n = roots.shape[:2]
+    degrees = count - design.shape[1]
+    if degrees <= 0:
+        return np.zeros(n), 0
+    residual = found.residual[: count * n].reshape(count, n)
+    basis = found.orthogonal[: count * n].reshape(count, n, -1)
+    s = np.einsum("jab,ja->bj", roots, residual)
+    shared = np.swapaxes(basis, 1, 2) @ roots
+    m = -np.einsum("jpb,kpb->bjk", shared, shared)
+    day = np.arange(count)
+    m[:, day, day] += np.einsum("jab,jab->bj", roots, roots)
+    off = scipy.linalg.null_space(design.T)
+    inner = np.einsum("jp,bjk,kq->bpq", off, m, off)
+    reduced = s @ off
+    solved = np.linalg.solve(inner, reduced[..., None])[..., 0]
+    return np.sum(reduced * solved, axis=1), degrees
