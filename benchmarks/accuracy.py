@@ -178,7 +178,7 @@ class Answer:
     """What a method says of one campaign: (n,) alpha and its errors, NaN where it gives none."""
 
     alpha: Array
-    statistical: Array
+    reading_error: Array
     error: Array
     undetermined: int = 0
 
@@ -186,7 +186,7 @@ class Answer:
 def by_ml(campaign: tn.Campaign) -> Answer:
     """Calibrate by maximum likelihood."""
     found = tn.calibrate(campaign)
-    return Answer(found.alpha, found.statistical, found.error, found.diagnosis.undetermined)
+    return Answer(found.alpha, found.reading_error, found.error, found.diagnosis.undetermined)
 
 
 def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
@@ -195,10 +195,10 @@ def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
     blocks = tuple((3 * rows * place, rows) for place in range(len(campaign.loads)))
     fit = cycles_svd.Fit(e, r, cycles_svd.solve(e, r), blocks)
     n = a.shape[1]
-    statistical = np.diag(cycles_svd.scatter_covariance(campaign, fit))[:n]
+    reading_covariance = np.diag(cycles_svd.scatter_covariance(campaign, fit))[:n]
     changes = cycles_svd.weight_changes(fit, weight_errors(campaign))[:, :n]
-    whole = statistical + np.sum(changes**2, axis=0)
-    return Answer(fit.found.solution[:n], np.sqrt(statistical), np.sqrt(whole))
+    whole = reading_covariance + np.sum(changes**2, axis=0)
+    return Answer(fit.found.solution[:n], np.sqrt(reading_covariance), np.sqrt(whole))
 
 
 def by_svd(campaign: tn.Campaign) -> Answer:
@@ -297,7 +297,7 @@ class Errors:
 
     known: Array  # with the weights known
     whole: Array
-    statistical: Array
+    reading_error: Array
     error: Array
     undetermined: Array
     failures: tuple[str, ...]
@@ -320,7 +320,7 @@ def run(
     return Errors(
         known=alpha * np.array(scales)[:, None] - simulated.alpha,
         whole=alpha - simulated.alpha,
-        statistical=np.array([answer.statistical for answer in answers]),
+        reading_error=np.array([answer.reading_error for answer in answers]),
         error=np.array([answer.error for answer in answers]),
         undetermined=np.array([answer.undetermined for answer in answers]),
         failures=tuple(failures),
@@ -374,7 +374,7 @@ def print_line(name: str, found: Errors, bound: tuple[Array, Array], two_loads: 
         known = (
             f"{bias:.2e}", f"{scatter:.2e}", f"{bias / scatter:.3f}",
             f"{scatter / rms(bound[0]):.3f}",
-            ratio(found.known, bound[0]), coverage(found.known, found.statistical),
+            ratio(found.known, bound[0]), coverage(found.known, found.reading_error),
         )  # fmt: skip
     cells = (*known, ratio(found.whole, bound[1]), coverage(found.whole, found.error))
     line = "".join(f"{cell:>{width}s}" for cell, width in zip(cells, WIDTHS, strict=True))

@@ -98,10 +98,10 @@ def coverage(seeds: int) -> None:
         rests.append(rest_displacement(bench))
         there = at_mean(bench, rests[-1])
         error = found.alpha - known(bench) * there
-        inside.append(np.mean(np.abs(error) < TWO_SIGMA * found.statistical))
+        inside.append(np.mean(np.abs(error) < TWO_SIGMA * found.reading_error))
         beside = found.alpha - bench.truth.alpha * there
         outside.append(np.mean(np.abs(beside) < TWO_SIGMA * found.error))
-        ratio.append(np.mean((error / found.statistical) ** 2))
+        ratio.append(np.mean((error / found.reading_error) ** 2))
         sizes.append(found.goodness.reduced)
         added = dict(zip(bench.loads, bench.truth.added, strict=True))
         exact = tuple(replace(c, load=replace(c.load, added=added[c.load])) for c in cycles)
@@ -184,7 +184,7 @@ def rings(count: int) -> None:
             found = tn.calibrate(campaign)
             error = found.alpha * heavier - simulated.alpha
             square.append(np.mean(error**2))
-            covered.append(np.mean(np.abs(error) < TWO_SIGMA * found.statistical))
+            covered.append(np.mean(np.abs(error) < TWO_SIGMA * found.reading_error))
             drowned.append(found.diagnosis.undetermined)
         value = np.sqrt(np.mean(square)) / rms(bound[0])
         spread = value * 0.5 * np.std(square, ddof=1) / np.sqrt(count) / np.mean(square)

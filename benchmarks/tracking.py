@@ -47,22 +47,22 @@ class World:
         self.k = random.normal(MEAN_K, SPREAD_K, n)
         self.r = random.normal(MEAN_R, SPREAD_R, n)
         self.start = pattern.date
-        statistical, systematic = covariances(Day("", pattern), np.ones(n, dtype=bool))
-        root = np.linalg.cholesky(statistical)
-        scale = np.sqrt(systematic[0, 0]) / self.a[0] * random.standard_normal()
+        reading_covariance, systematic_covariance = covariances(Day("", pattern), np.ones(n, dtype=bool))
+        root = np.linalg.cholesky(reading_covariance)
+        scale = np.sqrt(systematic_covariance[0, 0]) / self.a[0] * random.standard_normal()
         self.days = []
         for place, temperature in enumerate(TEMPERATURES):
             date = self.start + place * gap * datetime.timedelta(days=1)
             read = self.alpha(temperature, date) * (1 + scale) + root @ random.standard_normal(n)
-            whole, weights = pattern.covariance.copy(), pattern.systematic.copy()
-            weights[:n, :n] = systematic[0, 0] / self.a[0] ** 2 * np.outer(read, read)
-            whole[:n, :n] = statistical + weights[:n, :n]
+            whole, weights = pattern.covariance.copy(), pattern.systematic_covariance.copy()
+            weights[:n, :n] = systematic_covariance[0, 0] / self.a[0] ** 2 * np.outer(read, read)
+            whole[:n, :n] = reading_covariance + weights[:n, :n]
             self.days.append(
                 replace(
                     pattern,
                     alpha=read,
                     covariance=whole,
-                    systematic=weights,
+                    systematic_covariance=weights,
                     temperature=temperature,
                     date=date,
                     date_end=date,
@@ -79,8 +79,8 @@ class World:
 def bound(pattern: tn.Calibration, gap: float) -> float:
     """Return the least RMS error that k can have, the spreads known but not the means."""
     n = pattern.layout.n
-    statistical, _ = covariances(Day("", pattern), np.ones(n, dtype=bool))
-    weight = np.linalg.inv(statistical / np.outer(pattern.alpha, pattern.alpha))
+    reading_covariance, _ = covariances(Day("", pattern), np.ones(n, dtype=bool))
+    weight = np.linalg.inv(reading_covariance / np.outer(pattern.alpha, pattern.alpha))
     information = np.zeros((3 * n + 2, 3 * n + 2))
     for place, temperature in enumerate(TEMPERATURES):
         row = np.array([1.0, temperature - TEMPERATURES.mean(), (place - 2.5) * gap / 365.25])
@@ -148,8 +148,8 @@ class Mirror:
         self.pattern = one_calibration(noise)
         [self.quiet] = [c for c in run_cycles(bench, 1) if c.load.name == "bare"]
         everyone = np.ones(bench.truth.layout.n, dtype=bool)
-        self.statistical = covariances(Day("", self.pattern), everyone)[0]
-        self.root = np.linalg.cholesky(self.statistical)
+        self.reading_covariance = covariances(Day("", self.pattern), everyone)[0]
+        self.root = np.linalg.cholesky(self.reading_covariance)
 
     def earlier(self, random: np.random.Generator) -> tn.Calibration:
         """Return the earlier calibration, with errors of its own."""
@@ -177,7 +177,7 @@ class Mirror:
             information += j.T @ inverse @ j
         others = np.arange(n) != REPLACED
         at = np.ix_(np.flatnonzero(others), np.flatnonzero(others))
-        information[at] += np.linalg.inv(self.statistical[at])
+        information[at] += np.linalg.inv(self.reading_covariance[at])
         return float(np.sqrt(np.linalg.inv(information)[REPLACED, REPLACED]))
 
 
@@ -194,7 +194,7 @@ def replacements(noise: float, runs: int) -> None:
         known = mirror.earlier(random)
         made = tn.recalibrate(mirror.run(new, random), known, [int(ids[REPLACED])])
         off.append(made.calibration.alpha[REPLACED] - mirror.truth.alpha[REPLACED] * 0.8)
-        told.append(made.calibration.statistical[REPLACED])
+        told.append(made.calibration.reading_error[REPLACED])
         false.append(bool(made.moved))
         false_auto.append(bool(tn.recalibrate(mirror.run(np.ones(45), random), known).moved))
         made = tn.recalibrate(mirror.run(both, random), known, [int(ids[REPLACED])])

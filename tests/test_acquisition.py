@@ -469,4 +469,4 @@ def test_a_day_at_the_simulated_bench_ends_at_the_truth(tmp_path):
     found = tn.calibrate(tn.read(tmp_path / "p45"))
     assert 0.8 < found.goodness.reduced < 1.2
     expected = truth.alpha * TWO[1].added / truth.added[1]
-    assert np.sqrt(np.mean(((found.alpha - expected) / found.statistical) ** 2)) < 1.5
+    assert np.sqrt(np.mean(((found.alpha - expected) / found.reading_error) ** 2)) < 1.5

@@ -38,7 +38,7 @@ def test_patterns_that_drown_are_named_and_the_errors_hold():
     for seed in (0, 1, 2, 3, 7):
         campaign, alpha = faint(seed)
         found = calibrate(campaign)
-        covered.append(np.mean(np.abs(found.alpha - alpha) < 1.96 * found.statistical))
+        covered.append(np.mean(np.abs(found.alpha - alpha) < 1.96 * found.reading_error))
         drowned.append(found.diagnosis.undetermined)
         faults = " ".join(fault for fault, _ in found.diagnosis.warnings)
         held.append("drown in noise: held even over the mirror" in faults)
@@ -55,7 +55,7 @@ def test_what_does_not_drown_is_as_well_known_as_it_says():
     for seed in range(6):
         campaign, alpha = faint(seed, 0.07)
         found = calibrate(campaign)
-        covariance = (found.covariance - found.systematic)[:45, :45]
+        covariance = (found.covariance - found.systematic_covariance)[:45, :45]
         size, pattern = np.linalg.eigh(covariance)
         z = pattern.T @ (found.alpha - alpha) / np.sqrt(size)
         squares.append(np.mean(z[:-6] ** 2))
@@ -73,7 +73,7 @@ def test_drowned_patterns_have_no_mean_and_leave_the_common_scale_alone():
     estimate = held.fitted(moments)
     assert patterns.T @ estimate.values[:45] == pytest.approx(np.zeros(4), abs=1e-4)
     wider = with_unknown_patterns(estimate, patterns)
-    more = patterns.T @ (wider.statistical - estimate.statistical)[:45, :45] @ patterns
+    more = patterns.T @ (wider.reading_covariance - estimate.reading_covariance)[:45, :45] @ patterns
     assert more == pytest.approx(45 * np.var(estimate.values[:45]) * np.eye(4), rel=1e-3, abs=1e-4)
 
 

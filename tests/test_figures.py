@@ -47,7 +47,7 @@ def test_alpha_stands_with_three_sigma_bars_ring_by_ring(calibration):
     assert bars.lines[0].get_ydata() == pytest.approx(calibration.alpha, rel=1e-15)
     ends = np.array([s[:, 1] for s in bars.lines[2][0].get_segments()])
     half = 0.5 * (ends[:, 1] - ends[:, 0])
-    assert half == pytest.approx(3 * calibration.statistical, rel=1e-9)
+    assert half == pytest.approx(3 * calibration.reading_error, rel=1e-9)
     named = {text.get_text() for text in ax.texts}
     assert named == {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
 

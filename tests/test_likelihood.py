@@ -159,7 +159,7 @@ def test_a_prior_pulls_as_much_as_its_information_says():
     strong = Prior(values, 1e12 * np.eye(u))
     held = minimise(a, sets, strong, values)
     assert held.values == pytest.approx(values, abs=1e-4)
-    assert np.diag(held.statistical) == pytest.approx(1e-12, rel=1e-2)
+    assert np.diag(held.reading_covariance) == pytest.approx(1e-12, rel=1e-2)
 
 
 # Symmetries.
@@ -191,7 +191,7 @@ def test_noiseless_readings_of_unknown_noise_give_the_truth(cycles, loads):
     )
     found = find(campaign)
     assert found.values == pytest.approx(truth, abs=1e-9 if exact else 2e-5)
-    assert np.isfinite(found.statistical).all()
+    assert np.isfinite(found.reading_error).all()
 
 
 def turned(campaign, angle):
@@ -207,7 +207,7 @@ def turned(campaign, angle):
 def test_turning_the_axes_leaves_alpha_though_there_is_noise(angle):
     campaign, _ = campaign_of(seed=7, noise=SIGMA, cycles=3)
     one, two = calibrate(campaign), calibrate(turned(campaign, angle))
-    assert np.abs((two.alpha - one.alpha) / one.statistical).max() < 1e-5
+    assert np.abs((two.alpha - one.alpha) / one.reading_error).max() < 1e-5
     assert two.error == pytest.approx(one.error, rel=1e-6)
     c, s = np.cos(angle), np.sin(angle)
     assert two.torque_y == pytest.approx(c * one.torque_y + s * one.torque_x, abs=1e-8)
@@ -220,7 +220,7 @@ def test_the_unit_of_length_leaves_alpha_though_there_is_noise():
     longer = Layout(of.id, 50 * of.x, 50 * of.y, of.nz, of.enabled)
     other = Campaign(tuple(replace(k, layout=longer) for k in campaign.cycles))
     one, two = calibrate(campaign), calibrate(other)
-    assert np.abs((two.alpha - one.alpha) / one.statistical).max() < 1e-5
+    assert np.abs((two.alpha - one.alpha) / one.reading_error).max() < 1e-5
     assert two.torque_y == pytest.approx(50 * one.torque_y, rel=1e-6)
 
 
@@ -228,7 +228,7 @@ def test_forces_in_other_units_scale_alpha():
     campaign, _ = campaign_of(seed=9, noise=SIGMA, cycles=3)
     one = calibrate(campaign)
     two = calibrate(Campaign(tuple(replace(c, force=4 * c.force) for c in campaign.cycles)))
-    assert np.abs((4 * two.alpha - one.alpha) / one.statistical).max() < 1e-5
+    assert np.abs((4 * two.alpha - one.alpha) / one.reading_error).max() < 1e-5
     assert 4 * two.error == pytest.approx(one.error, rel=1e-6)
     assert two.noise == pytest.approx(4 * one.noise, rel=1e-9)
 
@@ -244,7 +244,7 @@ def test_the_order_of_actuators_does_not_matter(order):
     )
     one, two = calibrate(campaign), calibrate(other)
     on = shuffled.enabled
-    apart = (two.alpha - one.alpha[order]) / one.statistical[order]
+    apart = (two.alpha - one.alpha[order]) / one.reading_error[order]
     assert np.abs(apart[on]).max() < 1e-5
     assert np.isnan(apart[~on]).all()
     assert two.error[on] == pytest.approx(one.error[order][on], rel=1e-6)
@@ -303,15 +303,15 @@ def check_calibrated(found, truth, fisher):
     bias = np.mean(white.mean(axis=0) ** 2) - np.mean(white.var(axis=0, ddof=1)) / campaigns
     assert bias < 0.1**2  # a tenth of the scatter; sampling leaves root(2 / u) / N, 0.0016
     # The same in terms of what each campaign states of itself.
-    stated = np.mean([trace_in(f.statistical, fisher) for f in found])
+    stated = np.mean([trace_in(f.reading_covariance, fisher) for f in found])
     assert np.sqrt(stated) == pytest.approx(ratio, rel=0.03 + 3 * sampling)
     rms = np.sqrt(np.mean(errors**2, axis=0))
-    said = np.sqrt(np.mean([np.diag(f.statistical) for f in found], axis=0))
+    said = np.sqrt(np.mean([np.diag(f.reading_covariance) for f in found], axis=0))
     # Each of u: 1 / root(2 N) = 5 %, four sigma.
     assert said == pytest.approx(rms, rel=4 / np.sqrt(2 * campaigns))
     inside = np.mean(
         [
-            np.abs(e) < 1.96 * np.sqrt(np.diag(f.statistical))
+            np.abs(e) < 1.96 * np.sqrt(np.diag(f.reading_covariance))
             for e, f in zip(errors, found, strict=True)
         ]
     )
@@ -440,7 +440,7 @@ def test_a_stiffness_matrix_beside_cycles_adds_its_information(repeats):
     errors = (np.array([f.values for f in found]) - truth) @ np.linalg.cholesky(both)
     ratio = np.sqrt(np.mean(errors**2))
     assert ratio == pytest.approx(1.0, abs=0.08)
-    stated = np.sqrt(np.mean([trace_in(f.statistical, both) for f in found]))
+    stated = np.sqrt(np.mean([trace_in(f.reading_covariance, both) for f in found]))
     assert stated == pytest.approx(ratio, rel=0.08)
     noise = np.mean([f.noise for f in found])
     assert noise == pytest.approx(SIGMA, rel=0.02)
@@ -462,7 +462,7 @@ def test_weights_off_as_declared_are_covered_and_at_the_bound_that_counts_them(l
         f = find(noisy(declared, SIGMA, random))
         error = f.values - truth
         white.append(np.linalg.solve(np.linalg.cholesky(bound), error))
-        variance = np.diag(f.statistical + f.systematic)
+        variance = np.diag(f.reading_covariance + f.systematic_covariance)
         inside.append(np.abs(error)[:n] < 1.96 * np.sqrt(variance)[:n])
     # 300 campaigns of 19 or 21 components; the common scale is one of them.
     assert np.sqrt(np.mean(np.square(white))) == pytest.approx(1.0, abs=0.05)
@@ -509,7 +509,7 @@ def test_scatter_is_at_the_bound_on_p45():
     assert np.sqrt(np.mean(white**2)) == pytest.approx(1.0, abs=0.075)
     rms = np.sqrt(np.mean((white / np.sqrt(30)).sum(axis=0) ** 2))
     assert rms == pytest.approx(1.0, abs=0.35)  # no bias: a mean of 30 is as its scatter, 3 sigma
-    stated = np.mean([trace_in(f.statistical, fisher) for f in found])
+    stated = np.mean([trace_in(f.reading_covariance, fisher) for f in found])
     assert np.sqrt(stated) == pytest.approx(1.0, abs=0.04)
 
 
@@ -524,7 +524,7 @@ def test_quiet_readings_have_errors_that_hold(noise):
         white = (f.values - truth) @ np.linalg.cholesky(fisher)
         assert white @ white < scipy.stats.chi2.isf(1e-4, 19)
         bound = np.sqrt(np.diag(np.linalg.inv(fisher)))
-        assert np.sqrt(np.diag(f.statistical)) == pytest.approx(bound, rel=0.25)
+        assert np.sqrt(np.diag(f.reading_covariance)) == pytest.approx(bound, rel=0.25)
 
 
 # What cannot be known.
@@ -617,7 +617,7 @@ def test_a_population_is_named_never_default_and_pulls_to_the_mean():
     assert plain.method == "ml"
     assert pooled.method.startswith("ml, population 0.")
     assert np.std(pooled.alpha) < np.std(plain.alpha)
-    assert (pooled.statistical < plain.statistical).mean() > 0.7
+    assert (pooled.reading_error < plain.reading_error).mean() > 0.7
     with pytest.raises(UnknownName, match="svd takes neither a population"):
         calibrate(campaign, "svd", population=True)
 
@@ -664,7 +664,7 @@ def test_a_large_mirror_with_quiet_readings_is_calibrated():
     """672 actuators at 10 uN: what the readings and the weights say lies twelve orders apart."""
     campaign, truth = campaign_of(42, 1e-5, layout=lbt672().layout, cycles=2)
     found = calibrate(campaign)
-    error = (found.alpha - truth[:672]) / found.statistical
+    error = (found.alpha - truth[:672]) / found.reading_error
     assert np.sqrt(np.mean(error**2)) < 1.6  # a few patterns, and so the common scale, are shared
     assert found.diagnosis.undetermined == 0
     assert found.goodness.reduced == pytest.approx(1.0, abs=0.1)

@@ -77,7 +77,7 @@ def test_errors_of_alpha_move_the_number_by_force_alone(p45):
     other = replace(
         found,
         calibration=replace(
-            c, layout=shuffled, alpha=c.alpha[turned], statistical=c.statistical[turned],
+            c, layout=shuffled, alpha=c.alpha[turned], reading_error=c.reading_error[turned],
             systematic_error=c.systematic_error[turned],
         ),
     )  # fmt: skip

@@ -67,7 +67,7 @@ def test_against_little_noise_the_errors_are_the_bound_of_cramer_and_rao():
     one = declared(quiet, noise)
     found = predict(one, campaign_moments(one), 5, truth[:n])
     bound = np.linalg.inv(fisher(one, truth, noise, 5))[:n, :n]
-    assert found.statistical == pytest.approx(bound, rel=1e-5, abs=1e-6 * np.abs(bound).max())
+    assert found.reading_covariance == pytest.approx(bound, rel=1e-5, abs=1e-6 * np.abs(bound).max())
     assert found.drowned == 0
     assert found.warnings == ()
 
@@ -84,7 +84,7 @@ def test_what_is_stated_and_what_scatters_is_what_was_predicted():
     truth = np.concatenate([alpha, np.zeros(5)])
     bound = np.sqrt(np.diag(np.linalg.inv(fisher(one, truth, noise, 4)))[:45])
     answers = [tn.calibrate(noisy(quiet, noise, seed)) for seed in range(60)]
-    stated = np.mean([c.statistical for c in answers], axis=0)
+    stated = np.mean([c.reading_error for c in answers], axis=0)
     scatter = np.sqrt(np.mean([(c.alpha - alpha) ** 2 for c in answers], axis=0))
     assert stated == pytest.approx(found.reading_error, rel=0.03)
     assert np.median(scatter / found.reading_error) == pytest.approx(1.0, abs=0.1)
@@ -95,7 +95,7 @@ def test_a_planned_day_at_the_simulated_bench_gives_what_was_predicted(ready):
     found = predicted(ready)
     bench = replace(static_bench(p45(), 5, loads=LOADS), shapes=ready.shapes)
     calibration = tn.calibrate(Campaign(tuple(run_cycles(bench, PLAN.cycles))))
-    assert typical(calibration.statistical, calibration.alpha) == pytest.approx(
+    assert typical(calibration.reading_error, calibration.alpha) == pytest.approx(
         typical(found.reading_error, found.alpha), rel=0.05
     )
     assert typical(calibration.error, calibration.alpha) == pytest.approx(found.typical, rel=0.01)
@@ -108,7 +108,7 @@ def test_two_loads_know_the_scale_as_well_as_their_difference(ready):
     source = found.scale_errors[0]
     assert source.source == "weight of 'ring'"
     assert source.relative == pytest.approx(0.005 / 0.289, rel=1e-9)
-    assert found.weight_error / found.alpha == pytest.approx(0.005 / 0.289, rel=1e-6)
+    assert found.systematic_error / found.alpha == pytest.approx(0.005 / 0.289, rel=1e-6)
 
 
 def test_three_loads_whose_weights_can_correct_each_other():
@@ -118,7 +118,7 @@ def test_three_loads_whose_weights_can_correct_each_other():
     found = predict(one, campaign_moments(one), 2, alpha)
     answer = tn.calibrate(noisy(quiet, noise, 1))
     assert found.error == pytest.approx(answer.error, rel=0.02)
-    assert found.reading_error == pytest.approx(answer.statistical, rel=0.1)
+    assert found.reading_error == pytest.approx(answer.reading_error, rel=0.1)
     for predicted_line, line in zip(found.scale_errors[:3], answer.scale_errors, strict=False):
         assert predicted_line.source == line.source
         assert predicted_line.relative == pytest.approx(line.relative, rel=0.02)

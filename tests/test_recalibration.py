@@ -27,9 +27,9 @@ def replaced(*pairs):
 
 def earlier(random, scale=0.0):
     """Return an earlier calibration with errors of its own."""
-    statistical = covariances(Day("", pattern()), np.ones(45, dtype=bool))[0]
-    off = np.linalg.cholesky(statistical) @ random.standard_normal(45)
-    return scaled(pattern(), statistical, (quiet_cycles()[1] + off) * (1 + scale), temperature=20.0)
+    reading_covariance = covariances(Day("", pattern()), np.ones(45, dtype=bool))[0]
+    off = np.linalg.cholesky(reading_covariance) @ random.standard_normal(45)
+    return scaled(pattern(), reading_covariance, (quiet_cycles()[1] + off) * (1 + scale), temperature=20.0)
 
 
 def wrong_ring():
@@ -70,7 +70,7 @@ def test_one_cycle_under_one_load_gives_the_new_alpha_at_the_bound():
         made = tn.recalibrate(short(replaced(), random), earlier(random), [17])
         c = made.calibration
         off.append((c.alpha[NEW] - 0.8 * quiet_cycles()[1][NEW]) / bound())
-        assert c.statistical[NEW] == pytest.approx(bound(), rel=0.1)
+        assert c.reading_error[NEW] == pytest.approx(bound(), rel=0.1)
         alarms += bool(made.moved)
         assert (c.scale, made.asked) == ("given", (17,))
         assert made.probability > 1e-4
@@ -84,13 +84,13 @@ def test_the_error_of_the_earlier_scale_stays_common():
     after = tn.recalibrate(short(replaced(), random), before, [17]).calibration
     relative = before.systematic_error / before.alpha
     assert after.systematic_error / after.alpha == pytest.approx(relative, rel=1e-6)
-    share = after.systematic[:45, :45] / np.outer(after.alpha, after.alpha)
+    share = after.systematic_covariance[:45, :45] / np.outer(after.alpha, after.alpha)
     assert share == pytest.approx(np.full((45, 45), relative[0] ** 2), rel=1e-6)
     # P + B is in proportion to alpha; the weight P itself comes besides.
     p, b = after.weight, after.bias_force
     error = np.hypot(relative[0] * (p + b), after.weight_error)
-    assert np.sqrt(after.systematic[45, 45]) == pytest.approx(error, rel=1e-6)
-    assert np.hypot(after.statistical, after.systematic_error) == pytest.approx(
+    assert np.sqrt(after.systematic_covariance[45, 45]) == pytest.approx(error, rel=1e-6)
+    assert np.hypot(after.reading_error, after.systematic_error) == pytest.approx(
         np.sqrt(np.diag(after.covariance)[:45]), rel=1e-9
     )
 
@@ -100,7 +100,7 @@ def test_all_are_carried_by_an_earlier_scale_that_is_off():
     made = tn.recalibrate(short(replaced(), random), earlier(random, scale=0.017), [17])
     assert made.moved == ()
     ratio = made.calibration.alpha / (1.017 * quiet_cycles()[1] * replaced())
-    assert np.abs(ratio - 1).max() < 5 * (made.calibration.statistical / quiet_cycles()[1]).max()
+    assert np.abs(ratio - 1).max() < 5 * (made.calibration.reading_error / quiet_cycles()[1]).max()
 
 
 @pytest.mark.parametrize("asked", [(17,), ()])
@@ -114,7 +114,7 @@ def test_who_changed_unannounced_is_found_and_given_anew(asked):
     assert {one.actuator: one.sigmas > 0 for one in made.moved}[31]
     c, truth = made.calibration, quiet_cycles()[1] * factor
     for place in (NEW, 30):
-        assert abs(c.alpha[place] - truth[place]) < 4 * c.statistical[place]
+        assert abs(c.alpha[place] - truth[place]) < 4 * c.reading_error[place]
     assert made.probability > 1e-3  # of those who stayed
 
 
@@ -157,7 +157,7 @@ def test_two_loads_with_the_same_ring_fix_no_new_scale():
     assert made.probability > 0.01
     assert made.calibration.scale == "weights"
     assert made.moved == ()
-    assert made.calibration.statistical[NEW] < bound()
+    assert made.calibration.reading_error[NEW] < bound()
     relative = made.calibration.systematic_error / made.calibration.alpha
     assert relative == pytest.approx(before.systematic_error / before.alpha, rel=1e-6)
 
@@ -231,7 +231,7 @@ def test_what_came_out_is_the_prior_of_the_next_run(tmp_path):
     made = tn.recalibrate(short(factor, random), tmp_path / "first.fits", [4])
     assert made.moved == ()
     c = made.calibration
-    assert abs(c.alpha[3] - 0.9 * quiet_cycles()[1][3]) < 4 * c.statistical[3]
+    assert abs(c.alpha[3] - 0.9 * quiet_cycles()[1][3]) < 4 * c.reading_error[3]
     assert c.systematic_error / c.alpha == pytest.approx(
         first.systematic_error / first.alpha, rel=1e-6
     )

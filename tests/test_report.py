@@ -146,7 +146,7 @@ def test_numbers_go_as_far_as_their_errors(p45):
     c, layers = p45.calibration, {layer.key: layer for layer in calibration_layers(p45)}
     value, error = layers["alpha"].texts[9].split(" ± ")
     assert float(value) == pytest.approx(c.alpha[9], abs=0.5 * 10.0 ** -len(error.split(".")[1]))
-    assert float(error) == pytest.approx(c.statistical[9], rel=0.1)
+    assert float(error) == pytest.approx(c.reading_error[9], rel=0.1)
     assert len(value.split(".")[1]) == len(error.split(".")[1])
     assert all(len(text.lstrip("0.").replace(".", "")) <= 2 for text in layers["e_stat"].texts)
 
@@ -171,9 +171,9 @@ def changed_by(sigmas, *, ratio=1.02):
     """Return a calibration and another whose actuator 7 moved by so many sigmas."""
     one = calibrate(campaign_of(3, 1e-4, cycles=4)[0])
     alpha = one.alpha.copy()
-    alpha[6] += sigmas * np.sqrt(2) * one.statistical[6]
+    alpha[6] += sigmas * np.sqrt(2) * one.reading_error[6]
     other = replace(
-        one, alpha=ratio * alpha, statistical=ratio * one.statistical, sources=(),
+        one, alpha=ratio * alpha, reading_error=ratio * one.reading_error, sources=(),
         systematic_error=ratio * one.systematic_error,
     )  # fmt: skip
     return one, other

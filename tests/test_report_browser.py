@@ -105,7 +105,7 @@ def test_the_actuator_under_the_pointer_is_told_in_full(browser, pages, p45):
     told = browser.wait(TOOLTIP)
     c = p45.calibration
     assert "actuator17" in told.replace(": ", "").replace(" ", "")
-    error = f"{c.statistical[16]:.4f}"
+    error = f"{c.reading_error[16]:.4f}"
     assert f"{c.alpha[16]:.3f}"[:4] in told
     for name in ("ring", "x, y", "alpha", "error from readings", "leverage", "residual"):
         assert name in told, name
@@ -193,7 +193,7 @@ def test_the_table_is_downloaded_as_csv(browser, pages, p45, downloads):
     c = p45.calibration
     assert [int(row["ID"]) for row in rows] == list(range(1, 21))
     assert [float(row["ALPHA"]) for row in rows] == pytest.approx(c.alpha[:20], rel=1e-6)
-    assert [float(row["E_STAT"]) for row in rows] == pytest.approx(c.statistical[:20], rel=1e-6)
+    assert [float(row["E_STAT"]) for row in rows] == pytest.approx(c.reading_error[:20], rel=1e-6)
     assert [float(row["X_mm"]) for row in rows] == pytest.approx(1e3 * c.layout.x[:20], abs=1e-4)
     assert "NOISE_mN" in rows[0]
 

@@ -108,10 +108,10 @@ def test_a_closed_loop_campaign_fits_and_gives_alpha_within_its_errors():
     # At the mean place of the campaign: 50 nm off, other under each load, by 600 /m.
     there = 1 + 600 * rest_displacement(plan).mean(axis=0)
     expected = plan.truth.alpha * plan.loads[1].added / plan.truth.added[1]
-    sigmas = [(found.alpha - expected * place) / found.statistical for place in (there, 1.0)]
+    sigmas = [(found.alpha - expected * place) / found.reading_error for place in (there, 1.0)]
     at_mean, at_nominal = np.sqrt(np.mean(np.square(sigmas), axis=1))
     assert at_mean < 1.5 < at_nominal
-    assert found.statistical.max() < 1e-4
+    assert found.reading_error.max() < 1e-4
     bare = tuple(replace(c, coil_gradient=None, bias_gradient=None) for c in cycles)
     assert tn.calibrate(tn.Campaign(bare)).goodness.reduced > 20
 

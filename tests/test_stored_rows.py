@@ -94,7 +94,7 @@ def test_the_size_of_a_block_changes_rounding_only(folder, method, left_on_disk)
             patch.setattr(module, "BLOCK_BYTES", 2**24)
         large = calibrate(read_data(folder), method)
     assert len(small.rejected_rows) == len(large.rejected_rows)
-    for name in ("alpha", "statistical", "cycle_error"):
+    for name in ("alpha", "reading_error", "cycle_error"):
         assert getattr(small, name) == pytest.approx(getattr(large, name), rel=1e-8, nan_ok=True)
 
 

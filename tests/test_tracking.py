@@ -111,7 +111,7 @@ def test_lines_are_generalised_least_squares_with_weights_common_to_days():
     x = np.kron(np.column_stack([np.ones(6), settings]), np.eye(45))
     whole = scipy.linalg.block_diag(*(covariances(d, on)[0] for d in days))
     law = x @ np.linalg.lstsq(x, y, rcond=None)[0]
-    scale = np.sqrt(pattern().systematic[0, 0]) / pattern().alpha[0]
+    scale = np.sqrt(pattern().systematic_covariance[0, 0]) / pattern().alpha[0]
     for group in (slice(0, 4 * 45), slice(4 * 45, None)):
         change = np.zeros_like(y)
         change[group] = scale * law[group]
@@ -136,10 +136,10 @@ def test_the_error_of_the_ring_cancels_from_the_coefficients_but_not_from_alpha(
     assert np.abs(other.coefficient - one.coefficient).max() < 0.1 * one.errors[1].min()
     assert other.alpha / one.alpha == pytest.approx(1.02, rel=1e-3)
     relative = pattern().systematic_error / pattern().alpha
-    stated = np.sqrt(np.diag(one.systematic)[:45]) / one.alpha
+    stated = np.sqrt(np.diag(one.systematic_covariance)[:45]) / one.alpha
     assert stated == pytest.approx(relative, rel=1e-3)
     assert (
-        np.abs(np.diag(one.systematic)[45:90]).max() < 1e-6 * np.diag(one.covariance)[45:90].min()
+        np.abs(np.diag(one.systematic_covariance)[45:90]).max() < 1e-6 * np.diag(one.covariance)[45:90].min()
     )
 
 
@@ -188,8 +188,8 @@ def test_alpha_is_linear_and_knows_its_errors(tracking):
     assert warm.alpha == pytest.approx(tracking.alpha * (1 + tracking.coefficient), rel=1e-13)
     assert late.alpha == pytest.approx(tracking.alpha + tracking.drift, rel=1e-13)
     far = tracking.alpha_at(tracking.temperature + 100)
-    statistical = np.sqrt(np.diag(far.covariance - far.systematic))
-    assert statistical == pytest.approx(100 * tracking.alpha * tracking.errors[1], rel=0.1)
+    reading_covariance = np.sqrt(np.diag(far.covariance - far.systematic_covariance))
+    assert reading_covariance == pytest.approx(100 * tracking.alpha * tracking.errors[1], rel=0.1)
 
 
 def test_the_order_of_days_does_not_matter(tracking):
@@ -305,7 +305,7 @@ def test_two_units_of_one_name_are_told_apart():
     # Nor is it hidden by a day that is so noisy that it may be anything.
     noise = 1 + 0.25 * np.random.default_rng(4).standard_normal(45)
     wild = dataclasses.replace(
-        days[1], alpha=days[1].alpha * noise, statistical=0.2 * days[1].alpha
+        days[1], alpha=days[1].alpha * noise, reading_error=0.2 * days[1].alpha
     )
     with pytest.raises(CampaignMismatch, match="one unit"):
         tn.track(days[0], wild, *other)
@@ -362,7 +362,7 @@ def test_a_calibration_serves_as_far_as_its_error_stays_below_what_is_wanted(tra
 
     def of_law(temperature, time):
         at = tracking.alpha_at(temperature, time)
-        return np.sqrt(np.mean(np.diag(at.covariance - at.systematic) / alpha**2))
+        return np.sqrt(np.mean(np.diag(at.covariance - at.systematic_covariance) / alpha**2))
 
     for edge in v.law_temperatures:
         assert of_law(edge, last.date) == pytest.approx(wanted, rel=0.05)

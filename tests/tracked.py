@@ -61,17 +61,17 @@ def pattern(noise=NOISE):
     return tn.calibrate(campaign_at(np.ones(45), np.random.default_rng(1), noise=noise))
 
 
-def scaled(one, statistical, alpha, **changes):
+def scaled(one, reading_covariance, alpha, **changes):
     """Return a calibration with other alpha, the error of its ring in proportion to it."""
     n = len(alpha)
-    relative = one.systematic[0, 0] / one.alpha[0] ** 2
-    systematic, covariance = one.systematic.copy(), one.covariance.copy()
-    systematic[:n, :n] = relative * np.outer(alpha, alpha)
-    covariance[:n, :n] = statistical + systematic[:n, :n]
+    relative = one.systematic_covariance[0, 0] / one.alpha[0] ** 2
+    systematic_covariance, covariance = one.systematic_covariance.copy(), one.covariance.copy()
+    systematic_covariance[:n, :n] = relative * np.outer(alpha, alpha)
+    covariance[:n, :n] = reading_covariance + systematic_covariance[:n, :n]
     return replace(
         one,
         alpha=alpha,
-        systematic=systematic,
+        systematic_covariance=systematic_covariance,
         covariance=covariance,
         systematic_error=np.sqrt(relative) * alpha,
         sources=(),
@@ -83,8 +83,8 @@ def drawn(seed, k, r=0.0, *, gap=30.0, temperatures=TEMPERATURES, noise=NOISE, s
     """Return calibrations of days drawn from a covariance: quicker than campaigns."""
     random = np.random.default_rng(seed)
     one = pattern(noise)
-    statistical = covariances(Day("", one), np.ones(45, dtype=bool))[0]
-    root = np.linalg.cholesky(statistical)
+    reading_covariance = covariances(Day("", one), np.ones(45, dtype=bool))[0]
+    root = np.linalg.cholesky(reading_covariance)
     made = []
     for place, t in enumerate(temperatures):
         date = one.date + datetime.timedelta(days=place * gap)
@@ -92,7 +92,7 @@ def drawn(seed, k, r=0.0, *, gap=30.0, temperatures=TEMPERATURES, noise=NOISE, s
         made.append(
             scaled(
                 one,
-                statistical,
+                reading_covariance,
                 law * (1 + scale) + root @ random.standard_normal(45),
                 date=date,
                 date_end=date + datetime.timedelta(hours=2),

@@ -30,7 +30,7 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.75)
         layout, alpha = calibration.layout, calibration.alpha
-        bars = 3 * calibration.statistical
+        bars = 3 * calibration.reading_error
         ring = ring_of(layout)
         order = np.argsort(ring, kind="stable")
         place = np.arange(1, layout.n + 1)

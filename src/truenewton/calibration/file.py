@@ -65,11 +65,11 @@ def calibration_from(file: FitsFile) -> Calibration:
                 )
             ),
             alpha=alpha,
-            statistical=table.column("E_STAT"),
+            reading_error=table.column("E_STAT"),
             systematic_error=table.column("E_SYST"),
             cycle_error=table.column("E_CYCLE"),
             covariance=images["COVARIANCE"],
-            systematic=images["SYSTEMATIC"],
+            systematic_covariance=images["SYSTEMATIC"],
             bias_force=number("BIAS"),
             torque_y=lines.column("MY", unit="N m"),
             torque_x=lines.column("MX", unit="N m"),

@@ -123,8 +123,8 @@ def _from_stiffness(matrix: StiffnessMatrix, found: Found) -> Calibration:
     # B is not to be had from elastic forces.
     found = replace(
         found,
-        statistical=np.pad(found.statistical, (0, 1), constant_values=np.nan),
-        systematic=np.pad(found.systematic, (0, 1), constant_values=np.nan),
+        reading_covariance=np.pad(found.reading_covariance, (0, 1), constant_values=np.nan),
+        systematic_covariance=np.pad(found.systematic_covariance, (0, 1), constant_values=np.nan),
     )
     return Calibration(
         instrument=matrix.instrument,
@@ -162,10 +162,10 @@ def _common(found: Found, on: NDArray[np.bool_]) -> dict[str, Any]:
         "method": found.method,
         "scale": found.scale,
         "alpha": spread(found.values[:n], on),
-        "statistical": spread(np.sqrt(np.diag(found.statistical)[:n]), on),
-        "systematic_error": spread(np.sqrt(np.diag(found.systematic)[:n]), on),
-        "covariance": _spread_square(found.statistical + found.systematic, on),
-        "systematic": _spread_square(found.systematic, on),
+        "reading_error": spread(np.sqrt(np.diag(found.reading_covariance)[:n]), on),
+        "systematic_error": spread(np.sqrt(np.diag(found.systematic_covariance)[:n]), on),
+        "covariance": _spread_square(found.reading_covariance + found.systematic_covariance, on),
+        "systematic_covariance": _spread_square(found.systematic_covariance, on),
         "condition": found.condition,
         "rank": found.rank,
         "noise": found.noise,

@@ -43,9 +43,9 @@ class Calibration:
         The n actuators; the L loads, empty for a stiffness file.
     alpha
         (n,) true Newton / commanded Newton.
-    statistical, systematic_error, cycle_error
+    reading_error, systematic_error, cycle_error
         (n,) E_STAT from reading noise, E_SYST from the weights, E_CYCLE the paper's.
-    covariance, systematic
+    covariance, systematic_covariance
         (n + 1 + 2L, n + 1 + 2L) of alpha, B, then M_y, M_x of each load; all, and the part from
         the weights.
     bias_force
@@ -80,11 +80,11 @@ class Calibration:
     layout: Layout
     loads: tuple[Load, ...]
     alpha: Array
-    statistical: Array
+    reading_error: Array
     systematic_error: Array
     cycle_error: Array
     covariance: Array
-    systematic: Array
+    systematic_covariance: Array
     bias_force: float
     torque_y: Array
     torque_x: Array
@@ -106,13 +106,13 @@ class Calibration:
     rejected_rows: tuple[RejectedRow, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "statistical", "systematic_error", "cycle_error", "covariance",
-                     "systematic", "torque_y", "torque_x"):  # fmt: skip
+        for name in ("alpha", "reading_error", "systematic_error", "cycle_error", "covariance",
+                     "systematic_covariance", "torque_y", "torque_x"):  # fmt: skip
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
         on = self.layout.enabled
         if not (on.any() and np.isfinite(self.alpha[on]).all() and np.abs(self.alpha[on]).all()):
             raise FormatError("ALPHA holds no usable numbers", remedy="calibrate again")
-        for name, errors in (("E_STAT", self.statistical), ("E_SYST", self.systematic_error),
+        for name, errors in (("E_STAT", self.reading_error), ("E_SYST", self.systematic_error),
                              ("E_CYCLE", self.cycle_error),
                              ("COVARIANCE", np.diag(self.covariance))):  # fmt: skip
             if (errors < 0).any() or np.isinf(errors).any():
@@ -131,7 +131,7 @@ class Calibration:
     @property
     def error(self) -> Array:
         """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
-        return np.asarray(np.hypot(self.statistical, self.systematic_error))
+        return np.asarray(np.hypot(self.reading_error, self.systematic_error))
 
     @property
     def bias_force_error(self) -> float:
@@ -166,7 +166,7 @@ class Calibration:
             ("Y", "D", "m", self.layout.y),
             ("ALPHA", "D", None, self.alpha),
             ("E_ALPHA", "D", None, self.error),
-            ("E_STAT", "D", None, self.statistical),
+            ("E_STAT", "D", None, self.reading_error),
             ("E_SYST", "D", None, self.systematic_error),
             ("E_CYCLE", "D", None, self.cycle_error),
         )
@@ -211,7 +211,7 @@ class Calibration:
             Sheet("CALIBRATION", columns=(*self._columns(), ("NZ", "D", None, self.layout.nz))),
             loads,
             Sheet("COVARIANCE", data=self.covariance),
-            Sheet("SYSTEMATIC", data=self.systematic),
+            Sheet("SYSTEMATIC", data=self.systematic_covariance),
             sources_sheet(self.sources),
         ]
         write_fits(path, self._header(), sheets, overwrite=overwrite)

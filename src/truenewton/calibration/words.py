@@ -79,7 +79,7 @@ def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -
             "id": c.layout.id,
             "alpha": c.alpha,
             "e_alpha": c.error,
-            "e_stat": c.statistical,
+            "e_stat": c.reading_error,
             "e_syst": c.systematic_error,
             "e_cycle": c.cycle_error,
         },
@@ -172,7 +172,7 @@ def _budget(c: Calibration) -> list[tuple[str, str, str]]:
     lines = [
         ("  common scale", percent(float(np.nanmedian(c.systematic_error / alpha))),
          "E_SYST, from the weights"),
-        ("  reading noise", percent(float(np.nanmedian(c.statistical / alpha))),
+        ("  reading noise", percent(float(np.nanmedian(c.reading_error / alpha))),
          "E_STAT" + (", scatter only: svd is biased besides" if c.method == "svd" else "")),
     ]  # fmt: skip
     if parts:

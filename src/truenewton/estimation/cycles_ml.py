@@ -86,7 +86,7 @@ def find(campaign: Campaign, population: bool = False) -> Found:
         estimate = with_unknown_patterns(estimate, patterns)
     method = "ml"
     if population:
-        covariance = estimate.statistical[: problem.n, : problem.n]
+        covariance = estimate.reading_covariance[: problem.n, : problem.n]
         spread = population_spread(estimate.values[: problem.n], covariance)
         problem = replace(problem, prior=free.prior).with_population(spread)
         estimate = problem.fitted(moments, estimate.values)
@@ -165,13 +165,13 @@ def found_of(
     warnings = weights_warning(estimate.values[unknowns:], len(campaign.loads))
     warnings += zeros_warning(campaign, moments)
     diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
-    e_condition = condition(campaign, moments, estimate.statistical)  # while there is room
+    e_condition = condition(campaign, moments, estimate.reading_covariance)  # while there is room
     return Found(
         method=method,
         scale="weights",
         values=estimate.values[:unknowns],
-        statistical=estimate.statistical,
-        systematic=estimate.changes @ estimate.changes.T,
+        reading_covariance=estimate.reading_covariance,
+        systematic_covariance=estimate.changes @ estimate.changes.T,
         noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
         condition=e_condition,
         rank=unknowns - diagnosis.undetermined,
@@ -180,7 +180,7 @@ def found_of(
         declared_chi2=declared,
         scale_errors=scale_errors(
             estimate.values[:n],
-            estimate.statistical[:n, :n],
+            estimate.reading_covariance[:n, :n],
             estimate.changes[:n].T,
             problem.errors,
         ),
@@ -236,7 +236,7 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate, held: int
     So many patterns as are held even drown for sure.
     """
     n, layout = problem.n, problem.campaign.layout
-    covariance = estimate.statistical[:n, :n]
+    covariance = estimate.reading_covariance[:n, :n]
     free = held + patterns_near_noise(estimate, moments.groups)
     value, vector = largest_eigenvalue(covariance)
     weakest = in_words(vector, layout)
@@ -289,7 +289,7 @@ def patterns_near_noise(estimate: Estimate, shapes: int) -> int:
     return int(np.count_nonzero(scipy.linalg.eigvalsh(schur) <= 0.0))
 
 
-def condition(campaign: Campaign, moments: Moments, statistical: Array) -> float:
+def condition(campaign: Campaign, moments: Moments, reading_covariance: Array) -> float:
     """Return the condition of E, each coordinate in units of its RMS, from E' E.
 
     Its inverse is, but for a factor, nearly the covariance from the readings, torques in the same
@@ -301,6 +301,6 @@ def condition(campaign: Campaign, moments: Moments, statistical: Array) -> float
     for axis in (1, 2):
         unit[a.shape[1] + axis :: 2] = np.sqrt(np.mean(enabled_arms(campaign.layout)[axis] ** 2))
     smallest, _ = smallest_eigenvalue(
-        lambda x: gram @ x, len(gram), lambda x: statistical @ (x / unit) / unit
+        lambda x: gram @ x, len(gram), lambda x: reading_covariance @ (x / unit) / unit
     )
     return float(np.sqrt(largest_eigenvalue(gram)[0] / max(smallest, 1e-300)))

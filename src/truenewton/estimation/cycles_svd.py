@@ -221,21 +221,21 @@ def find(campaign: Campaign) -> Found:
     fitted, errors = fit(campaign), weight_errors(campaign)
     solution = fitted.found.solution
     n = int(campaign.layout.enabled.sum())
-    statistical = scatter_covariance(campaign, fitted)
+    reading_covariance = scatter_covariance(campaign, fitted)
     changes = weight_changes(fitted, errors)
     if moments.repeats:
         biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
-        warnings = bias_warning(biased, np.sqrt(np.diag(statistical)[:n]))
+        warnings = bias_warning(biased, np.sqrt(np.diag(reading_covariance)[:n]))
         diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
     return Found(
         method="svd",
         scale="weights",
         values=solution,
-        statistical=statistical,
-        systematic=changes.T @ changes,
+        reading_covariance=reading_covariance,
+        systematic_covariance=changes.T @ changes,
         noise=moments.noise,
         condition=condition_in_units_of_rms(campaign),
         rank=len(solution) - diagnosis.undetermined,
         diagnosis=diagnosis,
-        scale_errors=scale_errors(solution[:n], statistical[:n, :n], changes[:, :n], errors),
+        scale_errors=scale_errors(solution[:n], reading_covariance[:n, :n], changes[:, :n], errors),
     )

@@ -18,7 +18,7 @@ class Found:
         As they stand in the calibration file.
     values
         (n + 1 + 2 L,) alpha, B, then M_y, M_x of each load; (n,) from a stiffness matrix alone.
-    statistical, systematic
+    reading_covariance, systematic_covariance
         Their covariance from the readings and from the weights.
     noise
         Standard deviation of one reading [N]; NaN if unknown.
@@ -37,8 +37,8 @@ class Found:
     method: str
     scale: str
     values: Array
-    statistical: Array
-    systematic: Array
+    reading_covariance: Array
+    systematic_covariance: Array
     noise: float
     condition: float
     rank: int

@@ -126,7 +126,7 @@ class Estimate:
     feigned, feigned_share
         D, by how much M is larger; the sum of its eigenvalues in terms of H, B and the torques
         eliminated.
-    statistical
+    reading_covariance
         (t, t) covariance from the readings (and from a population).
     changes
         (t, measured) change of the values by one standard uncertainty of each error of the weights.
@@ -139,6 +139,6 @@ class Estimate:
     information: Array
     feigned: Feigned
     feigned_share: float
-    statistical: Array
+    reading_covariance: Array
     changes: Array
     iterations: int

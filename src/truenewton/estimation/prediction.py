@@ -37,7 +37,7 @@ class Prediction:
         The actuators, disabled ones among them.
     alpha
         (n,) the alpha that was reckoned with.
-    statistical, systematic
+    reading_covariance, systematic_covariance
         (n, n) covariance of alpha from the readings and from the weights.
     scale_errors
         Budget of the common scale, largest first; empty where the scale is free.
@@ -52,8 +52,8 @@ class Prediction:
 
     layout: Layout
     alpha: Array
-    statistical: Array
-    systematic: Array
+    reading_covariance: Array
+    systematic_covariance: Array
     scale_errors: tuple[ScaleError, ...]
     weakest: str
     weakest_share: float
@@ -68,19 +68,19 @@ class Prediction:
     @property
     def reading_error(self) -> Array:
         """(n,) E_STAT; of patterns alone where the scale is free."""
-        return np.sqrt(np.diag(self.statistical))
+        return np.sqrt(np.diag(self.reading_covariance))
 
     @property
-    def weight_error(self) -> Array:
+    def systematic_error(self) -> Array:
         """(n,) E_SYST; infinite where the scale is free."""
         if self.scale_is_free:
             return np.full(len(self.alpha), np.inf)
-        return np.sqrt(np.diag(self.systematic))
+        return np.sqrt(np.diag(self.systematic_covariance))
 
     @property
     def error(self) -> Array:
         """(n,) E_ALPHA."""
-        return np.hypot(self.reading_error, self.weight_error)
+        return np.hypot(self.reading_error, self.systematic_error)
 
     @property
     def typical(self) -> float:
@@ -127,17 +127,17 @@ def predict(
     of_loads, *elastic = problem.data(moments)
     data = [replace(of_loads, sums=_repeated(of_loads.sums, cycles)), *elastic]
     estimate = expected(problem.a, data, problem.prior, values)
-    statistical, changes = estimate.statistical[:n, :n], estimate.changes[:n]
+    reading_covariance, changes = estimate.reading_covariance[:n, :n], estimate.changes[:n]
     drowned = patterns_near_noise(estimate, of_loads.sums.shapes)
-    value, vector = largest_eigenvalue(statistical)
+    value, vector = largest_eigenvalue(reading_covariance)
     return Prediction(
         layout=campaign.layout,
         alpha=alpha,
-        statistical=statistical,
-        systematic=changes @ changes.T,
-        scale_errors=() if free else scale_errors(alpha, statistical, changes.T, problem.errors),
+        reading_covariance=reading_covariance,
+        systematic_covariance=changes @ changes.T,
+        scale_errors=() if free else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
         weakest=in_words(vector, campaign.layout),
-        weakest_share=value / float(np.trace(statistical)),
+        weakest_share=value / float(np.trace(reading_covariance)),
         drowned=drowned,
         warnings=free + _drowning(drowned, n),
     )

@@ -50,13 +50,13 @@ def held_even(problem: Problem, patterns: Array) -> Problem:
 
 def with_unknown_patterns(estimate: Estimate, patterns: Array) -> Estimate:
     """Return the estimate with what is not known of (n, k) patterns in its covariance."""
-    n, t = len(patterns), len(estimate.statistical)
+    n, t = len(patterns), len(estimate.reading_covariance)
     pulled = np.zeros((t, patterns.shape[1]))
     pulled[:n] = STIFF * patterns
     spread = float(estimate.values[:n].std())
     answer = scipy.linalg.solve(estimate.information[:t, :t], pulled, assume_a="pos")
     answer *= spread * np.sqrt(n)  # of length 1: RMS over actuators 1 / root n
-    return replace(estimate, statistical=estimate.statistical + answer @ answer.T)
+    return replace(estimate, reading_covariance=estimate.reading_covariance + answer @ answer.T)
 
 
 def tolerable(judged: Diagnosis, n: int) -> bool:

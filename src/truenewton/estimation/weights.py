@@ -55,13 +55,13 @@ def weight_errors(campaign: Campaign) -> tuple[WeightError, ...]:
 
 
 def scale_errors(
-    alpha: Array, statistical: Array, changes: Array, sources: tuple[WeightError, ...]
+    alpha: Array, reading_covariance: Array, changes: Array, sources: tuple[WeightError, ...]
 ) -> tuple[ScaleError, ...]:
     """Return what each source does to the common scale of alpha, largest first.
 
     Parameters
     ----------
-    alpha, statistical
+    alpha, reading_covariance
         (n,) and its (n, n) covariance from the readings.
     changes
         (sources, n) change of alpha by one standard uncertainty of each source.
@@ -69,7 +69,7 @@ def scale_errors(
         The errors of the weights.
     """
     direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
-    readings = float(np.sqrt(direction @ statistical @ direction))
+    readings = float(np.sqrt(direction @ reading_covariance @ direction))
     lines = [ScaleError(READINGS, readings)]
     lines += [
         ScaleError(source.source, abs(float(direction @ change)))

@@ -60,7 +60,7 @@ def _panel(ax: Axes, x: Array, curve: Curve, planned: float, target: float | Non
     for values, line, colour, width, name in (
         (curve.error, "-", ACCENT, 1.8, "E_ALPHA"),
         (curve.reading_error, "--", INK, 0.8, "from the readings"),
-        (curve.weight_error, ":", FAINT, 1.2, "from the weights"),
+        (curve.systematic_error, ":", FAINT, 1.2, "from the weights"),
     ):
         if np.isfinite(values).all():
             ax.plot(x, 100 * values, line, color=colour, linewidth=width, label=name)

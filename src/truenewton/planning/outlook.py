@@ -57,14 +57,14 @@ class Curve:
     ----------
     values
         (m,) cycles, or factors of the added weights.
-    error, reading_error, weight_error
+    error, reading_error, systematic_error
         (m,) typical E_ALPHA, E_STAT and E_SYST, relative to alpha.
     """
 
     values: Array
     error: Array
     reading_error: Array
-    weight_error: Array
+    systematic_error: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,5 +170,5 @@ def _curve(values: list[float], predictions: list[Prediction]) -> Curve:
         np.array(values),
         np.array([one.typical for one in predictions]),
         np.array([typical(one.reading_error, one.alpha) for one in predictions]),
-        np.array([typical(one.weight_error, one.alpha) for one in predictions]),
+        np.array([typical(one.systematic_error, one.alpha) for one in predictions]),
     )

@@ -40,7 +40,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
              f"E_ALPHA, one sigma; {percent(relative.min())} .. {percent(relative.max())},"
              f" the largest of actuator {ids[relative.argmax()]}"),
             ("  budget of the scale", budget, ""),
-            ("  common scale", percent(typical(found.weight_error, found.alpha)),
+            ("  common scale", percent(typical(found.systematic_error, found.alpha)),
              "E_SYST, from the weights"),
         ]  # fmt: skip
     readings = 2 * shapes * plan.cycles * len(plan.loads)
@@ -118,7 +118,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
         "loads": [dataclasses.asdict(load) for load in ready.plan.loads],
         "typical_error": found.typical,
         "typical_e_stat": typical(found.reading_error, found.alpha),
-        "typical_e_syst": typical(found.weight_error, found.alpha),
+        "typical_e_syst": typical(found.systematic_error, found.alpha),
         "scale_errors": [
             {"source": line.source, "relative": line.relative} for line in found.scale_errors
         ],
@@ -127,7 +127,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
             "alpha": found.alpha,
             "e_alpha": found.error,
             "e_stat": found.reading_error,
-            "e_syst": found.weight_error,
+            "e_syst": found.systematic_error,
         },
         "weakest": found.weakest,
         "drowned": found.drowned,
@@ -139,7 +139,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
                 name: curve.values,
                 "error": curve.error,
                 "e_stat": curve.reading_error,
-                "e_syst": curve.weight_error,
+                "e_syst": curve.systematic_error,
             }
             for name, curve in curves.items()
         },

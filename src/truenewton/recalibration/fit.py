@@ -223,20 +223,20 @@ def _calibration(
     uneven = (known.alpha[:, None] * known.uneven)[campaign.layout.enabled][stay]
     information = problem.prior.information[np.ix_(stay, stay)]
     through = inverse[:count, :n][:, stay] @ information @ uneven
-    statistical = estimate.statistical - through @ through.T
+    reading_covariance = estimate.reading_covariance - through @ through.T
     found = found_of("ml, recalibrated", problem, moments, estimate, rejected, 0)
     degrees = degrees_of(problem, moments, inverse)
     tested = problem.noise.source != "minimum"
     probability = float(scipy.stats.chi2.sf(estimate.chi2, degrees)) if tested else float("nan")
     size = estimate.chi2 / degrees
     direction = values[:n] / (values[:n] @ values[:n])
-    readings = float(np.sqrt(direction @ statistical[:n, :n] @ direction))
+    readings = float(np.sqrt(direction @ reading_covariance[:n, :n] @ direction))
     budget = (ScaleError(READINGS, readings), ScaleError(EARLIER, known.scale))
     found = replace(
         found,
         scale="given" if run.held else "weights",
-        statistical=statistical,
-        systematic=changes @ changes.T + through @ through.T,
+        reading_covariance=reading_covariance,
+        systematic_covariance=changes @ changes.T + through @ through.T,
         noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
         goodness=Goodness(estimate.chi2, round(degrees), problem.noise.source, probability),
         scale_errors=tuple(sorted(budget, key=lambda line: -line.relative)),

@@ -96,7 +96,7 @@ def known_from(given: Calibration | Tracking | str | os.PathLike[str], campaign:
         date = campaign.cycles[0].date
         told = temperature if np.isfinite(temperature) else None
         at = given.alpha_at(told, date)
-        alpha, whole, systematic = at.alpha, at.covariance, at.systematic
+        alpha, whole, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
         temperature = temperature if told is not None else given.temperature
     else:
         if given.scale == "mean 1":
@@ -106,10 +106,10 @@ def known_from(given: Calibration | Tracking | str | os.PathLike[str], campaign:
                 path=name,
             )
         alpha, temperature = given.alpha, given.temperature
-        whole, systematic = given.covariance[:n, :n], given.systematic[:n, :n]
+        whole, systematic_covariance = given.covariance[:n, :n], given.systematic_covariance[:n, :n]
         loads, sources = given.loads, given.sources
     on = np.isfinite(alpha)
-    scale, uneven = _told_apart(alpha[on], systematic[np.ix_(on, on)])
+    scale, uneven = _told_apart(alpha[on], systematic_covariance[np.ix_(on, on)])
     full = np.full((n, uneven.shape[1]), np.nan)
     full[on] = uneven
     rest = alpha[:, None] * full
@@ -118,7 +118,7 @@ def known_from(given: Calibration | Tracking | str | os.PathLike[str], campaign:
         instrument=given.instrument,
         layout=given.layout,
         alpha=alpha,
-        covariance=whole - systematic + rest @ rest.T,
+        covariance=whole - systematic_covariance + rest @ rest.T,
         scale=scale,
         uneven=full,
         temperature=temperature,
@@ -146,9 +146,9 @@ def run_temperature(campaign: Campaign) -> float:
     return float(np.concatenate(held).mean()) if held else float("nan")
 
 
-def _told_apart(alpha: Array, systematic: Array) -> tuple[float, Array]:
+def _told_apart(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:
     """Return the relative error that all share, and the rest as (n, m) relative changes."""
-    factor = factor_of(systematic / np.outer(alpha, alpha))
+    factor = factor_of(systematic_covariance / np.outer(alpha, alpha))
     mean = factor.mean(axis=0)
     scale = float(np.linalg.norm(mean))
     if scale == 0.0:

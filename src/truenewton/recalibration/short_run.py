@@ -147,7 +147,7 @@ def pulls(
     # In units of the prior: variances 0 (the run says nothing) to 1 (it says all).
     inverse = root.T @ inverse_of(problem, estimate)[:n, :n][at] @ root
     by_weights = estimate.changes[:n][stay]
-    spread = root.T @ (estimate.statistical[:n, :n][at] + by_weights @ by_weights.T) @ root
+    spread = root.T @ (estimate.reading_covariance[:n, :n][at] + by_weights @ by_weights.T) @ root
     variance = np.eye(len(apart)) - 2 * inverse + spread
     pull = root.T @ apart
     values, vectors = scipy.linalg.eigh(variance)

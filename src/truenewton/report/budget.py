@@ -26,7 +26,7 @@ def budget_bars(c: Calibration) -> tuple[Bar, ...]:
     if c.scale == "mean 1":
         return ()
     weights = float(np.nanmedian(c.systematic_error / np.abs(c.alpha)))
-    readings = float(np.nanmedian(c.statistical / np.abs(c.alpha)))
+    readings = float(np.nanmedian(c.reading_error / np.abs(c.alpha)))
     total = typical_error(c)
     lines = [("typical actuator, all", total), ("typical actuator, readings", readings),
              ("typical actuator, weights", weights)]  # fmt: skip

@@ -99,7 +99,7 @@ def change(one: Calibration, other: Calibration) -> Change:
         )
     ratio = float(np.median(other.alpha[both] / one.alpha[both]))
     moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
-    error = np.hypot(one.statistical, other.statistical / ratio)
+    error = np.hypot(one.reading_error, other.reading_error / ratio)
     scales = [
         float(np.nanmedian(c.systematic_error / np.abs(c.alpha)))
         for c in (one, other)

@@ -78,7 +78,7 @@ def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
         raise ValueError("there is no calibration")
     layers = [
         alpha_layer(c, "alpha", "alpha"),
-        _plain("e_stat", "error from readings", "", c.statistical,
+        _plain("e_stat", "error from readings", "", c.reading_error,
                "E_STAT: what the noise of the readings gives alpha, one sigma."),
         _plain("e_alpha", "error, all", "", c.error,
                "E_ALPHA: readings and weights together, one sigma."),
@@ -133,7 +133,7 @@ def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:
     c = calibration
     texts = tuple(
         with_error(value, error)
-        for value, error in zip(c.alpha.tolist(), c.statistical.tolist(), strict=True)
+        for value, error in zip(c.alpha.tolist(), c.reading_error.tolist(), strict=True)
     )
     meaning = "True Newton per commanded Newton, with the error from the readings (E_STAT)."
     return Layer(key, name, "true N / commanded N", c.alpha, texts, meaning)

@@ -148,7 +148,7 @@ def _typical(errors: NDArray[np.float64], c: Calibration) -> float:
 def _numbers(c: Calibration) -> tuple[Number, ...]:
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
-    readings = percent(_typical(c.statistical, c))
+    readings = percent(_typical(c.reading_error, c))
     scale = Number("common scale", "free", "the mean of alpha is set to 1; weights would fix it")
     if c.scale != "mean 1":
         part = scale_total(c.scale_errors) if c.scale_errors else _typical(c.systematic_error, c)
@@ -164,7 +164,7 @@ def _numbers(c: Calibration) -> tuple[Number, ...]:
 
 def _limits(findings: Findings, c: Calibration) -> Iterator[tuple[str, str]]:
     """Yield what limits a calibration that is sound otherwise."""
-    weights, readings = _typical(c.systematic_error, c), _typical(c.statistical, c)
+    weights, readings = _typical(c.systematic_error, c), _typical(c.reading_error, c)
     if c.scale != "mean 1" and weights > 2.0 * readings:
         fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
         yield fault, remedy or "better known weights would help, more cycles would not"
@@ -181,7 +181,7 @@ def _limits(findings: Findings, c: Calibration) -> Iterator[tuple[str, str]]:
         yield f"{c.rejected} rows do not fit and were left out", "see the report of the cycle files"
     yield from _unseen(findings)
     for place in _off_family(c):
-        alpha = with_error(float(c.alpha[place]), float(c.statistical[place]))
+        alpha = with_error(float(c.alpha[place]), float(c.reading_error[place]))
         yield (
             f"actuator {c.layout.id[place]} stands off the others: alpha is {alpha}",
             "look at its coil, magnet and wiring",
@@ -224,7 +224,7 @@ def _off_family(c: Calibration) -> NDArray[np.int64]:
     """Return the places of actuators far from the others, in terms of their spread and error."""
     middle = np.nanmedian(c.alpha)
     spread = 1.4826 * np.nanmedian(np.abs(c.alpha - middle))
-    far = np.abs(c.alpha - middle) > FAR * np.hypot(spread, c.statistical)
+    far = np.abs(c.alpha - middle) > FAR * np.hypot(spread, c.reading_error)
     return np.flatnonzero(far)
 
 

@@ -184,8 +184,8 @@ def tracked_actuators(days: Sequence[Day]) -> NDArray[np.bool_]:
 def covariances(day: Day, on: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the (n, n) covariance of alpha from the readings, and the part from the weights."""
     c, at = day.calibration, np.flatnonzero(on)
-    whole, systematic = (matrix[np.ix_(at, at)] for matrix in (c.covariance, c.systematic))
-    return whole - systematic, systematic
+    whole, systematic_covariance = (matrix[np.ix_(at, at)] for matrix in (c.covariance, c.systematic_covariance))
+    return whole - systematic_covariance, systematic_covariance
 
 
 def groups(days: Sequence[Day]) -> list[list[int]]:

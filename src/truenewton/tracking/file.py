@@ -89,7 +89,7 @@ def write_tracking(
     sheets = [
         law,
         Sheet("COVARIANCE", data=t.covariance),
-        Sheet("SYSTEMATIC", data=t.systematic),
+        Sheet("SYSTEMATIC", data=t.systematic_covariance),
         families,
         departures,
         days,
@@ -169,7 +169,7 @@ def tracking_from(file: FitsFile) -> Tracking:
         coefficient=law.column("K", unit="1/K"),
         drift=law.column("DRIFT", unit="1/yr"),
         covariance=images["COVARIANCE"],
-        systematic=images["SYSTEMATIC"],
+        systematic_covariance=images["SYSTEMATIC"],
         told=tuple(family.effect for family in found),
         families=found,
         departures=tuple(

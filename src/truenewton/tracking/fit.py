@@ -64,7 +64,7 @@ def track(*given: Given) -> Tracking:
     layout = days[0].calibration.layout
     lines, departures = _off_their_lines(days, on, settings)
     departures, members = _departures(lines, told, layout.id[on], departures)
-    values, whole, systematic, found = _pooled(lines, members, told)
+    values, whole, systematic_covariance, found = _pooled(lines, members, told)
     places = ["alpha", *told]
     wanted = [places.index(name) if name in told else -1 for name in ("temperature", "drift")]
     three = _three(values, wanted)
@@ -78,7 +78,7 @@ def track(*given: Given) -> Tracking:
         coefficient=spread(three[1], on),
         drift=spread(three[2], on),
         covariance=_spread_three(whole, values, wanted, on),
-        systematic=_spread_three(systematic, values, wanted, on),
+        systematic_covariance=_spread_three(systematic_covariance, values, wanted, on),
         told=told,
         families=found,
         departures=departures,
@@ -87,7 +87,7 @@ def track(*given: Given) -> Tracking:
         probability=float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan"),
         limits=limits,
         days=tuple(
-            DayRecord(day.name, day.date, c.temperature, c.alpha, c.statistical)
+            DayRecord(day.name, day.date, c.temperature, c.alpha, c.reading_error)
             for day, c in ((day, day.calibration) for day in days)
         ),
     )
@@ -104,7 +104,7 @@ def _refuse_other_units(days: Sequence[Day], on: NDArray[np.bool_]) -> None:
     ratio = alpha / alpha[0]
     ratio /= np.median(ratio, axis=1)[:, None]  # the scale may be anybody's
     apart = np.median(np.abs(ratio - 1.0), axis=1)
-    error = np.median([day.calibration.statistical[on] for day in days] / alpha, axis=1)
+    error = np.median([day.calibration.reading_error[on] for day in days] / alpha, axis=1)
     excess = apart - OTHER_UNIT - 3 * np.hypot(error, error[0])
     worst = int(np.argmax(excess))
     if excess[worst] > 0.0:

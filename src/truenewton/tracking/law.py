@@ -71,14 +71,14 @@ class Prediction:
     ----------
     alpha, error
         (n,) and its standard uncertainty, everything included.
-    covariance, systematic
+    covariance, systematic_covariance
         (n, n) of alpha, and the part from the weights.
     """
 
     alpha: Array
     error: Array
     covariance: Array
-    systematic: Array
+    systematic_covariance: Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -96,7 +96,7 @@ class Tracking:
         T0 [deg C], NaN where no day has one; t0 (UTC): the middle of the days.
     alpha, coefficient, drift
         (n,) at T0 and t0; k [1/K]; d [1/yr], years of 365.25 days.
-    covariance, systematic
+    covariance, systematic_covariance
         (3 n, 3 n) of alpha, k, d; all, and the part from the weights.
     told
         Which of 'temperature' and 'drift' the days tell.
@@ -120,7 +120,7 @@ class Tracking:
     coefficient: Array
     drift: Array
     covariance: Array
-    systematic: Array
+    systematic_covariance: Array
     told: tuple[str, ...]
     families: tuple[Family, ...]
     departures: tuple[Departure, ...]
@@ -131,7 +131,7 @@ class Tracking:
     days: tuple[DayRecord, ...]
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "coefficient", "drift", "covariance", "systematic"):
+        for name in ("alpha", "coefficient", "drift", "covariance", "systematic_covariance"):
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
     def __repr__(self) -> str:
@@ -187,7 +187,7 @@ class Tracking:
         on = np.isfinite(self.alpha)
         kept = np.tile(on, 3)
         parts = []
-        for whole in (self.covariance, self.systematic):
+        for whole in (self.covariance, self.systematic_covariance):
             part = np.full((n, n), np.nan)
             inner = j[np.ix_(on, kept)]
             part[np.ix_(on, on)] = inner @ whole[np.ix_(kept, kept)] @ inner.T

@@ -59,7 +59,7 @@ def serves(tracking: Tracking, accuracy: float) -> Validity:
     t, last = tracking, tracking.days[-1]
     on, n = np.isfinite(t.alpha), t.layout.n
     alpha = t.alpha[on]
-    variance = np.diag(t.covariance - t.systematic).reshape(3, n)[:, on]
+    variance = np.diag(t.covariance - t.systematic_covariance).reshape(3, n)[:, on]
     now = float(np.mean((last.error[on] / last.alpha[on]) ** 2))
     k = float(np.mean(t.coefficient[on] ** 2 + variance[1]))
     d = float(np.mean((t.drift[on] ** 2 + variance[2]) / alpha**2))
@@ -89,7 +89,7 @@ def _law_variance(tracking: Tracking) -> Array:
     on, n = np.isfinite(tracking.alpha), tracking.layout.n
     alpha = tracking.alpha[on]
     scale = np.array([1 / alpha, np.ones_like(alpha), 1 / alpha])
-    blocks = (tracking.covariance - tracking.systematic).reshape(3, n, 3, n)
+    blocks = (tracking.covariance - tracking.systematic_covariance).reshape(3, n, 3, n)
     own = np.einsum("aibi->abi", blocks)[:, :, on]
     return np.asarray(np.mean(own * scale[:, None] * scale[None], axis=2))
 

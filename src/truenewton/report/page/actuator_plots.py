@@ -103,8 +103,8 @@ def alpha_by_ring(
 ) -> Plot:
     """Return alpha per actuator, ring by ring, with bars of three errors from the readings."""
     plot, layout = empty_plot(), calibration.layout
-    source.data["low"] = calibration.alpha - 3 * calibration.statistical
-    source.data["high"] = calibration.alpha + 3 * calibration.statistical
+    source.data["low"] = calibration.alpha - 3 * calibration.reading_error
+    source.data["high"] = calibration.alpha + 3 * calibration.reading_error
     plot.segment(x0="place", x1="place", y0="low", y1="high", source=source, line_color=INK,
                  nonselection_line_alpha=0.2)  # fmt: skip
     _actuator_points(plot, source, layout, "alpha", layers)

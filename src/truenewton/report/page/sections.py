@@ -47,7 +47,7 @@ def map_caption(c: Calibration) -> str:
     ring = ring_of(c.layout) + 1
     lowest, highest = (
         f"actuator {c.layout.id[k]} on ring {ring[k]}"
-        f" ({to_digits(float(c.alpha[k]), float(c.statistical[k]))})"
+        f" ({to_digits(float(c.alpha[k]), float(c.reading_error[k]))})"
         for k in (low, high)
     )
     return (
