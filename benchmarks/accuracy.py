@@ -444,8 +444,8 @@ def large_mirror(count: int, noises: Sequence[float]) -> None:
         simulated = simulation(mirror, (tn.Load("bare"), _ring(mirror)), noise)
         bound = bounds(simulated, cycles)
         found = run(by_ml, simulated, cycles, count)
-        drowned = found.undetermined.mean() if len(found.undetermined) else np.nan
-        name = f"{1e3 * noise:g} mN, {rms(bound[0]):.2e}, {drowned:.1f}"
+        undetermined = found.undetermined.mean() if len(found.undetermined) else np.nan
+        name = f"{1e3 * noise:g} mN, {rms(bound[0]):.2e}, {undetermined:.1f}"
         if len(found.known):
             print_line(name, found, bound, two_loads=True)
         else:

@@ -179,19 +179,19 @@ def rings(count: int) -> None:
     for noise in (4e-6, 12e-6, 1e-4):
         simulated = simulation(mirror, loads, noise)
         bound = bounds(simulated, 2)
-        square, covered, drowned = [], [], []
+        square, covered, undetermined = [], [], []
         for campaign, heavier in campaigns(simulated, 2, count):
             found = tn.calibrate(campaign)
             error = found.alpha * heavier - simulated.alpha
             square.append(np.mean(error**2))
             covered.append(np.mean(np.abs(error) < TWO_SIGMA * found.reading_error))
-            drowned.append(found.diagnosis.undetermined)
+            undetermined.append(found.diagnosis.undetermined)
         value = np.sqrt(np.mean(square)) / rms(bound[0])
         spread = value * 0.5 * np.std(square, ddof=1) / np.sqrt(count) / np.mean(square)
         print(
             f"MMT336, 2 cycles, {1e6 * noise:.0f} uN: bound {rms(bound[0]):.2e}, RMS error / bound"
             f" {value:.3f} +- {spread:.3f}, covers {100 * np.mean(covered):.1f} %,"
-            f" {np.mean(drowned):.1f} patterns drown",
+            f" {np.mean(undetermined):.1f} patterns drown",
             flush=True,
         )
 

@@ -10,7 +10,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.bench.simulated.truth import Truth
 from truenewton.modal.comparison import compare_modes
-from truenewton.modal.dissipation import Dissipation, Limits, dissipation
+from truenewton.modal.dissipation import Budget, Dissipation, dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.static_force import force_at_rest, static_force
@@ -67,8 +67,8 @@ def score_modes(campaign: Campaign, found: ModalFindings, truth: Truth) -> Modes
             for cost in costs
         ]
         for limits in (
-            [Limits(power=p) for p in _levels(true.costs[0].power)],
-            [Limits(force=f) for f in _levels(true.costs[0].reach)],
+            [Budget(power=p) for p in _levels(true.costs[0].power)],
+            [Budget(force=f) for f in _levels(true.costs[0].reach)],
         )
     )
     apart = (compare_modes(true.modes.modes, c.modes, true.modes.stiffness) for c in costs)

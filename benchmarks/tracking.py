@@ -47,7 +47,9 @@ class World:
         self.k = random.normal(MEAN_K, SPREAD_K, n)
         self.r = random.normal(MEAN_R, SPREAD_R, n)
         self.start = pattern.date
-        reading_covariance, systematic_covariance = covariances(Day("", pattern), np.ones(n, dtype=bool))
+        reading_covariance, systematic_covariance = covariances(
+            Day("", pattern), np.ones(n, dtype=bool)
+        )
         root = np.linalg.cholesky(reading_covariance)
         scale = np.sqrt(systematic_covariance[0, 0]) / self.a[0] * random.standard_normal()
         self.days = []

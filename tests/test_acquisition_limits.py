@@ -12,7 +12,7 @@ from stub_bench import SMALL, StubBench
 
 import truenewton as tn
 from truenewton.acquisition.limits import check_command
-from truenewton.acquisition.plan import Limits, PlannedShapes
+from truenewton.acquisition.plan import MirrorLimits, PlannedShapes
 from truenewton.bench.protocol import Shape
 from truenewton.errors import BenchFault, FormatError, LimitExceeded
 from truenewton.files.fits import Sheet, write_fits
@@ -31,7 +31,7 @@ def quick():
 def limited(count=8, **limits):
     force = min(0.05, limits.get("force", 0.05))
     return small_plan(
-        shapes=PlannedShapes(count=count, stroke=STROKE, force=force), limits=Limits(**limits)
+        shapes=PlannedShapes(count=count, stroke=STROKE, force=force), limits=MirrorLimits(**limits)
     )
 
 
@@ -117,7 +117,7 @@ def test_a_shape_beyond_a_limit_is_never_commanded(tmp_path, where, value, said)
     # Alone, whatever was checked before; off actuators have glass too.
     off = dataclasses.replace(SMALL.layout, enabled=np.arange(8) != where)
     with pytest.raises(LimitExceeded, match=f"{said}.*shape 2 . of cycle 1"):
-        check_command(Limits(), off, GAP, Shape(LOADS[0], 1, 2, 1, position), None)
+        check_command(MirrorLimits(), off, GAP, Shape(LOADS[0], 1, 2, 1, position), None)
     image = np.stack([np.full(8, 1e-7), position])
     write_fits(tmp_path / "shapes.fits", {}, [Sheet("SHAPES", data=image, unit="m")])
     bench, plan = StubBench(), small_plan(shapes=PlannedShapes(source="shapes.fits"))
@@ -140,7 +140,7 @@ def test_the_minus_twin_of_a_shape_is_forecast(tmp_path):
     plan = small_plan(
         loads=LOADS[:1],
         shapes=PlannedShapes(source="shapes.fits", force=1e-3),  # far less than it takes
-        limits=Limits(force=float(limit)),
+        limits=MirrorLimits(force=float(limit)),
     )
     with pytest.raises(
         LimitExceeded, match=r"N by forecast, .* in shape 1 - .*, which was not commanded"
@@ -192,7 +192,7 @@ def test_no_command_beyond_a_limit_reaches_a_bench(
 ):
     """The bench counts; the plan keeps its word on forces, the rest is anything."""
     folder = tmp_path_factory.mktemp("p")
-    limits = Limits(force=force, displacement=displacement, gap=closest)
+    limits = MirrorLimits(force=force, displacement=displacement, gap=closest)
     bench = StubBench(stiffer=stiffer, rest=rest, noise=1e-9, spoil=upset(faults))
     random = np.random.default_rng(seed)
     shapes = random.standard_normal((4, 8))

@@ -533,7 +533,7 @@ def test_the_person_at_the_terminal_is_asked_again(inside, tmp_path, monkeypatch
 def test_the_bar_shows_how_far_it_is(inside, tmp_path, monkeypatch, capsys):
     shown = []
     monkeypatch.setattr(
-        terminal.Bar, "show", lambda self, *figures: shown.append(figures), raising=True
+        terminal.ProgressBar, "show", lambda self, *figures: shown.append(figures), raising=True
     )
     assert inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c")[0] == 0
     done, total, what, figures, left = shown[-1]

@@ -8,7 +8,7 @@ import pytest
 
 import truenewton as tn
 from truenewton.errors import FormatError
-from truenewton.modal.dissipation import Limits, dissipation
+from truenewton.modal.dissipation import Budget, dissipation
 from truenewton.modal.pupil import Pupil, SeenTurbulence
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
@@ -93,27 +93,27 @@ def test_the_number_of_modes_is_the_largest_within_the_limits(case):
     worst = cost.power.max(axis=0)
     for number in range(1, 13):
         limit = worst[:number].max()
-        found = cost.modes_within(Limits(power=limit))
+        found = cost.modes_within(Budget(power=limit))
         assert found >= number
         assert worst[:found].max() <= limit
         assert found == 12 or worst[found] > limit
     reach = cost.reach.max(axis=0)
-    assert cost.modes_within(Limits(force=reach[:6].max())) >= 6
-    assert cost.modes_within(Limits(power=1e-9)) == 0
-    assert cost.modes_within(Limits(force=np.abs(cost.static).max())) == 0
-    assert cost.modes_within(Limits()) == 12
+    assert cost.modes_within(Budget(force=reach[:6].max())) >= 6
+    assert cost.modes_within(Budget(power=1e-9)) == 0
+    assert cost.modes_within(Budget(force=np.abs(cost.static).max())) == 0
+    assert cost.modes_within(Budget()) == 12
 
 
 def test_a_higher_alpha_takes_force_but_no_power(case):
     *_, cost = case
     reach, power = cost.reach.max(axis=0), cost.power.max(axis=0)
-    limits = Limits(force=1.0001 * reach.max())
+    limits = Budget(force=1.0001 * reach.max())
     assert cost.modes_within(limits) == 12
     assert cost.modes_within(limits, alpha_error=0.05) < 12
-    assert cost.modes_within(Limits(power=1.0001 * power.max()), alpha_error=0.05) == 12
+    assert cost.modes_within(Budget(power=1.0001 * power.max()), alpha_error=0.05) == 12
 
 
 @pytest.mark.parametrize("limit", [{"power": 0.0}, {"force": -1.0}, {"power": np.nan}])
 def test_limits_are_positive(limit):
     with pytest.raises(FormatError):
-        Limits(**limit)
+        Budget(**limit)

@@ -98,7 +98,7 @@ def test_sums_equal_loops_over_shapes():
     assert chi2_at(a, sets, values) == pytest.approx(chi2, rel=1e-11)
     assert terms.gradient == pytest.approx(gradient, rel=1e-9, abs=1e-11 * np.abs(gradient).max())
     assert terms.m == pytest.approx(m, rel=1e-9, abs=1e-11 * np.abs(m).max())
-    assert terms.feigned @ np.eye(len(d)) == pytest.approx(
+    assert terms.noise_information @ np.eye(len(d)) == pytest.approx(
         d, rel=1e-11, abs=1e-12 * np.abs(d).max()
     )
 
@@ -125,13 +125,13 @@ def test_m_at_the_truth_is_information_and_d_on_average():
         noisy = [replace(part, sums=noised(c, large, random)) for part, c in clean]
         total = total + _terms(a, noisy, values).m
     expected = _terms(a, [part for part, _ in clean], values)
-    information, feigned = expected.m[:14, :14], expected.feigned @ np.eye(14)
+    information, noise_information = expected.m[:14, :14], expected.noise_information @ np.eye(14)
     mean = total[:14, :14] / draws - information
     # Seen: 0.17 of the information; the mean of 2000 draws is known to 1 % of D, each element of
     # the diagonal to a few.
-    assert np.trace(feigned) > 0.05 * np.trace(information)
-    assert np.trace(mean) == pytest.approx(np.trace(feigned), rel=0.05)
-    assert np.diag(mean) == pytest.approx(np.diag(feigned), rel=0.2)
+    assert np.trace(noise_information) > 0.05 * np.trace(information)
+    assert np.trace(mean) == pytest.approx(np.trace(noise_information), rel=0.05)
+    assert np.diag(mean) == pytest.approx(np.diag(noise_information), rel=0.2)
 
 
 def noised(c, size, random):

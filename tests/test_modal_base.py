@@ -12,7 +12,7 @@ import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnknownName
-from truenewton.modal.dissipation import Limits
+from truenewton.modal.dissipation import Budget
 from truenewton.modal.file import modes_paths, write_modes
 from truenewton.modal.findings import find_modes
 from truenewton.modal.pupil import Pupil, pupil_of, seen_turbulence
@@ -66,7 +66,7 @@ def test_what_is_off_is_borne_by_the_others(p45):
 def test_errors_of_alpha_move_the_number_by_force_alone(p45):
     _, _, found = p45
     cost = found.after.costs[0]
-    at_the_edge = Limits(force=1.001 * cost.reach[:, :30].max())  # alpha is known to 1.7 %
+    at_the_edge = Budget(force=1.001 * cost.reach[:, :30].max())  # alpha is known to 1.7 %
     fewest, most = found.modes_between(cost, at_the_edge)
     assert fewest < 30 <= cost.modes_within(at_the_edge) <= most
     turned = np.random.default_rng(1).permutation(45)
@@ -82,7 +82,7 @@ def test_errors_of_alpha_move_the_number_by_force_alone(p45):
         ),
     )  # fmt: skip
     assert other.modes_between(cost, at_the_edge) == (fewest, most)
-    by_power = Limits(power=np.median(cost.power.max(axis=0)))
+    by_power = Budget(power=np.median(cost.power.max(axis=0)))
     assert found.modes_between(cost, by_power) == (cost.modes_within(by_power),) * 2
 
 
@@ -108,10 +108,10 @@ def test_what_lies_between_actuators_is_told():
 def test_files_hold_what_was_found(p45, tmp_path):
     _, _, found = p45
     base, stiffness = found.after, found.after.stiffness
-    written = write_modes(found, tmp_path / "m.fits", Limits(power=0.1))
+    written = write_modes(found, tmp_path / "m.fits", Budget(power=0.1))
     assert written == list(modes_paths(tmp_path / "m.fits"))
     with fits.open(written[0], checksum=True) as hdus:
-        assert hdus[0].header["NMODES"] == base.costs[0].modes_within(Limits(power=0.1))
+        assert hdus[0].header["NMODES"] == base.costs[0].modes_within(Budget(power=0.1))
         assert "MAXFORCE" not in hdus[0].header
         assert set(hdus["ACTUATORS"].data["STATE"]) == {"commanded"}
         np.testing.assert_array_equal(hdus["MODES"].data, base.modes.modes)
@@ -180,7 +180,7 @@ def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
     asked = ("modes", tmp_path / "c", "--calibration", tmp_path / "alpha.fits", "--power", "0.05")
     code, out, err = inside(*asked, "-o", tmp_path / "m.fits", "--figures", tmp_path / "figures")
     assert (code, err) == (0, "")
-    number = found.after.costs[0].modes_within(Limits(power=0.05))
+    number = found.after.costs[0].modes_within(Budget(power=0.05))
     assert f"stiffness             {number} of 45" in out
     assert len(list((tmp_path / "figures").iterdir())) == 8
     code, out, _ = inside(*asked, "--json")

@@ -67,8 +67,10 @@ def test_against_little_noise_the_errors_are_the_bound_of_cramer_and_rao():
     one = declared(quiet, noise)
     found = predict(one, campaign_moments(one), 5, truth[:n])
     bound = np.linalg.inv(fisher(one, truth, noise, 5))[:n, :n]
-    assert found.reading_covariance == pytest.approx(bound, rel=1e-5, abs=1e-6 * np.abs(bound).max())
-    assert found.drowned == 0
+    assert found.reading_covariance == pytest.approx(
+        bound, rel=1e-5, abs=1e-6 * np.abs(bound).max()
+    )
+    assert found.undetermined == 0
     assert found.warnings == ()
 
 
@@ -175,7 +177,7 @@ def test_too_few_shapes_are_refused_and_weak_ones_warned_of(ready):
     with pytest.raises(RankDeficient, match="too few shapes: 8 for 45"):
         predicted(prepared(few))
     loud = predicted(ready.changed(replace(PLAN, force_noise=0.1)))
-    assert loud.drowned > 4
+    assert loud.undetermined > 4
     assert "so many that the campaign will be refused" in loud.warnings[0][0]
     # The estimator says the same of such a campaign.
     bench = static_bench(p45(), 5, loads=LOADS, force_noise=1e-4)

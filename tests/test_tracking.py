@@ -139,7 +139,8 @@ def test_the_error_of_the_ring_cancels_from_the_coefficients_but_not_from_alpha(
     stated = np.sqrt(np.diag(one.systematic_covariance)[:45]) / one.alpha
     assert stated == pytest.approx(relative, rel=1e-3)
     assert (
-        np.abs(np.diag(one.systematic_covariance)[45:90]).max() < 1e-6 * np.diag(one.covariance)[45:90].min()
+        np.abs(np.diag(one.systematic_covariance)[45:90]).max()
+        < 1e-6 * np.diag(one.covariance)[45:90].min()
     )
 
 

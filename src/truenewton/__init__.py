@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from truenewton.calibration.figures import write_figures
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.result import Calibration
-    from truenewton.modal.dissipation import Limits
+    from truenewton.modal.dissipation import Budget
     from truenewton.modal.file import write_modes
     from truenewton.modal.findings import find_modes
     from truenewton.modal.turbulence import Atmosphere
@@ -45,12 +45,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Atmosphere",
+    "Budget",
     "Calibration",
     "Campaign",
     "CampaignPlan",
     "Cycle",
     "Layout",
-    "Limits",
     "Load",
     "SimulatedBench",
     "StiffnessMatrix",
@@ -88,7 +88,7 @@ _HOMES = {
     "CampaignPlan": "acquisition.plan",
     "Cycle": "records.cycle",
     "Layout": "statics.layout",
-    "Limits": "modal.dissipation",
+    "Budget": "modal.dissipation",
     "Load": "statics.load",
     "SimulatedBench": "bench.simulated.bench",
     "StiffnessMatrix": "records.stiffness_matrix",

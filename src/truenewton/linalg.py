@@ -100,7 +100,7 @@ def factor_of(matrix: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class LeastSquares:
     """Least squares of whitened equations: each right-hand side has variance 1.
 
     Attributes
@@ -127,7 +127,7 @@ class Solution:
         return float(self.residual @ self.residual)
 
 
-def least_squares(matrix: Array, right: Array) -> Solution:
+def least_squares(matrix: Array, right: Array) -> LeastSquares:
     """Minimise the length of right - matrix @ values.
 
     Householder's QR of the columns at unit length: squares of the condition, as in the normal
@@ -152,7 +152,7 @@ def least_squares(matrix: Array, right: Array) -> Solution:
     inverse, _ = dtrtri(r)
     values = scipy.linalg.solve_triangular(r, q.T @ right, check_finite=False) / length
     root = np.triu(inverse) / length[:, None]
-    return Solution(values, root, right - matrix @ values, q)
+    return LeastSquares(values, root, right - matrix @ values, q)
 
 
 def _dependent() -> RankDeficient:

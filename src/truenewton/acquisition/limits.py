@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from truenewton.acquisition.plan import CampaignPlan, Limits
+from truenewton.acquisition.plan import CampaignPlan, MirrorLimits
 from truenewton.arrays import Array
 from truenewton.bench.protocol import Reading, Shape
 from truenewton.errors import LimitExceeded
@@ -56,7 +56,7 @@ def check_room(plan: CampaignPlan, mirror: Mirror, load: Load, rest_force: Array
 
 
 def check_command(
-    limits: Limits, layout: Layout, gap: float, shape: Shape, forecast: Array | None
+    limits: MirrorLimits, layout: Layout, gap: float, shape: Shape, forecast: Array | None
 ) -> None:
     """Refuse a command beyond a limit, before it is given.
 
@@ -85,7 +85,7 @@ def check_command(
 
 
 def check_reading(
-    limits: Limits, layout: Layout, gap: float, shape: Shape, reading: Reading
+    limits: MirrorLimits, layout: Layout, gap: float, shape: Shape, reading: Reading
 ) -> None:
     """Refuse to go on from a reading beyond a limit; what is NaN is for others to judge.
 
@@ -113,7 +113,7 @@ def check_reading(
 
 
 def _check_planned_stroke(
-    limits: Limits, layout: Layout, gap: float, position: Array, where: str
+    limits: MirrorLimits, layout: Layout, gap: float, position: Array, where: str
 ) -> None:
     """Refuse also what is no number; the glass is everywhere, also where an actuator is off."""
     if not np.isfinite(position).all():
@@ -121,7 +121,9 @@ def _check_planned_stroke(
     _check_stroke(limits, layout, gap, position, where)
 
 
-def _check_stroke(limits: Limits, layout: Layout, gap: float, position: Array, where: str) -> None:
+def _check_stroke(
+    limits: MirrorLimits, layout: Layout, gap: float, position: Array, where: str
+) -> None:
     stroke = np.abs(position)
     _refuse(stroke, limits.displacement, layout, "m of stroke,", where)
     # On whichever side the plate is.

@@ -25,7 +25,7 @@ SURE = 5.0  # standard deviations of a sum, to which the smallest step must be l
 
 
 @dataclass(frozen=True)
-class Verdict:
+class LoadVerdict:
     """What the forces say of a load.
 
     Attributes
@@ -59,7 +59,7 @@ def judge(
     known: Mapping[str, float],
     total: float,
     error: float = 0.0,
-) -> Verdict:
+) -> LoadVerdict:
     """Tell whether a load is on.
 
     Parameters
@@ -85,24 +85,26 @@ def judge(
     }
     smallest = min((abs(value) for value in step.values() if value), default=0.0)
     if smallest * SAME <= SURE * error:
-        return Verdict(None, f"the loads differ by {smallest:.3g} N, too little to tell them apart")
+        return LoadVerdict(
+            None, f"the loads differ by {smallest:.3g} N, too little to tell them apart"
+        )
     told = [key for key in known if key == load.key or step[key]]
     if not told:
-        return Verdict(None, "no other load to compare with yet: taken on trust")
+        return LoadVerdict(None, "no other load to compare with yet: taken on trust")
     for key in told:
         change, name = total - known[key], by_key[key].name
         if key == load.key:
             if abs(change) > SAME * smallest:
-                return Verdict(
+                return LoadVerdict(
                     False,
                     f"the sum of the forces changed by {change:.4g} N since '{name}' was on before",
                 )
         elif not CHANGE[0] <= change / step[key] <= CHANGE[1]:
             low, high = (100 * part for part in CHANGE)
-            return Verdict(
+            return LoadVerdict(
                 False,
                 f"the sum of the forces changed by {change:.4g} N from '{name}', where"
                 f" {step[key]:.4g} N are due ({low:.0f} to {high:.0f} % of it)",
             )
     names = ", ".join(f"'{by_key[key].name}'" for key in told)
-    return Verdict(True, f"the sum of the forces is {total:.4g} N, as due beside {names}")
+    return LoadVerdict(True, f"the sum of the forces is {total:.4g} N, as due beside {names}")

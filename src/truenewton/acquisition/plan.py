@@ -43,7 +43,7 @@ class PlannedShapes:
 
 
 @dataclass(frozen=True)
-class Limits:
+class MirrorLimits:
     """What the mirror may bear; checked before each command and after each reading.
 
     Attributes
@@ -99,7 +99,7 @@ class CampaignPlan:
     pause: float = 1800.0
     force_noise: float = 1e-4
     shapes: PlannedShapes = PlannedShapes()
-    limits: Limits = Limits()
+    limits: MirrorLimits = MirrorLimits()
     bench: BenchChoice = BenchChoice()
 
     def __post_init__(self) -> None:

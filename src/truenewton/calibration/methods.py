@@ -15,7 +15,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import cycle_errors
-from truenewton.estimation.estimate import Found
+from truenewton.estimation.estimate import Estimate
 from truenewton.records.campaign import Campaign
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -80,7 +80,7 @@ def held_out(
     )
 
 
-def calibration_of(campaign: Campaign, found: Found) -> Calibration:
+def calibration_of(campaign: Campaign, found: Estimate) -> Calibration:
     """Return what was found of a campaign as a calibration."""
     layout, on = campaign.layout, campaign.layout.enabled
     n = int(on.sum())
@@ -118,7 +118,7 @@ def calibration_of(campaign: Campaign, found: Found) -> Calibration:
     )
 
 
-def _from_stiffness(matrix: StiffnessMatrix, found: Found) -> Calibration:
+def _from_stiffness(matrix: StiffnessMatrix, found: Estimate) -> Calibration:
     on = matrix.layout.enabled
     # B is not to be had from elastic forces.
     found = replace(
@@ -154,7 +154,7 @@ def _matrix_source(matrix: StiffnessMatrix) -> tuple[UsedSource, ...]:
     return (UsedSource(Path(matrix.source.file).name, matrix.source.sha256, modes, 0),)
 
 
-def _common(found: Found, on: NDArray[np.bool_]) -> dict[str, Any]:
+def _common(found: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
     """Return what is the same for all data, spread over all actuators."""
     n = int(on.sum())
     goodness = found.goodness

@@ -72,9 +72,9 @@ class Terminal:
     """
 
     def __init__(self, yes: bool) -> None:
-        from truenewton.cli.terminal import Bar
+        from truenewton.cli.terminal import ProgressBar
 
-        self.bar, self._yes = Bar(), yes
+        self.bar, self._yes = ProgressBar(), yes
 
     def put_on(self, load: Load) -> None:
         """Ask for a load, and wait until Enter says that it is on.

@@ -49,7 +49,7 @@ def run(
     """Find stiffness modes, and how many can be corrected within a power or a force."""
     from truenewton.cli.terminal import busy, print_json
     from truenewton.files.outputs import refuse_existing
-    from truenewton.modal.dissipation import Limits
+    from truenewton.modal.dissipation import Budget
     from truenewton.modal.figures import write_modes_figures
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
@@ -60,7 +60,7 @@ def run(
 
     if output is not None and not output.name.endswith(SUFFIXES):
         raise typer.BadParameter("let -o end in .fits")
-    atmosphere, limits = Atmosphere(seeing, outer_scale), Limits(power, total_power, force)
+    atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
     for target in (*(modes_paths(output) if output else ()), *((figures,) if figures else ())):
         refuse_existing(target, overwrite=overwrite)
     floats = options.ids(off, "--off") if off else ()

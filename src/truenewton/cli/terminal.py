@@ -65,7 +65,7 @@ def busy(what: str) -> Iterator[None]:
         yield
 
 
-class Bar:
+class ProgressBar:
     """One progress bar on standard error, where a person looks at it, and lines beside it."""
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow
 from truenewton.estimation.displaced_rows import is_displaced
-from truenewton.estimation.estimate import Found
+from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import (
     diagnose,
     in_words,
@@ -23,7 +23,7 @@ from truenewton.estimation.identifiability import (
     structural_faults,
 )
 from truenewton.estimation.likelihood import chi2_at, gram_of_e
-from truenewton.estimation.minimum import Estimate
+from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import WEIGHED_NOISE, Moments, chosen_groups
 from truenewton.estimation.noise import Noise, reading_noise
 from truenewton.estimation.outliers import (
@@ -53,7 +53,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
 
-def find(campaign: Campaign, population: bool = False) -> Found:
+def find(campaign: Campaign, population: bool = False) -> Estimate:
     """Find the likeliest alpha of a campaign, outliers left out.
 
     Parameters
@@ -99,7 +99,7 @@ def find(campaign: Campaign, population: bool = False) -> Found:
     return found
 
 
-Fitted = tuple[Problem, Estimate]
+Fitted = tuple[Problem, Minimum]
 
 
 def _fitted(
@@ -146,10 +146,10 @@ def found_of(
     method: str,
     problem: Problem,
     moments: Moments,
-    estimate: Estimate,
+    estimate: Minimum,
     rejected: tuple[RejectedRow, ...],
     held: int,
-) -> Found:
+) -> Estimate:
     """Put the estimate into the form that all methods share."""
     campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
     chi2, freedom = estimate.chi2, problem.degrees_of_freedom(moments)
@@ -166,7 +166,7 @@ def found_of(
     warnings += zeros_warning(campaign, moments)
     diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
     e_condition = condition(campaign, moments, estimate.reading_covariance)  # while there is room
-    return Found(
+    return Estimate(
         method=method,
         scale="weights",
         values=estimate.values[:unknowns],
@@ -230,7 +230,7 @@ def zeros_warning(campaign: Campaign, moments: Moments) -> tuple[tuple[str, str]
     )
 
 
-def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate, held: int) -> Diagnosis:
+def _diagnosis(problem: Problem, moments: Moments, estimate: Minimum, held: int) -> Diagnosis:
     """Judge alpha by what its information stands above what noise feigns, and name what is weak.
 
     So many patterns as are held even drown for sure.
@@ -270,18 +270,18 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Estimate, held: int
     )
 
 
-def patterns_near_noise(estimate: Estimate, shapes: int) -> int:
+def patterns_near_noise(estimate: Minimum, shapes: int) -> int:
     """Count the patterns of alpha in which M reaches less than what noise alone may.
 
     What noise alone feigns, D, spreads by (1 +- root(n / 3 N))^2; so count the negative eigenvalues
     of M - reach D, B and the torques eliminated. There is none if all of D together is too small,
     as mostly, or if there is a Cholesky factor.
     """
-    n = len(estimate.feigned.diagonal)
+    n = len(estimate.noise_information.diagonal)
     reach = 1.1 * (1 + np.sqrt(n / (3 * shapes))) ** 2
-    if (reach - 1.0) * estimate.feigned_share < 0.9:
+    if (reach - 1.0) * estimate.noise_share < 0.9:
         return 0
-    less = estimate.feigned.taken_from(estimate.information, reach - 1.0)  # M = H + D
+    less = estimate.noise_information.taken_from(estimate.information, reach - 1.0)  # M = H + D
     if dpotrf(less, lower=True, clean=False)[1] == 0:
         return 0
     less = mirrored(less.T)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
-from truenewton.estimation.estimate import Found
+from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import diagnose, refuse
 from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.systems import load_force, system_e
@@ -26,7 +26,7 @@ from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class SingularSolution:
     """Least squares of a linear system.
 
     Attributes
@@ -56,7 +56,7 @@ class Solution:
         return int(np.count_nonzero(self.singular_values > limit))
 
 
-def solve(matrix: Array, right_side: Array) -> Solution:
+def solve(matrix: Array, right_side: Array) -> SingularSolution:
     """Solve an overdetermined system by singular value decomposition.
 
     A QR factorisation comes first, which keeps the singular values and makes tall systems cheap.
@@ -76,7 +76,7 @@ def solve(matrix: Array, right_side: Array) -> Solution:
         )
     triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
     left, values, right = singular_values_and_vectors(triangle[:, :-1])
-    found = Solution(np.empty(0), values, np.empty((0, 0)))
+    found = SingularSolution(np.empty(0), values, np.empty((0, 0)))
     if found.rank < unknowns:
         raise RankDeficient(
             f"the system has rank {found.rank} of {unknowns}",
@@ -85,7 +85,7 @@ def solve(matrix: Array, right_side: Array) -> Solution:
             want=unknowns,
         )
     pseudo_inverse = right.T / values
-    return Solution(
+    return SingularSolution(
         solution=pseudo_inverse @ (left.T @ triangle[:, -1]),
         singular_values=values,
         inverse=pseudo_inverse @ pseudo_inverse.T,
@@ -108,7 +108,7 @@ class Fit:
 
     e: Array
     r: Array
-    found: Solution
+    found: SingularSolution
     blocks: tuple[tuple[int, int], ...]
 
 
@@ -208,7 +208,7 @@ def bias_warning(biased: Array, scatter: Array) -> tuple[tuple[str, str], ...]:
     )
 
 
-def find(campaign: Campaign) -> Found:
+def find(campaign: Campaign) -> Estimate:
     """Solve E alpha' = r of a campaign, as the paper does.
 
     Raises
@@ -227,7 +227,7 @@ def find(campaign: Campaign) -> Found:
         biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
         warnings = bias_warning(biased, np.sqrt(np.diag(reading_covariance)[:n]))
         diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
-    return Found(
+    return Estimate(
         method="svd",
         scale="weights",
         values=solution,

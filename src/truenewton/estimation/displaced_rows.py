@@ -82,7 +82,7 @@ class BalancedRows:
 
 
 @dataclass(frozen=True, eq=False)
-class Layer:
+class DistinctRows:
     """Rows of a cycle in none of which a group stands twice, in the order of their groups."""
 
     rows: BalancedRows

@@ -9,7 +9,7 @@ from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, Sc
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Estimate:
     """An estimate over the enabled actuators.
 
     Attributes

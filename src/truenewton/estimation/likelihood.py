@@ -31,7 +31,7 @@ from scipy.linalg.lapack import dpotrf, dpotri
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.minimum import DataSet, Estimate, Feigned, Prior
+from truenewton.estimation.minimum import DataSet, Minimum, NoiseInformation, Prior
 from truenewton.estimation.shape_sums import ShapeSums
 from truenewton.linalg import ROWS_AT_ONCE, mirrored
 
@@ -50,12 +50,12 @@ class _Terms:
     chi2: float
     gradient: Array
     h: Array
-    feigned: Feigned
+    noise_information: NoiseInformation
 
     @property
     def m(self) -> Array:
         """(u, u) M."""
-        return mirrored(self.feigned.taken_from(self.h, -1.0).T)
+        return mirrored(self.noise_information.taken_from(self.h, -1.0).T)
 
 
 def chi2_at(a: Array, data: Sequence[DataSet], values: Array) -> float:
@@ -115,7 +115,7 @@ def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
         roots.append(np.sqrt(sums.shapes) * (white[:, None] * taken).reshape(9, n))
         gradient[n:] += _add_nuisance(h, part, s_inverse, a, fitted, rho)
     # In perfect balance rounding may leave less than nothing.
-    return _Terms(max(chi2, 0.0), gradient, h, Feigned(diagonal, np.concatenate(roots)))
+    return _Terms(max(chi2, 0.0), gradient, h, NoiseInformation(diagonal, np.concatenate(roots)))
 
 
 def _add_product(matrix: Array, white: Array, square: Array, left: Array, right: Array) -> None:
@@ -143,7 +143,7 @@ def _add_nuisance(
     return gradient
 
 
-def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> Estimate:
+def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> Minimum:
     """Find the likeliest alpha and nuisance.
 
     Parameters
@@ -184,7 +184,7 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> E
     )
 
 
-def expected(a: Array, data: Sequence[DataSet], prior: Prior, values: Array) -> Estimate:
+def expected(a: Array, data: Sequence[DataSet], prior: Prior, values: Array) -> Minimum:
     """Return what `minimise` will state on the average, from sums over noiseless readings.
 
     These feign nothing: at the true values M is the information itself, and noise will add D to M
@@ -230,7 +230,7 @@ def _step(terms: _Terms, prior: Prior, gradient: Array) -> tuple[Array, float, A
     factor, failed = dpotrf(h.T, lower=True, clean=False, overwrite_a=True)
     used = factor
     if failed:
-        m = terms.feigned.taken_from(prior.added_to(terms.h[:free, :free].copy()), -1.0)
+        m = terms.noise_information.taken_from(prior.added_to(terms.h[:free, :free].copy()), -1.0)
         used, failed_too = dpotrf(m, lower=True, clean=False, overwrite_a=True)
         if failed_too:
             raise _no_more_than_noise()
@@ -241,7 +241,7 @@ def _step(terms: _Terms, prior: Prior, gradient: Array) -> tuple[Array, float, A
 
 def _estimate(
     terms: _Terms, prior: Prior, values: Array, factor: Array | None, iterations: int
-) -> Estimate:
+) -> Minimum:
     """Return the minimum with its covariance, H^-1 M H^-1, from readings and weights apart.
 
     The errors of the weights are eliminated: against quiet readings they are all but degenerate
@@ -251,7 +251,7 @@ def _estimate(
     """
     if factor is None:
         raise _no_more_than_noise()
-    n, t = len(terms.feigned.diagonal), len(values) - prior.measured
+    n, t = len(terms.noise_information.diagonal), len(values) - prior.measured
     inverse = mirrored(dpotri(factor[:t, :t], lower=True, overwrite_c=True)[0].T)
     m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
     turn = inverse @ m_tu
@@ -259,15 +259,15 @@ def _estimate(
     measured = np.linalg.inv(np.eye(prior.measured) + left)
     changes = -turn @ measured
     # M = H + D, so H^-1 M H^-1 = H^-1 + H^-1 D H^-1; likewise in what follows.
-    feigned_turn = terms.feigned @ turn[:n]
-    by_turn = _not_negative(turn[:n].T @ feigned_turn)
+    noise_turn = terms.noise_information @ turn[:n]
+    by_turn = _not_negative(turn[:n].T @ noise_turn)
     rest = left + by_turn
-    cross = -(inverse[:, :n] @ feigned_turn)
-    wide = np.sqrt(terms.feigned.diagonal)[:, None] * inverse[:n]
-    less = terms.feigned.root @ inverse[:n]
+    cross = -(inverse[:, :n] @ noise_turn)
+    wide = np.sqrt(terms.noise_information.diagonal)[:, None] * inverse[:n]
+    less = terms.noise_information.root @ inverse[:n]
     share = float(
-        terms.feigned.diagonal @ np.diagonal(inverse)[:n]
-        - np.sum(less[:, :n] * terms.feigned.root)
+        terms.noise_information.diagonal @ np.diagonal(inverse)[:n]
+        - np.sum(less[:, :n] * terms.noise_information.root)
         + np.sum(measured * by_turn)
     )
     whole = dsyrk(1.0, wide.T, beta=1.0, c=inverse.T, lower=True, overwrite_c=True)
@@ -278,8 +278,8 @@ def _estimate(
     else:
         whole += cross @ changes.T + changes @ cross.T + changes @ rest @ changes.T
     information, whole = prior.added_to(terms.h), mirrored(whole.T)
-    return Estimate(
-        values, terms.chi2, information, terms.feigned, share, whole, changes, iterations
+    return Minimum(
+        values, terms.chi2, information, terms.noise_information, share, whole, changes, iterations
     )
 
 

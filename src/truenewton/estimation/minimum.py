@@ -81,7 +81,7 @@ class Prior:
 
 
 @dataclass(frozen=True, eq=False)
-class Feigned:
+class NoiseInformation:
     """D, what noise alone would feign of the information on alpha: diag(d) - R' R.
 
     A' S^-1 A and what S takes from V have rank 3 each, so their product by elements has 9.
@@ -112,7 +112,7 @@ class Feigned:
 
 
 @dataclass(frozen=True, eq=False)
-class Estimate:
+class Minimum:
     """The minimum and what it is worth; t unknowns without the errors of the weights.
 
     Attributes
@@ -123,7 +123,7 @@ class Estimate:
         Sum of r rho' S^-1 rho over the data, prior left out.
     information
         (u, u) H, that of the prior added: its upper triangle.
-    feigned, feigned_share
+    noise_information, noise_share
         D, by how much M is larger; the sum of its eigenvalues in terms of H, B and the torques
         eliminated.
     reading_covariance
@@ -137,8 +137,8 @@ class Estimate:
     values: Array
     chi2: float
     information: Array
-    feigned: Feigned
-    feigned_share: float
+    noise_information: NoiseInformation
+    noise_share: float
     reading_covariance: Array
     changes: Array
     iterations: int

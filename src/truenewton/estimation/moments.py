@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
-from truenewton.estimation.displaced_rows import BalancedRows, Layer, common_rest, distinct
+from truenewton.estimation.displaced_rows import BalancedRows, DistinctRows, common_rest, distinct
 from truenewton.estimation.shape_sums import ShapeSums, shape_sums
 from truenewton.files.stored_rows import BLOCK_BYTES
 from truenewton.linalg import ROWS_AT_ONCE
@@ -138,7 +138,7 @@ def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Mome
     place = np.argsort(coming)
     members = np.split(place[member], np.cumsum([len(name) for name in names])[:-1])
     layers = [
-        Layer(rows, some, group[some], weight_of_row)
+        DistinctRows(rows, some, group[some], weight_of_row)
         for cycle, group, weight_of_row in zip(
             campaign.cycles, members, row_weights(campaign), strict=True
         )

@@ -44,7 +44,7 @@ class Prediction:
     weakest, weakest_share
         The pattern of alpha that the readings will hold least, in words, and its share of the
         variance E_STAT^2 summed over actuators.
-    drowned
+    undetermined
         Number of patterns that will stand hardly above noise.
     warnings
         What will be weak, each with its remedy.
@@ -57,7 +57,7 @@ class Prediction:
     scale_errors: tuple[ScaleError, ...]
     weakest: str
     weakest_share: float
-    drowned: int
+    undetermined: int
     warnings: tuple[tuple[str, str], ...]
 
     @property
@@ -128,18 +128,20 @@ def predict(
     data = [replace(of_loads, sums=_repeated(of_loads.sums, cycles)), *elastic]
     estimate = expected(problem.a, data, problem.prior, values)
     reading_covariance, changes = estimate.reading_covariance[:n, :n], estimate.changes[:n]
-    drowned = patterns_near_noise(estimate, of_loads.sums.shapes)
+    undetermined = patterns_near_noise(estimate, of_loads.sums.shapes)
     value, vector = largest_eigenvalue(reading_covariance)
     return Prediction(
         layout=campaign.layout,
         alpha=alpha,
         reading_covariance=reading_covariance,
         systematic_covariance=changes @ changes.T,
-        scale_errors=() if free else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
+        scale_errors=()
+        if free
+        else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
         weakest=in_words(vector, campaign.layout),
         weakest_share=value / float(np.trace(reading_covariance)),
-        drowned=drowned,
-        warnings=free + _drowning(drowned, n),
+        undetermined=undetermined,
+        warnings=free + _warn_of_undetermined(undetermined, n),
     )
 
 
@@ -166,12 +168,12 @@ def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
     )
 
 
-def _drowning(drowned: int, n: int) -> tuple[tuple[str, str], ...]:
+def _warn_of_undetermined(undetermined: int, n: int) -> tuple[tuple[str, str], ...]:
     """Warn of patterns that will drown, and of a campaign that will be refused for it."""
-    if not drowned:
+    if not undetermined:
         return ()
-    patterns = "pattern of alpha stands" if drowned == 1 else "patterns of alpha stand"
-    fault = f"{drowned} {patterns} hardly above the noise"
-    if not tolerable(Diagnosis((), drowned, (), span=n), n):
+    patterns = "pattern of alpha stands" if undetermined == 1 else "patterns of alpha stand"
+    fault = f"{undetermined} {patterns} hardly above the noise"
+    if not tolerable(Diagnosis((), undetermined, (), span=n), n):
         fault += ", so many that the campaign will be refused"
     return ((fault, "repeat more often, use larger forces, or add shapes"),)

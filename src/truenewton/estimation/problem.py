@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.likelihood import minimise, start_values
-from truenewton.estimation.minimum import DataSet, Estimate, Prior
+from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import SHARE_ROWS, Noise, least_variance
 from truenewton.estimation.outliers import (
@@ -88,7 +88,7 @@ class Problem:
         of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
         return [replace(of_loads, excess=1.0 / self.noise.share), *self.elastic]
 
-    def fitted(self, moments: Moments, start: Array | None = None) -> Estimate:
+    def fitted(self, moments: Moments, start: Array | None = None) -> Minimum:
         """Return the likeliest values."""
         data = self.data(moments)
         begin = start_values(self.a, data, self.prior) if start is None else start
@@ -174,8 +174,8 @@ def with_share_in_balance(
 
 
 def with_noise_from_minimum(
-    problem: Problem, moments: Moments, estimate: Estimate
-) -> tuple[Problem, Estimate]:
+    problem: Problem, moments: Moments, estimate: Minimum
+) -> tuple[Problem, Minimum]:
     """Give the noise its size from the minimum, where nothing else does; with it D."""
     freedom = max(problem.degrees_of_freedom(moments), 1)
     for _ in range(20):

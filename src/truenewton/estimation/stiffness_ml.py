@@ -9,7 +9,7 @@ import scipy.optimize
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import Diagnosis
-from truenewton.estimation.estimate import Found
+from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import geometry_faults, refuse
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Prior
@@ -132,7 +132,7 @@ def population_spread(alpha: Array, covariance: Array) -> float:
     return float(np.exp(found.x))
 
 
-def find(matrix: StiffnessMatrix, population: bool) -> Found:
+def find(matrix: StiffnessMatrix, population: bool) -> Estimate:
     """Find relative alpha by maximum likelihood, with a population if asked for.
 
     Raises

@@ -16,7 +16,7 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
-from truenewton.estimation.estimate import Found
+from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import geometry_faults, refuse
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
@@ -150,7 +150,7 @@ def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array
     return np.asarray(moved.T @ moved)
 
 
-def find(matrix: StiffnessMatrix) -> Found:
+def find(matrix: StiffnessMatrix) -> Estimate:
     """Find relative alpha as the smallest singular vector of the balance of the modes.
 
     Raises
@@ -166,10 +166,10 @@ def find(matrix: StiffnessMatrix) -> Found:
 
 def found_from(
     matrix: StiffnessMatrix, method: str, alpha: Array, covariance: Array, singular_values: Array
-) -> Found:
+) -> Estimate:
     """Put a relative alpha into the form that all methods share."""
     n = len(alpha)
-    return Found(
+    return Estimate(
         method=method,
         scale="mean 1",
         values=alpha,

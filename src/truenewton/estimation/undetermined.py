@@ -15,7 +15,7 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import balance_patterns, centred_means
-from truenewton.estimation.minimum import Estimate
+from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
 
@@ -48,7 +48,7 @@ def held_even(problem: Problem, patterns: Array) -> Problem:
     return replace(problem, prior=problem.prior.with_more(STIFF * patterns @ patterns.T))
 
 
-def with_unknown_patterns(estimate: Estimate, patterns: Array) -> Estimate:
+def with_unknown_patterns(estimate: Minimum, patterns: Array) -> Minimum:
     """Return the estimate with what is not known of (n, k) patterns in its covariance."""
     n, t = len(patterns), len(estimate.reading_covariance)
     pulled = np.zeros((t, patterns.shape[1]))

@@ -28,7 +28,7 @@ SIGMAS = 3.0  # of the turbulent force, beside the static one, that an actuator 
 
 
 @dataclass(frozen=True)
-class Limits:
+class Budget:
     """What actuators may bear.
 
     Attributes
@@ -125,7 +125,7 @@ class Dissipation:
         """(n, m) true force that each actuator has to reach: static and three sigma [N]."""
         return np.asarray(np.abs(self.static)[:, None] + SIGMAS * self.force)
 
-    def modes_within(self, limits: Limits, *, alpha_error: ArrayLike = 0.0) -> int:
+    def modes_within(self, limits: Budget, *, alpha_error: ArrayLike = 0.0) -> int:
         """Return the largest N such that the first 1..N modes all keep within the limits.
 
         Parameters

@@ -17,7 +17,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from truenewton.figures.maps import circles
 from truenewton.figures.style import COLUMN, CURVES, FAINT, INK, SIGNED_COLOURS, STYLE, new_axes
 from truenewton.figures.writing import write_drawn
-from truenewton.modal.dissipation import Limits
+from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.words import chosen_modes, least_power, stiffness_text
@@ -80,7 +80,7 @@ def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_power(base: ModalBase, limits: Limits, ax: Axes | None = None) -> Axes:
+def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
     """Draw the power of the worst coil and the mean, static force included, against modes."""
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.7)
@@ -117,7 +117,7 @@ def plot_comparison(found: ModalFindings, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def modes_figures(found: ModalFindings, limits: Limits) -> dict[str, Callable[[], Axes]]:
+def modes_figures(found: ModalFindings, limits: Budget) -> dict[str, Callable[[], Axes]]:
     """Return the figures of the modal base by name."""
     return {
         "modes": lambda: plot_modes(found.after),
@@ -130,7 +130,7 @@ def modes_figures(found: ModalFindings, limits: Limits) -> dict[str, Callable[[]
 def write_modes_figures(
     found: ModalFindings,
     folder: str | os.PathLike[str],
-    limits: Limits,
+    limits: Budget,
     *,
     overwrite: bool = False,
 ) -> list[Path]:

@@ -12,7 +12,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.files.fits import Sheet, write_fits, write_matrix
 from truenewton.files.outputs import files_together
-from truenewton.modal.dissipation import Dissipation, Limits
+from truenewton.modal.dissipation import Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.records.file import actuators_sheet, iso, write_stiffness
@@ -32,7 +32,7 @@ def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
 def write_modes(
     found: ModalFindings,
     path: str | os.PathLike[str],
-    limits: Limits | None = None,
+    limits: Budget | None = None,
     *,
     overwrite: bool = False,
 ) -> list[Path]:
@@ -53,11 +53,11 @@ def write_modes(
     """
     paths = modes_paths(path)
     with files_together(paths, overwrite=overwrite) as folder:
-        _write_all(found, [folder / target.name for target in paths], limits or Limits())
+        _write_all(found, [folder / target.name for target in paths], limits or Budget())
     return list(paths)
 
 
-def _write_all(found: ModalFindings, paths: list[Path], limits: Limits) -> None:
+def _write_all(found: ModalFindings, paths: list[Path], limits: Budget) -> None:
     base = found.after
     stiffness, modes = base.stiffness, base.modes.modes
     write_fits(paths[0], _header(found, limits), _sheets(found))
@@ -92,7 +92,7 @@ def _square(base: ModalBase, forces: Array) -> Array:
     return square
 
 
-def _header(found: ModalFindings, limits: Limits) -> dict[str, tuple[Any, str]]:
+def _header(found: ModalFindings, limits: Budget) -> dict[str, tuple[Any, str]]:
     base, measured = found.after, found.measured
     atmosphere, cost = base.seen.atmosphere, base.costs[0]
     return {

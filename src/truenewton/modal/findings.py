@@ -12,7 +12,7 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
 from truenewton.modal.comparison import ModesComparison, compare_modes
-from truenewton.modal.dissipation import EFFICIENCY, Dissipation, Limits
+from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
 from truenewton.modal.measured_stiffness import (
     MeasuredStiffness,
     measured_stiffness,
@@ -82,7 +82,7 @@ class ModalFindings:
             )
         return told
 
-    def modes_between(self, cost: Dissipation, limits: Limits) -> tuple[int, int]:
+    def modes_between(self, cost: Dissipation, limits: Budget) -> tuple[int, int]:
         """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""
         c = self.calibration
         at = places(c.layout, self.after.stiffness.enabled.id)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.modal.comparison import ModesComparison
-from truenewton.modal.dissipation import Dissipation, Limits
+from truenewton.modal.dissipation import Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import ModalBase
@@ -123,7 +123,7 @@ def static_force(cost: Dissipation) -> str:
     return f"{force.min():.3g} .. {force.max():.3g} mN"
 
 
-def lines(found: ModalFindings, limits: Limits) -> list[str]:
+def lines(found: ModalFindings, limits: Budget) -> list[str]:
     """Return what was found, for people."""
     before, after = found.before.stiffness, found.after.stiffness
     base, c = found.after, found.calibration
@@ -170,7 +170,7 @@ def _table(base: ModalBase) -> list[str]:
     return lines
 
 
-def _within(found: ModalFindings, limits: Limits) -> list[str]:
+def _within(found: ModalFindings, limits: Budget) -> list[str]:
     """Return how many modes the limits allow, and what alpha has to do with it."""
     if not limits.any:
         return ["  --power, --total-power or --force asks how many modes they allow"]
@@ -191,7 +191,7 @@ def _within(found: ModalFindings, limits: Limits) -> list[str]:
     return lines
 
 
-def values(found: ModalFindings, limits: Limits) -> dict[str, Any]:
+def values(found: ModalFindings, limits: Budget) -> dict[str, Any]:
     """Return the same figures for a script."""
     base, m, c = found.after, found.measured, found.comparison
     told: dict[str, Any] = {

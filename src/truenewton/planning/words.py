@@ -130,7 +130,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
             "e_syst": found.systematic_error,
         },
         "weakest": found.weakest,
-        "drowned": found.drowned,
+        "undetermined": found.undetermined,
         "duration": outlook.duration,
         **{f"largest_{key}" if key in ("force", "stroke") else key: value
            for key, value in dataclasses.asdict(outlook.strain).items()},

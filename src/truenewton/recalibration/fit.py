@@ -23,7 +23,7 @@ from truenewton.errors import FormatError, RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import found_of
 from truenewton.estimation.diagnosis import Goodness, RejectedRow, ScaleError
 from truenewton.estimation.identifiability import geometry_faults
-from truenewton.estimation.minimum import Estimate
+from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.outliers import against_repeats
 from truenewton.estimation.problem import Problem
@@ -31,13 +31,13 @@ from truenewton.estimation.weights import READINGS
 from truenewton.reading import read
 from truenewton.recalibration.known import (
     EARLIER,
-    Known,
+    EarlierCalibration,
     known_from,
     run_temperature,
     shared_errors,
 )
 from truenewton.recalibration.short_run import (
-    Run,
+    ShortRun,
     degrees_of,
     inverse_of,
     pulls,
@@ -125,7 +125,7 @@ def recalibrate(
     _refuse_too_little(sound, moments, int(new.sum()))
     errors, scale = shared_errors(before, campaign)
     alpha = np.where(np.isfinite(before.alpha), before.alpha, np.nanmean(before.alpha))[on]
-    run = Run(before, sound, errors, alpha, before.covariance[np.ix_(on, on)])
+    run = ShortRun(before, sound, errors, alpha, before.covariance[np.ix_(on, on)])
     problem, moments, estimate, lost = sifted(run, moments, new)
     moved: list[Departure] = []
     stay = ~new
@@ -169,7 +169,9 @@ def _campaign(path: str | os.PathLike[str]) -> Campaign:
     return data
 
 
-def _new(campaign: Campaign, known: Known, actuators: Sequence[int]) -> NDArray[np.bool_]:
+def _new(
+    campaign: Campaign, known: EarlierCalibration, actuators: Sequence[int]
+) -> NDArray[np.bool_]:
     """Return (n,) who of the enabled is named, or has no earlier calibration."""
     ids, on = campaign.layout.id, campaign.layout.enabled
     for name in actuators:
@@ -204,10 +206,10 @@ def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
 
 
 def _calibration(
-    run: Run,
+    run: ShortRun,
     problem: Problem,
     moments: Moments,
-    estimate: Estimate,
+    estimate: Minimum,
     rejected: tuple[RejectedRow, ...],
     scale: float,
     stay: NDArray[np.bool_],
@@ -246,7 +248,7 @@ def _calibration(
     return replace(made, temperature=temperature, sources=(*made.sources, *known.sources))
 
 
-def _limits(run: Run, probability: float) -> tuple[str, ...]:
+def _limits(run: ShortRun, probability: float) -> tuple[str, ...]:
     limits: tuple[str, ...] = ()
     if probability < ALL_TOGETHER:
         limits += (

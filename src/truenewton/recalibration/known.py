@@ -27,7 +27,7 @@ MAGNETS = -1.1e-3  # [1/K] of NdFeB, the law of a mirror that nobody tracked [li
 
 
 @dataclass(frozen=True, eq=False)
-class Known:
+class EarlierCalibration:
     """Alpha as it was, its errors told apart.
 
     Attributes
@@ -58,7 +58,9 @@ class Known:
     sources: tuple[UsedSource, ...]
 
 
-def known_from(given: Calibration | Tracking | str | os.PathLike[str], campaign: Campaign) -> Known:
+def known_from(
+    given: Calibration | Tracking | str | os.PathLike[str], campaign: Campaign
+) -> EarlierCalibration:
     """Return what is known of the mirror of a campaign.
 
     Parameters
@@ -113,7 +115,7 @@ def known_from(given: Calibration | Tracking | str | os.PathLike[str], campaign:
     full = np.full((n, uneven.shape[1]), np.nan)
     full[on] = uneven
     rest = alpha[:, None] * full
-    return Known(
+    return EarlierCalibration(
         name=name,
         instrument=given.instrument,
         layout=given.layout,
@@ -160,7 +162,9 @@ def _told_apart(alpha: Array, systematic_covariance: Array) -> tuple[float, Arra
     return scale, np.asarray(turned[:, kept])
 
 
-def shared_errors(known: Known, campaign: Campaign) -> tuple[tuple[WeightError, ...], float]:
+def shared_errors(
+    known: EarlierCalibration, campaign: Campaign
+) -> tuple[tuple[WeightError, ...], float]:
     """Return the errors of the weights of a run, seen by who takes the earlier scale for true.
 
     With alpha, B and the torques all divided by 1 + s e, s e being the error of the earlier scale,
@@ -184,7 +188,7 @@ def shared_errors(known: Known, campaign: Campaign) -> tuple[tuple[WeightError, 
     return (first, *sources), scale
 
 
-def _shared_tool(known: Known, campaign: Campaign) -> str | None:
+def _shared_tool(known: EarlierCalibration, campaign: Campaign) -> str | None:
     """Return how the run's one source of error is named that made the earlier scale, if any did."""
     made = [load for load in known.loads if load.added_error > 0]
     if len(made) != 1 or any(load.tilt for load in known.loads):

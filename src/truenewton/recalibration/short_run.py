@@ -21,14 +21,14 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.cycles_ml import fitted_groups
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.minimum import Estimate, Prior
+from truenewton.estimation.minimum import Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import Noise, least_variance, reading_noise
 from truenewton.estimation.outliers import refuse_too_many, rows_of
 from truenewton.estimation.problem import Problem, with_share_in_balance
 from truenewton.estimation.weights import WeightError
 from truenewton.linalg import mirrored
-from truenewton.recalibration.known import Known
+from truenewton.recalibration.known import EarlierCalibration
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms
 
@@ -38,10 +38,10 @@ SMALL = 1e-6  # part of the prior's variance below which the run says nothing
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class ShortRun:
     """A run and what is known beside it; (n,) arrays over its enabled actuators."""
 
-    known: Known
+    known: EarlierCalibration
     campaign: Campaign
     errors: tuple[WeightError, ...]
     alpha: Array
@@ -78,8 +78,8 @@ class Run:
 
 
 def sifted(
-    run: Run, moments: Moments, new: NDArray[np.bool_]
-) -> tuple[Problem, Moments, Estimate, list[RejectedRow]]:
+    run: ShortRun, moments: Moments, new: NDArray[np.bool_]
+) -> tuple[Problem, Moments, Minimum, list[RejectedRow]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
     Held to its earlier calibration, one that was replaced would make good shapes look bad.
@@ -104,7 +104,7 @@ def sifted(
     return *with_noise(problem, moments, estimate), lost
 
 
-def inverse_of(problem: Problem, estimate: Estimate) -> Array:
+def inverse_of(problem: Problem, estimate: Minimum) -> Array:
     """Return H^-1 of the unknowns that are not held."""
     prior = problem.prior
     free = len(estimate.values) - (prior.measured if prior.held else 0)
@@ -119,8 +119,8 @@ def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
 
 
 def with_noise(
-    problem: Problem, moments: Moments, estimate: Estimate
-) -> tuple[Problem, Moments, Estimate]:
+    problem: Problem, moments: Moments, estimate: Minimum
+) -> tuple[Problem, Moments, Minimum]:
     """Give the noise its size from the minimum where nothing else does."""
     for _ in range(20):
         if problem.noise.source != "minimum":
@@ -134,9 +134,7 @@ def with_noise(
     return problem, moments, estimate
 
 
-def pulls(
-    problem: Problem, estimate: Estimate, stay: NDArray[np.bool_]
-) -> tuple[Array, float, int]:
+def pulls(problem: Problem, estimate: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:
     """Return (n,) how far each who stays is pulled, in sigmas; chi2 of all together; degrees."""
     n = problem.n
     at = np.ix_(stay, stay)

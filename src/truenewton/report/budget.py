@@ -12,7 +12,7 @@ from truenewton.rounding import percent
 
 
 @dataclass(frozen=True)
-class Bar:
+class BudgetLine:
     """A line of a budget: name, relative size, that as text, and its share of the largest."""
 
     name: str
@@ -21,7 +21,7 @@ class Bar:
     share: float
 
 
-def budget_bars(c: Calibration) -> tuple[Bar, ...]:
+def budget_bars(c: Calibration) -> tuple[BudgetLine, ...]:
     """Return the budget of a calibration whose scale the weights give; none of one without."""
     if c.scale == "mean 1":
         return ()
@@ -38,7 +38,7 @@ def budget_bars(c: Calibration) -> tuple[Bar, ...]:
             if line.relative > 1e-5
         ]
     largest = max(size for _, size in lines)
-    return tuple(Bar(name, size, percent(size), size / largest) for name, size in lines)
+    return tuple(BudgetLine(name, size, percent(size), size / largest) for name, size in lines)
 
 
 def typical_error(c: Calibration) -> float:

@@ -26,7 +26,7 @@ from truenewton.figures.style import (
     STYLE,
     new_axes,
 )
-from truenewton.modal.dissipation import Limits
+from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import modes_figures
 from truenewton.records.campaign import Campaign
 from truenewton.report.budget import budget_bars
@@ -62,7 +62,7 @@ def still_figures(findings: Findings) -> dict[str, Callable[[], Axes]]:
     if isinstance(findings.data, Campaign):
         made["temperatures"] = lambda: plot_temperatures(findings)
     if findings.modes is not None:
-        made |= modes_figures(findings.modes, Limits())
+        made |= modes_figures(findings.modes, Budget())
     return made
 
 

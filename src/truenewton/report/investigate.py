@@ -11,7 +11,7 @@ from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers, True
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.outliers import against_repeats
-from truenewton.modal.dissipation import Limits
+from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.records.campaign import Campaign
 from truenewton.records.source import UsedSource
@@ -125,7 +125,7 @@ class Findings:
         """Draw the power of the worst coil and the mean against modes; return the axes."""
         from truenewton.modal.figures import plot_power
 
-        return plot_power(self._modes_found().after, Limits(), ax)
+        return plot_power(self._modes_found().after, Budget(), ax)
 
     def plot_modes_comparison(self, ax: Axes | None = None) -> Axes:
         """Draw how far modes with alpha = 1 lie from the calibrated; return the axes."""

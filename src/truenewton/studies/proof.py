@@ -15,7 +15,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.estimation.cycles_svd import Solution, solve
+from truenewton.estimation.cycles_svd import SingularSolution, solve
 from truenewton.estimation.identifiability import geometry_faults
 from truenewton.estimation.systems import system_c, system_e
 from truenewton.mirrors.known import Mirror
@@ -146,7 +146,7 @@ def _proof_e(
     return _proof("E", matrix, loaded, found, truth)
 
 
-def _proof(system: str, matrix: str, loaded: bool, found: Solution, truth: Array) -> Proof:
+def _proof(system: str, matrix: str, loaded: bool, found: SingularSolution, truth: Array) -> Proof:
     error = np.abs(found.solution - truth).max() / np.abs(truth).max()
     return Proof(
         system, matrix, loaded, found.rank, len(truth), found.singular_values,

@@ -184,7 +184,9 @@ def tracked_actuators(days: Sequence[Day]) -> NDArray[np.bool_]:
 def covariances(day: Day, on: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Return the (n, n) covariance of alpha from the readings, and the part from the weights."""
     c, at = day.calibration, np.flatnonzero(on)
-    whole, systematic_covariance = (matrix[np.ix_(at, at)] for matrix in (c.covariance, c.systematic_covariance))
+    whole, systematic_covariance = (
+        matrix[np.ix_(at, at)] for matrix in (c.covariance, c.systematic_covariance)
+    )
     return whole - systematic_covariance, systematic_covariance
 
 

@@ -64,7 +64,7 @@ class Departure:
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class AlphaPrediction:
     """Alpha at one temperature and time.
 
     Attributes
@@ -165,7 +165,7 @@ class Tracking:
 
     def alpha_at(
         self, temperature: float | None = None, time: datetime.datetime | None = None
-    ) -> Prediction:
+    ) -> AlphaPrediction:
         """Return alpha at a temperature and a time, with its uncertainty.
 
         Parameters
@@ -193,7 +193,7 @@ class Tracking:
             part[np.ix_(on, on)] = inner @ whole[np.ix_(kept, kept)] @ inner.T
             parts.append(part)
         alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
-        return Prediction(alpha, np.sqrt(np.diag(parts[0])), parts[0], parts[1])
+        return AlphaPrediction(alpha, np.sqrt(np.diag(parts[0])), parts[0], parts[1])
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the tracking file (docs/files.md).

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
-from truenewton.linalg import Solution, least_squares
+from truenewton.linalg import LeastSquares, least_squares
 from truenewton.tracking.days import Day, covariances, groups, relative_factor
 
 
@@ -143,7 +143,7 @@ def _inverse_root(day: Day, covariance: Array) -> Array:
     return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
 
 
-def _share(found: Solution, roots: Array, design: Array) -> tuple[Array, int]:
+def _share(found: LeastSquares, roots: Array, design: Array) -> tuple[Array, int]:
     """Return (n,) chi2 of the days of one actuator given all others, and its degrees of freedom.
 
     Columns Z that shift each day of the actuator freely would lower chi2 by s' (Z' M Z)^+ s, with

@@ -28,7 +28,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
 
 
-class Known:
+class KnownClients:
     """Who may come: the holder of a trusted certificate who also knows user and password.
 
     Parameters
@@ -67,7 +67,9 @@ class ClosedServer(Server):
         The server's.
     """
 
-    def __init__(self, known: Known, certificate: x509.Certificate, key: RSAPrivateKey) -> None:
+    def __init__(
+        self, known: KnownClients, certificate: x509.Certificate, key: RSAPrivateKey
+    ) -> None:
         super().__init__(_InternalServer(user_manager=known))
         self.iserver.certificate, self.iserver.private_key = certificate, key
         self.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])

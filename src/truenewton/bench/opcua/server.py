@@ -19,7 +19,7 @@ import numpy as np
 from asyncua import Server, ua
 
 from truenewton.bench.opcua import keys as keys
-from truenewton.bench.opcua.door import ClosedServer, Known
+from truenewton.bench.opcua.door import ClosedServer, KnownClients
 from truenewton.bench.protocol import Bench, Graded, Operator, Shape
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.load import Load
@@ -80,7 +80,7 @@ async def serving(
     trusted = keys.read_trusted(place / keys.TRUSTED)
     password = keys.read_password(place / keys.PASSWORD)
     _refuse_taken(port)
-    server = ClosedServer(Known(trusted, keys.USER, password), certificate, private)
+    server = ClosedServer(KnownClients(trusted, keys.USER, password), certificate, private)
     await server.init()
     await server.set_application_uri(keys.SERVER_URI)
     server.set_server_name(f"truenewton {bench.instrument}")

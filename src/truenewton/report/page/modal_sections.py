@@ -22,7 +22,7 @@ from truenewton.modal.words import (
 )
 from truenewton.report.investigate import Findings
 from truenewton.report.page import modal_plots
-from truenewton.report.page.section import Section, Table
+from truenewton.report.page.section import Section, TextTable
 from truenewton.rounding import percent
 
 LINES = ("full", "dashed", "dash and dot")  # of the three bases, as drawn
@@ -65,7 +65,7 @@ def _modes(found: ModalFindings) -> Section:
         " mode's largest, one way purple, the other orange. Modes and their stiffness:"
         f" {'; '.join(drawn)}."
     )
-    table = Table("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
+    table = TextTable("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
     return Section(
         "modes", "Stiffness modes", tuple(words), modal_plots.modes(base), caption, tables=(table,)
     )
@@ -99,7 +99,7 @@ def _dissipation(base: ModalBase) -> Section:
     )
     head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",
             "worst (mN)", "power mean (W)", "worst (W)", "total (W)")  # fmt: skip
-    table = Table(
+    table = TextTable(
         "Rms wavefront that N modes of each base leave; force and power of N stiffness modes",
         head, tuple(cost_rows(base)),
     )  # fmt: skip

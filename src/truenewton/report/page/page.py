@@ -24,7 +24,7 @@ from truenewton.report.investigate import Findings
 from truenewton.report.layers import Layer, calibration_layers, change_layers
 from truenewton.report.page import actuator_plots
 from truenewton.report.page.modal_sections import modal_sections
-from truenewton.report.page.section import Section, Table
+from truenewton.report.page.section import Section, TextTable
 from truenewton.report.page.sections import evidence_sections, map_caption, ring_caption, times
 from truenewton.report.verdict import Verdict, verdict, verdict_on_change
 from truenewton.statics.layout import Layout
@@ -142,11 +142,11 @@ def _changed_actuators(change: Change) -> Actuators:
     )
 
 
-def _summary(c: Calibration) -> Table:
-    return Table("All figures", ("figure", "value", "note"), tuple(summary_rows(c)), wraps=True)
+def _summary(c: Calibration) -> TextTable:
+    return TextTable("All figures", ("figure", "value", "note"), tuple(summary_rows(c)), wraps=True)
 
 
-def _summaries(change: Change) -> Table:
+def _summaries(change: Change) -> TextTable:
     one, other = ({n: (v, note) for n, v, note in summary_rows(c)} for c in
                   (change.one, change.other))  # fmt: skip
     names = [*one, *(name for name in other if name not in one)]
@@ -154,15 +154,15 @@ def _summaries(change: Change) -> Table:
     rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in (change.one, change.other))),
             ("method", change.one.method, change.other.method)]  # fmt: skip
     rows += [(name, one.get(name, blank)[0], other.get(name, blank)[0]) for name in names]
-    return Table("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
+    return TextTable("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
 
 
-def _inputs(given: Findings | Calibration, caption: str) -> tuple[Table, ...]:
+def _inputs(given: Findings | Calibration, caption: str) -> tuple[TextTable, ...]:
     sources = given.sources if isinstance(given, Calibration) else given.inputs
     rows = tuple(
         (s.file, str(s.rows) if s.rows else "none", str(s.rejected), s.sha256) for s in sources
     )
-    return (Table(caption, ("file", "rows used", "rejected", "SHA256"), rows),) if rows else ()
+    return (TextTable(caption, ("file", "rows used", "rejected", "SHA256"), rows),) if rows else ()
 
 
 def _rendered(
@@ -172,7 +172,7 @@ def _rendered(
     judged: Verdict,
     actuators: Actuators | None,
     sections: tuple[Section, ...],
-    tables: tuple[Table, ...],
+    tables: tuple[TextTable, ...],
     command: str,
 ) -> str:
     """Put the page together; what comes from files goes through autoescape or as JSON."""

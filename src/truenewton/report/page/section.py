@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from truenewton.report.budget import Bar
+from truenewton.report.budget import BudgetLine
 from truenewton.report.page.looks import Plot
 
 
 @dataclass(frozen=True)
-class Table:
+class TextTable:
     """A table of text; its first column is a name; long cells wrap where told."""
 
     caption: str
@@ -44,5 +44,5 @@ class Section:
     plot: Plot | None = None
     caption: str = ""
     legend: tuple[tuple[str, str], ...] = ()
-    bars: tuple[Bar, ...] = ()
-    tables: tuple[Table, ...] = ()
+    bars: tuple[BudgetLine, ...] = ()
+    tables: tuple[TextTable, ...] = ()

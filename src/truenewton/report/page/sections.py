@@ -15,7 +15,7 @@ from truenewton.report.budget import budget_bars, typical_error
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.investigate import Findings
 from truenewton.report.page import evidence_plots
-from truenewton.report.page.section import Section, Table
+from truenewton.report.page.section import Section, TextTable
 from truenewton.report.series import columns_of_shapes
 from truenewton.rounding import percent, significant, to_digits
 from truenewton.statics.layout import ring_of
@@ -103,7 +103,7 @@ def _rows(findings: Findings, residuals: RowResiduals) -> Section:
         + (", marked by crosses in circles." if lost else ".")
     )
     listed = rejected_values(campaign, c.rejected_rows)
-    tables: tuple[Table, ...] = ()
+    tables: tuple[TextTable, ...] = ()
     if listed:
         rows = tuple(
             (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
@@ -112,7 +112,7 @@ def _rows(findings: Findings, residuals: RowResiduals) -> Section:
         )  # fmt: skip
         more = f"; the farthest {MOST_REJECTED}" if len(listed) > MOST_REJECTED else ""
         head = ("file", "row", "sigma", "against", "actuator that stands out")
-        tables = (Table(f"Rejected rows: {len(listed)}{more}", head, rows),)
+        tables = (TextTable(f"Rejected rows: {len(listed)}{more}", head, rows),)
     plot = evidence_plots.row_residuals(residuals, c.rejected_rows, names)
     return Section("residuals", "Residuals by shape and cycle", (), plot, caption, tables=tables)
 
@@ -154,7 +154,7 @@ def _balance(evidence: Evidence) -> Section:
         for line in evidence.balance
     )  # fmt: skip
     caption = "Rms imbalance" if noise else "Rms imbalance per unit of force"
-    table = Table(caption, head, rows)
+    table = TextTable(caption, head, rows)
     title = "The balance before and after"
     if isinstance(evidence.residuals, ModeResiduals):
         words = "Modes that the fit has not seen tell what alpha is worth on other forces."
@@ -208,5 +208,5 @@ def times(findings: Findings) -> Section:
     legend = tuple(
         (CURVES[k % len(CURVES)], f"load {load.name}") for k, load in enumerate(data.loads)
     )
-    plot, table = evidence_plots.temperatures(data), Table("Cycles", head, tuple(rows))
+    plot, table = evidence_plots.temperatures(data), TextTable("Cycles", head, tuple(rows))
     return Section("times", title, (), plot, caption, legend, tables=(table,))
