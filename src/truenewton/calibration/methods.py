@@ -17,6 +17,7 @@ from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness
 from truenewton.estimation.cycle_errors import cycle_errors
 from truenewton.estimation.estimate import Estimate
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -177,18 +178,18 @@ def _common(found: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _implausible(alpha: Array) -> tuple[tuple[str, str], ...]:
+def _implausible(alpha: Array) -> tuple[Fault, ...]:
     """Warn of an alpha that only a slip of a unit or a sign explains."""
     if (alpha <= 0).any():
         return (
-            (
+            Fault(
                 f"alpha is negative for {np.count_nonzero(alpha <= 0)} actuators",
                 "check the signs of FORCE, WEIGHT and ADDED: z points up",
             ),
         )
     if not 0.2 < np.median(alpha) < 5.0:
         return (
-            (
+            Fault(
                 f"alpha is about {np.median(alpha):.2g}",
                 "check the units of FORCE, WEIGHT and ADDED: they are Newton",
             ),

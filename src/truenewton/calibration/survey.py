@@ -13,6 +13,7 @@ from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.outliers import against_repeats
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, modal_stiffness
+from truenewton.records.fault import Fault
 from truenewton.rounding import with_error
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def survey_stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]
     try:
         diagnosis = calibrate(matrix).diagnosis or Diagnosis((), 0, ())
     except RankDeficient as error:
-        diagnosis = Diagnosis((), 0, ((error.fault, error.remedy),))
+        diagnosis = Diagnosis((), 0, (Fault(error.fault, error.remedy),))
     facts = {
         "holds": "stiffness",
         "instrument": matrix.instrument,

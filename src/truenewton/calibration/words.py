@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load
+from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
 
 if TYPE_CHECKING:
@@ -183,7 +184,7 @@ def _budget(c: Calibration) -> list[tuple[str, str, str]]:
     return lines
 
 
-def scale_limit(c: Calibration) -> tuple[str, str] | None:
+def scale_limit(c: Calibration) -> Fault | None:
     """Return what limits the common scale and what would help; None where the weights do not."""
     if not c.scale_errors or c.scale_errors[0].source == READINGS:
         return None
@@ -200,7 +201,7 @@ def scale_limit(c: Calibration) -> tuple[str, str] | None:
         tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
         if tilted < total:
             remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
-    return fault, "; ".join(remedies)
+    return Fault(fault, "; ".join(remedies))
 
 
 def rejected_values(

@@ -50,6 +50,7 @@ from truenewton.estimation.undetermined import (
 from truenewton.estimation.weights import scale_errors
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
 
@@ -195,7 +196,7 @@ def _probability(chi2: float, freedom: int, noise: Noise) -> float:
     return float(scipy.stats.f.sf(chi2 / freedom, freedom, noise.share_freedom))
 
 
-def weights_warning(errors: Array, loads: int) -> tuple[tuple[str, str], ...]:
+def weights_warning(errors: Array, loads: int) -> tuple[Fault, ...]:
     """Warn of weights that disagree more than their errors allow; two loads cannot tell.
 
     Parameters
@@ -209,20 +210,20 @@ def weights_warning(errors: Array, loads: int) -> tuple[tuple[str, str], ...]:
     if loads < 3 or scipy.stats.chi2.sf(size, loads - 2) > 1e-3:
         return ()
     return (
-        (
+        Fault(
             f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
             "check ADDED, TILT and their errors",
         ),
     )
 
 
-def zeros_warning(campaign: Campaign, moments: Moments) -> tuple[tuple[str, str], ...]:
+def zeros_warning(campaign: Campaign, moments: Moments) -> tuple[Fault, ...]:
     """Warn of sensors whose zero was set anew: how far the glass moved meanwhile is not known."""
     anew = int(np.count_nonzero(np.isnan(moments.reference)))
     if not anew or not any(map(is_displaced, campaign.cycles)):
         return ()
     return (
-        (
+        Fault(
             f"the zeros of {anew} sensors were set anew between files: these count from each"
             " file's own mean, and E_STAT knows nothing of motion between files",
             "keep the zeros of the sensors through a campaign",
@@ -240,11 +241,11 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Minimum, held: int)
     free = held + patterns_near_noise(estimate, moments.groups)
     value, vector = largest_eigenvalue(covariance)
     weakest = in_words(vector, layout)
-    warnings: tuple[tuple[str, str], ...] = ()
+    warnings: tuple[Fault, ...] = ()
     if free:
         patterns = "pattern of alpha stands" if free == 1 else "patterns of alpha stand"
         warnings = (
-            (
+            Fault(
                 f"{free} {patterns} hardly above the noise, the weakest {weakest}",
                 "repeat more often, use larger forces, or add a stiffness matrix",
             ),
@@ -253,7 +254,7 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Minimum, held: int)
         error = np.sqrt(value / n)
         each = "pattern of alpha drowns" if held == 1 else "patterns of alpha drown"
         warnings += (
-            (
+            Fault(
                 f"{held} {each} in noise: held even over the mirror, each uncertain by as much as"
                 f" alpha varies otherwise, {100 * error:.2g} % of it RMS",
                 "trust E_ALPHA, and differences along other patterns by COVARIANCE",

@@ -22,6 +22,7 @@ from truenewton.estimation.systems import load_force, system_e
 from truenewton.estimation.weights import WeightError, scale_errors, weight_errors
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
 
@@ -194,13 +195,13 @@ def bias(campaign: Campaign, fit: Fit, variance: Array) -> Array:
     return np.asarray(-fit.found.inverse[:, :n] @ (d * fit.found.solution[:n]))
 
 
-def bias_warning(biased: Array, scatter: Array) -> tuple[tuple[str, str], ...]:
+def bias_warning(biased: Array, scatter: Array) -> tuple[Fault, ...]:
     """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
     size = np.sqrt(np.mean(biased**2))
     if not size > 0.2 * np.sqrt(np.mean(scatter**2)):
         return ()
     return (
-        (
+        Fault(
             f"svd is biased by {100 * size:.2g} % (RMS over actuators, to first order), which its"
             " errors leave out",
             "use ml",

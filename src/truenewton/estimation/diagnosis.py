@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from truenewton.records.fault import Fault
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -37,8 +39,8 @@ class Diagnosis:
 
     eigenvalues: tuple[float, ...]
     undetermined: int
-    faults: tuple[tuple[str, str], ...]
-    warnings: tuple[tuple[str, str], ...] = ()
+    faults: tuple[Fault, ...]
+    warnings: tuple[Fault, ...] = ()
     weakest: str = ""
     weakest_share: float = float("nan")
     leverage: tuple[float, ...] = ()

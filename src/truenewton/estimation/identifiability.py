@@ -22,6 +22,7 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.moments import Moments
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
 
@@ -99,14 +100,14 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
     return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span)
 
 
-def structural_faults(campaign: Campaign, moments: Moments) -> tuple[tuple[str, str], ...]:
+def structural_faults(campaign: Campaign, moments: Moments) -> tuple[Fault, ...]:
     """Name what is missing whatever the noise: actuators, loads, the number of shapes."""
     a = enabled_arms(campaign.layout)
     faults = geometry_faults(a) + load_faults(campaign)
     n, distinct = a.shape[1], _distinct_shapes(moments)
     if 3 * distinct < n - 1:
         faults += (
-            (
+            Fault(
                 f"there are too few shapes: {distinct} for {n} actuators",
                 f"apply {n} independent shapes, both signs",
             ),
@@ -147,16 +148,18 @@ def _span(centred: Array, noise: float) -> int:
     return int(min(above, centred.shape[1] - 3))
 
 
-def geometry_faults(a: Array) -> tuple[tuple[str, str], ...]:
+def geometry_faults(a: Array) -> tuple[Fault, ...]:
     """Name what no shape could make good: too few actuators, or all on one line or conic."""
     n = a.shape[1]
     if n < 4:
-        return ((f"only {n} actuators take part", "three hold the mirror; enable four at least"),)
+        return (
+            Fault(f"only {n} actuators take part", "three hold the mirror; enable four at least"),
+        )
     x, y = a[1], a[2]
     values = np.linalg.svd(np.stack([x - x.mean(), y - y.mean()]), compute_uv=False)
     if values[1] <= 1e-6 * values[0]:
         return (
-            (
+            Fault(
                 "the actuators are collinear",
                 "a mirror on one line has no torque about it; check X and Y",
             ),
@@ -165,7 +168,7 @@ def geometry_faults(a: Array) -> tuple[tuple[str, str], ...]:
     # the constants that happens on certain conics only.
     if _all_on_a_conic(np.linalg.qr(a.T)[0]):
         return (
-            (
+            Fault(
                 "the actuators stand on a conic on which balance leaves alpha free",
                 "add an actuator off it",
             ),
@@ -190,19 +193,19 @@ def _all_on_a_conic(q: Array) -> bool:
     return int(np.count_nonzero(np.linalg.eigvalsh(k) < 0.0)) > 1
 
 
-def load_faults(campaign: Campaign) -> tuple[tuple[str, str], ...]:
+def load_faults(campaign: Campaign) -> tuple[Fault, ...]:
     """Judge the weights themselves: with noise, equal weights leave no trace in the rank."""
     weights = campaign.effective_weights
     if len(weights) == 1:
         return (
-            (
+            Fault(
                 f"there is only one load, '{campaign.loads[0].name}', so the common scale is free",
                 "add cycles under a load of another known weight",
             ),
         )
     if np.ptp(weights) <= 1e-6 * np.abs(weights).max():
         return (
-            (
+            Fault(
                 f"the {len(weights)} loads have the same weight, so the common scale is free",
                 "add a load that differs",
             ),
@@ -210,9 +213,9 @@ def load_faults(campaign: Campaign) -> tuple[tuple[str, str], ...]:
     return ()
 
 
-def _drowned(span: int, free: int, n: int) -> tuple[str, str]:
+def _drowned(span: int, free: int, n: int) -> Fault:
     """Say how many patterns the noise decides, and in how many directions shapes stand above it."""
-    return (
+    return Fault(
         f"the shapes stand above the noise in {span} of the {n - 3} elastic directions, too few"
         f" or dependent: {free} pattern{'s' if free > 1 else ''} of alpha left to noise",
         f"apply {n} independent shapes, larger or more often",

@@ -24,6 +24,7 @@ from truenewton.estimation.undetermined import held_even, tolerable
 from truenewton.estimation.weights import scale_errors
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.statics.layout import Layout
 
 
@@ -58,7 +59,7 @@ class Prediction:
     weakest: str
     weakest_share: float
     undetermined: int
-    warnings: tuple[tuple[str, str], ...]
+    warnings: tuple[Fault, ...]
 
     @property
     def scale_is_free(self) -> bool:
@@ -168,7 +169,7 @@ def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
     )
 
 
-def _warn_of_undetermined(undetermined: int, n: int) -> tuple[tuple[str, str], ...]:
+def _warn_of_undetermined(undetermined: int, n: int) -> tuple[Fault, ...]:
     """Warn of patterns that will drown, and of a campaign that will be refused for it."""
     if not undetermined:
         return ()
@@ -176,4 +177,4 @@ def _warn_of_undetermined(undetermined: int, n: int) -> tuple[tuple[str, str], .
     fault = f"{undetermined} {patterns} hardly above the noise"
     if not tolerable(Diagnosis((), undetermined, (), span=n), n):
         fault += ", so many that the campaign will be refused"
-    return ((fault, "repeat more often, use larger forces, or add shapes"),)
+    return (Fault(fault, "repeat more often, use larger forces, or add shapes"),)

@@ -20,6 +20,7 @@ from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import geometry_faults, refuse
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
+from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
 
@@ -184,7 +185,7 @@ def found_from(
     )
 
 
-def orientation_warning(matrix: StiffnessMatrix) -> tuple[tuple[str, str], ...]:
+def orientation_warning(matrix: StiffnessMatrix) -> tuple[Fault, ...]:
     """Warn of a transposed matrix: a rigid displacement must cost little force.
 
     K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
@@ -195,7 +196,7 @@ def orientation_warning(matrix: StiffnessMatrix) -> tuple[tuple[str, str], ...]:
     if np.linalg.norm(rigid.T @ k) >= 0.5 * np.linalg.norm(k @ rigid):
         return ()
     return (
-        (
+        Fault(
             "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
             " balance",
             "store [i, j], the force of actuator i per displacement of sensor j",

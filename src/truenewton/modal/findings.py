@@ -24,6 +24,7 @@ from truenewton.modal.static_force import force_at_rest, static_force
 from truenewton.modal.true_stiffness import places, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -61,12 +62,12 @@ class ModalFindings:
         )
 
     @property
-    def warnings(self) -> tuple[tuple[str, str], ...]:
+    def warnings(self) -> tuple[Fault, ...]:
         """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
-        told: tuple[tuple[str, str], ...] = ()
+        told: tuple[Fault, ...] = ()
         if self.measured is not None and self.measured.misfit > MISFIT:
             told += (
-                (
+                Fault(
                     "shapes leave forces that no stiffness explains,"
                     f" {np.sqrt(self.measured.misfit):.2g} times what repeats scatter",
                     "look for actuators that act but are disabled, or for a mirror that drifted",
@@ -75,7 +76,7 @@ class ModalFindings:
         before, after = self.before.stiffness, self.after.stiffness
         if after.asymmetry > before.asymmetry and after.imbalance > before.imbalance:
             told += (
-                (
+                Fault(
                     "with alpha the stiffness is less symmetric and less balanced than without",
                     "give alpha of this very mirror, and its stiffness in commanded Newtons",
                 ),

@@ -16,6 +16,7 @@ from truenewton.errors import LimitExceeded, TrueNewtonError, located
 from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.prediction import Prediction, predict, typical
 from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain
+from truenewton.records.fault import Fault
 
 LOOP_RATE = 71.6e3  # samples a second [conf]
 
@@ -89,7 +90,7 @@ class Outlook:
     duration: float
     against_cycles: Curve
     against_weight: Curve
-    warnings: tuple[tuple[str, str], ...]
+    warnings: tuple[Fault, ...]
 
 
 def read_outlook(path: str | os.PathLike[str]) -> Outlook:
@@ -119,7 +120,7 @@ def outlook(ready: Prepared) -> Outlook:
     limit = ready.plan.limits.force
     if borne.force_at_worst > limit:
         warnings += (
-            (
+            Fault(
                 f"an actuator whose alpha is {min(ready.mirror.alpha_range):g} would take"
                 f" {borne.force_at_worst:.3g} N, beyond its limit of {limit:g}",
                 "plan a smaller shapes.force",

@@ -14,6 +14,7 @@ from truenewton.estimation.outliers import against_repeats
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.evidence import Evidence, campaign_evidence, stiffness_evidence
@@ -48,7 +49,7 @@ class Findings:
     data: Campaign | StiffnessMatrix | None
     calibration: Calibration | None
     evidence: Evidence | None = None
-    faults: tuple[tuple[str, str], ...] = ()
+    faults: tuple[Fault, ...] = ()
     modes: ModalFindings | None = None
     no_modes: str = ""
 
@@ -161,7 +162,7 @@ def investigate(
     try:
         calibration = calibrate(data, method, population=population)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        return Findings(data, None, faults=_faults(data) or ((error.fault, error.remedy),))
+        return Findings(data, None, faults=_faults(data) or (Fault(error.fault, error.remedy),))
     if isinstance(data, Campaign):
         evidence = campaign_evidence(data, calibration)
     else:
@@ -186,7 +187,7 @@ def _modes(
         return None, f"The data do not tell them: {why}."
 
 
-def _faults(data: Campaign | StiffnessMatrix) -> tuple[tuple[str, str], ...]:
+def _faults(data: Campaign | StiffnessMatrix) -> tuple[Fault, ...]:
     """Return all that a campaign lacks; the estimator names the first only."""
     if not isinstance(data, Campaign):
         return ()

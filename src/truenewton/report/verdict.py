@@ -13,6 +13,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import rejected_sentence, rejected_values, scale_limit
 from truenewton.estimation.weights import scale_total
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.report.change import Change
 from truenewton.report.evidence import ModeResiduals
 from truenewton.report.investigate import Findings
@@ -59,7 +60,7 @@ class Verdict:
     title: str
     sentences: tuple[str, ...]
     numbers: tuple[Number, ...]
-    advice: tuple[tuple[str, str], ...]
+    advice: tuple[Fault, ...]
 
     def lines(self) -> Iterator[str]:
         """Yield the verdict as plain text."""
@@ -96,17 +97,17 @@ def verdict_on_change(change: Change) -> Verdict:
         level, title = LIMITED, "Changed"
         count = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
     farthest = int(np.nanargmax(np.abs(change.sigmas)))
-    advice = []
+    advice: list[Fault] = []
     if changed.size:
         advice.append(
-            (
+            Fault(
                 f"changed: {_names(ids, changed)}",
                 "calibrate anew before use, unless the change is known, as after a replacement",
             )
         )
     if change.same_files:
         advice.append(
-            (
+            Fault(
                 "both calibrations rest on the same files, so most of their errors is common",
                 "read the changes as those of the method; they scatter by less than a sigma",
             )
@@ -162,33 +163,35 @@ def _numbers(c: Calibration) -> tuple[Number, ...]:
     )  # fmt: skip
 
 
-def _limits(findings: Findings, c: Calibration) -> Iterator[tuple[str, str]]:
+def _limits(findings: Findings, c: Calibration) -> Iterator[Fault]:
     """Yield what limits a calibration that is sound otherwise."""
     weights, readings = _typical(c.systematic_error, c), _typical(c.reading_error, c)
     if c.scale != "mean 1" and weights > 2.0 * readings:
         fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
-        yield fault, remedy or "better known weights would help, more cycles would not"
+        yield Fault(fault, remedy or "better known weights would help, more cycles would not")
     if c.rejected_rows and isinstance(findings.data, Campaign):
         rows = rejected_values(findings.data, c.rejected_rows)
         farthest = rejected_sentence({**rows[0], "file": Path(str(rows[0]["file"])).name})
         several = len(rows) > 1
-        yield (
+        yield Fault(
             f"{len(rows)} {'rows do' if several else 'row does'} not fit and"
             f" {'were' if several else 'was'} left out; the farthest: {farthest}",
             "look at the residuals; an actuator that stands out again and again is worth a look",
         )
     elif c.rejected:
-        yield f"{c.rejected} rows do not fit and were left out", "see the report of the cycle files"
+        yield Fault(
+            f"{c.rejected} rows do not fit and were left out", "see the report of the cycle files"
+        )
     yield from _unseen(findings)
     for place in _off_family(c):
         alpha = with_error(float(c.alpha[place]), float(c.reading_error[place]))
-        yield (
+        yield Fault(
             f"actuator {c.layout.id[place]} stands off the others: alpha is {alpha}",
             "look at its coil, magnet and wiring",
         )
 
 
-def _unseen(findings: Findings) -> Iterator[tuple[str, str]]:
+def _unseen(findings: Findings) -> Iterator[Fault]:
     """Yield that modes which the fit has not seen balance much worse, where they do."""
     evidence = findings.evidence
     if evidence is None or not isinstance(evidence.residuals, ModeResiduals):
@@ -196,20 +199,20 @@ def _unseen(findings: Findings) -> Iterator[tuple[str, str]]:
     fitted, *unseen = (line.after for line in evidence.balance)
     worst = max(unseen)
     if worst > 2.0 * fitted:
-        yield (
+        yield Fault(
             f"modes that the fit has not seen are out of balance by up to {percent(worst)} of their"
             f" force, fitted ones by {percent(fitted)}",
             "trust smooth patterns of alpha the least; cycles under known weights would hold them",
         )
 
 
-def _cares(c: Calibration) -> Iterator[tuple[str, str]]:
+def _cares(c: Calibration) -> Iterator[Fault]:
     """Yield what makes a calibration one to be used with care."""
     if c.diagnosis is not None:
         yield from c.diagnosis.warnings
     fit = c.goodness
     if fit is not None and fit.probability < IMPROBABLE:
-        yield (
+        yield Fault(
             f"the shapes are out of balance by {np.sqrt(fit.reduced):.2g} times what their noise"
             " explains",
             "take E_STAT for as much too small; look for a drift, and give POSITION with COILGRAD"
@@ -217,7 +220,7 @@ def _cares(c: Calibration) -> Iterator[tuple[str, str]]:
         )
     if c.rejected > MANY * (c.rejected + c.shapes_used):
         part = percent(c.rejected / (c.rejected + c.shapes_used))
-        yield f"{part} of the rows do not fit", "find out what happened during the run"
+        yield Fault(f"{part} of the rows do not fit", "find out what happened during the run")
 
 
 def _off_family(c: Calibration) -> NDArray[np.int64]:
