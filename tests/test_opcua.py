@@ -87,9 +87,17 @@ def strangers(tmp_path_factory):
 
 
 def free_port():
-    with contextlib.closing(socket.socket()) as taken:
-        taken.bind(("127.0.0.1", 0))
-        return taken.getsockname()[1]
+    """Return a port that is given to nobody else for a minute: a connection to it has just ended.
+
+    Who asks for it by number, as a server does, is given it all the same.
+    """
+    with contextlib.closing(socket.socket()) as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.listen(1)
+        address = listening.getsockname()
+        with socket.create_connection(address):
+            listening.accept()[0].close()
+    return address[1]
 
 
 @contextlib.contextmanager
