@@ -92,6 +92,7 @@ def free_port():
     Who asks for it by number, as a server does, is given it all the same.
     """
     with contextlib.closing(socket.socket()) as listening:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind(("127.0.0.1", 0))
         listening.listen(1)
         address = listening.getsockname()
