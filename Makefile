@@ -54,4 +54,4 @@ format: .venv-test/ready
 	touch $@
 
 clean:
-	rm -rf .venv-demo .venv-test .venv-opticalib .browser
+	rm -rf .venv-demo .venv-test .venv-opticalib .browser .coverage
