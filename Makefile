@@ -4,7 +4,7 @@ PYTHON ?= python3
 # A worker a core; each keeps to one thread of linear algebra (tests/conftest.py).
 PYTEST = .venv-test/bin/python -m pytest -n logical --dist worksteal
 
-.PHONY: demo test test-all test-opticalib browser lint types contracts format clean
+.PHONY: demo test test-all test-opticalib browser lint types contracts house sizes format clean
 
 demo: .venv-demo/ready
 	.venv-demo/bin/truenewton demo --overwrite
@@ -33,6 +33,13 @@ types: .venv-test/ready
 
 contracts: .venv-test/ready
 	.venv-test/bin/lint-imports
+
+# The rooms as a picture, from the import contract; what is largest in them.
+house: .venv-test/ready
+	.venv-test/bin/python docs/house.py
+
+sizes: .venv-test/ready
+	.venv-test/bin/python docs/house.py --sizes
 
 format: .venv-test/ready
 	.venv-test/bin/ruff check --fix .
