@@ -24,12 +24,12 @@ from truenewton.report.investigate import Findings
 from truenewton.report.layers import Layer, calibration_layers, change_layers
 from truenewton.report.page import actuator_plots
 from truenewton.report.page.modal_sections import modal_sections
-from truenewton.report.page.section import Section, TextTable
+from truenewton.report.page.section import TextTable, View
 from truenewton.report.page.sections import evidence_sections, map_caption, ring_caption, times
-from truenewton.report.verdict import Verdict, verdict, verdict_on_change
+from truenewton.report.verdict import verdict, verdict_on_change
 from truenewton.statics.layout import Layout
 
-LIBRARIES = ("numpy", "scipy", "astropy", "bokeh")
+LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Actuators:
 
     layout: Layout
     layers: tuple[Layer, ...]
-    views: tuple[Section, ...]
+    views: tuple[View, View]
 
 
 def write_report(
@@ -85,7 +85,7 @@ def page(findings: Findings | Change, command: str = "") -> str:
         return _rendered(
             title=f"{findings.one.instrument}: what changed",
             heading=f"{findings.one.instrument}: two calibrations compared",
-            judged=verdict_on_change(findings),
+            verdict=verdict_on_change(findings),
             actuators=_changed_actuators(findings),
             sections=(),
             tables=(_summaries(findings), *_inputs(findings.one, "First calibration: files"),
@@ -96,7 +96,7 @@ def page(findings: Findings | Change, command: str = "") -> str:
     return _rendered(
         title=f"{findings.instrument}: calibration of its actuators",
         heading=headline(c) if c else f"{findings.instrument}: no calibration",
-        judged=verdict(findings),
+        verdict=verdict(findings),
         actuators=_calibrated_actuators(findings, c) if c else None,
         sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
         tables=(*((_summary(c),) if c else ()), *_inputs(findings, "Files")),
@@ -113,8 +113,8 @@ def _calibrated_actuators(findings: Findings, c: Calibration) -> Actuators:
         c.layout,
         layers,
         (
-            Section("map", "Map of the mirror", (), plot, map_caption(c)),
-            Section("rings", "Alpha by ring", (), by_ring, ring_caption(c)),
+            View("map", "Map of the mirror", plot, map_caption(c)),
+            View("rings", "Alpha by ring", by_ring, ring_caption(c)),
         ),
     )
 
@@ -124,11 +124,11 @@ def _changed_actuators(change: Change) -> Actuators:
     source = actuator_plots.actuator_source(layout, layers)
     plot = actuator_plots.mirror_map(source, layout, layers)
     by_ring = actuator_plots.change_by_ring(source, change, layers)
-    shown = (
+    map_words = (
         f"Map of the {layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
         " above. The table of actuators holds every value."
     )
-    rings = (
+    ring_words = (
         "Change of each actuator in sigmas, ring by ring from the centre. Between the dashed lines"
         f" ({change.limit:.1f} sigma) chance alone explains it."
     )
@@ -136,8 +136,8 @@ def _changed_actuators(change: Change) -> Actuators:
         layout,
         layers,
         (
-            Section("map", "Map of the change", (), plot, shown),
-            Section("rings", "Change by ring", (), by_ring, rings),
+            View("map", "Map of the change", plot, map_words),
+            View("rings", "Change by ring", by_ring, ring_words),
         ),
     )
 
@@ -165,65 +165,44 @@ def _inputs(given: Findings | Calibration, caption: str) -> tuple[TextTable, ...
     return (TextTable(caption, ("file", "rows used", "rejected", "SHA256"), rows),) if rows else ()
 
 
-def _rendered(
-    *,
-    title: str,
-    heading: str,
-    judged: Verdict,
-    actuators: Actuators | None,
-    sections: tuple[Section, ...],
-    tables: tuple[TextTable, ...],
-    command: str,
-) -> str:
+def _rendered(actuators: Actuators | None, **content: Any) -> str:
     """Put the page together; what comes from files goes through autoescape or as JSON."""
     environment = Environment(
         loader=PackageLoader("truenewton.report.page"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    read = Path(__file__).with_name("templates")
-    views = actuators.views if actuators else ()
-    plots = {part.key: part.plot for part in (*views, *sections) if part.plot is not None}
+    templates = Path(__file__).with_name("templates")
     return environment.get_template("page.html.j2").render(
-        title=title,
-        heading=heading,
-        verdict=judged,
+        **content,
         actuators=actuators,
-        views=views,
-        sections=sections,
-        tables=tables,
-        command=command,
         versions=_versions(),
-        style=(read / "report.css").read_text(encoding="utf-8"),
-        script=(read / "report.js").read_text(encoding="utf-8"),
-        bokeh=_bokeh() if plots else "",
-        payload=htmlsafe_json_dumps(_payload(plots, actuators), dumps=_as_json) if plots else "",
+        style=(templates / "report.css").read_text(encoding="utf-8"),
+        script=(templates / "report.js").read_text(encoding="utf-8"),
+        bokeh=_bokeh() if actuators else "",
+        payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )
 
 
-def _payload(plots: dict[str, Any], actuators: Actuators | None) -> dict[str, Any]:
+def _payload(actuators: Actuators) -> dict[str, Any]:
     """Return what the script needs: Bokeh's document, where its figures go, and the layers."""
     document = Document()
-    for plot in plots.values():
-        document.add_root(plot)
-    places = {plot.id: f"plot-{key}" for key, plot in plots.items()}
+    for view in actuators.views:
+        document.add_root(view.plot)
+    hosts = {view.plot.id: f"plot-{view.key}" for view in actuators.views}
     return {
         "documents": {"report": document.to_json(deferred=False)},
-        "places": [{"docid": "report", "roots": places, "root_ids": list(places)}],
-        "layers": [_of_layer(layer) for layer in actuators.layers] if actuators else [],
+        "places": [{"docid": "report", "roots": hosts, "root_ids": list(hosts)}],
+        "layers": [_layer_data(layer) for layer in actuators.layers],
     }
 
 
-def _of_layer(layer: Layer) -> dict[str, Any]:
+def _layer_data(layer: Layer) -> dict[str, Any]:
     low, high = layer.limits
     return {
         "key": layer.key, "name": layer.name, "unit": layer.unit, "title": layer.title,
         "meaning": layer.meaning, "low": low, "high": high,
         "palette": list(actuator_plots.palette(layer)),
     }  # fmt: skip
-
-
-def _as_json(value: Any, **_: Any) -> str:
-    return serialize_json(value)
 
 
 def _bokeh() -> str:
