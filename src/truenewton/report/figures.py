@@ -57,7 +57,7 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
         for layer in calibration_layers(findings):
             name = f"map-{layer.key.replace('_', '-')}"
             drawn[name] = partial(plot_map, c.layout, layer.values, label=layer.title)
-        if c.scale != "mean 1":
+        if error_budget(c):
             drawn["budget"] = partial(plot_budget, c)
     if evidence is not None:
         drawn["residuals"] = partial(plot_residuals, evidence.residuals)
@@ -203,6 +203,7 @@ def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
         ax = ax or new_axes(0.62)
         ax.semilogy(np.arange(1, values.size + 1), values, "o", color=ACCENT, markersize=1.8)
         ax.semilogy([1], values[:1], "D", color=ALARM, markerfacecolor="none", markersize=5.0)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.set_xlabel(r"pattern of $\alpha$")
         ax.set_ylabel("singular value" + (" / noise" if evidence.in_noise else ""))
         ax.set_title(r"diamond: $\alpha$ itself")

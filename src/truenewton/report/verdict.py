@@ -102,7 +102,7 @@ def verdict_on_change(change: Change) -> Verdict:
     if changed.size:
         advice.append(
             Fault(
-                f"changed: {_names(ids, changed)}",
+                f"changed: {_names(ids[changed])}",
                 "calibrate anew before use, unless the change is known, as after a replacement",
             )
         )
@@ -130,17 +130,16 @@ def _actuators(c: Calibration) -> str:
     on = c.layout.enabled
     if on.all():
         return f"all {on.size} actuators of {c.instrument}"
-    off = np.flatnonzero(~on)
     return (
         f"{on.sum()} of the {on.size} actuators of {c.instrument}"
-        f" ({_names(c.layout.id, off)} disabled)"
+        f" ({_names(c.layout.id[~on])} disabled)"
     )
 
 
-def _names(ids: NDArray[np.int64], places: NDArray[np.int64]) -> str:
-    shown = ", ".join(str(ids[place]) for place in places[:8])
-    more = f" and {places.size - 8} more" if places.size > 8 else ""
-    return f"actuator{'s' if places.size > 1 else ''} {shown}{more}"
+def _names(ids: NDArray[np.int64]) -> str:
+    shown = ", ".join(map(str, ids[:8]))
+    more = f" and {ids.size - 8} more" if ids.size > 8 else ""
+    return f"actuator{'s' if ids.size > 1 else ''} {shown}{more}"
 
 
 def _numbers(c: Calibration) -> tuple[Number, ...]:
@@ -180,10 +179,10 @@ def _limits(findings: Findings, c: Calibration) -> Iterator[Fault]:
             f"{c.rejected} rows do not fit and were left out", "see the report of the cycle files"
         )
     yield from _unseen(findings)
-    for place in _off_family(c):
-        alpha = with_error(float(c.alpha[place]), float(c.reading_error[place]))
+    for k in _off_family(c):
+        alpha = with_error(float(c.alpha[k]), float(c.reading_error[k]))
         yield Fault(
-            f"actuator {c.layout.id[place]} stands off the others: alpha is {alpha}",
+            f"actuator {c.layout.id[k]} stands off the others: alpha is {alpha}",
             "look at its coil, magnet and wiring",
         )
 
@@ -221,7 +220,7 @@ def _cares(c: Calibration) -> Iterator[Fault]:
 
 
 def _off_family(c: Calibration) -> NDArray[np.int64]:
-    """Return the places of actuators far from the others, in terms of their spread and error."""
+    """Return the indices of actuators far from the others, in terms of their spread and error."""
     middle = np.nanmedian(c.alpha)
     spread = 1.4826 * np.nanmedian(np.abs(c.alpha - middle))
     far = np.abs(c.alpha - middle) > FAR * np.hypot(spread, c.reading_error)

@@ -4,5 +4,6 @@ page            the page itself
 section         what it is made of
 sections        the sections of a calibration and its evidence
 modal_sections  the sections of the modal base
-actuator_plots  map and rings, which share one selection
+views           map and rings of the actuators, which share one selection
+actuator_plots  their figures, of Bokeh
 """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-from dataclasses import dataclass
 from importlib import metadata
 from importlib.metadata import version
 from pathlib import Path
@@ -19,36 +18,18 @@ from jinja2.utils import htmlsafe_json_dumps
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import headline, summary_rows
 from truenewton.files.outputs import file_beside
+from truenewton.records.source import UsedSource
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
-from truenewton.report.layers import Layer, calibration_layers, change_layers
-from truenewton.report.page import actuator_plots
+from truenewton.report.layers import Layer
+from truenewton.report.page.actuator_plots import palette
 from truenewton.report.page.modal_sections import modal_sections
-from truenewton.report.page.section import TextTable, View
-from truenewton.report.page.sections import evidence_sections, map_caption, ring_caption, times
+from truenewton.report.page.section import TextTable
+from truenewton.report.page.sections import evidence_sections, times
+from truenewton.report.page.views import Actuators, calibration_views, change_views
 from truenewton.report.verdict import verdict, verdict_on_change
-from truenewton.statics.layout import Layout
 
 LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
-
-
-@dataclass(frozen=True)
-class Actuators:
-    """The views of the actuators, which share one selection.
-
-    Attributes
-    ----------
-    layout
-        The actuators.
-    layers
-        What is known of them.
-    views
-        The map first, then a figure by ring.
-    """
-
-    layout: Layout
-    layers: tuple[Layer, ...]
-    views: tuple[View, View]
 
 
 def write_report(
@@ -86,10 +67,10 @@ def page(findings: Findings | Change, command: str = "") -> str:
             title=f"{findings.one.instrument}: what changed",
             heading=f"{findings.one.instrument}: two calibrations compared",
             verdict=verdict_on_change(findings),
-            actuators=_changed_actuators(findings),
+            actuators=change_views(findings),
             sections=(),
-            tables=(_summaries(findings), *_inputs(findings.one, "First calibration: files"),
-                    *_inputs(findings.other, "Second calibration: files")),
+            tables=(_summaries(findings), *_files(findings.one.sources, "First calibration: files"),
+                    *_files(findings.other.sources, "Second calibration: files")),
             command=command,
         )  # fmt: skip
     c = findings.calibration
@@ -97,48 +78,10 @@ def page(findings: Findings | Change, command: str = "") -> str:
         title=f"{findings.instrument}: calibration of its actuators",
         heading=headline(c) if c else f"{findings.instrument}: no calibration",
         verdict=verdict(findings),
-        actuators=_calibrated_actuators(findings, c) if c else None,
+        actuators=calibration_views(findings, c) if c else None,
         sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
-        tables=(*((_summary(c),) if c else ()), *_inputs(findings, "Files")),
+        tables=(*((_summary(c),) if c else ()), *_files(findings.inputs, "Files")),
         command=command,
-    )
-
-
-def _calibrated_actuators(findings: Findings, c: Calibration) -> Actuators:
-    layers = calibration_layers(findings)
-    source = actuator_plots.actuator_source(c.layout, layers)
-    plot = actuator_plots.mirror_map(source, c.layout, layers)
-    by_ring = actuator_plots.alpha_by_ring(source, c, layers)
-    return Actuators(
-        c.layout,
-        layers,
-        (
-            View("map", "Map of the mirror", plot, map_caption(c)),
-            View("rings", "Alpha by ring", by_ring, ring_caption(c)),
-        ),
-    )
-
-
-def _changed_actuators(change: Change) -> Actuators:
-    layers, layout = change_layers(change), change.one.layout
-    source = actuator_plots.actuator_source(layout, layers)
-    plot = actuator_plots.mirror_map(source, layout, layers)
-    by_ring = actuator_plots.change_by_ring(source, change, layers)
-    map_words = (
-        f"Map of the {layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
-        " above. The table of actuators holds every value."
-    )
-    ring_words = (
-        "Change of each actuator in sigmas, ring by ring from the centre. Between the dashed lines"
-        f" ({change.limit:.1f} sigma) chance alone explains it."
-    )
-    return Actuators(
-        layout,
-        layers,
-        (
-            View("map", "Map of the change", plot, map_words),
-            View("rings", "Change by ring", by_ring, ring_words),
-        ),
     )
 
 
@@ -147,18 +90,15 @@ def _summary(c: Calibration) -> TextTable:
 
 
 def _summaries(change: Change) -> TextTable:
-    one, other = ({n: (v, note) for n, v, note in summary_rows(c)} for c in
-                  (change.one, change.other))  # fmt: skip
-    names = [*one, *(name for name in other if name not in one)]
-    blank = ("", "")
-    rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in (change.one, change.other))),
-            ("method", change.one.method, change.other.method)]  # fmt: skip
-    rows += [(name, one.get(name, blank)[0], other.get(name, blank)[0]) for name in names]
+    pair = (change.one, change.other)
+    one, other = ({name: value for name, value, _ in summary_rows(c)} for c in pair)
+    rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in pair)),
+            ("method", *(c.method for c in pair))]  # fmt: skip
+    rows += [(name, one.get(name, ""), other.get(name, "")) for name in {**one, **other}]
     return TextTable("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
 
 
-def _inputs(given: Findings | Calibration, caption: str) -> tuple[TextTable, ...]:
-    sources = given.sources if isinstance(given, Calibration) else given.inputs
+def _files(sources: tuple[UsedSource, ...], caption: str) -> tuple[TextTable, ...]:
     rows = tuple(
         (s.file, str(s.rows) if s.rows else "none", str(s.rejected), s.sha256) for s in sources
     )
@@ -201,7 +141,7 @@ def _layer_data(layer: Layer) -> dict[str, Any]:
     return {
         "key": layer.key, "name": layer.name, "unit": layer.unit, "title": layer.title,
         "meaning": layer.meaning, "low": low, "high": high,
-        "palette": list(actuator_plots.palette(layer)),
+        "palette": list(palette(layer)),
     }  # fmt: skip
 
 

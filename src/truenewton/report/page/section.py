@@ -1,9 +1,8 @@
-"""What the page is made of: views of the actuators; sections of words, a figure and tables."""
+"""What a section of the page is made of: words, a figure, tables."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 
 @dataclass(frozen=True)
@@ -14,16 +13,6 @@ class TextTable:
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     wraps: bool = False
-
-
-@dataclass(frozen=True)
-class View:
-    """An interactive figure of the actuators: for links, for people, of Bokeh, and in words."""
-
-    key: str
-    title: str
-    plot: Any
-    caption: str
 
 
 @dataclass(frozen=True)

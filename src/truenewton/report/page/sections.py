@@ -25,8 +25,7 @@ from truenewton.report.figures import (
 from truenewton.report.investigate import Findings
 from truenewton.report.page.section import Section, TextTable
 from truenewton.report.series import columns_of_shapes
-from truenewton.rounding import percent, significant, to_digits
-from truenewton.statics.layout import ring_of
+from truenewton.rounding import percent, significant
 
 NO_DATA = "This page was made from a calibration file, which does not hold them: give the cycles."
 MOST_REJECTED = 50  # rows listed
@@ -36,7 +35,7 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
     """Yield what supports or explains alpha, in the order of the page."""
     c, evidence = findings.calibration, findings.evidence
     if c is not None:
-        yield budget(c)
+        yield _budget(c)
     if evidence is None and c is not None:
         yield Section("residuals", "Residuals, singular values and balance", (NO_DATA,))
     elif evidence is not None:
@@ -48,42 +47,13 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
         yield _balance(evidence)
 
 
-def map_caption(c: Calibration) -> str:
-    """Say in words what the map of alpha shows."""
-    low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
-    ring = ring_of(c.layout) + 1
-    lowest, highest = (
-        f"actuator {c.layout.id[k]} on ring {ring[k]}"
-        f" ({to_digits(float(c.alpha[k]), float(c.reading_error[k]))})"
-        for k in (low, high)
-    )
-    return (
-        f"Map of the {c.layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
-        f" above. Alpha is lowest at {lowest} and highest at {highest}. The table of actuators"
-        " holds every value."
-    )
-
-
-def ring_caption(c: Calibration) -> str:
-    """Say in words what alpha by ring shows."""
-    ring = ring_of(c.layout)
-    means = [float(np.nanmean(c.alpha[ring == k])) if np.isfinite(c.alpha[ring == k]).any()
-             else float("nan") for k in range(ring.max() + 1)]  # fmt: skip
-    words = "Alpha of each actuator, ring by ring from the centre. Bars: three standard"
-    words += " uncertainties from the readings (3 E_STAT); the error of the common scale moves all"
-    words += " points together. "
-    if len(means) == 1:
-        return words + f"The mean is {means[0]:.3g}."
-    return words + "Means of the rings: " + ", ".join(f"{mean:.3f}" for mean in means) + "."
-
-
-def budget(c: Calibration) -> Section:
+def _budget(c: Calibration) -> Section:
     """Return the error budget: of the common scale, source by source, and of an actuator."""
-    key, title = "budget", "Error budget"
-    if c.scale == "mean 1":
+    key, title, budget = "budget", "Error budget", error_budget(c)
+    if not budget:
         words = "The common scale is a convention (mean alpha 1), so all the error is the readings'"
         return Section(key, title, (f"{words}: {percent(typical(c.error, c))}, typically.",))
-    parts = "; ".join(f"{name}: {percent(size)}" for name, size in error_budget(c).items())
+    parts = "; ".join(f"{name}: {percent(size)}" for name, size in budget.items())
     caption = (
         f"Relative standard uncertainties of alpha. {parts[:1].upper()}{parts[1:]}. The readings'"
         " part shrinks with more cycles, the weights' part with better weights."
