@@ -1,7 +1,9 @@
 """The report's figures for papers show what the page shows, one call each."""
 
 import datetime
+import re
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from truenewton.figures.style import COLUMN
 from truenewton.figures.writing import write_figure
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.change import change
-from truenewton.report.figures import still_figures
+from truenewton.report.figures import figures_of, still_figures
 from truenewton.report.investigate import investigate
 
 
@@ -133,6 +135,13 @@ def test_all_of_them_as_pdf_png_and_svg(p45, tmp_path):
     assert "<svg" in text
     write_figure(p45.plot("balance"), tmp_path / "again.svg")
     assert (tmp_path / "again.svg").read_text() == text
+
+
+def test_every_name_of_a_figure_is_documented(p45):
+    text = (Path(__file__).parents[1] / "docs" / "report.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"`([a-z-]+)`", text))
+    assert set(figures_of(p45)) <= names
+    assert set(figures_of(p45)) >= set(still_figures(p45))
 
 
 def test_a_calibration_alone_has_no_residuals_to_draw(p45):
