@@ -1,14 +1,11 @@
-"""The calibration file (docs/files.md), both ways."""
+"""The calibration file (docs/files.md): its format, and how it is read."""
 
 from __future__ import annotations
-
-import os
 
 import numpy as np
 
 from truenewton.calibration.result import Calibration
 from truenewton.files.content import FitsFile
-from truenewton.files.fits import write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
 
@@ -92,15 +89,3 @@ def calibration_from(file: FitsFile) -> Calibration:
     count = values["alpha"].size + 1 + 2 * values["torque_y"].size
     file.require_squares(("COVARIANCE", "SYSTEMATIC"), count, "n + 1 + 2 L")
     return file.filled(Calibration, values)
-
-
-def write_calibration(
-    calibration: Calibration, path: str | os.PathLike[str], *, overwrite: bool = False
-) -> None:
-    """Write a calibration file.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
-    write_fits(path, CALIBRATION, calibration, overwrite=overwrite)

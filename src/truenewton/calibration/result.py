@@ -12,6 +12,7 @@ import numpy as np
 from truenewton.arrays import Array, frozen_array
 from truenewton.errors import FormatError
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
+from truenewton.files.fits import write_fits
 from truenewton.files.format import columns_of
 from truenewton.records.source import UsedSource
 from truenewton.statics.layout import Layout
@@ -181,6 +182,6 @@ class Calibration:
         ------
         OutputExists, OutputFailed
         """
-        from truenewton.calibration.file import write_calibration
+        from truenewton.calibration.file import CALIBRATION
 
-        write_calibration(self, path, overwrite=overwrite)
+        write_fits(path, CALIBRATION, self, overwrite=overwrite)

@@ -13,7 +13,7 @@ import io
 import os
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BufferedIOBase
 from pathlib import Path
@@ -105,10 +105,10 @@ class _Opened:
 
 def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
     """Refuse a file of which astropy only warns that its length is wrong."""
-    said = " ".join(str(warning.message) for warning in caught)
-    if "truncated" in said:
+    warned = " ".join(str(warning.message) for warning in caught)
+    if "truncated" in warned:
         raise UnreadableFile("is truncated", remedy="fetch it again", path=path)
-    if "corrupted" in said:
+    if "corrupted" in warned:
         raise UnreadableFile(
             "is damaged, or bytes follow its end", remedy="fetch it again", path=path
         )
@@ -193,7 +193,16 @@ def write_fits(
     """
     matrix = None if form.matrix is None else _pixels(record, form.matrix)
     hdus = fits.HDUList([fits.PrimaryHDU(matrix), *(_hdu(record, e) for e in form.extensions)])
-    _fill(hdus[0].header, header_of(record, form), path)
+    for key, value, comment in header_of(record, form):
+        try:
+            hdus[0].header.append(_card(key, value, comment), end=True)
+        except ValueError:
+            raise FormatError(
+                f"{key} is {value!r}",
+                remedy="a FITS header holds finite numbers and ASCII text",
+                path=path,
+                got=value,
+            ) from None
     for hdu in hdus:
         # astropy would note the time of writing: the same data shall give the same bytes.
         hdu.add_checksum(when="data unit checksum")
@@ -203,22 +212,6 @@ def write_fits(
                 _write(hdus, packed)
         else:
             _write(hdus, file)
-
-
-def _fill(
-    made: fits.Header, header: Mapping[str, tuple[Any, str]], path: str | os.PathLike[str]
-) -> None:
-    for key, (value, comment) in header.items():
-        if value is not None and not (isinstance(value, float) and np.isnan(value)):
-            try:
-                made.append(_card(key, value, comment), end=True)
-            except ValueError:
-                raise FormatError(
-                    f"{key} is {value!r}",
-                    remedy="a FITS header holds finite numbers and ASCII text",
-                    path=path,
-                    got=value,
-                ) from None
 
 
 def _write(hdus: fits.HDUList, file: BufferedIOBase) -> None:

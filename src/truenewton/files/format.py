@@ -130,18 +130,14 @@ class FileFormat:
     matrix: Attribute | None = None
 
 
-def header_of(record: Any, form: FileFormat) -> dict[str, tuple[Any, str]]:
-    """Return the value and the comment of each keyword of a format."""
-    header = {}
+def header_of(record: Any, form: FileFormat) -> Iterator[tuple[str, Any, str]]:
+    """Yield name, value and comment of each keyword that there is."""
     for keyword in form.keywords:
         value = value_of(record, keyword.attribute)
-        if keyword.kind == "date":
-            value = _iso(value)
-        if keyword.absent == np.inf and value == np.inf:
-            value = None
+        if value is None or value != value or value == np.inf == keyword.absent:
+            continue
         unit = f"[{keyword.unit}] " if keyword.unit else ""
-        header[keyword.name] = value, unit + keyword.comment
-    return header
+        yield keyword.name, _iso(value) if keyword.kind == "date" else value, unit + keyword.comment
 
 
 def columns_of(record: Any, table: TableFormat) -> Iterator[tuple[str, str, str | None, Any]]:

@@ -22,7 +22,7 @@ GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
 MOST_ACTUATORS = 5352
 
 
-# Of the LBT's magnets and coils, and of those made after them.
+# Magnets and coils of the LBT [conf], which others are made after.
 LBT: dict[str, Any] = {
     "bias_force": 0.097,
     "magnet_mass": 2.75e-3,
@@ -73,7 +73,7 @@ class MirrorNumbers:
     magnet_mass: float = 2.75e-3
     alpha_range: tuple[float, float] = (0.9, 1.1)
     gap: float = 65e-6
-    puck_radius: float = 5e-3
+    puck_radius: float = 5e-3  # [guess]
     sensor: Annulus = field(default_factory=Annulus)
     coil_gradient: float = 0.0
     bias_gradient: float = 0.0

@@ -173,7 +173,7 @@ def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
 
 
 def write_modes(
-    found: ModalFindings,
+    findings: ModalFindings,
     path: str | os.PathLike[str],
     limits: Budget | None = None,
     *,
@@ -196,16 +196,16 @@ def write_modes(
     """
     paths = modes_paths(path)
     with files_together(paths, overwrite=overwrite) as folder:
-        _write_all(found, [folder / target.name for target in paths], limits or Budget())
+        _write_all(findings, [folder / target.name for target in paths], limits or Budget())
     return list(paths)
 
 
-def _write_all(found: ModalFindings, paths: list[Path], limits: Budget) -> None:
-    base, stiffness = found.after, found.after.stiffness
+def _write_all(findings: ModalFindings, paths: list[Path], limits: Budget) -> None:
+    base, stiffness = findings.after, findings.after.stiffness
     true = _square(base, stiffness.whole)
     commanded = _square(base, stiffness.whole / stiffness.enabled_alpha[:, None])
     written = _Written(
-        found.measured, found.calibration, found.sources, base, limits, true, commanded
+        findings.measured, findings.calibration, findings.sources, base, limits, true, commanded
     )
     layout = replace(
         base.layout, enabled=np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])

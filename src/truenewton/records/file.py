@@ -133,7 +133,7 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     UnreadableFile
         A path does not exist, or a folder holds no FITS file.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for path in map(Path, paths):
         try:
             inside = sorted(path.iterdir()) if path.is_dir() else [path]
@@ -147,8 +147,8 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
             raise UnreadableFile(
                 "holds no FITS files", remedy="give the folder of a campaign", path=path
             )
-        found += inside
-    return list({p.resolve(): p for p in found}.values())
+        files += inside
+    return list({p.resolve(): p for p in files}.values())
 
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
