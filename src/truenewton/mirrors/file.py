@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile
+from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.records.file import SUFFIXES, read_layout
@@ -70,7 +70,7 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
     try:
         check_glass(made)
     except GeometryError as error:
-        raise GeometryError(error.fault, remedy=error.remedy, path=path) from None
+        raise located(error, path) from None
     return made
 
 
@@ -95,7 +95,7 @@ def read_actuators(path: str | os.PathLike[str]) -> Layout:
             table["X"], table["Y"], **{name.lower(): column for name, column in columns.items()}
         )
     except TrueNewtonError as error:
-        raise type(error)(error.fault, remedy=error.remedy, path=path) from None
+        raise located(error, path) from None
     except OSError as error:
         raise UnreadableFile(
             f"cannot be read ({error.strerror or error})", remedy="check its name", path=path
