@@ -44,7 +44,7 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
             return stiffness_from(files[0])
     matrices = [file for file in files if is_stiffness_file(file)]
     for file in files:
-        if "TRUTH" in file.tables:
+        if file.holds("TRUTH"):
             raise FormatError(
                 "is the truth of a simulation", remedy="give the campaign beside it", path=file.path
             )
@@ -60,7 +60,7 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
                 remedy="give what it was made from, or the .commanded.fits beside it",
                 path=file.path,
             )
-        if "TRACKING" in file.tables:
+        if file.holds("TRACKING"):
             raise FormatError(
                 "is a tracking file",
                 remedy="give it to `recalibrate --known`, or to read_tracking in Python",
