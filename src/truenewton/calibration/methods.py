@@ -16,6 +16,7 @@ from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import cycle_errors
 from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
@@ -84,13 +85,13 @@ def held_out(
 def calibration_of(campaign: Campaign, found: Estimate) -> Calibration:
     """Return what was found of a campaign as a calibration."""
     layout, on = campaign.layout, campaign.layout.enabled
-    n = int(on.sum())
-    torques = found.values[n + 1 :].reshape(-1, 2)
+    unknowns = Unknowns(int(on.sum()), len(campaign.loads))
+    torques = found.values[unknowns.torques].reshape(-1, 2)
     start, end, temperature = _times(campaign)
     lost = [
         sum(row.cycle == place for row in found.rejected) for place in range(len(campaign.cycles))
     ]
-    warnings = found.diagnosis.warnings + _implausible(found.values[:n])
+    warnings = found.diagnosis.warnings + _implausible(found.values[unknowns.alpha])
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
@@ -99,7 +100,7 @@ def calibration_of(campaign: Campaign, found: Estimate) -> Calibration:
         layout=layout,
         loads=campaign.loads,
         cycle_error=spread(cycle_errors(campaign, found.values), on),
-        bias_force=float(found.values[n]),
+        bias_force=float(found.values[unknowns.bias]),
         torque_y=torques[:, 0],
         torque_x=torques[:, 1],
         weight=campaign.weight,

@@ -1,18 +1,21 @@
 """The method: from commanded forces to alpha, B and torques, with their covariance.
 
-Where the equations of the paper (Ricci, Riccardi and Zanotti 2008) stand:
+Where the paper (Ricci, Riccardi and Zanotti 2008) stands in the code; D has no number there, it is
+the system that follows eq. 3:
 
-    eq. 1   sum f + W + B = 0, the torques       `statics.arms`: `arms`, `external_load`
-    eq. 2   D alpha = q, one bare load           `systems`: `system_d`
-    eq. 3   C alpha = p, B and torques known     `systems`: `system_c`
-    eq. 4   E alpha' = r, all loads              `systems`: `system_e`
-    sec. 4  solution by SVD                      `cycles_svd`: `find`
-    sec. 4  the proof code                       `studies.proof`
-    sec. 5  the error over the cycles, E_CYCLE   `cycle_errors`: `cycle_errors`
+    eq. 1   sum f = -(P + B), and the torques    `statics.arms`: `arms`, `external_load`
+    eq. 2   f = alpha c                          `systems`: `balance_rows`, which puts it into eq. 1
+    eq. 3   C alpha = p, the bare mirror         `systems`: `system_c`
+    sec. 3  D alpha = q, with added weight Q     `systems`: `system_d`
+    eq. 4   E alpha' = r, B and torques unknown  `systems`: `system_e`; `unknowns`: `Unknowns`
+    sec. 4  solution by SVD                      `cycles_svd`: `solve`; of a campaign, `find`
+    sec. 4  the proof code                       `studies.proof`: `prove`
+    sec. 5  error over the cycles, E_CYCLE       `cycle_errors`: `cycle_errors`
 
-Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md). The files, in the
-order in which data pass through them:
+Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md): `likelihood`. The
+files, in the order in which data pass through them:
 
+    unknowns         the order of the unknowns
     systems          the linear systems C, D, E
     cycles_svd       the paper's method: E alpha' = r by singular value decomposition
     cycle_errors     the paper's error: each cycle solved alone

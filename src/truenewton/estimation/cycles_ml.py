@@ -152,7 +152,7 @@ def found_of(
     held: int,
 ) -> Estimate:
     """Put the estimate into the form that all methods share."""
-    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
+    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns.count
     chi2, freedom = estimate.chi2, problem.degrees_of_freedom(moments)
     size = chi2 / freedom if freedom > 0 else float("nan")
     tested = problem.noise.source != "minimum" and freedom > 0

@@ -151,9 +151,12 @@ def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
     sums = moments.sums
     mean = sums.force / sums.weight[:, None]
     k = -(mean * alpha) @ problem.a.T  # (W + B, M_y, -M_x) of each load
-    bias = np.mean(k[:, 0] - problem.campaign.effective_weights)
-    torques = (k[:, 1:] * [1.0, -1.0]).ravel()
-    return np.concatenate([alpha, [bias], torques, np.zeros(len(problem.errors))])
+    unknowns = problem.unknowns
+    values = np.zeros(unknowns.total)
+    values[unknowns.alpha] = alpha
+    values[unknowns.bias] = np.mean(k[:, 0] - problem.campaign.effective_weights)
+    values[unknowns.torques] = (k[:, 1:] * [1.0, -1.0]).ravel()
+    return values
 
 
 def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:

@@ -21,26 +21,20 @@ from truenewton.estimation.outliers import (
 )
 from truenewton.estimation.stiffness_ml import likeliest, mode_data, population_prior
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError, weight_errors
 from truenewton.records.campaign import Campaign
-from truenewton.statics.arms import enabled_arms
+from truenewton.statics.arms import enabled_arms, external_load
 
 
 def load_data(
     campaign: Campaign, moments: Moments, variance: Array, errors: Sequence[WeightError]
 ) -> DataSet:
     """Return the shapes of all loads with their weights and the unknowns beside alpha."""
-    loads = len(campaign.loads)
-    place = np.arange(loads)
-    nuisance = np.zeros((loads, 3, 1 + 2 * loads + len(errors)))
-    nuisance[:, 0, 0] = 1.0  # B
-    nuisance[place, 1, 1 + 2 * place] = 1.0  # M_y
-    nuisance[place, 2, 2 + 2 * place] = -1.0  # M_x
-    for at, error in enumerate(errors):
-        nuisance[:, 0, 1 + 2 * loads + at] = error.change
-    weight = np.zeros((loads, 3))
-    weight[:, 0] = campaign.effective_weights
-    return DataSet(moments.sums, variance, weight, nuisance)
+    unknowns = Unknowns(len(variance), len(campaign.loads), len(errors))
+    nuisance = unknowns.external_load_derivative([error.change for error in errors])
+    known = external_load(campaign.effective_weights, 0.0, 0.0, 0.0)
+    return DataSet(moments.sums, variance, known, nuisance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +68,14 @@ class Problem:
         return int(self.a.shape[1])
 
     @property
-    def unknowns(self) -> int:
-        """Number of alphas, B and torques: all but the errors of the weights."""
-        return self.n + 1 + 2 * len(self.campaign.loads)
+    def unknowns(self) -> Unknowns:
+        """The order of the unknowns, errors of the weights among them."""
+        return Unknowns(self.n, len(self.campaign.loads), len(self.errors))
 
     def degrees_of_freedom(self, moments: Moments) -> int:
         """Return equations less unknowns; errors of the weights are measured, so neither."""
         shapes = moments.groups + sum(part.sums.shapes for part in self.elastic)
-        return 3 * shapes - self.unknowns
+        return 3 * shapes - self.unknowns.count
 
     def data(self, moments: Moments) -> list[DataSet]:
         """Return the shapes of each load, with its weight and unknowns, and the elastic ones."""
@@ -123,20 +117,15 @@ def posed(campaign: Campaign, noise: Noise) -> Problem:
     """Pose the problem of a campaign."""
     errors = weight_errors(campaign)
     a = enabled_arms(campaign.layout)
-    count = a.shape[1] + 1 + 2 * len(campaign.loads) + len(errors)
+    unknowns = Unknowns(a.shape[1], len(campaign.loads), len(errors))
     elastic: tuple[DataSet, ...] = ()
     if campaign.stiffness is not None:
         modes = elastic_modes(campaign.stiffness)
         data = mode_data(modes, likeliest(modes, comparable_arms(campaign.stiffness)).variance)
-        elastic = (replace(data, nuisance=np.zeros((1, 3, count - a.shape[1]))),)
-    return Problem(
-        campaign,
-        a,
-        errors,
-        noise,
-        Prior(np.zeros(count), np.zeros((0, 0)), len(errors), held=len(campaign.loads) < 3),
-        elastic,
-    )
+        elastic = (replace(data, nuisance=np.zeros((1, 3, unknowns.total - a.shape[1]))),)
+    mean, nothing = np.zeros(unknowns.total), np.zeros((0, 0))
+    prior = Prior(mean, nothing, len(errors), held=len(campaign.loads) < 3)
+    return Problem(campaign, a, errors, noise, prior, elastic)
 
 
 def roughly_scaled(problem: Problem, moments: Moments) -> Problem:

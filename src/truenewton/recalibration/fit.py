@@ -27,6 +27,7 @@ from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.outliers import against_repeats
 from truenewton.estimation.problem import Problem
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import READINGS
 from truenewton.reading import read
 from truenewton.recalibration.known import (
@@ -194,7 +195,7 @@ def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
     faults = geometry_faults(enabled_arms(campaign.layout))
     if faults:
         raise RankDeficient(faults[0][0], remedy=faults[0][1])
-    wanted = new + 1 + 2 * len(campaign.loads)
+    wanted = Unknowns(new, len(campaign.loads)).count
     if 3 * len(moments.rows) <= wanted:
         raise RankDeficient(
             f"there are too few shapes: {len(moments.rows)} for {new} new actuators, bias and"
@@ -216,7 +217,7 @@ def _calibration(
 ) -> Calibration:
     """Return an ordinary calibration, the error of the earlier scale common to all."""
     known, campaign = run.known, run.campaign
-    n, count = problem.n, problem.unknowns
+    n, count = problem.n, problem.unknowns.count
     inverse = inverse_of(problem, estimate)
     values = estimate.values[:count]
     changes = estimate.changes.copy()

@@ -26,6 +26,7 @@ from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import Noise, least_variance, reading_noise
 from truenewton.estimation.outliers import refuse_too_many, rows_of
 from truenewton.estimation.problem import Problem, with_share_in_balance
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
@@ -55,13 +56,13 @@ class ShortRun:
 
     def problem(self, noise: Noise, information: Array) -> Problem:
         """Pose the problem with (n, n) information on alpha."""
-        n, errors = len(self.alpha), len(self.errors)
-        count = n + 1 + 2 * len(self.campaign.loads) + errors
-        mean = np.zeros(count)
-        mean[:n] = self.alpha
+        errors = len(self.errors)
+        unknowns = Unknowns(len(self.alpha), len(self.campaign.loads), errors)
+        mean = np.zeros(unknowns.total)
+        mean[unknowns.alpha] = self.alpha
         prior = Prior(mean, information, errors, self.held)
-        arms = enabled_arms(self.campaign.layout)
-        return Problem(self.campaign, arms, self.errors, noise, prior, ())
+        a = enabled_arms(self.campaign.layout)
+        return Problem(self.campaign, a, self.errors, noise, prior, ())
 
     def tight(self, stay: NDArray[np.bool_]) -> Array:
         """Return the information of the earlier calibration on those who stay."""
