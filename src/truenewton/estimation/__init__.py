@@ -23,6 +23,7 @@ files, in the order in which data pass through them:
     moments          repeats put together: number, mean, scatter; they merge
     shape_sums       sums over shapes: what the likelihood needs of the means
     outliers         rows that do not belong
+    multiple_tests   what chance alone does to one of many
     noise            of one reading: from repeats, as declared, or left to the fit
     weights          errors of the weights, and the budget of the common scale
     problem          what the likelihood is asked: data, noise, unknowns, priors

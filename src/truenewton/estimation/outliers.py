@@ -33,12 +33,12 @@ from truenewton.estimation.moments import (
     groups_of,
     row_weights,
 )
+from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms
 
 Fit = TypeVar("Fit")
-FALSE_ALARM = 0.01  # for the whole campaign
 MOST = 0.3  # of the rows; beyond this the campaign is refused
 MEDIAN_ROWS = 200
 QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|

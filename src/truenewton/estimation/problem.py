@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,17 +163,31 @@ def with_share_in_balance(
 
 
 def with_noise_from_minimum(
-    problem: Problem, moments: Moments, estimate: Minimum
+    problem: Problem,
+    moments: Moments,
+    minimum: Minimum,
+    degrees_of_freedom: Callable[[Problem, Minimum], float] | None = None,
 ) -> tuple[Problem, Minimum]:
-    """Give the noise its size from the minimum, where nothing else does; with it D."""
-    freedom = max(problem.degrees_of_freedom(moments), 1)
+    """Give the noise its size from the minimum, where nothing else does; with it D.
+
+    Parameters
+    ----------
+    problem, moments, minimum
+        What was asked, and the minimum that was found.
+    degrees_of_freedom
+        Returns them where they depend on the minimum; those of the problem unless given.
+    """
     for _ in range(20):
-        size = estimate.chi2 / freedom
-        if problem.noise.source != "minimum" or abs(size - 1.0) < 1e-6:
+        if problem.noise.source != "minimum":
             break
-        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
-        if np.array_equal(variance, problem.noise.variance):
+        if degrees_of_freedom is None:
+            freedom: float = problem.degrees_of_freedom(moments)
+        else:
+            freedom = degrees_of_freedom(problem, minimum)
+        variance = problem.noise.variance * (minimum.chi2 / max(freedom, 1.0))
+        variance = np.maximum(variance, least_variance(moments))
+        if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
             break
         problem = replace(problem, noise=Noise(variance, "minimum"))
-        estimate = problem.fitted(moments, estimate.values)
-    return problem, estimate
+        minimum = problem.fitted(moments, minimum.values)
+    return problem, minimum

@@ -45,11 +45,11 @@ def weight_errors(campaign: Campaign) -> tuple[WeightError, ...]:
         change = np.where(shared, [load.added_error for load in loads], 0.0) * cosine
         words = f"weight of '{tool}'" if tool else f"added weight of load {name}"
         sources.append(WeightError(words, change))
-    for place, load in enumerate(loads):
+    for load_index, load in enumerate(loads):
         if load.tilt_error > 0:
             change = np.zeros(len(loads))
             total = campaign.weight + load.added
-            change[place] = -total * sine[place] * np.radians(load.tilt_error)
+            change[load_index] = -total * sine[load_index] * np.radians(load.tilt_error)
             sources.append(WeightError(f"tilt of load '{load.name}'", change))
     return tuple(source for source in sources if np.any(source.change))
 
@@ -68,14 +68,25 @@ def scale_errors(
     sources
         The errors of the weights.
     """
-    direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
-    readings = float(np.sqrt(direction @ reading_covariance @ direction))
-    lines = [ScaleError(READINGS, readings)]
+    direction = _common_change(alpha)
+    lines = [scale_error_from_readings(alpha, reading_covariance)]
     lines += [
         ScaleError(source.source, abs(float(direction @ change)))
         for source, change in zip(sources, changes, strict=True)
     ]
     return tuple(sorted(lines, key=lambda line: -line.relative))
+
+
+def scale_error_from_readings(alpha: Array, reading_covariance: Array) -> ScaleError:
+    """Return the part of the readings, from (n,) alpha and its (n, n) covariance from them."""
+    direction = _common_change(alpha)
+    error = float(np.sqrt(direction @ reading_covariance @ direction))
+    return ScaleError(READINGS, error)
+
+
+def _common_change(alpha: Array) -> Array:
+    """Return (n,) weights that take e from a relative change of all, alpha -> alpha (1 + e)."""
+    return np.asarray(alpha / (alpha @ alpha))
 
 
 def scale_total(lines: tuple[ScaleError, ...]) -> float:

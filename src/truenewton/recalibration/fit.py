@@ -25,16 +25,16 @@ from truenewton.estimation.diagnosis import Goodness, RejectedRow, ScaleError
 from truenewton.estimation.identifiability import geometry_faults
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
+from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.estimation.outliers import against_repeats
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import READINGS
+from truenewton.estimation.weights import scale_error_from_readings
 from truenewton.reading import read
 from truenewton.recalibration.known import (
     EARLIER,
     EarlierCalibration,
     known_from,
-    run_temperature,
     shared_errors,
 )
 from truenewton.recalibration.short_run import (
@@ -45,13 +45,12 @@ from truenewton.recalibration.short_run import (
     sifted,
     with_noise,
 )
-from truenewton.records.campaign import Campaign
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.law import Departure, Tracking
 
-FALSE_ALARM = 0.01  # for the whole mirror
 ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
 MOST = 0.25  # of the actuators that may have moved
 
@@ -136,7 +135,7 @@ def recalibrate(
         z, chi2, degrees = pulls(problem, estimate, stay)
         worst = int(np.abs(z).argmax())
         chance = float(2 * scipy.stats.norm.sf(abs(z[worst])))
-        mirror = float(-np.expm1(stay.sum() * np.log1p(-min(chance, 1 - 1e-16))))
+        mirror = chance_of_any(chance, int(stay.sum()))
         if mirror >= FALSE_ALARM:
             break
         moved.append(Departure(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
@@ -148,7 +147,7 @@ def recalibrate(
                 got=len(moved),
                 want=MOST * len(stay),
             )
-    problem, _, estimate = with_noise(problem, moments, estimate)
+    problem, estimate = with_noise(problem, moments, estimate)
     calibration = _calibration(run, problem, moments, estimate, (*rejected, *lost), scale, stay)
     probability = float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan")
     return Recalibration(
@@ -232,9 +231,8 @@ def _calibration(
     tested = problem.noise.source != "minimum"
     probability = float(scipy.stats.chi2.sf(estimate.chi2, degrees)) if tested else float("nan")
     size = estimate.chi2 / degrees
-    direction = values[:n] / (values[:n] @ values[:n])
-    readings = float(np.sqrt(direction @ reading_covariance[:n, :n] @ direction))
-    budget = (ScaleError(READINGS, readings), ScaleError(EARLIER, known.scale))
+    by_readings = scale_error_from_readings(values[:n], reading_covariance[:n, :n])
+    budget = (by_readings, ScaleError(EARLIER, known.scale))
     found = replace(
         found,
         scale="given" if run.held else "weights",
@@ -256,7 +254,7 @@ def _limits(run: ShortRun, probability: float) -> tuple[str, ...]:
             "all others together disagree with their earlier calibration, though none stands out:"
             " calibrate anew",
         )
-    then, now = run.known.temperature, run_temperature(run.campaign)
+    then, now = run.known.temperature, mean_temperature(run.campaign.cycles)
     if not (np.isfinite(then) and np.isfinite(now)):
         limits += ("the temperatures are not all known: others may seem to have moved",)
     elif abs(now - then) > SAME_TEMPERATURE:

@@ -16,7 +16,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
 from truenewton.linalg import factor_of
 from truenewton.reading import read
-from truenewton.records.campaign import Campaign
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -111,7 +111,7 @@ def _calibrated(name: str, campaign: Campaign) -> Day:
 
 def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
     """Split a campaign whose cycles differ by more than 1 K into parts that do not."""
-    means = [_temperature(cycle) for cycle in campaign.cycles]
+    means = [mean_temperature([cycle]) for cycle in campaign.cycles]
     if not (np.isfinite(means).all() and np.ptp(means) > SAME_TEMPERATURE):
         return [(float(np.mean(means)), campaign)]
     parts: list[list[tuple[float, Cycle]]] = []
@@ -123,13 +123,6 @@ def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
         (float(np.mean([t for t, _ in part])), replace(campaign, cycles=tuple(c for _, c in part)))
         for part in parts
     ]
-
-
-def _temperature(cycle: Cycle) -> float:
-    """Return the mean temperature of the rows that count; NaN where there is none."""
-    if cycle.temperature is None:
-        return float("nan")
-    return float(cycle.temperature[cycle.valid].mean())
 
 
 def _refuse_unfit(day: Day) -> None:
@@ -160,8 +153,7 @@ def _refuse_strangers(one: Day, other: Day) -> None:
             got=b.instrument,
             want=a.instrument,
         )
-    same = replace(b.layout, enabled=a.layout.enabled) if a.layout.n == b.layout.n else b.layout
-    if not a.layout.same_as(same):
+    if not a.layout.same_actuators_as(b.layout):
         raise CampaignMismatch(
             f"has other actuators than {one.name}",
             remedy="track one mirror at a time",
