@@ -22,6 +22,7 @@ files, in the order in which data pass through them:
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
     moments          repeats put together: number, mean, scatter; they merge
     shape_sums       sums over shapes: what the likelihood needs of the means
+    imbalance        what a reading is out of balance by, in terms of its noise
     outliers         rows that do not belong
     multiple_tests   what chance alone does to one of many
     noise            of one reading: from repeats, as declared, or left to the fit
@@ -32,7 +33,7 @@ files, in the order in which data pass through them:
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix
-    undetermined     patterns of alpha that drown in noise
+    undetermined     patterns of alpha that noise decides
     identifiability  what the data can and cannot fix
     diagnosis        how well alpha is determined and how well the data fit, in records
     estimate         what every method hands over

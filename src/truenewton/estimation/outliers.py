@@ -175,18 +175,6 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
     return Campaign(tuple(cycles))
 
 
-def squared_distances(rho: Array, weight: Array, s: Array) -> Array:
-    """Return (g,) r rho' S^-1 rho of (g, 3) imbalances with (g,) weights r."""
-    return np.asarray(weight * np.einsum("gk,gk->g", rho, np.linalg.solve(s, rho.T).T))
-
-
-def standing_out(rho: Array, arms: Array, s: Array) -> NDArray[np.int64]:
-    """Return (g,) the actuator whose reading alone would best explain each imbalance."""
-    weighed = np.linalg.solve(s, arms)
-    pull = (rho @ weighed) ** 2 / np.einsum("kn,kn->n", arms, weighed)
-    return np.asarray(pull.argmax(axis=1))
-
-
 def against_balance(
     moments: Moments,
     fit: Callable[[Moments], Fit],

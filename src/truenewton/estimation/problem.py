@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.estimation.imbalance import (
+    imbalance_covariance,
+    squared_distances,
+    standing_out,
+)
 from truenewton.estimation.likelihood import minimise, start_values
 from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import SHARE_ROWS, Noise, least_variance
-from truenewton.estimation.outliers import (
-    MEDIAN_CHI2,
-    repeat_deviations,
-    squared_distances,
-    standing_out,
-)
+from truenewton.estimation.outliers import MEDIAN_CHI2, repeat_deviations
 from truenewton.estimation.stiffness_ml import likeliest, mode_data, population_prior
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
 from truenewton.estimation.unknowns import Unknowns
@@ -90,11 +90,11 @@ class Problem:
 
     def imbalance(self, values: Array, moments: Moments) -> tuple[Array, Array]:
         """Return (g, 3) rho of the groups, and S."""
-        arms = self.a * values[: self.n]
+        scaled_arms = self.a * values[: self.n]
         of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
         k = of_loads.external(values[self.n :])
-        rho = (arms @ moments.mean.T).T + moments.known + k[moments.labels[:, 0]]
-        return rho, (arms * self.noise.in_balance) @ arms.T
+        rho = (scaled_arms @ moments.mean.T).T + moments.known + k[moments.labels[:, 0]]
+        return rho, imbalance_covariance(scaled_arms, self.noise.in_balance)
 
     def distances(self, values: Array, moments: Moments) -> Array:
         """Return (g,) squared Mahalanobis distances of the groups."""
@@ -149,10 +149,10 @@ def with_share_in_balance(
     """
     if problem.noise.source != "repeats":
         return problem
-    arms = problem.a * alpha
+    scaled_arms = problem.a * alpha
     deviations = repeat_deviations(campaign, moments, SHARE_ROWS)
-    rho = np.concatenate([arms @ apart.T for apart in deviations], axis=1).T
-    s = (arms * problem.noise.variance) @ arms.T
+    rho = np.concatenate([scaled_arms @ apart.T for apart in deviations], axis=1).T
+    s = imbalance_covariance(scaled_arms, problem.noise.variance)
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, least_variance(moments) / problem.noise.variance.mean())
     repeats = moments.rows[moments.rows > 1]
