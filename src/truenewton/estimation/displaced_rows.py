@@ -83,17 +83,7 @@ class BalancedRows:
 
 @dataclass(frozen=True, eq=False)
 class DistinctRows:
-    """Rows of a cycle in none of which a group stands twice, in the order of their groups.
-
-    Attributes
-    ----------
-    rows
-        All rows of the cycle that count.
-    row_index, group
-        (m,) which of them these are, and the group of each.
-    weight
-        Of a row.
-    """
+    """Some ``rows`` of a cycle, (m,) by index, no two of one (m,) group, in the order of these."""
 
     rows: BalancedRows
     row_index: NDArray[np.int64]
@@ -108,9 +98,9 @@ class DistinctRows:
     def within(
         self, block: slice
     ) -> tuple[slice | NDArray[np.int64], Array, Array | None, float] | None:
-        """Return where in a block of groups rows stand, and the rows; None where none does.
+        """Return where in a block of groups rows stand, and these as `BalancedRows.at` gives them.
 
-        Force and balance as `BalancedRows.at`, and the weight of a row.
+        With the weight of a row; None where no row is of the block.
         """
         first, end = self.group.searchsorted((block.start, block.stop)).tolist()
         if first == end:
@@ -123,7 +113,7 @@ class DistinctRows:
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Yield sets of rows in none of which a group stands twice; mostly one set of all rows."""
+    """Yield sets of rows, no group twice in a set, from the (N,) group of each; mostly one set."""
     left = np.argsort(group, kind="stable")
     while left.size:
         first = np.concatenate([[True], np.diff(group[left]) > 0])

@@ -18,7 +18,7 @@ from truenewton.estimation.identifiability import in_words, load_faults, refuse,
 from truenewton.estimation.likelihood import expected
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.problem import Problem, posed
+from truenewton.estimation.problem import Problem, problem_of
 from truenewton.estimation.shape_sums import ShapeSums
 from truenewton.estimation.undetermined import tolerable, with_patterns_held
 from truenewton.estimation.weights import scale_errors
@@ -90,7 +90,7 @@ class Prediction:
 
 
 def typical(error: Array, alpha: Array) -> float:
-    """Return the median over actuators of an error relative to alpha."""
+    """Return the median over actuators of an (n,) error relative to alpha."""
     return float(np.median(error / np.abs(alpha)))
 
 
@@ -119,7 +119,7 @@ def predict(
     free = load_faults(campaign)
     faults = [fault for fault in structural_faults(campaign, moments) if fault not in free]
     refuse(Diagnosis((), 0, tuple(faults)))
-    problem = posed(campaign, reading_noise(campaign, moments))
+    problem = problem_of(campaign, reading_noise(campaign, moments))
     n = problem.n
     alpha = np.ones(n) if alpha is None else alpha
     values = _true_values(problem, moments, alpha)

@@ -78,7 +78,7 @@ def comparable_arms(matrix: StiffnessMatrix) -> Array:
 
 
 def balance_modes(modes: Array, a: Array) -> ElasticSolution:
-    """Return the alpha that balances the modes best: the smallest singular vector, its mean 1.
+    """Return the alpha that balances (m, n) modes best: the smallest singular vector, its mean 1.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def find(matrix: StiffnessMatrix) -> Estimate:
 def relative_estimate(
     matrix: StiffnessMatrix, method: str, alpha: Array, covariance: Array, singular_values: Array
 ) -> Estimate:
-    """Put a relative alpha into the form that all methods share."""
+    """Put (n,) relative alpha, its (n, n) covariance and values into what all methods share."""
     n = len(alpha)
     return Estimate(
         method=method,
@@ -217,7 +217,7 @@ def imbalances(
     matrix
         The stiffness.
     fit
-        Returns alpha from modes and arms.
+        Returns (n,) alpha from (m, n) modes and (3, n) arms.
     """
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
     ones = np.ones(a.shape[1])

@@ -106,8 +106,5 @@ def tilt_as_load(weight: float, weight_error: float, tilt: float, tilt_error: fl
     tilt, tilt_error
         Angle and its standard uncertainty [deg].
     """
-    angle = np.radians(tilt)
-    change = weight * (1 - np.cos(angle))
-    from_weight = weight_error * (1 - np.cos(angle))
-    from_angle = weight * np.sin(angle) * np.radians(tilt_error)
-    return float(np.hypot(from_weight, from_angle) / abs(change))
+    from_angle = np.radians(tilt_error) / np.tan(np.radians(tilt) / 2)
+    return float(np.hypot(weight_error / weight, from_angle))
