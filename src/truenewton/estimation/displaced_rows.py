@@ -83,39 +83,36 @@ class BalancedRows:
 
 @dataclass(frozen=True, eq=False)
 class DistinctRows:
-    """Some ``rows`` of a cycle, (m,) by index, no two of one (m,) group, in the order of these."""
+    """Rows of a cycle in none of which a group stands twice, in the order of their groups."""
 
     rows: BalancedRows
-    row_index: NDArray[np.int64]
+    some: NDArray[np.int64]
     group: NDArray[np.int64]
     weight: float
 
     @cached_property
-    def consecutive(self) -> bool:
+    def inorder(self) -> bool:
         """Whether the rows follow each other."""
-        return bool((np.diff(self.row_index) == 1).all())
+        return bool((np.diff(self.some) == 1).all())
 
     def within(
         self, block: slice
     ) -> tuple[slice | NDArray[np.int64], Array, Array | None, float] | None:
-        """Return where in a block of groups rows stand, and these as `BalancedRows.at` gives them.
-
-        With the weight of a row; None where no row is of the block.
-        """
+        """Return where in a block of groups rows stand, and the rows; None where none does."""
         first, end = self.group.searchsorted((block.start, block.stop)).tolist()
         if first == end:
             return None
         whole = end - first == block.stop - block.start
-        in_block = slice(None) if whole else self.group[first:end] - block.start
-        index = self.row_index[first:end]
-        force, balance = self.rows.at(slice(index[0], index[-1] + 1) if self.consecutive else index)
-        return in_block, force, balance, self.weight
+        at = slice(None) if whole else self.group[first:end] - block.start
+        some = self.some[first:end]
+        force, balance = self.rows.at(slice(some[0], some[-1] + 1) if self.inorder else some)
+        return at, force, balance, self.weight
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Yield sets of rows, no group twice in a set, from the (N,) group of each; mostly one set."""
-    left = np.argsort(group, kind="stable")
-    while left.size:
-        first = np.concatenate([[True], np.diff(group[left]) > 0])
-        yield left[first]
-        left = left[~first]
+    """Yield sets of rows in none of which a group stands twice; mostly one set of all rows."""
+    rest = np.argsort(group, kind="stable")
+    while rest.size:
+        first = np.concatenate([[True], np.diff(group[rest]) > 0])
+        yield rest[first]
+        rest = rest[~first]
