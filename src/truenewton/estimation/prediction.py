@@ -42,13 +42,8 @@ class Prediction:
         (n, n) covariance of alpha from the readings and from the weights.
     scale_errors
         Budget of the common scale, largest first; empty where the scale is free.
-    weakest, weakest_share
-        The pattern of alpha that the readings will hold least, in words, and its share of the
-        variance E_STAT^2 summed over actuators.
-    undetermined
-        Number of patterns that will stand hardly above noise.
-    warnings
-        What will be weak, each with its remedy.
+    diagnosis
+        What will be weak; its undetermined patterns are those that will stand hardly above noise.
     """
 
     layout: Layout
@@ -56,10 +51,7 @@ class Prediction:
     reading_covariance: Array
     systematic_covariance: Array
     scale_errors: tuple[ScaleError, ...]
-    weakest: str
-    weakest_share: float
-    undetermined: int
-    warnings: tuple[Fault, ...]
+    diagnosis: Diagnosis
 
     @property
     def scale_is_free(self) -> bool:
@@ -139,10 +131,14 @@ def predict(
         scale_errors=()
         if free
         else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
-        weakest=in_words(vector, campaign.layout),
-        weakest_share=value / float(np.trace(reading_covariance)),
-        undetermined=undetermined,
-        warnings=free + _warn_of_undetermined(undetermined, n),
+        diagnosis=Diagnosis(
+            eigenvalues=(),
+            undetermined=undetermined,
+            faults=(),
+            warnings=free + _warn_of_undetermined(undetermined, n),
+            weakest=in_words(vector, campaign.layout),
+            weakest_share=value / float(np.trace(reading_covariance)),
+        ),
     )
 
 
