@@ -157,15 +157,8 @@ def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
 
 def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
     """Return the sums over the same shapes, each read so many times."""
-    return replace(
-        sums,
-        weight=cycles * sums.weight,
-        force=cycles * sums.force,
-        square=cycles * sums.square,
-        known=cycles * sums.known,
-        known_force=cycles * sums.known_force,
-        known_square=cycles * sums.known_square,
-    )
+    names = ("weight", "force", "square", "known", "known_force", "known_square")
+    return replace(sums, **{name: cycles * getattr(sums, name) for name in names})
 
 
 def _warn_of_undetermined(undetermined: int, n: int) -> tuple[Fault, ...]:

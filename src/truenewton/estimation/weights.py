@@ -97,14 +97,7 @@ def scale_total(lines: tuple[ScaleError, ...]) -> float:
 def tilt_as_load(weight: float, weight_error: float, tilt: float, tilt_error: float) -> float:
     """Return the relative error of the scale if the mirror's own tilt were the second load.
 
-    The change of weight is P (1 - cos tilt).
-
-    Parameters
-    ----------
-    weight, weight_error
-        P and its standard uncertainty [N].
-    tilt, tilt_error
-        Angle and its standard uncertainty [deg].
+    The change of weight is P (1 - cos tilt); P in N, the tilt in degrees.
     """
     from_angle = np.radians(tilt_error) / np.tan(np.radians(tilt) / 2)
     return float(np.hypot(weight_error / weight, from_angle))
