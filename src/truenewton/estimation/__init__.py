@@ -20,7 +20,10 @@ files, in the order in which data pass through them:
     cycles_svd       the paper's method: E alpha' = r by singular value decomposition
     cycle_errors     the paper's error: each cycle solved alone
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
-    moments          repeats put together: number, mean, scatter; they merge
+    row_readers      one walk through the rows, for all who want to see them
+    repeats          rows by the group that they repeat, in one reading
+    sifted           rows far from their repeats left out; what the reading leaves behind
+    moments          repeats put together: number, mean, scatter
     shape_sums       sums over shapes: what the likelihood needs of the means
     imbalance        what a reading is out of balance by, in terms of its noise
     outliers         rows that do not belong

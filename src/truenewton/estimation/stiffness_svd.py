@@ -16,7 +16,7 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import geometry_faults, refuse
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
@@ -169,7 +169,7 @@ def relative_estimate(
     n = len(alpha)
     return Estimate(
         method=method,
-        scale="mean 1",
+        scale=Scale.MEAN_ONE,
         values=alpha,
         reading_covariance=covariance,
         systematic_covariance=np.zeros((n, n)),

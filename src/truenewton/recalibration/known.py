@@ -10,6 +10,7 @@ import numpy as np
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import WeightError, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
@@ -100,7 +101,7 @@ def known_from(
         alpha, whole, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
         temperature = temperature if told is not None else given.temperature
     else:
-        if given.scale == "mean 1":
+        if given.scale == Scale.MEAN_ONE:
             raise FormatError(
                 "gives alpha relative to its mean, so it carries no scale",
                 remedy="give a calibration whose scale comes from weights",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.calibration.result import Calibration
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import scale_total
 from truenewton.rounding import percent
 
@@ -23,7 +24,7 @@ class BudgetLine:
 
 def budget_bars(c: Calibration) -> tuple[BudgetLine, ...]:
     """Return the budget of a calibration whose scale the weights give; none of one without."""
-    if c.scale == "mean 1":
+    if c.scale == Scale.MEAN_ONE:
         return ()
     weights = float(np.nanmedian(c.systematic_error / np.abs(c.alpha)))
     readings = float(np.nanmedian(c.reading_error / np.abs(c.alpha)))

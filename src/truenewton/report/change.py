@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def change(one: Calibration, other: Calibration) -> Change:
     scales = [
         float(np.nanmedian(c.systematic_error / np.abs(c.alpha)))
         for c in (one, other)
-        if c.scale != "mean 1"
+        if c.scale != Scale.MEAN_ONE
     ]
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = moved / error

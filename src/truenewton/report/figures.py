@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.errors import UnknownName
+from truenewton.estimation.estimate import Scale
 from truenewton.figures.maps import plot_map
 from truenewton.figures.style import (
     ACCENT,
@@ -53,7 +54,7 @@ def still_figures(findings: Findings) -> dict[str, Callable[[], Axes]]:
         for key in keys
         if key in known
     }
-    if findings.calibration.scale != "mean 1":
+    if findings.calibration.scale != Scale.MEAN_ONE:
         made["budget"] = lambda: plot_budget(findings)
     if findings.evidence is not None:
         made["residuals"] = lambda: plot_residuals(findings)

@@ -9,6 +9,7 @@ import numpy as np
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import cycle_name, rejected_values
+from truenewton.estimation.estimate import Scale
 from truenewton.figures.style import CURVES
 from truenewton.records.campaign import Campaign
 from truenewton.report.budget import budget_bars, typical_error
@@ -72,7 +73,7 @@ def ring_caption(c: Calibration) -> str:
 
 def budget(c: Calibration) -> Section:
     """Return the error budget: of the common scale, source by source, and of an actuator."""
-    if c.scale == "mean 1":
+    if c.scale == Scale.MEAN_ONE:
         words = "The common scale is a convention (mean alpha 1), so all the error is the readings'"
         return Section(
             "budget", "Error budget", (f"{words}: {percent(typical_error(c))}, typically.",)
