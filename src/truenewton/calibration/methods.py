@@ -97,7 +97,7 @@ def held_out(
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
     if method == "svd":
         return stiffness_svd.imbalances(
-            matrix, lambda modes, a: stiffness_svd.balance_modes(modes, a).alpha
+            matrix, lambda modes, a: stiffness_svd.balance_modes(modes, a)[0]
         )
     return stiffness_svd.imbalances(
         matrix,
