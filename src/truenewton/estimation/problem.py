@@ -157,7 +157,8 @@ def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Pro
     if problem.noise.source != NoiseSource.REPEATS:
         return problem
     arms = problem.a * alpha
-    rho, moments = sifted.sample @ arms.T, sifted.moments
+    moments = sifted.moments
+    rho = np.concatenate([sample @ arms.T for sample in sifted.samples])
     s = (arms * problem.noise.variance) @ arms.T
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, least_variance(moments) / problem.noise.variance.mean())
