@@ -10,7 +10,7 @@ the system that follows eq. 3:
     eq. 4   E alpha' = r, B and torques unknown  `systems`: `system_e`; `unknowns`: `Unknowns`
     sec. 4  solution by SVD                      `cycles_svd`: `solve`; of a campaign, `find`
     sec. 4  the proof code                       `studies.proof`: `prove`
-    sec. 5  error over the cycles, E_CYCLE       `cycle_errors`: `cycle_errors`
+    sec. 5  error over the cycles, E_CYCLE       `cycle_errors`: `CycleErrors`
 
 Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md): `likelihood`. The
 files, in the order in which data pass through them:

@@ -77,7 +77,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
     if not belongs.all():
         actuator = problem.standing_out(minimum.values, moments)
-        rejected += tuple(rows_of(sound, moments, ~belongs, distance, actuator))
+        rejected += tuple(rows_of(sound, ~belongs, distance, actuator))
         refuse_too_many(len(rejected), rows)
         moments = chosen_groups(moments, belongs)
     problem, minimum = with_noise_from_minimum(problem, moments, minimum)

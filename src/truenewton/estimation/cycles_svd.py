@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import diagnose, refuse
 from truenewton.estimation.moments import Moments
+from truenewton.estimation.repeats import row_groups
 from truenewton.estimation.systems import system_e
 from truenewton.estimation.weights import WeightError, scale_errors, weight_errors
 from truenewton.linalg import singular_values_and_vectors
@@ -146,7 +146,7 @@ def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
             for start, rows in fit.blocks
         ]
     )
-    member = row_groups(campaign)
+    member = np.concatenate(row_groups(campaign)[2])  # campaigns stand in the order of E
     count = np.bincount(member)
     mean = np.zeros((len(count), pull.shape[1]))
     np.add.at(mean, member, pull)
@@ -154,17 +154,6 @@ def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
     pull -= np.where((count > 1)[:, None], mean, 0.0)[member]
     pull *= np.sqrt(count / np.maximum(count - 1, 1))[member, None]
     return np.asarray(fit.solved.inverse @ (pull.T @ pull) @ fit.solved.inverse)
-
-
-def row_groups(campaign: Campaign) -> NDArray[np.int64]:
-    """Return (rows,) the group (load, shape, sign) of each row, in the order of E."""
-    labels = [
-        np.stack([np.full(int(c.valid.sum()), index), c.shape[c.valid], c.sign[c.valid]], axis=1)
-        for index in range(len(campaign.loads))
-        for c, at in zip(campaign.cycles, campaign.load_index, strict=True)
-        if at == index
-    ]
-    return np.unique(np.concatenate(labels), axis=0, return_inverse=True)[1].ravel()
 
 
 def weight_changes(fit: Fit, errors: Sequence[WeightError]) -> Array:

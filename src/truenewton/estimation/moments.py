@@ -21,7 +21,6 @@ from truenewton.arrays import Array
 from truenewton.estimation.repeats import RepeatSums
 from truenewton.estimation.shape_sums import ShapeSums, shape_sums
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
 
 
@@ -104,14 +103,6 @@ def moments_of(sums: RepeatSums) -> Moments:
         scatter=sums.scatter,
         reference=sums.reference,
     )
-
-
-def groups_of(cycle: Cycle, load_index: int, moments: Moments) -> NDArray[np.int64]:
-    """Return (N,) the group of each valid row of a cycle under one of the loads."""
-    at = np.flatnonzero(moments.labels[:, 0] == load_index)
-    codes = 2 * moments.labels[at, 1] + (moments.labels[at, 2] > 0)
-    wanted = 2 * cycle.shape[cycle.valid] + (cycle.sign[cycle.valid] > 0)
-    return np.asarray(at[np.searchsorted(codes, wanted)])
 
 
 def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.moments import Moments, chosen_groups, groups_of
+from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.repeats import row_groups
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 
@@ -143,21 +144,19 @@ def _scaled(distance: Array, noise_known: bool) -> Array:
 
 def rows_of(
     campaign: Campaign,
-    moments: Moments,
     lost: NDArray[np.bool_],
     distance: Array,
     actuator: NDArray[np.int64],
 ) -> list[RejectedRow]:
     """Return the rows of the groups that are lost, with the ID that stands out in each."""
-    rows = []
-    for k, (cycle, load_index) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
-        group = groups_of(cycle, load_index, moments)
-        row = np.flatnonzero(cycle.valid)
-        rows += [
-            RejectedRow(k, int(r), int(actuator[g]), float(np.sqrt(distance[g])), "balance")
-            for r, g in zip(row[lost[group]], group[lost[group]], strict=True)
-        ]
-    return rows
+    return [
+        RejectedRow(k, int(row), int(actuator[g]), float(np.sqrt(distance[g])), "balance")
+        for k, (cycle, group) in enumerate(
+            zip(campaign.cycles, row_groups(campaign)[2], strict=True)
+        )
+        for row, g in zip(np.flatnonzero(cycle.valid), group, strict=True)
+        if lost[g]
+    ]
 
 
 def refuse_too_many(rejected: int, rows: int) -> None:

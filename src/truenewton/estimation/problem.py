@@ -150,8 +150,8 @@ def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Pro
     """
     if problem.noise.source != NoiseSource.REPEATS:
         return problem
-    scaled_arms = problem.a * alpha
-    rho, moments = sifted.sample @ scaled_arms.T, sifted.moments
+    scaled_arms, moments = problem.a * alpha, sifted.moments
+    rho = np.concatenate([sample @ scaled_arms.T for sample in sifted.samples])
     s = imbalance_covariance(scaled_arms, problem.noise.variance)
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, least_variance(moments) / problem.noise.variance.mean())

@@ -38,6 +38,31 @@ def row_weights(campaign: Campaign) -> tuple[float, ...]:
     return tuple((WEIGHED_NOISE / (cycle.force_error or 1.0)) ** 2 for cycle in campaign.cycles)
 
 
+def row_groups(
+    campaign: Campaign,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], list[NDArray[np.int64]]]:
+    """Return the groups of a campaign's rows.
+
+    Returns
+    -------
+    labels, first, groups
+        (g, 3) index of the load, SHAPE, SIGN; sorted. (g,) first row, of all that count. For each
+        cycle, (N,) group of its rows that count.
+    """
+    names = [
+        np.column_stack([np.full(np.count_nonzero(c.valid), k), c.shape[c.valid], c.sign[c.valid]])
+        for c, k in zip(campaign.cycles, campaign.load_index, strict=True)
+    ]
+    whole, ends = np.concatenate(names), np.cumsum([len(name) for name in names])[:-1]
+    span = int(whole[:, 1].max()) + 1
+    if span > 2**40:  # shapes may be numbered at will
+        _, first, group = np.unique(whole, axis=0, return_index=True, return_inverse=True)
+    else:
+        codes = 2 * (span * whole[:, 0] + whole[:, 1]) + (whole[:, 2] > 0)
+        _, first, group = np.unique(codes, return_index=True, return_inverse=True)
+    return whole[first], first, np.split(group.ravel(), ends)
+
+
 @dataclass(frozen=True, eq=False)
 class BlockRows:
     """Rows of one cycle that were read of a block of groups, no group twice.
@@ -119,7 +144,7 @@ def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 
 
 class RepeatSums:
-    """Sums over the rows of each group of a campaign.
+    """Sums over the rows of each group of a campaign, which are read a block of groups at a time.
 
     Attributes
     ----------
@@ -134,6 +159,9 @@ class RepeatSums:
     furthest
         (blocks, n) largest distance of a row from its group's mean, as seen from the rest of the
         group and divided by its noise over that of a row of weight 1 [N].
+    samples
+        (m, n) deviations of some repeated rows of each block, see `deviations`; together they stand
+        evenly among all rows.
     stale
         Whether what was left out has emptied a group or moved the reference: the sums must be made
         of the rest anew.
@@ -141,79 +169,54 @@ class RepeatSums:
 
     def __init__(self, campaign: Campaign) -> None:
         self.campaign, self.reference, self.stale = campaign, common_reference(campaign), False
-        a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
-        names = [
-            np.column_stack([np.full(int(c.valid.sum()), load), c.shape[c.valid], c.sign[c.valid]])
-            for c, load in zip(campaign.cycles, campaign.load_index, strict=True)
-        ]
-        self.labels, first, member = _unique(np.concatenate(names))
+        self.labels, first, groups_of_rows = row_groups(campaign)
         self._coming = np.argsort(first)  # groups, as they come
-        self._turn = np.argsort(self._coming)  # at which each group comes
-        ends = np.cumsum([len(name) for name in names])[:-1]
-        self._group = np.split(self._turn[member], ends)  # of each row, as they come
-        self._lost = [np.zeros(len(name), dtype=bool) for name in names]
-        self._layers = [
-            DistinctRows(k, balanced, rows, group[rows], weight)
-            for k, (cycle, group, weight) in enumerate(
-                zip(campaign.cycles, self._group, row_weights(campaign), strict=True)
-            )
-            for balanced in [BalancedRows(cycle, a, self.reference)]
-            for rows in distinct(group)
-        ]
-        groups = len(self.labels)
+        turn = np.argsort(self._coming)
+        turns = [turn[group] for group in groups_of_rows]
+        self._layers = list(_layers(campaign, self.reference, turns))
+        groups, n = len(self.labels), len(self.reference)
         self._number, self._weight = np.zeros(groups, dtype=np.int64), np.zeros(groups)
         for layer in self._layers:
             self._number[layer.group] += 1
             self._weight[layer.group] += layer.weight
-        self._slots = self._sampled_rows()
-        self._sample = np.empty((1 + max(int(slots.max()) for slots in self._slots), n))
+        self._stride = max(1, self._number.sum() // SAMPLE_ROWS)
+        self._lost: list[RejectedRow] = []
         self.mean, self.known = np.empty((groups, n)), np.zeros((groups, 3))
         most = int(np.clip(BLOCK_BYTES // (8 * n * self._number.max()), 1, ROWS_AT_ONCE))
         starts = range(0, groups, most)
         self._blocks = [slice(start, min(start + most, groups)) for start in starts]
         self.scatter, self._scatter_of = np.zeros(n), np.zeros((len(self._blocks), n))
         self.furthest = np.zeros((len(self._blocks), n))
+        self.samples = [np.empty((0, n))] * len(self._blocks)
         for block in range(len(self._blocks)):
             self._sum(block, self.read(block))
-
-    def _sampled_rows(self) -> list[NDArray[np.int64]]:
-        """Return, for each cycle, (N,) where in the sample a row goes; -1 for most.
-
-        Repeated rows, which stand evenly among all of them.
-        """
-        stride, count, slots = max(1, self._number.sum() // SAMPLE_ROWS), 0, []
-        for group in self._group:
-            chosen = np.flatnonzero(self._number[group] > 1)[::stride]
-            slots.append(np.full(len(group), -1))
-            slots[-1][chosen] = count + np.arange(chosen.size)
-            count += chosen.size
-        return slots
 
     @property
     def rows(self) -> NDArray[np.int64]:
         """(g,) number of rows."""
-        return self._number[self._turn]
+        return self._number[np.argsort(self._coming)]
 
     @property
     def weight(self) -> Array:
         """(g,) sum of the weights of the rows."""
-        return self._weight[self._turn]
-
-    @property
-    def sample(self) -> Array:
-        """(m, n) deviations of some repeated rows from their groups, see `deviations`."""
-        kept = [
-            (~lost & (self._number[group] > 1))[slots >= 0]
-            for lost, group, slots in zip(self._lost, self._group, self._slots, strict=True)
-        ]
-        kept_rows = np.concatenate(kept)
-        return self._sample if kept_rows.all() else self._sample[kept_rows]
+        return self._weight[np.argsort(self._coming)]
 
     def read(self, block: int) -> list[BlockRows]:
         """Read the rows of a block of groups that are not left out."""
-        groups = self._blocks[block]
-        read = (layer.within(groups) for layer in self._layers)
-        return [part.only(~self._lost[part.cycle_index][part.rows]) for part in read if part]
+        parts = (layer.within(self._blocks[block]) for layer in self._layers)
+        return [self._without(part, self._lost) for part in parts if part is not None]
+
+    def _without(self, part: BlockRows, rejected: list[RejectedRow]) -> BlockRows:
+        here = [row.row for row in rejected if row.cycle == part.cycle_index]
+        return part.only(~np.isin(self.row(part), here)) if here else part
+
+    def row(self, part: BlockRows) -> NDArray[np.int64]:
+        """Return (m,) rows of MEASUREMENTS."""
+        return np.flatnonzero(self.campaign.cycles[part.cycle_index].valid)[part.rows]
+
+    def number(self, block: int, part: BlockRows) -> NDArray[np.int64]:
+        """Return (m,) the number of rows in the groups of some rows."""
+        return self._number[self._blocks[block]][part.group]
 
     def deviations(self, block: int, part: BlockRows) -> Array:
         """Return (m, n) deviations of rows from the others of their groups, at weight 1 [N].
@@ -225,10 +228,6 @@ class RepeatSums:
         further = np.sqrt(self._further(block, part.weight))
         return np.asarray((part.force - mean[part.at]) * further[part.at][:, None])
 
-    def number(self, block: int, part: BlockRows) -> NDArray[np.int64]:
-        """Return (m,) the number of rows in the groups of some rows."""
-        return self._number[self._blocks[block]][part.at]
-
     def _further(self, block: int, weight: float) -> Array:
         """Return, for each group, how much larger the square of a deviation is for the others."""
         total = self._weight[self._blocks[block]]
@@ -236,18 +235,15 @@ class RepeatSums:
 
     def leave_out(self, block: int, read: list[BlockRows], rejected: list[RejectedRow]) -> None:
         """Leave some rows out of what was read of a block, and sum the rest anew."""
-        kept = []
-        for part in read:
-            cycle = self.campaign.cycles[part.cycle_index]
-            here = [row.row for row in rejected if row.cycle == part.cycle_index]
-            lost = np.isin(np.flatnonzero(cycle.valid)[part.rows], here)
-            group = self._group[part.cycle_index][part.rows[lost]]
-            self._lost[part.cycle_index][part.rows[lost]] = True
-            self._number[group] -= 1
-            self._weight[group] -= part.weight
-            self.stale |= bool(here) and is_displaced(cycle)
-            kept.append(part.only(~lost))
-        self.stale |= not self._number[self._blocks[block]].all()
+        self._lost += rejected
+        kept = [self._without(part, rejected) for part in read]
+        number, weight = self._number[self._blocks[block]], self._weight[self._blocks[block]]
+        number[:], weight[:] = 0, 0.0
+        for part in kept:
+            number[part.group] += 1
+            weight[part.group] += part.weight
+        displaced = any(is_displaced(self.campaign.cycles[row.cycle]) for row in rejected)
+        self.stale |= displaced or not number.all()
         if not self.stale:
             self._sum(block, kept)
             self.scatter = self._scatter_of.sum(axis=0)
@@ -255,9 +251,9 @@ class RepeatSums:
     def _sum(self, block: int, read: list[BlockRows]) -> None:
         """Sum over the rows that were read of a block of groups."""
         groups = self._blocks[block]
+        weight, size = self._weight[groups], groups.stop - groups.start
         heaviest = max(layer.weight for layer in self._layers)
-        weight, number = self._weight[groups], groups.stop - groups.start
-        centre, known = np.zeros((number, self.mean.shape[1])), np.zeros((number, 3))
+        centre, known = np.zeros((size, self.mean.shape[1])), np.zeros((size, 3))
         for part in read:
             share = part.weight / heaviest
             centre[part.at] += part.force if share == 1.0 else share * part.force
@@ -266,34 +262,30 @@ class RepeatSums:
         centre *= (heaviest / weight)[:, None]
         self.mean[self._coming[groups]] = centre
         self.known[self._coming[groups]] = known / weight[:, None]
-        self._scatter_of[block], furthest = 0.0, np.zeros(self.mean.shape[1])
+        self._scatter_of[block], self.furthest[block], sample = 0.0, 0.0, []
         for part in reversed(read):  # the last are in the cache still
             further = self._further(block, part.weight)
             apart = part.force - centre[part.at]
-            slots = self._slots[part.cycle_index][part.rows]
-            if (chosen := slots >= 0).any():
-                size = np.sqrt(further[part.at][chosen])
-                self._sample[slots[chosen]] = apart[chosen] * size[:, None]
+            chosen = (part.rows % self._stride == 0) & (self.number(block, part) > 1)
+            sample.append(apart[chosen] * np.sqrt(further[part.group[chosen]])[:, None])
             apart *= apart
             scatter = part.weight * (np.ones(len(apart)) @ apart)
             self.scatter += scatter
             self._scatter_of[block] += scatter
-            if (further == further[0]).all():
-                np.maximum(furthest, apart.max(axis=0, initial=0.0) * further[0], out=furthest)
-            else:
+            if not (further == further[0]).all():
                 apart *= further[part.at][:, None]
-                np.maximum(furthest, apart.max(axis=0, initial=0.0), out=furthest)
-        self.furthest[block] = np.sqrt(furthest)
+                further = np.ones(1)
+            furthest = np.sqrt(apart.max(axis=0, initial=0.0) * further[0])
+            np.maximum(self.furthest[block], furthest, out=self.furthest[block])
+        self.samples[block] = np.concatenate(sample)
 
 
-def _unique(
-    labels: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the sorted distinct (load, SHAPE, SIGN), the first row and which of them each has."""
-    span = int(labels[:, 1].max()) + 1
-    if span > 2**40:  # shapes may be numbered at will
-        unique, first, member = np.unique(labels, axis=0, return_index=True, return_inverse=True)
-        return unique, first, member.ravel()
-    codes = 2 * (span * labels[:, 0] + labels[:, 1]) + (labels[:, 2] > 0)
-    _, first, member = np.unique(codes, return_index=True, return_inverse=True)
-    return labels[first], first, member.ravel()
+def _layers(
+    campaign: Campaign, reference: Array, turns: list[NDArray[np.int64]]
+) -> Iterator[DistinctRows]:
+    """Yield the rows of each cycle, which come when the (N,) turn of their group comes."""
+    a, weights = enabled_arms(campaign.layout), row_weights(campaign)
+    for k, (cycle, group) in enumerate(zip(campaign.cycles, turns, strict=True)):
+        balanced = BalancedRows(cycle, a, reference)
+        for rows in distinct(group):
+            yield DistinctRows(k, balanced, rows, group[rows], weights[k])

@@ -8,6 +8,7 @@ once in a hundred campaigns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,15 +38,16 @@ class Sifted:
         The rows that lie far from their repeats.
     moments
         Of the sound rows.
-    sample
-        (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N].
+    samples
+        (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N], in
+        some parts.
     """
 
     campaign: Campaign
     sound: Campaign
     rejected: tuple[RejectedRow, ...]
     moments: Moments
-    sample: Array
+    samples: tuple[Array, ...]
 
 
 def sift(campaign: Campaign) -> Sifted:
@@ -66,7 +68,7 @@ def sift(campaign: Campaign) -> Sifted:
         if sums.stale:
             del sums  # there is no room for two where the mirror is large
             sums = RepeatSums(sound)
-    return Sifted(campaign, sound, tuple(rejected), moments_of(sums), sums.sample)
+    return Sifted(campaign, sound, tuple(rejected), moments_of(sums), tuple(sums.samples))
 
 
 def _leave_out_worst(sums: RepeatSums) -> list[RejectedRow]:
@@ -75,7 +77,7 @@ def _leave_out_worst(sums: RepeatSums) -> list[RejectedRow]:
     repeats = int(rows.sum() - np.count_nonzero(rows))
     if repeats < 2:
         return []
-    noise, robust = np.sqrt(sums.scatter / repeats), _robust(sums.sample)
+    noise, robust = np.sqrt(sums.scatter / repeats), _robust(sums.samples)
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(noise > 1.5 * robust, robust, noise)
     limit = scipy.stats.t.isf(FALSE_ALARM / 2 / (rows.sum() * n), max(repeats - 1, 1))
@@ -101,8 +103,7 @@ def _worst_rows(
     for part in read:
         sigmas = np.abs(sums.deviations(block, part))
         sigmas /= noise
-        number, cycle = sums.number(block, part), sums.campaign.cycles[part.cycle_index]
-        rows = np.flatnonzero(cycle.valid)[part.rows]
+        number, rows = sums.number(block, part), sums.row(part)
         for at in np.flatnonzero(sigmas.max(axis=1, initial=0.0) > limit).tolist():
             i, g = int(sigmas[at].argmax()), int(part.group[at])
             far = float(sigmas[at, i])
@@ -114,9 +115,11 @@ def _worst_rows(
     return [*worst.values(), *pairs]
 
 
-def _robust(sample: Array) -> Array:
+def _robust(samples: Sequence[Array]) -> Array:
     """Return (n,) noise of a reading that an actuator's spikes cannot swell: from the median."""
-    ordered = np.sort(np.abs(sample[:: max(1, len(sample) // MEDIAN_ROWS)]).T)  # beats np.median
+    stride = max(1, sum(map(len, samples)) // MEDIAN_ROWS)
+    some = np.concatenate([sample[::stride] for sample in samples]).T
+    ordered = np.sort(np.abs(some))  # faster than np.median
     count = ordered.shape[1]
     middle = slice((count - 1) // 2, count // 2 + 1)
     return np.asarray(ordered[:, middle].mean(axis=1) / QUARTILE)

@@ -174,7 +174,7 @@ def modes_reader(sifted: Sifted) -> MotionReader:
         The cycles tell no stiffness.
     """
     if sifted.campaign.stiffness is not None:
-        return MotionReader(sifted, sifted.sound)
+        return MotionReader(sifted.campaign, sifted.sound)
     return motion_reader(sifted)
 
 

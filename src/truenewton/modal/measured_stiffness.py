@@ -108,23 +108,24 @@ def motion_reader(sifted: Sifted) -> MotionReader:
     TooManyOutliers
         So many rows stand off from their repeats that the rest cannot be trusted.
     """
-    positioned = positioned_cycles(sifted.campaign)
-    cycles = list(sifted.sound.cycles)
-    displaced = [
-        replace(cycles[k], force=_displacements(cycles[k]), position=None, force_error=None)
-        for k in positioned
-    ]
-    by_position = sift(Campaign(tuple(displaced)))
-    for k, cycle in zip(positioned, by_position.sound.cycles, strict=True):
-        if (cycle.valid != cycles[k].valid).any():
-            cycles[k] = replace(cycles[k], valid=cycle.valid)
-    by_force = tuple(
-        replace(row, cycle=positioned.index(row.cycle))
-        for row in sifted.rejected
-        if row.cycle in positioned
+    campaign = sifted.campaign
+    positioned = positioned_cycles(campaign)
+    if len(positioned) < len(campaign.cycles):  # others tell nothing of these
+        by_force = sift(Campaign(tuple(campaign.cycles[k] for k in positioned)))
+    else:
+        by_force = sifted
+    displaced = tuple(
+        replace(cycle, force=_displacements(cycle), position=None, force_error=None)
+        for cycle in by_force.sound.cycles
     )
-    rejected = by_force + by_position.rejected
-    return MotionReader(sifted, Campaign(tuple(cycles)), positioned, rejected)
+    by_position = sift(Campaign(displaced))
+    cycles = list(sifted.sound.cycles)
+    for k, cycle, other in zip(
+        positioned, by_force.sound.cycles, by_position.sound.cycles, strict=True
+    ):
+        cycles[k] = cycle if cycle.valid is other.valid else replace(cycle, valid=other.valid)
+    rejected = by_force.rejected + by_position.rejected
+    return MotionReader(campaign, Campaign(tuple(cycles)), positioned, rejected)
 
 
 def positioned_cycles(campaign: Campaign) -> tuple[int, ...]:

@@ -15,13 +15,10 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.moments import groups_of
-from truenewton.estimation.repeats import distinct, row_weights
+from truenewton.estimation.repeats import distinct, row_groups, row_weights
 from truenewton.estimation.row_readers import RowBlock
-from truenewton.estimation.sifted import Sifted
 from truenewton.files.stored_rows import blocks
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
 
 
 @dataclass(eq=False)
@@ -80,76 +77,68 @@ class MotionReader:
 
     Each row moves the means of its group; what it adds to the sums about them is exact. Rest is the
     mean of c (1 + COILGRAD z) over the rows that have their opposite, known once a cycle is over:
-    until then rows count from a rest nearby, and then the sums are set right.
+    until then rows count from that of its first rows, and then the sums are set right.
 
     Parameters
     ----------
-    sifted
-        The campaign that is going to be read.
-    sound
-        The same, with the rows that take no part marked as not valid.
+    campaign, sound
+        What is going to be read; the same, rows that take no part marked as not valid.
     positioned
-        Which of its cycles hold POSITION; if none does, there is nothing but ``rest_force``.
+        Which of its cycles hold POSITION; if none does, there is nothing but ``force_at_rest``.
     rejected
         Rows left out of these; their cycles count among them.
-
-    Attributes
-    ----------
-    rest_force
-        (cycles, n) commanded force at rest of each cycle [N].
     """
 
     def __init__(
         self,
-        sifted: Sifted,
+        campaign: Campaign,
         sound: Campaign,
         positioned: Sequence[int] = (),
         rejected: tuple[RejectedRow, ...] = (),
     ) -> None:
-        self.sound, self.rejected, self._positioned = sound, rejected, tuple(positioned)
-        moments, n = sifted.moments, sifted.moments.mean.shape[1]
-        self.rest_force = np.zeros((len(sound.cycles), n))
+        self.sound, self.rejected = sound, rejected
+        self.positioned = tuple(sound.cycles[k] for k in positioned)
         self._counts = [
             cycle.valid[given.valid]
-            for cycle, given in zip(sound.cycles, sifted.campaign.cycles, strict=True)
+            for cycle, given in zip(sound.cycles, campaign.cycles, strict=True)
         ]
-        self._group = [
-            groups_of(cycle, load_index, moments)
-            for cycle, load_index in zip(sound.cycles, sound.load_index, strict=True)
-        ]
-        self._labels, groups = moments.labels, len(moments.labels) if positioned else 0
-        self._near_rest = [
-            moments.mean[moments.labels[:, 0] == load].mean(axis=0)
-            for load in range(len(sound.loads))
-        ]
+        n = int(campaign.layout.enabled.sum())
+        self._rest = np.zeros((len(sound.cycles), n))
+        self._groups: dict[int, NDArray[np.int64]] = {}
         if positioned:
-            of_these = row_weights(Campaign(tuple(sound.cycles[k] for k in positioned)))
-            self._weights = dict(zip(positioned, of_these, strict=True))
-        self._within = Products.zeros(n if positioned else 0)
-        self._force, self._position = np.zeros((2, groups, n))  # means
-        self._weight, self._rows = np.zeros(groups), 0
+            of_these = Campaign(self.positioned)
+            self._labels, _, groups = row_groups(of_these)
+            self._groups = dict(zip(positioned, groups, strict=True))
+            self._weights = dict(zip(positioned, row_weights(of_these), strict=True))
+            self._force, self._position = np.zeros((2, len(self._labels), n))  # means
+            self._weight, self._number = np.zeros(len(self._labels)), 0
+            self._within = Products.zeros(n)
         self._begin_cycle()
 
     def _begin_cycle(self) -> None:
-        n = self.rest_force.shape[1]
+        n = self._rest.shape[1]
         self._row = 0  # of those that take part
-        self._unshifted = np.ones(len(self._weight))  # share of its own rest missing in each mean
-        self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
+        self._near_rest: Array | None = None
+        if self.positioned:
+            self._unshifted = np.ones(len(self._labels))  # how little of its rest each mean holds
+            self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
 
     def take(self, block: RowBlock) -> None:
         """Take the next rows in."""
         k, cycle = block.cycle_index, self.sound.cycles[block.cycle_index]
         counts = self._counts[k][block.rows]
         own = slice(self._row, self._row + int(np.count_nonzero(counts)))
-        self._row = own.stop
-        force = block.force if counts.all() else block.force[counts]
+        self._row, force = own.stop, block.force[counts]
         if cycle.position is not None:
-            z = (block.position if counts.all() else block.position[counts]) - cycle.rest_position
-            force = force * (1.0 + (cycle.coil_gradient or 0.0) * z)
-        self.rest_force[k] += force[cycle.rest_rows[own]].sum(axis=0)
-        if k in self._positioned:
-            force = force - self._near_rest[self.sound.load_index[k]]
-            group = self._group[k][own]
+            z = block.position[counts] - cycle.rest_position
+            force *= 1.0 + (cycle.coil_gradient or 0.0) * z
+        at_rest = force[cycle.rest_rows[own]]
+        self._rest[k] += at_rest.sum(axis=0)
+        if k in self._groups and len(force):
+            if self._near_rest is None:
+                self._near_rest = (at_rest if len(at_rest) else force).mean(axis=0)
+            force -= self._near_rest
+            group = self._groups[k][own]
             for rows in distinct(group):
                 self._add(force[rows], z[rows], group[rows], self._weights[k])
 
@@ -167,24 +156,18 @@ class MotionReader:
         self._sum += float(size @ missing**2)
         self._unshifted[group] = missing * (1.0 - share)
         self._weight[group] += weight
-        self._rows += len(group)
+        self._number += len(group)
 
     def end_cycle(self, cycle_index: int) -> None:
         """Count the rows of the cycle from its own rest."""
-        cycle = self.sound.cycles[cycle_index]
-        self.rest_force[cycle_index] /= np.count_nonzero(cycle.rest_rows)
-        if cycle_index in self._positioned:
-            load_index = self.sound.load_index[cycle_index]
-            shift = self.rest_force[cycle_index] - self._near_rest[load_index]
+        rest = self._rest[cycle_index]
+        rest /= np.count_nonzero(self.sound.cycles[cycle_index].rest_rows)
+        if self._near_rest is not None:
+            shift = rest - self._near_rest
             self._within.cz -= np.outer(shift, self._sum_position)
             self._within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
             self._force -= np.outer(1.0 - self._unshifted, shift)
         self._begin_cycle()
-
-    @property
-    def positioned(self) -> tuple[Cycle, ...]:
-        """The cycles that hold POSITION, rows that take no part marked as not valid."""
-        return tuple(self.sound.cycles[k] for k in self._positioned)
 
     @property
     def force_at_rest(self) -> Array:
@@ -192,20 +175,18 @@ class MotionReader:
 
         The mean over its cycles: it carries the mirror, and holds it flat.
         """
-        first = [k for k, load in enumerate(self.sound.load_index) if load == 0]
-        return np.asarray(np.mean(self.rest_force[first], axis=0))
+        return np.asarray(self._rest[np.equal(self.sound.load_index, 0)].mean(axis=0))
 
     def products(self) -> ShapeProducts:
         """Return what the regression needs, all rows having come."""
-        there = np.flatnonzero(self._weight)
-        label, heavy, n = self._labels[there], self._weight[there], self.rest_force.shape[1]
+        label, heavy, n = self._labels, self._weight, self._rest.shape[1]
         edge = np.flatnonzero(np.append(True, (label[1:, :2] != label[:-1, :2]).any(axis=1)))
-        ends = np.append(edge, len(there))
+        ends = np.append(edge, len(label))
         signed, total = label[:, 2] * heavy, np.add.reduceat(heavy, edge)
         between, uneven = Products.zeros(n), 0.0
         for some in blocks(len(edge), 4 * 8 * n):
             rows = slice(ends[some.start], ends[some.stop])
-            force, position = (mean[there[rows]] for mean in (self._force, self._position))
+            force, position = self._force[rows], self._position[rows]
             uneven += float(heavy[rows] @ np.sum(position**2, axis=1))
             c, z = (
                 np.add.reduceat(signed[rows, None] * mean, edge[some] - rows.start)
@@ -214,14 +195,14 @@ class MotionReader:
             )
             between.add(c, z)
             uneven -= float(np.sum(z**2))
-        alike, within = self._rows - len(edge), self._within
-        loads = {self.sound.load_index[k] for k in self._positioned}
+        alike, within = self._number - len(edge), self._within
+        loads = {cycle.load.key for cycle in self.positioned}
         return ShapeProducts(
             between=between,
             within=within,
             shapes=len(edge),
-            rows=self._rows,
-            spare=self._rows - len(there) - (len(self._positioned) - len(loads)),
+            rows=self._number,
+            spare=self._number - len(label) - (len(self.positioned) - len(loads)),
             weight=float(heavy.sum()),
             position_variance=(
                 (float(np.trace(within.zz)) + uneven) / (n * alike) if alike else np.nan

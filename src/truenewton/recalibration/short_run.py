@@ -104,7 +104,7 @@ def balancing(
     lost: list[RejectedRow] = []
     if not belongs.all():
         actuator = problem.standing_out(minimum.values, moments)
-        lost = rows_of(run.campaign, moments, ~belongs, distance, actuator)
+        lost = rows_of(run.campaign, ~belongs, distance, actuator)
         refuse_too_many(len(lost), int(moments.rows.sum()))
         moments = chosen_groups(moments, belongs)
     problem, minimum = with_noise(problem, moments, minimum)

@@ -19,11 +19,11 @@ from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.displaced_rows import BalancedRows, is_displaced
 from truenewton.estimation.identifiability import balance_spectrum, centred_means
 from truenewton.estimation.imbalance import imbalance_covariance, squared_distances
-from truenewton.estimation.moments import chosen_groups, groups_of
+from truenewton.estimation.moments import chosen_groups
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.outliers import without
 from truenewton.estimation.problem import problem_of, with_share_in_balance
-from truenewton.estimation.repeats import row_weights
+from truenewton.estimation.repeats import row_groups, row_weights
 from truenewton.estimation.row_readers import RowBlock
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes, modal_stiffness
@@ -167,10 +167,13 @@ def campaign_evidence(
     kept = np.concatenate(
         [sound.cycles[k].valid[some] for k, some in enumerate(rows)]  # what was rejected is not
     )
-    groups = [
-        groups_of(c, k, sifted.moments) for c, k in zip(sound.cycles, sound.load_index, strict=True)
+    still = [
+        group[c.valid[before.valid]]
+        for group, c, before in zip(
+            row_groups(sifted.sound)[2], sound.cycles, sifted.sound.cycles, strict=True
+        )
     ]
-    there = np.bincount(np.concatenate(groups), minlength=len(sifted.moments.rows)) > 0
+    there = np.bincount(np.concatenate(still), minlength=len(sifted.moments.rows)) > 0
     moments = chosen_groups(sifted.moments, there)
     noise = reading_noise(sifted.sound, sifted.moments)
     weight, load = np.array(row_weights(campaign))[cycle], np.array(campaign.load_index)[cycle]
