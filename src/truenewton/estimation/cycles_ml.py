@@ -68,7 +68,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     campaign, sound, moments = sifted.campaign, sifted.sound, sifted.moments
     rejected = sifted.rejected
     rows = sum(int(c.valid.sum()) for c in campaign.cycles)
-    refuse(Diagnosis((), 0, structural_faults(sound, moments)))
+    refuse(structural_faults(sound, moments))
     refuse_too_many(len(rejected), rows)
     free = problem_of(campaign, reading_noise(sound, moments))
     belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
@@ -94,7 +94,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     if estimate.diagnosis.undetermined:
         judged = diagnose(sound, moments)
         if 3 * judged.span < problem.n - 1:  # not even without noise
-            refuse(judged)
+            refuse(judged.faults, judged.undetermined)
     return estimate
 
 
@@ -114,7 +114,7 @@ def _fitted(
     except (RankDeficient, NotConverged, TooManyOutliers):
         judged = diagnose(campaign, moments)  # which knows better what is missing
         if not judged.undetermined or not tolerable(judged, problem.n):
-            refuse(judged)
+            refuse(judged.faults, judged.undetermined)
             raise
     for count in range(judged.undetermined, 2 * judged.undetermined + 2):
         patterns = undetermined_patterns(problem, moments, count)
@@ -150,7 +150,7 @@ def estimate_of(
     held: int,
 ) -> Estimate:
     """Put the minimum into the form that all methods share."""
-    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns.count
+    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
     chi2, freedom = minimum.chi2, problem.degrees_of_freedom(moments)
     size = chi2 / freedom if freedom > 0 else float("nan")
     tested = problem.noise.source != NoiseSource.MINIMUM and freedom > 0
@@ -161,19 +161,19 @@ def estimate_of(
         at_declared = load_data(campaign, moments, same, problem.errors)
         declared = chi2_at(problem.a, [at_declared], minimum.values)
     diagnosis = _diagnosis(problem, moments, minimum, held)
-    warnings = weights_warning(minimum.values[unknowns:], len(campaign.loads))
+    warnings = weights_warning(minimum.values[unknowns.weights], len(campaign.loads))
     warnings += zeros_warning(campaign, moments)
     diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
     e_condition = condition(campaign, moments, minimum.reading_covariance)  # while there is room
     return Estimate(
         method=method,
         scale=Scale.WEIGHTS,
-        values=minimum.values[:unknowns],
+        values=minimum.values[: unknowns.count],
         reading_covariance=minimum.reading_covariance,
         systematic_covariance=minimum.changes @ minimum.changes.T,
         noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
         condition=e_condition,
-        rank=unknowns - diagnosis.undetermined,
+        rank=unknowns.count - diagnosis.undetermined,
         diagnosis=diagnosis,
         goodness=Goodness(chi2, freedom, problem.noise.source, probability),
         declared_chi2=declared,

@@ -141,7 +141,7 @@ def find(matrix: StiffnessMatrix) -> Estimate:
     ------
     RankDeficient
     """
-    refuse(Diagnosis((), 0, geometry_faults(enabled_arms(matrix.layout))))
+    refuse(geometry_faults(enabled_arms(matrix.layout)))
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
     (alpha, singular_values), n = balance_modes(modes, a), a.shape[1]
     covariance = mode_covariance(modes, a, alpha, np.eye(3), np.zeros((n, n)))
