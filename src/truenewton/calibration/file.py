@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from truenewton.calibration.result import Calibration
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
@@ -86,6 +87,6 @@ def calibration_from(file: FitsFile) -> Calibration:
     """
     values = file.values(CALIBRATION)
     values["layout"]["enabled"] = np.isfinite(values["alpha"])
-    count = values["alpha"].size + 1 + 2 * values["torque_y"].size
+    count = Unknowns(values["alpha"].size, values["torque_y"].size).count
     file.require_squares(("COVARIANCE", "SYSTEMATIC"), count, "n + 1 + 2 L")
     return file.filled(Calibration, values)

@@ -45,11 +45,11 @@ def weight_errors(campaign: Campaign) -> tuple[WeightError, ...]:
         change = np.where(shared, [load.added_error for load in loads], 0.0) * cosine
         words = f"weight of '{tool}'" if tool else f"added weight of load {name}"
         sources.append(WeightError(words, change))
-    for place, load in enumerate(loads):
+    for load_index, load in enumerate(loads):
         if load.tilt_error > 0:
             change = np.zeros(len(loads))
             total = campaign.weight + load.added
-            change[place] = -total * sine[place] * np.radians(load.tilt_error)
+            change[load_index] = -total * sine[load_index] * np.radians(load.tilt_error)
             sources.append(WeightError(f"tilt of load '{load.name}'", change))
     return tuple(source for source in sources if np.any(source.change))
 
@@ -69,13 +69,18 @@ def scale_errors(
         The errors of the weights.
     """
     direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
-    readings = float(np.sqrt(direction @ reading_covariance @ direction))
-    lines = [ScaleError(READINGS, readings)]
+    lines = [scale_error_from_readings(alpha, reading_covariance)]
     lines += [
         ScaleError(source.source, abs(float(direction @ change)))
         for source, change in zip(sources, changes, strict=True)
     ]
     return tuple(sorted(lines, key=lambda line: -line.relative))
+
+
+def scale_error_from_readings(alpha: Array, reading_covariance: Array) -> ScaleError:
+    """Return the part of the readings, from (n,) alpha and its (n, n) covariance from them."""
+    direction = alpha / (alpha @ alpha)
+    return ScaleError(READINGS, float(np.sqrt(direction @ reading_covariance @ direction)))
 
 
 def scale_total(lines: tuple[ScaleError, ...]) -> float:
@@ -86,17 +91,7 @@ def scale_total(lines: tuple[ScaleError, ...]) -> float:
 def tilt_as_load(weight: float, weight_error: float, tilt: float, tilt_error: float) -> float:
     """Return the relative error of the scale if the mirror's own tilt were the second load.
 
-    The change of weight is P (1 - cos tilt).
-
-    Parameters
-    ----------
-    weight, weight_error
-        P and its standard uncertainty [N].
-    tilt, tilt_error
-        Angle and its standard uncertainty [deg].
+    The change of weight is P (1 - cos tilt); P in N, the tilt in degrees.
     """
-    angle = np.radians(tilt)
-    change = weight * (1 - np.cos(angle))
-    from_weight = weight_error * (1 - np.cos(angle))
-    from_angle = weight * np.sin(angle) * np.radians(tilt_error)
-    return float(np.hypot(from_weight, from_angle) / abs(change))
+    from_angle = np.radians(tilt_error) / np.tan(np.radians(tilt) / 2)
+    return float(np.hypot(weight_error / weight, from_angle))

@@ -174,7 +174,7 @@ def true_stiffness(
             want=FEWEST,
         )
 
-    k = alpha[:, None] * matrix.stiffness[np.ix_(on, on)] / gain
+    k = alpha[:, None] * matrix.used_stiffness / gain
     apart, together = k - k.T, k + k.T
     symmetric = 0.5 * together
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import WeightError, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.reading import read
-from truenewton.records.campaign import Campaign
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.source import UsedSource
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -82,26 +83,25 @@ def known_from(
         name = os.fspath(given)
         file = read_fits(given)
         given = tracking_from(file) if is_tracking_file(file) else _calibration(name)
-    if given.instrument != campaign.instrument or not _same_actuators(
-        given.layout, campaign.layout
-    ):
+    same_instrument = given.instrument == campaign.instrument
+    if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(
-            f"is of {given.instrument}, the run of {campaign.instrument}"
-            if given.instrument != campaign.instrument
-            else "has other actuators than the run",
+            "has other actuators than the run"
+            if same_instrument
+            else f"is of {given.instrument}, the run of {campaign.instrument}",
             remedy="give the calibration of the same mirror",
             path=name,
         )
     n = given.layout.n
     if isinstance(given, Tracking):
-        temperature = run_temperature(campaign)
+        temperature = mean_temperature(campaign.cycles)
         date = campaign.cycles[0].date
         told = temperature if np.isfinite(temperature) else None
         at = given.alpha_at(told, date)
         alpha, whole, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
         temperature = temperature if told is not None else given.temperature
     else:
-        if given.scale == "mean 1":
+        if given.scale == Scale.MEAN_ONE:
             raise FormatError(
                 "gives alpha relative to its mean, so it carries no scale",
                 remedy="give a calibration whose scale comes from weights",
@@ -112,9 +112,8 @@ def known_from(
         loads, sources = given.loads, given.sources
     on = np.isfinite(alpha)
     scale, uneven = _told_apart(alpha[on], systematic_covariance[np.ix_(on, on)])
-    full = np.full((n, uneven.shape[1]), np.nan)
-    full[on] = uneven
-    rest = alpha[:, None] * full
+    uneven = spread(uneven, on)
+    rest = alpha[:, None] * uneven
     return EarlierCalibration(
         name=name,
         instrument=given.instrument,
@@ -122,7 +121,7 @@ def known_from(
         alpha=alpha,
         covariance=whole - systematic_covariance + rest @ rest.T,
         scale=scale,
-        uneven=full,
+        uneven=uneven,
         temperature=temperature,
         loads=loads,
         sources=sources,
@@ -136,16 +135,6 @@ def _calibration(name: str) -> Calibration:
             "is no calibration", remedy="give --known the calibration from before", path=name
         )
     return data
-
-
-def _same_actuators(one: Layout, other: Layout) -> bool:
-    return one.n == other.n and one.same_as(replace(other, enabled=one.enabled))
-
-
-def run_temperature(campaign: Campaign) -> float:
-    """Return the mean temperature of the rows that count [deg C]; NaN where none is recorded."""
-    held = [c.temperature[c.valid] for c in campaign.cycles if c.temperature is not None]
-    return float(np.concatenate(held).mean()) if held else float("nan")
 
 
 def _told_apart(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:
@@ -181,7 +170,7 @@ def shared_errors(
         place = next(k for k, source in enumerate(sources) if tool in source.source)
         scale, change = -scale, sources.pop(place).change - change
     first = WeightError(EARLIER, change)
-    away = run_temperature(campaign) - known.temperature
+    away = mean_temperature(campaign.cycles) - known.temperature
     if abs(away) > SAME_TEMPERATURE:
         # All alphas have changed alike; the earlier scale holds at the earlier temperature.
         sources.append(WeightError("temperature since then", MAGNETS * away * weights))

@@ -8,6 +8,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import leverage
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
@@ -83,7 +84,7 @@ def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
         _plain("e_alpha", "error, all", "", c.error,
                "E_ALPHA: readings and weights together, one sigma."),
     ]  # fmt: skip
-    if c.scale != "mean 1":
+    if c.scale != Scale.MEAN_ONE:
         layers.append(
             _plain("e_syst", "error from weights", "", c.systematic_error,
                    "E_SYST: the errors of the weights, which move all alphas together.")
@@ -154,6 +155,6 @@ def _leverage(c: Calibration) -> Array:
     on = c.layout.enabled
     known = c.diagnosis.leverage if c.diagnosis else ()
     out = np.full(on.size, np.nan)
-    arms = arms_in_units_of_rms(c.layout) * c.alpha[on]
-    out[on] = known or leverage(arms, np.ones(int(on.sum())))
+    scaled_arms = arms_in_units_of_rms(c.layout) * c.alpha[on]
+    out[on] = known or leverage(scaled_arms, np.ones(int(on.sum())))
     return out

@@ -14,9 +14,10 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
+from truenewton.estimation.estimate import Scale
 from truenewton.linalg import factor_of
 from truenewton.reading import read
-from truenewton.records.campaign import Campaign
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -111,7 +112,7 @@ def _calibrated(name: str, campaign: Campaign) -> Day:
 
 def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
     """Split a campaign whose cycles differ by more than 1 K into parts that do not."""
-    means = [_temperature(cycle) for cycle in campaign.cycles]
+    means = [mean_temperature([cycle]) for cycle in campaign.cycles]
     if not (np.isfinite(means).all() and np.ptp(means) > SAME_TEMPERATURE):
         return [(float(np.mean(means)), campaign)]
     parts: list[list[tuple[float, Cycle]]] = []
@@ -125,22 +126,15 @@ def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
     ]
 
 
-def _temperature(cycle: Cycle) -> float:
-    """Return the mean temperature of the rows that count; NaN where there is none."""
-    if cycle.temperature is None:
-        return float("nan")
-    return float(cycle.temperature[cycle.valid].mean())
-
-
 def _refuse_unfit(day: Day) -> None:
     c = day.calibration
-    if c.scale == "mean 1":
+    if c.scale == Scale.MEAN_ONE:
         raise FormatError(
             "gives alpha relative to its mean, in which what is common to all is lost",
             remedy="give calibrations whose scale comes from weights",
             path=day.name,
         )
-    if c.scale == "given" or "recalibrated" in c.method:
+    if c.scale == Scale.GIVEN or "recalibrated" in c.method:
         raise FormatError(
             "was made with an earlier calibration, which it holds over again",
             remedy="give the campaigns themselves, or full calibrations",
@@ -160,8 +154,7 @@ def _refuse_strangers(one: Day, other: Day) -> None:
             got=b.instrument,
             want=a.instrument,
         )
-    same = replace(b.layout, enabled=a.layout.enabled) if a.layout.n == b.layout.n else b.layout
-    if not a.layout.same_as(same):
+    if not a.layout.same_actuators_as(b.layout):
         raise CampaignMismatch(
             f"has other actuators than {one.name}",
             remedy="track one mirror at a time",

@@ -9,8 +9,9 @@ import numpy as np
 import scipy.stats
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread
+from truenewton.arrays import Array, spread, spread_square
 from truenewton.errors import CampaignMismatch, RankDeficient
+from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.tracking.days import (
     SAME_TEMPERATURE,
     YEAR,
@@ -24,7 +25,6 @@ from truenewton.tracking.family import Family, families, fitted_population, stra
 from truenewton.tracking.law import SAME_TIME, DayRecord, Departure, Tracking
 from truenewton.tracking.lines import Lines, fitted_lines, own_scatter
 
-FALSE_ALARM = 0.01  # for the whole mirror
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
 OTHER_UNIT = 0.03  # typical change of alpha beyond its error; 50 K make 0.3 % between actuators
 PATIENCE = 2  # looks behind an actuator that hides another
@@ -174,17 +174,12 @@ def _off_their_lines(
             return lines, tuple(found)
         worst = int(lines.each.argmax())
         chance = float(scipy.stats.chi2.sf(lines.each[worst], lines.each_degrees))
-        mirror = float(_of_mirror(chance, n * (1 + settings.shape[1])))
+        mirror = chance_of_any(chance, n * (1 + settings.shape[1]))
         if mirror >= FALSE_ALARM or scatter[worst]:
             return lines, tuple(found)
         scatter[worst] = own[worst]
         sigmas = float(np.sqrt(lines.each[worst]))
         found.append(Departure(int(ids[worst]), "line", sigmas, mirror))
-
-
-def _of_mirror(chance: float, tests: int) -> float:
-    """Return the chance that any of so many tests comes out as rare (Sidak)."""
-    return float(-np.expm1(tests * np.log1p(-min(chance, 1 - 1e-16))))
 
 
 def _departures(
@@ -207,7 +202,7 @@ def _departures(
         population = fitted_population(y, covariance, which)
         at, sigmas, chance = stranger(y, covariance, which, population)
         effect, place = (int(k[at]) for k in np.nonzero(members))
-        mirror = _of_mirror(chance, tests)
+        mirror = chance_of_any(chance, tests)
         departure = Departure(int(ids[place]), told[effect], sigmas, mirror)
         looked.append((effect, place, departure))
         members[effect, place] = False
@@ -263,7 +258,4 @@ def _spread_three(matrix: Array, values: Array, wanted: list[int], on: NDArray[n
     if wanted[1] > 0:
         j[2 * n + at, at] = values[wanted[1]]
         j[2 * n + at, wanted[1] * n + at] = values[0]
-    kept = np.tile(on, 3)
-    out = np.full((kept.size, kept.size), np.nan)
-    out[np.ix_(kept, kept)] = j @ matrix @ j.T
-    return out
+    return spread_square(j @ matrix @ j.T, np.tile(on, 3))

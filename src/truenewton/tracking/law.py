@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, frozen_array, spread_square
 from truenewton.errors import RankDeficient
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
@@ -188,10 +188,8 @@ class Tracking:
         kept = np.tile(on, 3)
         parts = []
         for whole in (self.covariance, self.systematic_covariance):
-            part = np.full((n, n), np.nan)
             inner = j[np.ix_(on, kept)]
-            part[np.ix_(on, on)] = inner @ whole[np.ix_(kept, kept)] @ inner.T
-            parts.append(part)
+            parts.append(spread_square(inner @ whole[np.ix_(kept, kept)] @ inner.T, on))
         alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
         return AlphaPrediction(alpha, np.sqrt(np.diag(parts[0])), parts[0], parts[1])
 
