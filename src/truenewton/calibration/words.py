@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from truenewton.estimation.diagnosis import ErrorKind
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from truenewton.estimation.diagnosis import RejectedRow
     from truenewton.estimation.stiffness_svd import Imbalance
     from truenewton.records.campaign import Campaign
+
+WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 
 
 def print_summary(calibration: Calibration) -> None:
@@ -93,7 +96,7 @@ def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -
             "probability": c.goodness.probability,
         },
         "scale_errors": [
-            {"source": line.source, "relative": line.relative} for line in c.scale_errors
+            {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
         "imbalance": [
@@ -193,7 +196,7 @@ def scale_limit(c: Calibration) -> Fault | None:
     fault = f"the common scale is known to {percent(total)}, {share} from the {largest.source}"
     remedies = []
     heaviest = max(c.loads, key=lambda load: load.added_error)
-    if largest.source.startswith(("weight of", "added weight")) and heaviest.added_error:
+    if largest.source.kind in WEIGHED and heaviest.added_error:
         better = np.sqrt(total**2 - 0.99 * largest.relative**2)
         finer = 1e3 * heaviest.added_error / 10
         remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")

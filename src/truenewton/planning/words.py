@@ -120,7 +120,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
         "typical_e_stat": typical(found.reading_error, found.alpha),
         "typical_e_syst": typical(found.systematic_error, found.alpha),
         "scale_errors": [
-            {"source": line.source, "relative": line.relative} for line in found.scale_errors
+            {"source": str(line.source), "relative": line.relative} for line in found.scale_errors
         ],
         "actuators": {
             "id": found.layout.id[found.layout.enabled],

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, replace
+from itertools import starmap
 
 import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
-from truenewton.estimation.weights import WeightError, weight_errors
+from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
+from truenewton.estimation.weights import WeightError, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.reading import read
@@ -22,7 +24,7 @@ from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.file import is_tracking_file, tracking_from
 from truenewton.tracking.law import Tracking
 
-EARLIER = "earlier calibration"
+EARLIER = ErrorSource(ErrorKind.EARLIER)
 MAGNETS = -1.1e-3  # [1/K] of NdFeB, the law of a mirror that nobody tracked [lit]
 
 
@@ -173,28 +175,26 @@ def shared_errors(
     takes up. The first of the sources is the earlier scale.
     """
     weights = campaign.effective_weights
-    sources = list(weight_errors(campaign))
-    tool = _shared_tool(known, campaign)
+    errors = {error.source: error.change for error in weight_errors(campaign)}
     scale, change = known.scale, -known.scale * weights
-    if tool is not None:
+    shared = _shared_source(known, campaign)
+    if shared is not None:
         # Alpha is in proportion to the added weight, which is negative.
-        place = next(k for k, source in enumerate(sources) if tool in source.source)
-        scale, change = -scale, sources.pop(place).change - change
-    first = WeightError(EARLIER, change)
+        scale, change = -scale, errors.pop(shared) - change
     away = run_temperature(campaign) - known.temperature
     if abs(away) > SAME_TEMPERATURE:
         # All alphas have changed alike; the earlier scale holds at the earlier temperature.
-        sources.append(WeightError("temperature since then", MAGNETS * away * weights))
-    return (first, *sources), scale
+        errors[ErrorSource(ErrorKind.TEMPERATURE)] = MAGNETS * away * weights
+    return tuple(starmap(WeightError, ({EARLIER: change} | errors).items())), scale
 
 
-def _shared_tool(known: EarlierCalibration, campaign: Campaign) -> str | None:
-    """Return how the run's one source of error is named that made the earlier scale, if any did."""
+def _shared_source(known: EarlierCalibration, campaign: Campaign) -> ErrorSource | None:
+    """Return the run's one source of error that made the earlier scale too, if any did."""
     made = [load for load in known.loads if load.added_error > 0]
     if len(made) != 1 or any(load.tilt for load in known.loads):
         return None
     for load in campaign.loads:
         alike = (load.added, load.added_error) == (made[0].added, made[0].added_error)
         if alike and load.added_error > 0 and made[0].tool in (None, load.tool):
-            return f"'{load.tool or load.name}'"
+            return added_source(load)
     return None
