@@ -12,7 +12,7 @@ import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.recalibration.known import known_from, shared_errors
 from truenewton.statics.load import Load
-from truenewton.tracking.days import Day, covariances
+from truenewton.tracking.days import covariances
 
 NEW = 16  # place of actuator 17
 ONES = np.ones(45)
@@ -27,7 +27,7 @@ def replaced(*pairs):
 
 def earlier(random, scale=0.0):
     """Return an earlier calibration with errors of its own."""
-    reading_covariance = covariances(Day("", pattern()), np.ones(45, dtype=bool))[0]
+    reading_covariance = covariances(pattern(), np.ones(45, dtype=bool))[0]
     off = np.linalg.cholesky(reading_covariance) @ random.standard_normal(45)
     return scaled(
         pattern(), reading_covariance, (quiet_cycles()[1] + off) * (1 + scale), temperature=20.0
@@ -59,9 +59,7 @@ def bound(factor=0.8):
         information += j.T @ inverse @ j
     others = np.flatnonzero(np.arange(45) != NEW)
     at = np.ix_(others, others)
-    information[at] += np.linalg.inv(
-        covariances(Day("", pattern()), np.ones(45, dtype=bool))[0][at]
-    )
+    information[at] += np.linalg.inv(covariances(pattern(), np.ones(45, dtype=bool))[0][at])
     return np.sqrt(np.linalg.inv(information)[NEW, NEW])
 
 

@@ -29,3 +29,10 @@ def spread(values: Array, on: NDArray[np.bool_]) -> Array:
     out = np.full(on.size, np.nan)
     out[on] = values
     return out
+
+
+def spread_square(matrix: Array, on: NDArray[np.bool_]) -> Array:
+    """Put a matrix of the enabled actuators in the order of all, NaN elsewhere."""
+    out = np.full((on.size, on.size), np.nan)
+    out[np.ix_(on, on)] = matrix
+    return out

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread
+from truenewton.arrays import Array, spread, spread_square
 from truenewton.calibration.result import Calibration
 from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import cycle_errors
 from truenewton.estimation.estimate import Estimate
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -203,17 +204,12 @@ def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
         values.setflags(write=False)  # so that the calibration need not copy it
         return values
     rest = len(values) - int(on.sum())
-    kept = np.concatenate([on, np.ones(rest, dtype=bool)])
-    out = np.full((kept.size, kept.size), np.nan)
-    out[np.ix_(kept, kept)] = values
-    return out
+    return spread_square(values, np.append(on, np.ones(rest, dtype=bool)))
 
 
 def _times(campaign: Campaign) -> tuple[datetime.datetime, datetime.datetime, float]:
-    """Return when the rows used begin and end, and their mean temperature."""
+    """Return when the rows used begin and end, and their mean temperature [deg C]."""
     used = [(c, c.time[c.valid]) for c in campaign.cycles if c.valid.any()]
     start = min(c.date for c, _ in used)
     end = max(c.date + datetime.timedelta(seconds=float(time.max())) for c, time in used)
-    temperatures = [c.temperature[c.valid] for c, _ in used if c.temperature is not None]
-    mean = float(np.concatenate(temperatures).mean()) if temperatures else float("nan")
-    return start, end, mean
+    return start, end, mean_temperature(campaign.cycles)

@@ -34,7 +34,7 @@ def run(
     from truenewton.files.outputs import refuse_existing
     from truenewton.tracking.figures import write_tracking_figures
     from truenewton.tracking.fit import track
-    from truenewton.tracking.validity import serves
+    from truenewton.tracking.validity import validity_of
     from truenewton.tracking.words import lines, values
 
     if accuracy is not None and not accuracy > 0:
@@ -43,7 +43,7 @@ def run(
         if target is not None:
             refuse_existing(target, overwrite=overwrite)
     tracking = track(*paths)
-    validity = None if accuracy is None else serves(tracking, accuracy)
+    validity = None if accuracy is None else validity_of(tracking, accuracy)
     written: list[Path] = []
     if output is not None:
         tracking.write(output, overwrite=overwrite)

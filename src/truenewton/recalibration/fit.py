@@ -33,7 +33,6 @@ from truenewton.recalibration.known import (
     EARLIER,
     EarlierCalibration,
     known_from,
-    run_temperature,
     shared_errors,
 )
 from truenewton.recalibration.short_run import (
@@ -45,12 +44,13 @@ from truenewton.recalibration.short_run import (
     with_noise,
 )
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import mean_temperature
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.law import Departure, Tracking
+from truenewton.tracking.family import FALSE_ALARM, family_wise
+from truenewton.tracking.law import Outlier, Tracking
 
-FALSE_ALARM = 0.01  # for the whole mirror
 ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
 MOST = 0.25  # of the actuators that may have moved
 
@@ -79,7 +79,7 @@ class Recalibration:
 
     calibration: Calibration
     asked: tuple[int, ...]
-    moved: tuple[Departure, ...]
+    moved: tuple[Outlier, ...]
     earlier: Array
     chi2: float
     degrees_of_freedom: int
@@ -127,7 +127,7 @@ def recalibrate(
     alpha = np.where(np.isfinite(before.alpha), before.alpha, np.nanmean(before.alpha))[on]
     run = ShortRun(before, sound, errors, alpha, before.covariance[np.ix_(on, on)])
     problem, moments, estimate, lost = sifted(run, moments, new)
-    moved: list[Departure] = []
+    moved: list[Outlier] = []
     stay = ~new
     while True:
         problem = replace(problem, prior=run.problem(problem.noise, run.tight(stay)).prior)
@@ -135,10 +135,10 @@ def recalibrate(
         z, chi2, degrees = pulls(problem, estimate, stay)
         worst = int(np.abs(z).argmax())
         chance = float(2 * scipy.stats.norm.sf(abs(z[worst])))
-        mirror = float(-np.expm1(stay.sum() * np.log1p(-min(chance, 1 - 1e-16))))
+        mirror = family_wise(chance, int(stay.sum()))
         if mirror >= FALSE_ALARM:
             break
-        moved.append(Departure(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
+        moved.append(Outlier(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
         stay[worst] = False
         if len(moved) > MOST * len(stay):
             raise RankDeficient(
@@ -255,7 +255,7 @@ def _limits(run: ShortRun, probability: float) -> tuple[str, ...]:
             "all others together disagree with their earlier calibration, though none stands out:"
             " calibrate anew",
         )
-    then, now = run.known.temperature, run_temperature(run.campaign)
+    then, now = run.known.temperature, mean_temperature(run.campaign.cycles)
     if not (np.isfinite(then) and np.isfinite(now)):
         limits += ("the temperatures are not all known: others may seem to have moved",)
     elif abs(now - then) > SAME_TEMPERATURE:

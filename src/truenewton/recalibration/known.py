@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import starmap
 
 import numpy as np
@@ -17,6 +17,7 @@ from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import mean_temperature
 from truenewton.records.source import UsedSource
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -30,7 +31,7 @@ MAGNETS = -1.1e-3  # [1/K] of NdFeB, the law of a mirror that nobody tracked [li
 
 @dataclass(frozen=True, eq=False)
 class EarlierCalibration:
-    """Alpha as it was, its errors told apart.
+    """Alpha as it was, its error by the weights parted into what is common to all and the rest.
 
     Attributes
     ----------
@@ -84,9 +85,7 @@ def known_from(
         name = os.fspath(given)
         file = read_fits(given)
         given = tracking_from(file) if is_tracking_file(file) else _calibration(name)
-    if given.instrument != campaign.instrument or not _same_actuators(
-        given.layout, campaign.layout
-    ):
+    if given.instrument != campaign.instrument or not given.layout.same_actuators(campaign.layout):
         raise CampaignMismatch(
             f"is of {given.instrument}, the run of {campaign.instrument}"
             if given.instrument != campaign.instrument
@@ -96,12 +95,11 @@ def known_from(
         )
     n = given.layout.n
     if isinstance(given, Tracking):
-        temperature = run_temperature(campaign)
-        date = campaign.cycles[0].date
-        told = temperature if np.isfinite(temperature) else None
-        at = given.alpha_at(told, date)
-        alpha, whole, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
-        temperature = temperature if told is not None else given.temperature
+        temperature = mean_temperature(campaign.cycles)
+        recorded = bool(np.isfinite(temperature))
+        at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
+        alpha, covariance, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
+        temperature = temperature if recorded else given.temperature
     else:
         if given.scale == "mean 1":
             raise FormatError(
@@ -110,21 +108,22 @@ def known_from(
                 path=name,
             )
         alpha, temperature = given.alpha, given.temperature
-        whole, systematic_covariance = given.covariance[:n, :n], given.systematic_covariance[:n, :n]
+        covariance = given.covariance[:n, :n]
+        systematic_covariance = given.systematic_covariance[:n, :n]
         loads, sources = given.loads, given.sources
     on = np.isfinite(alpha)
-    scale, uneven = _told_apart(alpha[on], systematic_covariance[np.ix_(on, on)])
-    full = np.full((n, uneven.shape[1]), np.nan)
-    full[on] = uneven
-    rest = alpha[:, None] * full
+    scale, of_enabled = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
+    uneven = np.full((n, of_enabled.shape[1]), np.nan)
+    uneven[on] = of_enabled
+    rest = alpha[:, None] * uneven
     return EarlierCalibration(
         name=name,
         instrument=given.instrument,
         layout=given.layout,
         alpha=alpha,
-        covariance=whole - systematic_covariance + rest @ rest.T,
+        covariance=covariance - systematic_covariance + rest @ rest.T,
         scale=scale,
-        uneven=full,
+        uneven=uneven,
         temperature=temperature,
         loads=loads,
         sources=sources,
@@ -140,17 +139,7 @@ def _calibration(name: str) -> Calibration:
     return data
 
 
-def _same_actuators(one: Layout, other: Layout) -> bool:
-    return one.n == other.n and one.same_as(replace(other, enabled=one.enabled))
-
-
-def run_temperature(campaign: Campaign) -> float:
-    """Return the mean temperature of the rows that count [deg C]; NaN where none is recorded."""
-    held = [c.temperature[c.valid] for c in campaign.cycles if c.temperature is not None]
-    return float(np.concatenate(held).mean()) if held else float("nan")
-
-
-def _told_apart(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:
+def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:
     """Return the relative error that all share, and the rest as (n, m) relative changes."""
     factor = factor_of(systematic_covariance / np.outer(alpha, alpha))
     mean = factor.mean(axis=0)
@@ -160,8 +149,7 @@ def _told_apart(alpha: Array, systematic_covariance: Array) -> tuple[float, Arra
     turn = np.linalg.qr(np.column_stack([mean / scale, np.eye(len(mean))]))[0]
     turned = factor @ (turn * np.sign(mean @ turn[:, 0]))
     turned[:, 0] -= scale
-    kept = np.abs(turned).max(axis=0) > 1e-6 * scale
-    return scale, np.asarray(turned[:, kept])
+    return scale, np.asarray(turned[:, np.abs(turned).max(axis=0) > 1e-6 * scale])
 
 
 def shared_errors(
@@ -181,7 +169,7 @@ def shared_errors(
     if shared is not None:
         # Alpha is in proportion to the added weight, which is negative.
         scale, change = -scale, errors.pop(shared) - change
-    away = run_temperature(campaign) - known.temperature
+    away = mean_temperature(campaign.cycles) - known.temperature
     if abs(away) > SAME_TEMPERATURE:
         # All alphas have changed alike; the earlier scale holds at the earlier temperature.
         errors[ErrorSource(ErrorKind.TEMPERATURE)] = MAGNETS * away * weights

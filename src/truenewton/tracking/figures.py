@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-STRANGE = "#b2182b"
+OUTLYING = "#b2182b"
 FEW = 100  # actuators, beyond which single points would fill the page
 PERCENT = 1e2
 LABEL = {"temperature": "$k$  (% per K)", "drift": r"$d\,/\,\alpha$  (% per year)"}
@@ -47,7 +47,7 @@ def plot_time(tracking: Tracking, ax: Axes | None = None) -> Axes:
     """Draw how alpha of every actuator drifts, temperature taken out; otherwise as with it."""
     years = np.array([(day.date - tracking.date) / YEAR for day in tracking.days])
     away = np.array([day.temperature - tracking.temperature for day in tracking.days])
-    taken = np.outer(away, tracking.coefficient) if "temperature" in tracking.told else 0.0
+    taken = np.outer(away, tracking.coefficient) if "temperature" in tracking.effects else 0.0
     span = np.ptp(years) * 365.25
     unit, words = (365.25, "days") if span < 730 else (1.0, "years")
     return _plot_law(
@@ -69,7 +69,7 @@ def _plot_law(
     alpha = np.array([day.alpha for day in tracking.days])
     error = PERCENT * np.array([day.error for day in tracking.days]) / tracking.alpha
     y = PERCENT * (alpha / tracking.alpha - 1 - taken)
-    left = _departed(tracking, (effect, "line"))
+    left = _left(tracking, (effect, "line"))
     on = np.isfinite(tracking.alpha)
     reach = 0.06 * np.ptp(x)
     ends = np.array([x.min() - reach, x.max() + reach])
@@ -89,13 +89,13 @@ def _plot_law(
         left_end, right_end = shown(ends)
         ax.set_xlim(left_end, right_end + 0.06 * (right_end - left_end))  # room for names
         order = np.argsort(x)
-        for place in np.flatnonzero(left):
-            ax.plot(shown(ends), PERCENT * slope[place] * ends, color=STRANGE, linewidth=0.6)
-            ax.errorbar(shown(x)[order], y[order, place], yerr=error[order, place], fmt="o",
-                        color=STRANGE, markersize=2.0, elinewidth=0.6, capsize=1.5)  # fmt: skip
-            ax.annotate(str(tracking.layout.id[place]), (shown(ends)[1], PERCENT * slope[place]
+        for one in np.flatnonzero(left):
+            ax.plot(shown(ends), PERCENT * slope[one] * ends, color=OUTLYING, linewidth=0.6)
+            ax.errorbar(shown(x)[order], y[order, one], yerr=error[order, one], fmt="o",
+                        color=OUTLYING, markersize=2.0, elinewidth=0.6, capsize=1.5)  # fmt: skip
+            ax.annotate(str(tracking.layout.id[one]), (shown(ends)[1], PERCENT * slope[one]
                         * ends[1]), xytext=(2, 0), textcoords="offset points", fontsize=6.0,
-                        va="center", color=STRANGE)  # fmt: skip
+                        va="center", color=OUTLYING)  # fmt: skip
         ax.set_xlabel(label)
         ax.set_ylabel(r"change of $\alpha$ (%)")
         ax.set_title("band: family, mean ± 2 spreads", loc="right", fontsize=6.5, color=INK)
@@ -110,7 +110,7 @@ def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes
     Parameters
     ----------
     tracking
-        With the effect told.
+        Whose days determine the effect.
     effect
         'temperature' or 'drift'.
     ax
@@ -119,7 +119,7 @@ def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes
     errors, layout = tracking.errors, tracking.layout
     values = tracking.coefficient if effect == "temperature" else tracking.drift / tracking.alpha
     error = errors[1] if effect == "temperature" else errors[2] / tracking.alpha
-    left = _departed(tracking, (effect, "line"))
+    left = _left(tracking, (effect, "line"))
     family = next(f for f in tracking.families if f.effect == effect)
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.75)
@@ -132,7 +132,7 @@ def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes
         ax.axhspan(*band, color=FAINT, alpha=0.35, linewidth=0)
         ax.axhline(PERCENT * family.mean, color=INK, linewidth=0.8)
         few = layout.n <= FEW
-        for some, colour in ((~left, ACCENT), (left, STRANGE)):
+        for some, colour in ((~left, ACCENT), (left, OUTLYING)):
             at = some[order]
             ax.errorbar(place[at], PERCENT * values[order][at], yerr=PERCENT * error[order][at],
                         fmt="o", color=colour, ecolor=INK if colour == ACCENT else colour,
@@ -144,7 +144,7 @@ def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes
             name = str(layout.id[order][where])
             ax.annotate(name, (place[where], PERCENT * values[order][where]), xytext=(3, 0),
                         textcoords="offset points", fontsize=6.0, va="center",
-                        color=STRANGE)  # fmt: skip
+                        color=OUTLYING)  # fmt: skip
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         ax.margins(y=0.12)
         ax.set_xlabel("actuator, ring by ring from the centre")
@@ -164,15 +164,15 @@ def write_tracking_figures(
     OutputExists, OutputFailed
     """
     figures: dict[str, Callable[[], Axes]] = {}
-    if "temperature" in tracking.told:
+    if "temperature" in tracking.effects:
         figures["track-temperature"] = lambda: plot_temperature(tracking)
         figures["track-family-temperature"] = lambda: plot_family(tracking, "temperature")
-    if "drift" in tracking.told:
+    if "drift" in tracking.effects:
         figures["track-time"] = lambda: plot_time(tracking)
         figures["track-family-drift"] = lambda: plot_family(tracking, "drift")
     return write_drawn(figures, folder, overwrite=overwrite)
 
 
-def _departed(tracking: Tracking, kinds: tuple[str, ...]) -> NDArray[np.bool_]:
-    gone = [one.actuator for one in tracking.departures if one.what in kinds]
+def _left(tracking: Tracking, kinds: tuple[str, ...]) -> NDArray[np.bool_]:
+    gone = [one.actuator for one in tracking.outliers if one.effect in kinds]
     return np.isin(tracking.layout.id, gone)

@@ -13,7 +13,7 @@ from truenewton.files.fits import Sheet, read_fits, write_fits
 from truenewton.records.file import iso
 from truenewton.statics.layout import Layout
 from truenewton.tracking.family import Family
-from truenewton.tracking.law import DayRecord, Departure, Tracking
+from truenewton.tracking.law import DayRecord, Outlier, Tracking
 
 if TYPE_CHECKING:
     from truenewton.files.content import FitsFile
@@ -66,10 +66,10 @@ def write_tracking(
     departures = Sheet(
         "DEPARTURES",
         columns=(
-            ("ID", "J", None, [d.actuator for d in t.departures]),
-            ("EFFECT", "11A", None, [d.what for d in t.departures]),
-            ("SIGMAS", "D", None, [d.sigmas for d in t.departures]),
-            ("CHANCE", "D", None, [d.probability for d in t.departures]),
+            ("ID", "J", None, [d.actuator for d in t.outliers]),
+            ("EFFECT", "11A", None, [d.effect for d in t.outliers]),
+            ("SIGMAS", "D", None, [d.sigmas for d in t.outliers]),
+            ("CHANCE", "D", None, [d.probability for d in t.outliers]),
         ),
     )
     names = [_ascii(day.name) for day in t.days]
@@ -124,8 +124,6 @@ def read_tracking(path: str | os.PathLike[str]) -> Tracking:
 
 def tracking_from(file: FitsFile) -> Tracking:
     """Return what a tracking file holds."""
-    import scipy.stats
-
     law, families, days = (file.table(name) for name in ("TRACKING", "FAMILIES", "DAYS"))
     departures = file.table("DEPARTURES")
     images = {name: file.image(name).values() for name in ("COVARIANCE", "SYSTEMATIC")}
@@ -139,7 +137,6 @@ def tracking_from(file: FitsFile) -> Tracking:
     if not days.rows:
         raise FormatError("DAYS is empty", remedy="track again", path=file.path)
     alpha = law.column("ALPHA")
-    chi2, degrees = file.number("CHI2"), file.integer("DOF")
     temperature = file.optional_number("TEMPERAT")
     numbers = np.array(
         [families.column(name) for name in
@@ -170,10 +167,10 @@ def tracking_from(file: FitsFile) -> Tracking:
         drift=law.column("DRIFT", unit="1/yr"),
         covariance=images["COVARIANCE"],
         systematic_covariance=images["SYSTEMATIC"],
-        told=tuple(family.effect for family in found),
+        effects=tuple(family.effect for family in found),
         families=found,
-        departures=tuple(
-            Departure(int(actuator), str(what).strip(), sigmas, chance)
+        outliers=tuple(
+            Outlier(int(actuator), str(what).strip(), sigmas, chance)
             for actuator, what, sigmas, chance in zip(
                 departures.column("ID", "int"),
                 departures.column("EFFECT", "str"),
@@ -182,9 +179,8 @@ def tracking_from(file: FitsFile) -> Tracking:
                 strict=True,
             )
         ),
-        chi2=chi2,
-        degrees_of_freedom=degrees,
-        probability=float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan"),
+        chi2=file.number("CHI2"),
+        degrees_of_freedom=file.integer("DOF"),
         limits=tuple(str(text).strip() for text in file.table("LIMITS").column("TEXT", "str")),
         days=tuple(
             DayRecord(str(name).strip(), _date(str(date), file.path), temperature, of_day, error)

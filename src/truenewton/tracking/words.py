@@ -40,11 +40,11 @@ def lines(tracking: Tracking, validity: Validity | None) -> list[str]:
         )
     lines += _table(t)
     lines += [
-        f"  LEFT THE FAMILY: actuator {one.actuator}, {_words(one.what)},"
+        f"  LEFT THE FAMILY: actuator {one.actuator}, {_words(one.effect)},"
         f" {abs(one.sigmas):.1f} sigma; {by_chance(one.probability)}"
-        for one in t.departures
+        for one in t.outliers
     ]
-    if not t.departures:
+    if not t.outliers:
         lines.append("  nobody leaves the family (false alarm on at most 1 % of mirrors)")
     if t.probability < 1e-3:
         lines.append(
@@ -60,8 +60,8 @@ def _table(t: Tracking) -> list[str]:
     head = f"  {'actuator':<10}{'alpha':<20}{'k [%/K]':<20}drift [%/yr]"
     rows = [
         f"  {name!s:<10}{with_error(a, ea):<20}"
-        + (f"{with_error(100 * k, 100 * ek):<20}" if "temperature" in t.told else f"{'-':<20}")
-        + (with_error(100 * d / a, 100 * ed / a) if "drift" in t.told else "-")
+        + (f"{with_error(100 * k, 100 * ek):<20}" if "temperature" in t.effects else f"{'-':<20}")
+        + (with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-")
         for name, a, k, d, ea, ek, ed in zip(
             t.layout.id.tolist(), t.alpha.tolist(), t.coefficient.tolist(), t.drift.tolist(),
             *errors.tolist(), strict=True,
@@ -108,9 +108,9 @@ def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
         "instrument": t.instrument,
         "temperature": t.temperature,
         "date": t.date.isoformat(),
-        "told": list(t.told),
+        "effects": list(t.effects),
         "families": [asdict(family) for family in t.families],
-        "departures": [asdict(one) for one in t.departures],
+        "outliers": [asdict(one) for one in t.outliers],
         "chi2": t.chi2,
         "degrees_of_freedom": t.degrees_of_freedom,
         "probability": t.probability,
@@ -125,7 +125,7 @@ def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
         },
     }  # fmt: skip
     if validity is not None:
-        values["serves"] = {
+        values["validity"] = {
             key: value.isoformat() if hasattr(value, "isoformat") else value
             for key, value in asdict(validity).items()
         }
