@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch
-from truenewton.estimation.displaced_rows import common_rest
+from truenewton.estimation.displaced_rows import common_reference
 from truenewton.estimation.moments import campaign_moments, chosen_groups, groups_of, merge
 from truenewton.linalg import mirrored
 from truenewton.records.campaign import Campaign
@@ -144,7 +144,7 @@ def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(owner, orde
 @given(st.permutations(range(6)))
 def test_cycles_with_positions_merge_in_any_order(order):
     campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
-    expected, rest = campaign_moments(campaign), common_rest(campaign)
+    expected, rest = campaign_moments(campaign), common_reference(campaign)
     parts = [campaign_moments(Campaign((campaign.cycles[k],)), rest) for k in order]
     merged = reduce(merge, parts)
     assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
@@ -157,7 +157,7 @@ def test_cycles_with_positions_merge_in_any_order(order):
 def test_rows_with_positions_split_in_any_way_give_the_same(owner, order):
     """Even where a part has but one sign of a shape: its own mean would be no rest."""
     whole, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
-    rest, owner, parts = common_rest(whole), np.reshape(owner, (6, 28)), []
+    rest, owner, parts = common_reference(whole), np.reshape(owner, (6, 28)), []
     for part in order:
         mine = [(c, c.valid & (owner[k] == part)) for k, c in enumerate(whole.cycles)]
         cycles = tuple(replace(c, valid=valid) for c, valid in mine if valid.any())
@@ -175,10 +175,10 @@ def test_rows_with_positions_split_in_any_way_give_the_same(owner, order):
 def test_parts_that_count_from_different_readings_are_not_merged():
     campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
     bare, ring = (Campaign(campaign.cycles[k : k + 3]) for k in (0, 3))
-    with pytest.raises(CampaignMismatch, match=r"different readings; give .* the common_rest"):
+    with pytest.raises(CampaignMismatch, match=r"different readings; give .* the common_reference"):
         merge(campaign_moments(bare), campaign_moments(ring))
     anew, _ = gradients(seed=3, noise=1e-3, offset=1e-5, zeros=1e-5)
-    parts = [campaign_moments(Campaign((c,)), common_rest(anew)) for c in anew.cycles]
+    parts = [campaign_moments(Campaign((c,)), common_reference(anew)) for c in anew.cycles]
     merged, expected = reduce(merge, parts), campaign_moments(anew)
     assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
 

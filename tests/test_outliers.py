@@ -10,7 +10,8 @@ from truenewton.bench.simulated.static import run_cycles
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.cycles_ml import find
-from truenewton.estimation.outliers import against_repeats, squared_distances, standing_out
+from truenewton.estimation.imbalance import squared_distances, standing_out
+from truenewton.estimation.outliers import against_repeats
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
 

@@ -25,14 +25,24 @@ def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
 
 
 def spread(values: Array, on: NDArray[np.bool_]) -> Array:
-    """Put values of the enabled actuators in the order of all, NaN elsewhere."""
-    out = np.full(on.size, np.nan)
+    """Put values of the enabled actuators in the order of all, NaN elsewhere.
+
+    Parameters
+    ----------
+    values
+        (n_enabled, ...), one of each enabled actuator.
+    on
+        (n,) who is enabled.
+    """
+    out = np.full((on.size, *values.shape[1:]), np.nan)
     out[on] = values
     return out
 
 
 def spread_square(matrix: Array, on: NDArray[np.bool_]) -> Array:
-    """Put a matrix of the enabled actuators in the order of all, NaN elsewhere."""
+    """Put a matrix over the enabled in the order of all, as `spread`; itself where all are."""
+    if on.all():
+        return matrix
     out = np.full((on.size, on.size), np.nan)
     out[np.ix_(on, on)] = matrix
     return out

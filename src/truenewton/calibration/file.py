@@ -6,6 +6,7 @@ import numpy as np
 
 from truenewton.calibration.result import Calibration
 from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.records.source import UsedSource
 from truenewton.statics.layout import Layout
@@ -26,7 +27,7 @@ def calibration_from(file: FitsFile) -> Calibration:
         return float("nan") if value is None else value
 
     alpha = table.column("ALPHA")
-    count = alpha.size + 1 + 2 * lines.rows
+    count = Unknowns(alpha.size, lines.rows).count
     images = {name: file.image(name).values() for name in ("COVARIANCE", "SYSTEMATIC")}
     for name, image in images.items():
         if image.shape != (count, count):

@@ -16,8 +16,8 @@ from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import cycle_errors
 from truenewton.estimation.estimate import Estimate
-from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import mean_temperature
+from truenewton.estimation.unknowns import Unknowns
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -85,13 +85,13 @@ def held_out(
 def calibration_of(campaign: Campaign, found: Estimate) -> Calibration:
     """Return what was found of a campaign as a calibration."""
     layout, on = campaign.layout, campaign.layout.enabled
-    n = int(on.sum())
-    torques = found.values[n + 1 :].reshape(-1, 2)
+    unknowns = Unknowns(int(on.sum()), len(campaign.loads))
+    torques = found.values[unknowns.torques].reshape(-1, 2)
     start, end, temperature = _times(campaign)
     lost = [
         sum(row.cycle == place for row in found.rejected) for place in range(len(campaign.cycles))
     ]
-    warnings = found.diagnosis.warnings + _implausible(found.values[:n])
+    warnings = found.diagnosis.warnings + _implausible(found.values[unknowns.alpha])
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
@@ -100,7 +100,7 @@ def calibration_of(campaign: Campaign, found: Estimate) -> Calibration:
         layout=layout,
         loads=campaign.loads,
         cycle_error=spread(cycle_errors(campaign, found.values), on),
-        bias_force=float(found.values[n]),
+        bias_force=float(found.values[unknowns.bias]),
         torque_y=torques[:, 0],
         torque_x=torques[:, 1],
         weight=campaign.weight,
@@ -200,16 +200,15 @@ def _implausible(alpha: Array) -> tuple[Fault, ...]:
 
 def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
     """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
-    if on.all():
-        values.setflags(write=False)  # so that the calibration need not copy it
-        return values
-    rest = len(values) - int(on.sum())
-    return spread_square(values, np.append(on, np.ones(rest, dtype=bool)))
+    rest = np.ones(len(values) - int(on.sum()), dtype=bool)
+    out = spread_square(values, np.concatenate([on, rest]))
+    out.setflags(write=False)  # so that the calibration need not copy it
+    return out
 
 
 def _times(campaign: Campaign) -> tuple[datetime.datetime, datetime.datetime, float]:
-    """Return when the rows used begin and end, and their mean temperature [deg C]."""
-    used = [(c, c.time[c.valid]) for c in campaign.cycles if c.valid.any()]
-    start = min(c.date for c, _ in used)
-    end = max(c.date + datetime.timedelta(seconds=float(time.max())) for c, time in used)
-    return start, end, mean_temperature(campaign.cycles)
+    """Return when the rows used begin and end, and their mean temperature."""
+    cycles = campaign.cycles
+    start = min(c.date for c in cycles)
+    end = max(c.date + datetime.timedelta(seconds=float(c.time[c.valid].max())) for c in cycles)
+    return start, end, mean_temperature(cycles)

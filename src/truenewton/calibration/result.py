@@ -12,6 +12,7 @@ import numpy as np
 from truenewton.arrays import Array, frozen_array
 from truenewton.errors import FormatError
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.fits import Sheet, ascii_text, write_fits
 from truenewton.records.file import iso
 from truenewton.records.source import UsedSource, sources_sheet
@@ -136,13 +137,14 @@ class Calibration:
     @property
     def bias_force_error(self) -> float:
         """Standard uncertainty of B [N]."""
-        n = self.layout.n
-        return float(np.sqrt(self.covariance[n, n])) if self.loads else float("nan")
+        bias = Unknowns(self.layout.n, len(self.loads)).bias
+        return float(np.sqrt(self.covariance[bias, bias])) if self.loads else float("nan")
 
     @property
     def torque_errors(self) -> Array:
         """(L, 2) standard uncertainties of M_y and M_x [N m]."""
-        variances = np.diag(self.covariance)[self.layout.n + 1 :]
+        unknowns = Unknowns(self.layout.n, len(self.loads))
+        variances = np.diag(self.covariance)[unknowns.torques]
         return np.asarray(np.sqrt(variances).reshape(-1, 2))
 
     @property

@@ -9,6 +9,7 @@ from scipy.linalg.lapack import dpocon, dpotrf
 
 from truenewton.arrays import Array
 from truenewton.estimation.systems import system_c
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import enabled_arms, external_load
@@ -22,7 +23,9 @@ def cycle_errors(campaign: Campaign, solution: Array) -> Array:
     """
     a = enabled_arms(campaign.layout)
     n = a.shape[1]
-    bias_force, torques = float(solution[n]), solution[n + 1 :].reshape(-1, 2)
+    unknowns = Unknowns(n, len(campaign.loads))
+    bias_force = float(solution[unknowns.bias])
+    torques = solution[unknowns.torques].reshape(-1, 2)
     weights = campaign.effective_weights.tolist()
     alphas = []
     for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):

@@ -42,10 +42,10 @@ from truenewton.estimation.problem import (
 )
 from truenewton.estimation.stiffness_ml import population_spread
 from truenewton.estimation.undetermined import (
-    drowned_patterns,
-    held_even,
     tolerable,
-    with_unknown_patterns,
+    undetermined_patterns,
+    with_patterns_held,
+    with_undetermined_patterns,
 )
 from truenewton.estimation.weights import scale_errors
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
@@ -84,7 +84,7 @@ def find(campaign: Campaign, population: bool = False) -> Estimate:
         moments = chosen_groups(moments, kept)
     problem, estimate = with_noise_from_minimum(problem, moments, estimate)
     if patterns.size:
-        estimate = with_unknown_patterns(estimate, patterns)
+        estimate = with_undetermined_patterns(estimate, patterns)
     method = "ml"
     if population:
         covariance = estimate.reading_covariance[: problem.n, : problem.n]
@@ -119,9 +119,9 @@ def _fitted(
             refuse(judged)
             raise
     for count in range(judged.undetermined, 2 * judged.undetermined + 2):
-        patterns = drowned_patterns(problem, moments, count)
+        patterns = undetermined_patterns(problem, moments, count)
         try:
-            return *fitted_groups(held_even(problem, patterns), moments), patterns
+            return *fitted_groups(with_patterns_held(problem, patterns), moments), patterns
         except (RankDeficient, NotConverged):
             continue
     fault, remedy = judged.faults[0]
@@ -152,7 +152,7 @@ def found_of(
     held: int,
 ) -> Estimate:
     """Put the estimate into the form that all methods share."""
-    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
+    campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns.count
     chi2, freedom = estimate.chi2, problem.degrees_of_freedom(moments)
     size = chi2 / freedom if freedom > 0 else float("nan")
     tested = problem.noise.source != "minimum" and freedom > 0

@@ -21,7 +21,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 
 
-def common_rest(campaign: Campaign) -> Array:
+def common_reference(campaign: Campaign) -> Array:
     """Return (n,) the readings from which the displacements of a campaign count [m].
 
     NaN for a sensor whose zero was set anew, so that it counts from the mean of each cycle; all
@@ -31,10 +31,10 @@ def common_rest(campaign: Campaign) -> Array:
     if not displaced:
         return np.full(int(campaign.layout.enabled.sum()), np.nan)
     whole = [cycle for cycle in displaced if cycle.knows_rest] or displaced
-    rest = np.array([cycle.rest_position for cycle in whole])
+    reference = np.array([cycle.rest_position for cycle in whole])
     stroke = np.sqrt(np.mean([cycle.stroke**2 for cycle in whole], axis=0))
-    common = rest[0] + (rest - rest[0]).mean(axis=0)  # equal ones to the last digit
-    anew = (np.abs(rest - common) > stroke).any(axis=0)
+    common = reference[0] + (reference - reference[0]).mean(axis=0)  # equal ones to the last digit
+    anew = (np.abs(reference - common) > stroke).any(axis=0)
     return np.where(anew | (anew.mean() > 0.5), np.nan, common)
 
 
@@ -54,8 +54,8 @@ class BalancedRows:
     a
         (3, n) arms of its enabled actuators.
     reference
-        (n,) readings from which displacements count [m], of `common_rest`; NaN where they count
-        from the mean of the cycle.
+        (n,) readings from which displacements count [m], of `common_reference`; NaN where they
+        count from the mean of the cycle.
     """
 
     cycle: Cycle
@@ -68,13 +68,13 @@ class BalancedRows:
         force = cycle.used(cycle.force, rows)
         if cycle.position is None or not is_displaced(cycle):
             return force, None
-        z = cycle.used(cycle.position, rows) - self.flat
+        z = cycle.used(cycle.position, rows) - self.cycle_reference
         coil, bias = cycle.coil_gradient or 0.0, cycle.bias_gradient or 0.0
         return force * (1.0 + coil * z), bias * z @ self.a.T
 
     @cached_property
-    def flat(self) -> Array:
-        """(n,) readings that are no displacement [m]."""
+    def cycle_reference(self) -> Array:
+        """(n,) ``reference``, that of the cycle itself where it is NaN [m]."""
         anew = np.isnan(self.reference)
         if not anew.any():
             return self.reference
@@ -83,36 +83,49 @@ class BalancedRows:
 
 @dataclass(frozen=True, eq=False)
 class DistinctRows:
-    """Rows of a cycle in none of which a group stands twice, in the order of their groups."""
+    """Rows of a cycle in none of which a group stands twice, in the order of their groups.
+
+    Attributes
+    ----------
+    rows
+        All rows of the cycle that count.
+    row_index, group
+        (m,) which of them these are, and the group of each.
+    weight
+        Of a row.
+    """
 
     rows: BalancedRows
-    some: NDArray[np.int64]
+    row_index: NDArray[np.int64]
     group: NDArray[np.int64]
     weight: float
 
     @cached_property
-    def inorder(self) -> bool:
+    def consecutive(self) -> bool:
         """Whether the rows follow each other."""
-        return bool((np.diff(self.some) == 1).all())
+        return bool((np.diff(self.row_index) == 1).all())
 
     def within(
         self, block: slice
     ) -> tuple[slice | NDArray[np.int64], Array, Array | None, float] | None:
-        """Return where in a block of groups rows stand, and the rows; None where none does."""
+        """Return where in a block of groups rows stand, and the rows; None where none does.
+
+        Force and balance as `BalancedRows.at`, and the weight of a row.
+        """
         first, end = self.group.searchsorted((block.start, block.stop)).tolist()
         if first == end:
             return None
         whole = end - first == block.stop - block.start
-        at = slice(None) if whole else self.group[first:end] - block.start
-        some = self.some[first:end]
-        force, balance = self.rows.at(slice(some[0], some[-1] + 1) if self.inorder else some)
-        return at, force, balance, self.weight
+        in_block = slice(None) if whole else self.group[first:end] - block.start
+        index = self.row_index[first:end]
+        force, balance = self.rows.at(slice(index[0], index[-1] + 1) if self.consecutive else index)
+        return in_block, force, balance, self.weight
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     """Yield sets of rows in none of which a group stands twice; mostly one set of all rows."""
-    rest = np.argsort(group, kind="stable")
-    while rest.size:
-        first = np.concatenate([[True], np.diff(group[rest]) > 0])
-        yield rest[first]
-        rest = rest[~first]
+    left = np.argsort(group, kind="stable")
+    while left.size:
+        first = np.concatenate([[True], np.diff(group[left]) > 0])
+        yield left[first]
+        left = left[~first]

@@ -7,8 +7,8 @@ their number, sum and second moment: one symmetric rank-k update by BLAS.
 
 Where POSITION and the gradients are given, c becomes c (1 + COILGRAD z), and the bias magnets'
 change BIASGRAD z is kept as a known part of the balance (docs/files.md). Displacements count from
-one reading of each sensor for the whole campaign (`balanced_rows.common_rest`): parts of one that
-shall merge must be given it.
+one reading of each sensor for the whole campaign (`displaced_rows.common_reference`): parts of one
+that shall merge must be given it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,12 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
-from truenewton.estimation.displaced_rows import BalancedRows, DistinctRows, common_rest, distinct
+from truenewton.estimation.displaced_rows import (
+    BalancedRows,
+    DistinctRows,
+    common_reference,
+    distinct,
+)
 from truenewton.estimation.shape_sums import ShapeSums, shape_sums
 from truenewton.files.stored_rows import BLOCK_BYTES
 from truenewton.linalg import ROWS_AT_ONCE
@@ -123,11 +128,11 @@ def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Mome
     campaign
         The campaign, or a part of it.
     reference
-        (n,) readings from which displacements count [m]: of a part `common_rest` of the whole
+        (n,) readings from which displacements count [m]: of a part `common_reference` of the whole
         campaign, else no `merge` can be exact; that of ``campaign`` unless told. Where it is NaN,
         a part must hold whole cycles.
     """
-    reference = common_rest(campaign) if reference is None else reference
+    reference = common_reference(campaign) if reference is None else reference
     a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
     names = [
         np.column_stack([np.full(int(c.valid.sum()), place), c.shape[c.valid], c.sign[c.valid]])
@@ -228,7 +233,7 @@ def merge(one: Moments, other: Moments) -> Moments:
     if not np.array_equal(one.reference, other.reference, equal_nan=True):
         raise CampaignMismatch(
             "the displacements of the two parts count from different readings",
-            remedy="give campaign_moments of every part the common_rest of the whole campaign",
+            remedy="give campaign_moments of every part the common_reference of the whole campaign",
         )
     loads = tuple({load.key: load for load in (*one.loads, *other.loads)}.values())
     loads = tuple(sorted(loads, key=lambda load: (load.added != 0.0, load.tilt != 0.0, load.key)))

@@ -33,12 +33,12 @@ from truenewton.estimation.moments import (
     groups_of,
     row_weights,
 )
+from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms
 
 Fit = TypeVar("Fit")
-FALSE_ALARM = 0.01  # for the whole campaign
 MOST = 0.3  # of the rows; beyond this the campaign is refused
 MEDIAN_ROWS = 200
 QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
@@ -173,18 +173,6 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
             raise _too_many(lost, lost, f" in {cycles[k]!r}")
         cycles[k] = replace(cycles[k], valid=valid)
     return Campaign(tuple(cycles))
-
-
-def squared_distances(rho: Array, weight: Array, s: Array) -> Array:
-    """Return (g,) r rho' S^-1 rho of (g, 3) imbalances with (g,) weights r."""
-    return np.asarray(weight * np.einsum("gk,gk->g", rho, np.linalg.solve(s, rho.T).T))
-
-
-def standing_out(rho: Array, arms: Array, s: Array) -> NDArray[np.int64]:
-    """Return (g,) the actuator whose reading alone would best explain each imbalance."""
-    weighed = np.linalg.solve(s, arms)
-    pull = (rho @ weighed) ** 2 / np.einsum("kn,kn->n", arms, weighed)
-    return np.asarray(pull.argmax(axis=1))
 
 
 def against_balance(

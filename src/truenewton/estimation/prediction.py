@@ -20,7 +20,7 @@ from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import Problem, posed
 from truenewton.estimation.shape_sums import ShapeSums
-from truenewton.estimation.undetermined import held_even, tolerable
+from truenewton.estimation.undetermined import tolerable, with_patterns_held
 from truenewton.estimation.weights import scale_errors
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign
@@ -124,12 +124,12 @@ def predict(
     alpha = np.ones(n) if alpha is None else alpha
     values = _true_values(problem, moments, alpha)
     if free:
-        problem = held_even(problem, alpha[:, None] / np.linalg.norm(alpha))
+        problem = with_patterns_held(problem, alpha[:, None] / np.linalg.norm(alpha))
     of_loads, *elastic = problem.data(moments)
     data = [replace(of_loads, sums=_repeated(of_loads.sums, cycles)), *elastic]
-    estimate = expected(problem.a, data, problem.prior, values)
-    reading_covariance, changes = estimate.reading_covariance[:n, :n], estimate.changes[:n]
-    undetermined = patterns_near_noise(estimate, of_loads.sums.shapes)
+    minimum = expected(problem.a, data, problem.prior, values)
+    reading_covariance, changes = minimum.reading_covariance[:n, :n], minimum.changes[:n]
+    undetermined = patterns_near_noise(minimum, of_loads.sums.shapes)
     value, vector = largest_eigenvalue(reading_covariance)
     return Prediction(
         layout=campaign.layout,
@@ -151,9 +151,12 @@ def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
     sums = moments.sums
     mean = sums.force / sums.weight[:, None]
     k = -(mean * alpha) @ problem.a.T  # (W + B, M_y, -M_x) of each load
-    bias = np.mean(k[:, 0] - problem.campaign.effective_weights)
-    torques = (k[:, 1:] * [1.0, -1.0]).ravel()
-    return np.concatenate([alpha, [bias], torques, np.zeros(len(problem.errors))])
+    unknowns = problem.unknowns
+    values = np.zeros(unknowns.total)
+    values[unknowns.alpha] = alpha
+    values[unknowns.bias] = np.mean(k[:, 0] - problem.campaign.effective_weights)
+    values[unknowns.torques] = (k[:, 1:] * [1.0, -1.0]).ravel()
+    return values
 
 
 def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
@@ -170,7 +173,7 @@ def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
 
 
 def _warn_of_undetermined(undetermined: int, n: int) -> tuple[Fault, ...]:
-    """Warn of patterns that will drown, and of a campaign that will be refused for it."""
+    """Warn of patterns that noise will decide, and of a campaign that will be refused for it."""
     if not undetermined:
         return ()
     patterns = "pattern of alpha stands" if undetermined == 1 else "patterns of alpha stand"

@@ -19,8 +19,8 @@ from truenewton.estimation.stiffness_svd import (
     balance_modes,
     comparable_arms,
     elastic_modes,
-    found_from,
     mode_covariance,
+    relative_estimate,
 )
 from truenewton.estimation.systems import balance_rows
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -72,10 +72,10 @@ def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit
     RankDeficient, NotConverged
     """
     start = balance_modes(modes, a)
-    found = _at_spread(modes, a, np.inf, start)
+    fit = _at_spread(modes, a, np.inf, start)
     if not population:
-        return found
-    return _at_spread(modes, a, population_spread(found.alpha, found.covariance), start)
+        return fit
+    return _at_spread(modes, a, population_spread(fit.alpha, fit.covariance), start)
 
 
 def _at_spread(modes: Array, a: Array, spread: float, start: ElasticSolution) -> ElasticFit:
@@ -88,8 +88,8 @@ def _at_spread(modes: Array, a: Array, spread: float, start: ElasticSolution) ->
         # Elastic forces leave the scale free, so nothing but this holds the mean at 1.
         scale = float(np.sum(start.singular_values**2)) / variance
         prior = population_prior(n, spread, scale)
-        estimate = minimise(a, [mode_data(modes, variance)], prior, values)
-        size, values = estimate.chi2 / freedom, estimate.values / estimate.values.mean()
+        minimum = minimise(a, [mode_data(modes, variance)], prior, values)
+        size, values = minimum.chi2 / freedom, minimum.values / minimum.values.mean()
         if abs(size - 1.0) < 1e-6 or variance * size < least:
             break
         variance *= size
@@ -126,10 +126,10 @@ def population_spread(alpha: Array, covariance: Array) -> float:
         total = np.exp(2 * log_spread) + np.maximum(values, 0.0)
         return float(0.5 * np.sum(np.log(total) + projected / total))
 
-    found = scipy.optimize.minimize_scalar(
+    likeliest_log = scipy.optimize.minimize_scalar(
         minus_log_likelihood, bounds=(np.log(1e-5), np.log(1.0)), method="bounded"
-    )
-    return float(np.exp(found.x))
+    ).x
+    return float(np.exp(likeliest_log))
 
 
 def find(matrix: StiffnessMatrix, population: bool) -> Estimate:
@@ -142,4 +142,4 @@ def find(matrix: StiffnessMatrix, population: bool) -> Estimate:
     refuse(Diagnosis((), 0, geometry_faults(enabled_arms(matrix.layout))))
     fit = likeliest(elastic_modes(matrix), comparable_arms(matrix), population=population)
     method = f"ml, population {fit.spread:.2g}" if population else "ml"
-    return found_from(matrix, method, fit.alpha, fit.covariance, fit.start.singular_values)
+    return relative_estimate(matrix, method, fit.alpha, fit.covariance, fit.start.singular_values)

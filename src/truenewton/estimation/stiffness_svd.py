@@ -162,10 +162,10 @@ def find(matrix: StiffnessMatrix) -> Estimate:
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
     solved, n = balance_modes(modes, a), a.shape[1]
     covariance = mode_covariance(modes, a, solved.alpha, np.eye(3), np.zeros((n, n)))
-    return found_from(matrix, "svd", solved.alpha, covariance, solved.singular_values)
+    return relative_estimate(matrix, "svd", solved.alpha, covariance, solved.singular_values)
 
 
-def found_from(
+def relative_estimate(
     matrix: StiffnessMatrix, method: str, alpha: Array, covariance: Array, singular_values: Array
 ) -> Estimate:
     """Put a relative alpha into the form that all methods share."""

@@ -74,14 +74,25 @@ def scale_errors(
     sources
         The errors of the weights.
     """
-    direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
-    readings = float(np.sqrt(direction @ reading_covariance @ direction))
-    lines = [ScaleError(READINGS, readings)]
+    direction = _common_change(alpha)
+    lines = [scale_error_from_readings(alpha, reading_covariance)]
     lines += [
         ScaleError(source.source, abs(float(direction @ change)))
         for source, change in zip(sources, changes, strict=True)
     ]
     return tuple(sorted(lines, key=lambda line: -line.relative))
+
+
+def scale_error_from_readings(alpha: Array, reading_covariance: Array) -> ScaleError:
+    """Return the part of the readings, from (n,) alpha and its (n, n) covariance from them."""
+    direction = _common_change(alpha)
+    error = float(np.sqrt(direction @ reading_covariance @ direction))
+    return ScaleError(READINGS, error)
+
+
+def _common_change(alpha: Array) -> Array:
+    """Return (n,) weights that take e from a relative change of all, alpha -> alpha (1 + e)."""
+    return np.asarray(alpha / (alpha @ alpha))
 
 
 def scale_total(lines: tuple[ScaleError, ...]) -> float:

@@ -25,9 +25,11 @@ from truenewton.estimation.diagnosis import Goodness, RejectedRow, ScaleError
 from truenewton.estimation.identifiability import geometry_faults
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
+from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.estimation.outliers import against_repeats
 from truenewton.estimation.problem import Problem
-from truenewton.estimation.weights import READINGS
+from truenewton.estimation.unknowns import Unknowns
+from truenewton.estimation.weights import scale_error_from_readings
 from truenewton.reading import read
 from truenewton.recalibration.known import (
     EARLIER,
@@ -43,12 +45,10 @@ from truenewton.recalibration.short_run import (
     sifted,
     with_noise,
 )
-from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import mean_temperature
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.family import FALSE_ALARM, family_wise
 from truenewton.tracking.law import Outlier, Tracking
 
 ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
@@ -135,7 +135,7 @@ def recalibrate(
         z, chi2, degrees = pulls(problem, estimate, stay)
         worst = int(np.abs(z).argmax())
         chance = float(2 * scipy.stats.norm.sf(abs(z[worst])))
-        mirror = family_wise(chance, int(stay.sum()))
+        mirror = chance_of_any(chance, int(stay.sum()))
         if mirror >= FALSE_ALARM:
             break
         moved.append(Outlier(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
@@ -147,7 +147,7 @@ def recalibrate(
                 got=len(moved),
                 want=MOST * len(stay),
             )
-    problem, _, estimate = with_noise(problem, moments, estimate)
+    problem, estimate = with_noise(problem, moments, estimate)
     calibration = _calibration(run, problem, moments, estimate, (*rejected, *lost), scale, stay)
     probability = float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan")
     return Recalibration(
@@ -194,7 +194,7 @@ def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
     faults = geometry_faults(enabled_arms(campaign.layout))
     if faults:
         raise RankDeficient(faults[0][0], remedy=faults[0][1])
-    wanted = new + 1 + 2 * len(campaign.loads)
+    wanted = Unknowns(new, len(campaign.loads)).count
     if 3 * len(moments.rows) <= wanted:
         raise RankDeficient(
             f"there are too few shapes: {len(moments.rows)} for {new} new actuators, bias and"
@@ -216,7 +216,7 @@ def _calibration(
 ) -> Calibration:
     """Return an ordinary calibration, the error of the earlier scale common to all."""
     known, campaign = run.known, run.campaign
-    n, count = problem.n, problem.unknowns
+    n, count = problem.n, problem.unknowns.count
     inverse = inverse_of(problem, estimate)
     values = estimate.values[:count]
     changes = estimate.changes.copy()
@@ -231,9 +231,8 @@ def _calibration(
     tested = problem.noise.source != "minimum"
     probability = float(scipy.stats.chi2.sf(estimate.chi2, degrees)) if tested else float("nan")
     size = estimate.chi2 / degrees
-    direction = values[:n] / (values[:n] @ values[:n])
-    readings = float(np.sqrt(direction @ reading_covariance[:n, :n] @ direction))
-    budget = (ScaleError(READINGS, readings), ScaleError(EARLIER, known.scale))
+    by_readings = scale_error_from_readings(values[:n], reading_covariance[:n, :n])
+    budget = (by_readings, ScaleError(EARLIER, known.scale))
     found = replace(
         found,
         scale="given" if run.held else "weights",

@@ -8,7 +8,7 @@ from itertools import starmap
 
 import numpy as np
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
@@ -16,8 +16,7 @@ from truenewton.estimation.weights import WeightError, added_source, weight_erro
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.reading import read
-from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import mean_temperature
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.source import UsedSource
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -85,11 +84,12 @@ def known_from(
         name = os.fspath(given)
         file = read_fits(given)
         given = tracking_from(file) if is_tracking_file(file) else _calibration(name)
-    if given.instrument != campaign.instrument or not given.layout.same_actuators(campaign.layout):
+    same_instrument = given.instrument == campaign.instrument
+    if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(
-            f"is of {given.instrument}, the run of {campaign.instrument}"
-            if given.instrument != campaign.instrument
-            else "has other actuators than the run",
+            "has other actuators than the run"
+            if same_instrument
+            else f"is of {given.instrument}, the run of {campaign.instrument}",
             remedy="give the calibration of the same mirror",
             path=name,
         )
@@ -112,9 +112,8 @@ def known_from(
         systematic_covariance = given.systematic_covariance[:n, :n]
         loads, sources = given.loads, given.sources
     on = np.isfinite(alpha)
-    scale, of_enabled = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
-    uneven = np.full((n, of_enabled.shape[1]), np.nan)
-    uneven[on] = of_enabled
+    scale, uneven = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
+    uneven = spread(uneven, on)
     rest = alpha[:, None] * uneven
     return EarlierCalibration(
         name=name,

@@ -11,7 +11,7 @@ and q_i over its standard deviation is standard normal unless actuator i has mov
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -23,9 +23,14 @@ from truenewton.estimation.cycles_ml import fitted_groups
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.minimum import Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
-from truenewton.estimation.noise import Noise, least_variance, reading_noise
+from truenewton.estimation.noise import Noise, reading_noise
 from truenewton.estimation.outliers import refuse_too_many, rows_of
-from truenewton.estimation.problem import Problem, with_share_in_balance
+from truenewton.estimation.problem import (
+    Problem,
+    with_noise_from_minimum,
+    with_share_in_balance,
+)
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
@@ -55,13 +60,13 @@ class ShortRun:
 
     def problem(self, noise: Noise, information: Array) -> Problem:
         """Pose the problem with (n, n) information on alpha."""
-        n, errors = len(self.alpha), len(self.errors)
-        count = n + 1 + 2 * len(self.campaign.loads) + errors
-        mean = np.zeros(count)
-        mean[:n] = self.alpha
+        errors = len(self.errors)
+        unknowns = Unknowns(len(self.alpha), len(self.campaign.loads), errors)
+        mean = np.zeros(unknowns.total)
+        mean[unknowns.alpha] = self.alpha
         prior = Prior(mean, information, errors, self.held)
-        arms = enabled_arms(self.campaign.layout)
-        return Problem(self.campaign, arms, self.errors, noise, prior, ())
+        a = enabled_arms(self.campaign.layout)
+        return Problem(self.campaign, a, self.errors, noise, prior, ())
 
     def tight(self, stay: NDArray[np.bool_]) -> Array:
         """Return the information of the earlier calibration on those who stay."""
@@ -101,7 +106,8 @@ def sifted(
         lost = rows_of(run.campaign, moments, ~kept, distance, actuator)
         refuse_too_many(len(lost), int(moments.rows.sum()))
         moments = chosen_groups(moments, kept)
-    return *with_noise(problem, moments, estimate), lost
+    problem, estimate = with_noise(problem, moments, estimate)
+    return problem, moments, estimate, lost
 
 
 def inverse_of(problem: Problem, estimate: Minimum) -> Array:
@@ -118,20 +124,13 @@ def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
     return 3 * moments.groups - free + from_prior
 
 
-def with_noise(
-    problem: Problem, moments: Moments, estimate: Minimum
-) -> tuple[Problem, Moments, Minimum]:
+def with_noise(problem: Problem, moments: Moments, minimum: Minimum) -> tuple[Problem, Minimum]:
     """Give the noise its size from the minimum where nothing else does."""
-    for _ in range(20):
-        if problem.noise.source != "minimum":
-            break
-        size = estimate.chi2 / max(degrees_of(problem, moments, inverse_of(problem, estimate)), 1.0)
-        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
-        if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
-            break
-        problem = replace(problem, noise=Noise(variance, "minimum"))
-        estimate = problem.fitted(moments, estimate.values)
-    return problem, moments, estimate
+
+    def degrees(problem: Problem, minimum: Minimum) -> float:
+        return degrees_of(problem, moments, inverse_of(problem, minimum))
+
+    return with_noise_from_minimum(problem, moments, minimum, degrees)
 
 
 def pulls(problem: Problem, estimate: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:

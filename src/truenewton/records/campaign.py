@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
@@ -111,6 +113,12 @@ class Campaign:
         return effective_weight(
             self.weight, [load.added for load in self.loads], [load.tilt for load in self.loads]
         )
+
+
+def mean_temperature(cycles: Iterable[Cycle]) -> float:
+    """Return the mean over all rows that count [deg C]; NaN where none is recorded."""
+    recorded = [c.temperature[c.valid] for c in cycles if c.temperature is not None]
+    return float(np.concatenate(recorded).mean()) if recorded else float("nan")
 
 
 def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -237,9 +237,3 @@ class Cycle:
         rest, mean = sums / counted.sum(axis=1)[:, None]
         square = square / self._paired.size - 2.0 * rest * mean + rest**2
         return first + rest, np.sqrt(np.maximum(square, 0.0))
-
-
-def mean_temperature(cycles: Iterable[Cycle]) -> float:
-    """Return the mean temperature of the rows that count [deg C]; NaN where none is recorded."""
-    recorded = [c.temperature[c.valid] for c in cycles if c.temperature is not None]
-    return float(np.concatenate(recorded).mean()) if recorded else float("nan")

@@ -13,12 +13,10 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch
+from truenewton.estimation.multiple_tests import FALSE_ALARM
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-FALSE_ALARM = 0.01  # for all actuators together
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from truenewton.errors import GeometryError
 from truenewton.estimation.cycles_svd import SingularSolution, solve
 from truenewton.estimation.identifiability import geometry_faults
 from truenewton.estimation.systems import system_c, system_e
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.mirrors.known import Mirror
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
@@ -135,12 +136,12 @@ def _proof_c(
 def _proof_e(
     mirror: Mirror, patterns: list[Array], a: Array, truth: Array, matrix: str, loaded: bool
 ) -> Proof:
-    n = a.shape[1]
-    bias, torques = truth[n], truth[n + 1 :].reshape(2, 2)
+    unknowns = Unknowns(a.shape[1], 2)
+    bias, torques = truth[unknowns.bias], truth[unknowns.torques].reshape(2, 2)
     cycles = []
     for added, torque, pattern in zip((0.0, mirror.added_weight), torques, patterns, strict=True):
         k = external_load(mirror.weight + added, bias, *torque)
-        c = balanced_forces(pattern, a, k) / truth[:n]
+        c = balanced_forces(pattern, a, k) / truth[unknowns.alpha]
         cycles.append(_cycle(mirror, added, c))
     found = solve(*system_e(Campaign(tuple(cycles)), a))
     return _proof("E", matrix, loaded, found, truth)

@@ -16,8 +16,8 @@ from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
 from truenewton.linalg import factor_of
 from truenewton.reading import read
-from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle, mean_temperature
+from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 Given = Calibration | Campaign | str | os.PathLike[str]
@@ -154,7 +154,7 @@ def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None
             got=b.instrument,
             want=a.instrument,
         )
-    if not a.layout.same_actuators(b.layout):
+    if not a.layout.same_actuators_as(b.layout):
         raise CampaignMismatch(
             f"has other actuators than {one.name}",
             remedy="track one mirror at a time",

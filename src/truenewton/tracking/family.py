@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged
 
-FALSE_ALARM = 0.01  # for the whole mirror
 STEPS = 200
 TWO_SIDED = 0.95
 GRID = 25  # spreads over which a chance is averaged
@@ -217,8 +216,3 @@ def most_outlying(
     chance = float(weight @ (2 * scipy.stats.norm.sf(np.abs(deviation))) / weight.sum())
     sigmas = float(np.sign(deviation[0]) * scipy.stats.norm.isf(max(chance, 1e-300) / 2))
     return index, sigmas, chance
-
-
-def family_wise(probability: float, tests: int) -> float:
-    """Return the probability that any of so many tests comes out as rare by chance (Sidak)."""
-    return float(-np.expm1(tests * np.log1p(-min(probability, 1 - 1e-16))))

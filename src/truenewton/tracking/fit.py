@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread, spread_square
 from truenewton.errors import CampaignMismatch, RankDeficient
+from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.tracking.days import (
     SAME_TEMPERATURE,
     YEAR,
@@ -21,10 +22,8 @@ from truenewton.tracking.days import (
     weight_groups,
 )
 from truenewton.tracking.family import (
-    FALSE_ALARM,
     Family,
     families_from,
-    family_wise,
     fitted_population,
     most_outlying,
 )
@@ -180,7 +179,7 @@ def _off_their_lines(
             return fit, jumped
         worst = int(fit.actuator_chi2.argmax())
         chance = float(scipy.stats.chi2.sf(fit.actuator_chi2[worst], fit.actuator_degrees))
-        mirror = family_wise(chance, n * (1 + settings.shape[1]))
+        mirror = chance_of_any(chance, n * (1 + settings.shape[1]))
         if mirror >= FALSE_ALARM or scatter[worst]:
             return fit, jumped
         scatter[worst] = own[worst]
@@ -205,7 +204,7 @@ def _outliers(
         population = fitted_population(y, covariance, which)
         at, sigmas, chance = most_outlying(y, covariance, which, population)
         effect, actuator = (int(k[at]) for k in np.nonzero(members))
-        mirror = family_wise(chance, tests)
+        mirror = chance_of_any(chance, tests)
         outlier = Outlier(int(ids[actuator]), effects[effect], sigmas, mirror)
         candidates.append((effect, actuator, outlier))
         members[effect, actuator] = False
