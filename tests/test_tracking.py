@@ -433,12 +433,12 @@ def test_figures_name_who_left(tmp_path):
     paths = write_tracking_figures(found, tmp_path / "figures")
     kinds = ("temperature", "time", "family-temperature", "family-drift")
     assert {p.stem for p in paths} == {f"track-{kind}" for kind in kinds}
-    from truenewton.tracking.figures import plot_family, plot_temperature
+    from truenewton.tracking.figures import plot_family, plot_law
 
-    for ax in (plot_temperature(found), plot_family(found, "temperature")):
+    for ax in (plot_law(found, "temperature"), plot_family(found, "temperature")):
         assert "5" in {text.get_text() for text in ax.texts}
     assert "5" not in {text.get_text() for text in plot_family(found, "drift").texts}
-    points = [line for line in plot_temperature(found).lines if len(line.get_xdata()) == 6]
+    points = [line for line in plot_law(found, "temperature").lines if len(line.get_xdata()) == 6]
     drawn_k = [np.polyfit(p.get_xdata(), p.get_ydata(), 1)[0] for p in points]
     assert np.median(drawn_k) == pytest.approx(100 * np.median(found.coefficient), rel=0.1)
 

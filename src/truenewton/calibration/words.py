@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,18 +21,28 @@ if TYPE_CHECKING:
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 
 
-def print_summary(calibration: Calibration) -> None:
-    """Print what was found, how sure it is, and what limits it."""
+def summary_lines(calibration: Calibration) -> Iterator[str]:
+    """Yield what was found, how sure it is, and what limits it."""
     c = calibration
-    print(headline(c))
+    yield headline(c)
     for name, value, note in summary_rows(c):
-        print(f"  {name:<24}{value:<36}{note}".rstrip())
+        yield row(name, value, note)
     limit = scale_limit(c)
     if limit is not None:
         fault, remedy = limit
-        print(f"  {fault[0].upper()}{fault[1:]}{': ' if remedy else ''}{remedy}.")
-    for fault, remedy in c.diagnosis.warnings if c.diagnosis else ():
-        print(f"  WARNING: {fault}; {remedy}")
+        yield f"  {fault[0].upper()}{fault[1:]}{': ' if remedy else ''}{remedy}."
+    yield from warning_lines(c.diagnosis.warnings if c.diagnosis else ())
+
+
+def row(name: str, value: str, note: str = "") -> str:
+    """Return a line of a table: name, value and note."""
+    return f"  {name:<24}{value:<36}{note}".rstrip()
+
+
+def warning_lines(warnings: Iterable[Fault]) -> Iterator[str]:
+    """Yield a line for each warning."""
+    for fault, remedy in warnings:
+        yield f"  WARNING: {fault}; {remedy}"
 
 
 def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:

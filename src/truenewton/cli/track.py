@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
-
-if TYPE_CHECKING:
-    pass
-
 
 NAME = "track"
 
@@ -29,7 +24,7 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find how alpha varies with temperature and time, from calibrations of different days."""
-    from truenewton.cli.terminal import print_json
+    from truenewton.cli.terminal import print_json, print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
     from truenewton.tracking.figures import write_tracking_figures
@@ -52,10 +47,5 @@ def run(
         written += write_tracking_figures(tracking, figures, overwrite=overwrite)
     if json:
         print_json(values(tracking, validity))
-        return
-    for line in lines(tracking, validity):
-        print(line)
-    for path in written:
-        print(f"written: {path}")
-    if output is None:
-        print("not written; -o FILE keeps it")
+    else:
+        print_result(lines(tracking, validity), written, saved=output is not None)
