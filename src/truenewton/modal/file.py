@@ -61,8 +61,8 @@ def _write_all(found: ModalFindings, paths: list[Path], limits: Budget) -> None:
     base = found.after
     stiffness, modes = base.stiffness, base.modes.modes
     write_fits(paths[0], _header(found, limits), _sheets(found))
-    true = _square(base, stiffness.whole)
-    commanded = _square(base, stiffness.whole / stiffness.enabled_alpha[:, None])
+    true = _square(base, stiffness.acting_stiffness)
+    commanded = _square(base, stiffness.acting_stiffness / stiffness.enabled_alpha[:, None])
     layout = replace(
         base.layout, enabled=np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     )

@@ -11,6 +11,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
+from truenewton.modal.actuator_roles import indices_of
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
 from truenewton.modal.measured_stiffness import (
@@ -21,7 +22,7 @@ from truenewton.modal.measured_stiffness import (
 from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.pupil import pupil_of, seen_turbulence
 from truenewton.modal.static_force import force_at_rest, static_force
-from truenewton.modal.true_stiffness import places, true_stiffness
+from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -86,7 +87,7 @@ class ModalFindings:
     def modes_between(self, cost: Dissipation, limits: Budget) -> tuple[int, int]:
         """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""
         c = self.calibration
-        at = places(c.layout, self.after.stiffness.enabled.id)
+        at = indices_of(c.layout, self.after.stiffness.enabled.id)
         error: Array = c.error[at] / np.abs(c.alpha[at])
         fewest, most = (cost.modes_within(limits, alpha_error=e) for e in (error, -error))
         return fewest, most

@@ -49,9 +49,9 @@ class ModalBase:
 
     def on_all_actuators(self, values: Array) -> Array:
         """Return (N, k) values over all actuators from (n, k) over the enabled; 0 elsewhere."""
-        whole = np.zeros((self.layout.n, values.shape[1]))
-        whole[np.isin(self.layout.id, self.stiffness.enabled.id)] = values
-        return whole
+        everywhere = np.zeros((self.layout.n, values.shape[1]))
+        everywhere[np.isin(self.layout.id, self.stiffness.enabled.id)] = values
+        return everywhere
 
 
 def modal_base(
