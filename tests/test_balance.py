@@ -1,9 +1,14 @@
 """The systems C, D and E, against the paper's eqs. 3 and 4 written out element by element."""
 
+import importlib
+import pkgutil
+import re
+
 import numpy as np
 import pytest
 from balanced import campaign_of, p45_campaign, three_loads
 
+from truenewton import estimation
 from truenewton.estimation.systems import load_force, system_c, system_d, system_e
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.statics.arms import enabled_arms
@@ -115,3 +120,24 @@ def test_the_load_feels_every_unknown_but_the_torques_of_other_loads():
         expected[2, 2 + 2 * load_index] = -1.0
         expected[0, 7:] = [change[load_index] for change in changes]
         assert np.array_equal(derivative[load_index], expected)
+
+
+def test_every_name_in_the_table_of_the_papers_equations_exists():
+    table = [line for line in estimation.__doc__.splitlines() if line.startswith("    ")]
+    equations = [line for line in table if line.split()[0] in ("eq.", "sec.")]
+    assert len(equations) == 8
+    for line in equations:
+        names = re.findall(r"`([\w.]+)`(:?)", line)
+        assert names[0][1] == ":"
+        for name, is_module in names:
+            if is_module:
+                home = name if "." in name else f"estimation.{name}"
+                module = importlib.import_module(f"truenewton.{home}")
+            else:
+                assert hasattr(module, name), line
+
+
+def test_every_file_of_the_method_has_its_line():
+    listed = set(re.findall(r"^    (\w+)  ", estimation.__doc__, flags=re.MULTILINE))
+    files = {info.name for info in pkgutil.iter_modules(estimation.__path__)}
+    assert listed == files

@@ -10,7 +10,7 @@ from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.problem import posed
+from truenewton.estimation.problem import problem_of
 from truenewton.estimation.undetermined import (
     undetermined_patterns,
     with_patterns_held,
@@ -69,7 +69,7 @@ def test_what_does_not_drown_is_as_well_known_as_it_says():
 def test_undetermined_patterns_have_no_mean_and_leave_the_common_scale_alone():
     campaign, _ = faint(0)
     moments = campaign_moments(campaign)
-    problem = posed(campaign, reading_noise(campaign, moments))
+    problem = problem_of(campaign, reading_noise(campaign, moments))
     patterns = undetermined_patterns(problem, moments, 4)
     assert patterns.T @ patterns == pytest.approx(np.eye(4), abs=1e-12)
     assert patterns.mean(axis=0) == pytest.approx(np.zeros(4), abs=1e-12)

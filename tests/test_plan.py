@@ -70,8 +70,8 @@ def test_against_little_noise_the_errors_are_the_bound_of_cramer_and_rao():
     assert found.reading_covariance == pytest.approx(
         bound, rel=1e-5, abs=1e-6 * np.abs(bound).max()
     )
-    assert found.undetermined == 0
-    assert found.warnings == ()
+    assert found.diagnosis.undetermined == 0
+    assert found.diagnosis.warnings == ()
 
 
 def test_what_is_stated_and_what_scatters_is_what_was_predicted():
@@ -167,7 +167,7 @@ def test_one_load_or_equal_ones_leave_the_scale_free(ready):
         found = predicted(ready.changed(replace(PLAN, loads=loads)))
         assert found.scale_is_free
         assert found.typical == np.inf
-        assert "the common scale is free" in found.warnings[0][0]
+        assert "the common scale is free" in found.diagnosis.warnings[0][0]
         # Patterns are known all the same: about as well as under two loads.
         assert 0.5 < typical(found.reading_error, found.alpha) / 3.7e-4 < 2.0
 
@@ -177,8 +177,8 @@ def test_too_few_shapes_are_refused_and_weak_ones_warned_of(ready):
     with pytest.raises(RankDeficient, match="too few shapes: 8 for 45"):
         predicted(prepared(few))
     loud = predicted(ready.changed(replace(PLAN, force_noise=0.1)))
-    assert loud.undetermined > 4
-    assert "so many that the campaign will be refused" in loud.warnings[0][0]
+    assert loud.diagnosis.undetermined > 4
+    assert "so many that the campaign will be refused" in loud.diagnosis.warnings[0][0]
     # The estimator says the same of such a campaign.
     bench = static_bench(p45(), 5, loads=LOADS, force_noise=1e-4)
     bench = replace(bench, shapes=ready.shapes, force_noise=0.1)

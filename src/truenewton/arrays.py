@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return a read-only contiguous copy of ``values``; themselves if they are that already."""
+    """Return a read-only contiguous copy of the same shape; the values if they are that already."""
     if (
         isinstance(values, np.ndarray)
         and values.dtype == dtype
@@ -25,22 +25,14 @@ def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
 
 
 def spread(values: Array, on: NDArray[np.bool_]) -> Array:
-    """Put values of the enabled actuators in the order of all, NaN elsewhere.
-
-    Parameters
-    ----------
-    values
-        (n_enabled, ...), one of each enabled actuator.
-    on
-        (n,) who is enabled.
-    """
+    """Put (n_enabled, ...) values of the enabled actuators in the order of all (n,), else NaN."""
     out = np.full((on.size, *values.shape[1:]), np.nan)
     out[on] = values
     return out
 
 
 def spread_square(matrix: Array, on: NDArray[np.bool_]) -> Array:
-    """Put a matrix over the enabled in the order of all, as `spread`; itself where all are."""
+    """Put an (n_enabled, n_enabled) matrix in the order of all, else NaN; itself if all are on."""
     if on.all():
         return matrix
     out = np.full((on.size, on.size), np.nan)

@@ -35,7 +35,7 @@ from truenewton.estimation.outliers import (
 from truenewton.estimation.problem import (
     Problem,
     load_data,
-    posed,
+    problem_of,
     roughly_scaled,
     with_noise_from_minimum,
     with_share_in_balance,
@@ -72,7 +72,7 @@ def find(campaign: Campaign, population: bool = False) -> Estimate:
     moments, sound, rejected = against_repeats(campaign)
     refuse(Diagnosis((), 0, structural_faults(sound, moments)))
     refuse_too_many(len(rejected), rows)
-    free = posed(campaign, reading_noise(sound, moments))
+    free = problem_of(campaign, reading_noise(sound, moments))
     kept, distance, (problem, estimate), patterns = _fitted(free, sound, moments)
     free = with_share_in_balance(free, sound, moments, estimate.values[: free.n])
     if free.noise.share != 1.0:

@@ -83,49 +83,36 @@ class BalancedRows:
 
 @dataclass(frozen=True, eq=False)
 class DistinctRows:
-    """Rows of a cycle in none of which a group stands twice, in the order of their groups.
-
-    Attributes
-    ----------
-    rows
-        All rows of the cycle that count.
-    row_index, group
-        (m,) which of them these are, and the group of each.
-    weight
-        Of a row.
-    """
+    """Rows of a cycle in none of which a group stands twice, in the order of their groups."""
 
     rows: BalancedRows
-    row_index: NDArray[np.int64]
+    some: NDArray[np.int64]
     group: NDArray[np.int64]
     weight: float
 
     @cached_property
-    def consecutive(self) -> bool:
+    def inorder(self) -> bool:
         """Whether the rows follow each other."""
-        return bool((np.diff(self.row_index) == 1).all())
+        return bool((np.diff(self.some) == 1).all())
 
     def within(
         self, block: slice
     ) -> tuple[slice | NDArray[np.int64], Array, Array | None, float] | None:
-        """Return where in a block of groups rows stand, and the rows; None where none does.
-
-        Force and balance as `BalancedRows.at`, and the weight of a row.
-        """
+        """Return where in a block of groups rows stand, and the rows; None where none does."""
         first, end = self.group.searchsorted((block.start, block.stop)).tolist()
         if first == end:
             return None
         whole = end - first == block.stop - block.start
-        in_block = slice(None) if whole else self.group[first:end] - block.start
-        index = self.row_index[first:end]
-        force, balance = self.rows.at(slice(index[0], index[-1] + 1) if self.consecutive else index)
-        return in_block, force, balance, self.weight
+        at = slice(None) if whole else self.group[first:end] - block.start
+        some = self.some[first:end]
+        force, balance = self.rows.at(slice(some[0], some[-1] + 1) if self.inorder else some)
+        return at, force, balance, self.weight
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     """Yield sets of rows in none of which a group stands twice; mostly one set of all rows."""
-    left = np.argsort(group, kind="stable")
-    while left.size:
-        first = np.concatenate([[True], np.diff(group[left]) > 0])
-        yield left[first]
-        left = left[~first]
+    rest = np.argsort(group, kind="stable")
+    while rest.size:
+        first = np.concatenate([[True], np.diff(group[rest]) > 0])
+        yield rest[first]
+        rest = rest[~first]

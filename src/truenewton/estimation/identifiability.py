@@ -150,7 +150,7 @@ def _span(centred: Array, noise: float) -> int:
 
 
 def geometry_faults(a: Array) -> tuple[Fault, ...]:
-    """Name what no shape could make good: too few actuators, or all on one line or conic."""
+    """Name what no shape could mend in (3, n) arms: too few, or all on one line or conic."""
     n = a.shape[1]
     if n < 4:
         return (
@@ -255,7 +255,7 @@ _SMOOTH = (
 
 
 def in_words(pattern: Array, layout: Layout) -> str:
-    """Describe a pattern over the enabled actuators as a person would.
+    """Describe an (n,) pattern over the enabled actuators as a person would.
 
     One actuator if it holds more than half of the square; else the first smooth shape that, with
     those before it taken out, holds more than half; else how many actuators share it.

@@ -14,8 +14,8 @@ V = Sigma - Sigma diag(alpha) A' S^-1 A diag(alpha) Sigma, which feigns, for eac
 
 H = M - D is the information, and H^-1 M H^-1 the covariance. Noise need not be independent: motion
 of the mirror itself balances, so that less of Sigma reaches rho and P; V has all of it. Everything
-is written in sums over shapes (`moments.ShapeSums`), so that an iteration costs O(n^3) whatever the
-number of shapes.
+is written in sums over shapes (`shape_sums.ShapeSums`), so that an iteration costs O(n^3) whatever
+the number of shapes.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class _Terms:
 
 
 def chi2_at(a: Array, data: Sequence[DataSet], values: Array) -> float:
-    """Return the sum of r rho' S^-1 rho."""
+    """Return the sum of r rho' S^-1 rho, for (3, n) arms and (u,) values of the unknowns."""
     n = a.shape[1]
     total = 0.0
     for part in data:
@@ -291,7 +291,7 @@ def _not_negative(matrix: Array) -> Array:
 
 
 def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
-    """Return weighted least squares, the noise taken out: alpha = 1 in S, linear in the rest."""
+    """Return (u,) weighted least squares, noise taken out: alpha = 1 in S, linear in the rest."""
     n = a.shape[1]
     u = len(prior.mean)
     matrix, right = prior.added_to(np.zeros((u, u))), -prior.pull(np.zeros(u))
@@ -330,7 +330,7 @@ def _no_more_than_noise() -> RankDeficient:
 
 
 def gram_of_e(a: Array, part: DataSet) -> Array:
-    """Return E' E of the paper's eq. 4 from the sums, with arms a."""
+    """Return (u, u) E' E of the paper's eq. 4 from the sums, with (3, n) arms a."""
     n = a.shape[1]
     gram = np.zeros((n + part.nuisance.shape[2],) * 2)
     for start in range(0, n, ROWS_AT_ONCE):

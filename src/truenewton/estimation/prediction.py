@@ -18,7 +18,7 @@ from truenewton.estimation.identifiability import in_words, load_faults, refuse,
 from truenewton.estimation.likelihood import expected
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.problem import Problem, posed
+from truenewton.estimation.problem import Problem, problem_of
 from truenewton.estimation.shape_sums import ShapeSums
 from truenewton.estimation.undetermined import tolerable, with_patterns_held
 from truenewton.estimation.weights import scale_errors
@@ -42,13 +42,8 @@ class Prediction:
         (n, n) covariance of alpha from the readings and from the weights.
     scale_errors
         Budget of the common scale, largest first; empty where the scale is free.
-    weakest, weakest_share
-        The pattern of alpha that the readings will hold least, in words, and its share of the
-        variance E_STAT^2 summed over actuators.
-    undetermined
-        Number of patterns that will stand hardly above noise.
-    warnings
-        What will be weak, each with its remedy.
+    diagnosis
+        What will be weak; its undetermined patterns are those that will stand hardly above noise.
     """
 
     layout: Layout
@@ -56,10 +51,7 @@ class Prediction:
     reading_covariance: Array
     systematic_covariance: Array
     scale_errors: tuple[ScaleError, ...]
-    weakest: str
-    weakest_share: float
-    undetermined: int
-    warnings: tuple[Fault, ...]
+    diagnosis: Diagnosis
 
     @property
     def scale_is_free(self) -> bool:
@@ -90,7 +82,7 @@ class Prediction:
 
 
 def typical(error: Array, alpha: Array) -> float:
-    """Return the median over actuators of an error relative to alpha."""
+    """Return the median over actuators of an (n,) error relative to alpha."""
     return float(np.median(error / np.abs(alpha)))
 
 
@@ -119,7 +111,7 @@ def predict(
     free = load_faults(campaign)
     faults = [fault for fault in structural_faults(campaign, moments) if fault not in free]
     refuse(Diagnosis((), 0, tuple(faults)))
-    problem = posed(campaign, reading_noise(campaign, moments))
+    problem = problem_of(campaign, reading_noise(campaign, moments))
     n = problem.n
     alpha = np.ones(n) if alpha is None else alpha
     values = _true_values(problem, moments, alpha)
@@ -139,10 +131,14 @@ def predict(
         scale_errors=()
         if free
         else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
-        weakest=in_words(vector, campaign.layout),
-        weakest_share=value / float(np.trace(reading_covariance)),
-        undetermined=undetermined,
-        warnings=free + _warn_of_undetermined(undetermined, n),
+        diagnosis=Diagnosis(
+            eigenvalues=(),
+            undetermined=undetermined,
+            faults=(),
+            warnings=free + _warn_of_undetermined(undetermined, n),
+            weakest=in_words(vector, campaign.layout),
+            weakest_share=value / float(np.trace(reading_covariance)),
+        ),
     )
 
 
@@ -161,15 +157,8 @@ def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
 
 def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
     """Return the sums over the same shapes, each read so many times."""
-    return replace(
-        sums,
-        weight=cycles * sums.weight,
-        force=cycles * sums.force,
-        square=cycles * sums.square,
-        known=cycles * sums.known,
-        known_force=cycles * sums.known_force,
-        known_square=cycles * sums.known_square,
-    )
+    names = ("weight", "force", "square", "known", "known_force", "known_square")
+    return replace(sums, **{name: cycles * getattr(sums, name) for name in names})
 
 
 def _warn_of_undetermined(undetermined: int, n: int) -> tuple[Fault, ...]:

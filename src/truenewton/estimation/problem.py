@@ -30,7 +30,7 @@ from truenewton.statics.arms import enabled_arms, external_load
 def load_data(
     campaign: Campaign, moments: Moments, variance: Array, errors: Sequence[WeightError]
 ) -> DataSet:
-    """Return the shapes of all loads with their weights and the unknowns beside alpha."""
+    """Return the shapes of all loads, whose readings have the (n,) variance [N^2], with weights."""
     unknowns = Unknowns(len(variance), len(campaign.loads), len(errors))
     nuisance = unknowns.external_load_derivative([error.change for error in errors])
     known = external_load(campaign.effective_weights, 0.0, 0.0, 0.0)
@@ -83,7 +83,7 @@ class Problem:
         return [replace(of_loads, excess=1.0 / self.noise.share), *self.elastic]
 
     def fitted(self, moments: Moments, start: Array | None = None) -> Minimum:
-        """Return the likeliest values."""
+        """Return the likeliest values, from a (u,) start where there is a better one than usual."""
         data = self.data(moments)
         begin = start_values(self.a, data, self.prior) if start is None else start
         return minimise(self.a, data, self.prior, begin)
@@ -113,7 +113,7 @@ class Problem:
         return replace(self, prior=self.prior.with_more(of_population))
 
 
-def posed(campaign: Campaign, noise: Noise) -> Problem:
+def problem_of(campaign: Campaign, noise: Noise) -> Problem:
     """Pose the problem of a campaign."""
     errors = weight_errors(campaign)
     a = enabled_arms(campaign.layout)
@@ -166,26 +166,18 @@ def with_noise_from_minimum(
     problem: Problem,
     moments: Moments,
     minimum: Minimum,
-    degrees_of_freedom: Callable[[Problem, Minimum], float] | None = None,
+    freedom: Callable[[Problem, Minimum], float] | None = None,
 ) -> tuple[Problem, Minimum]:
     """Give the noise its size from the minimum, where nothing else does; with it D.
 
-    Parameters
-    ----------
-    problem, moments, minimum
-        What was asked, and the minimum that was found.
-    degrees_of_freedom
-        Returns them where they depend on the minimum; those of the problem unless given.
+    Degrees of freedom are those of the problem, unless a function gives those of a minimum.
     """
     for _ in range(20):
         if problem.noise.source != "minimum":
             break
-        if degrees_of_freedom is None:
-            freedom: float = problem.degrees_of_freedom(moments)
-        else:
-            freedom = degrees_of_freedom(problem, minimum)
-        variance = problem.noise.variance * (minimum.chi2 / max(freedom, 1.0))
-        variance = np.maximum(variance, least_variance(moments))
+        degrees = freedom(problem, minimum) if freedom else problem.degrees_of_freedom(moments)
+        size = minimum.chi2 / max(degrees, 1.0)
+        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
         if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
             break
         problem = replace(problem, noise=Noise(variance, "minimum"))

@@ -28,7 +28,7 @@ from truenewton.statics.arms import enabled_arms
 
 
 def mode_data(modes: Array, variance: float) -> DataSet:
-    """Return elastic modes as shapes without any external load, for the likelihood."""
+    """Return (m, n) elastic modes as shapes without any external load, for the likelihood."""
     m, n = modes.shape
     sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.zeros(m, dtype=np.int64))
     return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))

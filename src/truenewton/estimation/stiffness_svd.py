@@ -55,21 +55,18 @@ class Imbalance:
 
 def elastic_modes(matrix: StiffnessMatrix) -> Array:
     """Return (m, n_enabled) force patterns of unit length, softest left out, stiffest first."""
-    on = matrix.layout.enabled
-    left, values, _ = singular_values_and_vectors(matrix.stiffness[np.ix_(on, on)])
+    left, values, _ = singular_values_and_vectors(matrix.used_stiffness)
     return np.asarray(left[:, values > SOFTEST].T)
 
 
 def modal_stiffness(matrix: StiffnessMatrix) -> Array:
     """Return (n_enabled,) singular values, stiffest first [N/m]."""
-    on = matrix.layout.enabled
-    return singular_values_and_vectors(matrix.stiffness[np.ix_(on, on)])[1]
+    return singular_values_and_vectors(matrix.used_stiffness)[1]
 
 
 def asymmetry(matrix: StiffnessMatrix) -> float:
     """Return |K - K'| / |K + K'|; 0 for calibrated actuators and sensors (Maxwell and Betti)."""
-    on = matrix.layout.enabled
-    k = matrix.stiffness[np.ix_(on, on)]
+    k = matrix.used_stiffness
     return float(np.linalg.norm(k - k.T) / np.linalg.norm(k + k.T))
 
 
@@ -81,7 +78,7 @@ def comparable_arms(matrix: StiffnessMatrix) -> Array:
 
 
 def balance_modes(modes: Array, a: Array) -> ElasticSolution:
-    """Return the alpha that balances the modes best: the smallest singular vector, its mean 1.
+    """Return the alpha that balances (m, n) modes best: the smallest singular vector, its mean 1.
 
     Raises
     ------
@@ -168,7 +165,7 @@ def find(matrix: StiffnessMatrix) -> Estimate:
 def relative_estimate(
     matrix: StiffnessMatrix, method: str, alpha: Array, covariance: Array, singular_values: Array
 ) -> Estimate:
-    """Put a relative alpha into the form that all methods share."""
+    """Put (n,) relative alpha, its (n, n) covariance and values into what all methods share."""
     n = len(alpha)
     return Estimate(
         method=method,
@@ -191,8 +188,7 @@ def orientation_warning(matrix: StiffnessMatrix) -> tuple[Fault, ...]:
     K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
     {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
     """
-    on = matrix.layout.enabled
-    k, rigid = matrix.stiffness[np.ix_(on, on)], np.linalg.qr(enabled_arms(matrix.layout).T)[0]
+    k, rigid = matrix.used_stiffness, np.linalg.qr(enabled_arms(matrix.layout).T)[0]
     if np.linalg.norm(rigid.T @ k) >= 0.5 * np.linalg.norm(k @ rigid):
         return ()
     return (
@@ -221,7 +217,7 @@ def imbalances(
     matrix
         The stiffness.
     fit
-        Returns alpha from modes and arms.
+        Returns (n,) alpha from (m, n) modes and (3, n) arms.
     """
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
     ones = np.ones(a.shape[1])

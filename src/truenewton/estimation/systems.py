@@ -20,15 +20,7 @@ from truenewton.statics.load import Load
 
 
 def balance_rows(force: Array, a: Array) -> Array:
-    """Return the (3 N, n) coefficients of alpha in A f, f = alpha c (eq. 2).
-
-    Parameters
-    ----------
-    force
-        (N, n) commanded forces c [N].
-    a
-        (3, n) arms.
-    """
+    """Return (3 N, n) coefficients of alpha in A f, f = alpha c (eq. 2), for (N, n) forces c."""
     blocks = a[:, None, :] * force[None, :, :]  # nz c | x c | y c
     return np.asarray(blocks.reshape(-1, force.shape[1]))
 
@@ -71,16 +63,12 @@ def system_d(
 
     Parameters
     ----------
-    force
-        (N, n) commanded forces under the load, the paper's d [N].
-    a
-        (3, n) arms.
-    weight
-        P [N].
+    force, a, weight, bias_force
+        As for `system_c`; forces are the paper's d.
     load
         Gives Q and the tilt: W = (P + Q) cos(tilt).
-    bias_force, torque_y, torque_x
-        B [N]; the torques under this load [N m], the paper's N_y and N_x.
+    torque_y, torque_x
+        Under this load, the paper's N_y and N_x [N m].
 
     Returns
     -------
@@ -121,10 +109,5 @@ def system_e(campaign: Campaign, a: Array) -> tuple[Array, Array]:
 
 def load_force(campaign: Campaign, load_index: int) -> Array:
     """Return (N, n_enabled) commanded forces of the valid rows under one load [N]."""
-    return np.vstack(
-        [
-            cycle.used_force
-            for cycle, load_of_cycle in zip(campaign.cycles, campaign.load_index, strict=True)
-            if load_of_cycle == load_index
-        ]
-    )
+    key = campaign.loads[load_index].key
+    return np.vstack([cycle.used_force for cycle in campaign.cycles if cycle.load.key == key])

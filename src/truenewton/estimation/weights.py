@@ -103,17 +103,7 @@ def scale_total(lines: tuple[ScaleError, ...]) -> float:
 def tilt_as_load(weight: float, weight_error: float, tilt: float, tilt_error: float) -> float:
     """Return the relative error of the scale if the mirror's own tilt were the second load.
 
-    The change of weight is P (1 - cos tilt).
-
-    Parameters
-    ----------
-    weight, weight_error
-        P and its standard uncertainty [N].
-    tilt, tilt_error
-        Angle and its standard uncertainty [deg].
+    The change of weight is P (1 - cos tilt); P in N, the tilt in degrees.
     """
-    angle = np.radians(tilt)
-    change = weight * (1 - np.cos(angle))
-    from_weight = weight_error * (1 - np.cos(angle))
-    from_angle = weight * np.sin(angle) * np.radians(tilt_error)
-    return float(np.hypot(from_weight, from_angle) / abs(change))
+    from_angle = np.radians(tilt_error) / np.tan(np.radians(tilt) / 2)
+    return float(np.hypot(weight_error / weight, from_angle))

@@ -153,7 +153,7 @@ def true_stiffness(
     alpha = matched_alpha(layout, matrix.instrument, calibration)
     gain = checked_gain(sensor_gain, on)
     floats, follows = off_and_slaved(layout, off, slaved)
-    k = alpha[:, None] * matrix.stiffness[np.ix_(on, on)] / gain
+    k = alpha[:, None] * matrix.used_stiffness / gain
     apart, together = k - k.T, k + k.T
     symmetric = 0.5 * together
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]

@@ -48,8 +48,8 @@ def lines(outlook: Outlook) -> Iterator[str]:
     rows += [
         ("  reading noise", percent(typical(found.reading_error, found.alpha)),
          f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
-        ("least known", found.weakest,
-         f"{percent(found.weakest_share)} of the variance E_STAT^2"),
+        ("least known", found.diagnosis.weakest,
+         f"{percent(found.diagnosis.weakest_share)} of the variance E_STAT^2"),
         ("duration", _time(outlook.duration),
          f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(plan.loads) - 1} x"
          f" {_time(plan.pause)} to change the load"),
@@ -129,8 +129,8 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
             "e_stat": found.reading_error,
             "e_syst": found.systematic_error,
         },
-        "weakest": found.weakest,
-        "undetermined": found.undetermined,
+        "weakest": found.diagnosis.weakest,
+        "undetermined": found.diagnosis.undetermined,
         "duration": outlook.duration,
         **{f"largest_{key}" if key in ("force", "stroke") else key: value
            for key, value in dataclasses.asdict(outlook.strain).items()},

@@ -21,7 +21,7 @@ from truenewton.estimation.imbalance import imbalance_covariance, squared_distan
 from truenewton.estimation.moments import campaign_moments, row_weights
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.outliers import without
-from truenewton.estimation.problem import posed, with_share_in_balance
+from truenewton.estimation.problem import problem_of, with_share_in_balance
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes, modal_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -135,7 +135,7 @@ def campaign_evidence(campaign: Campaign, calibration: Calibration) -> Evidence:
     if noise.source == "minimum":  # known in shape only: its size is what the residuals have
         s = imbalance_covariance(scaled_arms, variance)
         variance = variance * np.mean(squared_distances(after, weight, s)[kept]) / 3
-    posed_anew = posed(sound, replace(noise, variance=variance))
+    posed_anew = problem_of(sound, replace(noise, variance=variance))
     share = with_share_in_balance(posed_anew, sound, moments, calibration.alpha[on]).noise.share
     s, s_before = (share * imbalance_covariance(each, variance) for each in (scaled_arms, a))
     readings = np.sqrt(variance * moments.typical_variance)
