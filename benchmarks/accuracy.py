@@ -428,6 +428,8 @@ def rings336() -> Mirror:
         gap=40e-6,
         puck_radius=3e-3,
         sensor=Annulus(3.5e-3, 6e-3),
+        coil_gradient=600.0,
+        bias_gradient=31.0,
     )
 
 

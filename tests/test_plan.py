@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from acquisition_plans import write_shapes
 from balanced import arms_of, campaign_of, noisy, three_loads
 
 import truenewton as tn
@@ -17,7 +18,6 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.prediction import predict, typical
 from truenewton.estimation.weights import READINGS, tilt_as_load
-from truenewton.files.fits import Sheet, write_fits
 from truenewton.mirrors.known import p45
 from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain
@@ -239,7 +239,7 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
     assert not by_measured.given
     assert predicted(by_measured).typical == pytest.approx(predicted(ready).typical, rel=0.01)
 
-    write_fits(tmp_path / "given.fits", {}, [Sheet("SHAPES", data=0.5 * ready.shapes, unit="m")])
+    write_shapes(tmp_path / "given.fits", 0.5 * ready.shapes)
     given = prepared(replace(PLAN, shapes=PlannedShapes("given.fits")), tmp_path)
     assert given.given
     half, whole = predicted(given), predicted(ready)
@@ -251,9 +251,7 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
         (ready.shapes[:, 1:], "give shapes x 45 actuators"),
         (np.full((45, 45), np.nan), "SHAPES holds NaN"),
     ):
-        write_fits(
-            tmp_path / "given.fits", {}, [Sheet("SHAPES", data=wrong, unit="m")], overwrite=True
-        )
+        write_shapes(tmp_path / "given.fits", wrong)
         with pytest.raises((RankDeficient, tn.errors.FormatError), match=said):
             predicted(prepared(given.plan, tmp_path))
 

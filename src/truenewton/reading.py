@@ -57,14 +57,14 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
 
 def _stranger(file: FitsFile) -> Fault | None:
     """Say what a file is that does not belong among the cycle files of a campaign."""
-    if "TRUTH" in file.tables:
+    if file.holds("TRUTH"):
         return Fault("is the truth of a simulation", "give the campaign beside it")
     if file.header.get("CTYPE2") == "ACTUATOR":
         return Fault("is a plain matrix of a modal base", "give the .commanded.fits beside it")
     if file.holds("MODES"):
         remedy = "give what it was made from, or the .commanded.fits beside it"
         return Fault("is a modal base", remedy)
-    if "TRACKING" in file.tables:
+    if file.holds("TRACKING"):
         remedy = "give it to `recalibrate --known`, or to read_tracking in Python"
         return Fault("is a tracking file", remedy)
     if is_calibration_file(file):

@@ -103,7 +103,7 @@ class Campaign:
 
     @cached_property
     def load_index(self) -> tuple[int, ...]:
-        """For each cycle, the place of its load in ``loads``."""
+        """For each cycle, the index of its load in ``loads``."""
         keys = [load.key for load in self.loads]
         return tuple(keys.index(cycle.load.key) for cycle in self.cycles)
 
