@@ -18,7 +18,6 @@ from truenewton.linalg import factor_of
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.source import UsedSource
-from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.file import is_tracking_file, tracking_from
@@ -34,8 +33,8 @@ class EarlierCalibration:
 
     Attributes
     ----------
-    name, instrument, layout
-        The file; the mirror.
+    name
+        Of the file.
     alpha, covariance
         (n,) and (n, n); errors of the weights left out but for ``uneven``.
     scale
@@ -49,8 +48,6 @@ class EarlierCalibration:
     """
 
     name: str
-    instrument: str
-    layout: Layout
     alpha: Array
     covariance: Array
     scale: float
@@ -117,8 +114,6 @@ def known_from(
     rest = alpha[:, None] * uneven
     return EarlierCalibration(
         name=name,
-        instrument=given.instrument,
-        layout=given.layout,
         alpha=alpha,
         covariance=covariance - systematic_covariance + rest @ rest.T,
         scale=scale,

@@ -192,6 +192,13 @@ def most_outlying(
     known: the chance is a mean over all variances, each weighed by its likelihood from the others.
     The restricted likelihood of all is that of the others times the normal density of the
     deviation, so that both come from one P.
+
+    Parameters
+    ----------
+    y, covariance, which
+        As in `fitted_population`.
+    population
+        Of all effects.
     """
     z = (population.projection @ y) / np.sqrt(np.diag(population.projection))
     index = int(np.abs(z).argmax())
