@@ -14,6 +14,7 @@ from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.report.budget import typical
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +49,7 @@ class Change:
 
     @property
     def changed(self) -> NDArray[np.int64]:
-        """Places of the actuators beyond the limit, the farthest first."""
+        """Indices of the actuators beyond the limit, the farthest first."""
         size = np.nan_to_num(np.abs(self.sigmas))
         order = np.argsort(-size, kind="stable")
         return np.asarray(order[size[order] > self.limit])
@@ -98,11 +99,7 @@ def change(one: Calibration, other: Calibration) -> Change:
     ratio = float(np.median(other.alpha[both] / one.alpha[both]))
     moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
     error = np.hypot(one.reading_error, other.reading_error / ratio)
-    scales = [
-        float(np.nanmedian(c.systematic_error / np.abs(c.alpha)))
-        for c in (one, other)
-        if c.scale != "mean 1"
-    ]
+    scales = [typical(c.systematic_error, c) for c in (one, other) if c.scale != "mean 1"]
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = moved / error
     return Change(
