@@ -21,11 +21,12 @@ from tracked import (
 
 import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
+from truenewton.figures.writing import write_drawn
 from truenewton.records.source import UsedSource
 from truenewton.statics.load import Load
 from truenewton.tracking.days import DatedCalibration, covariances, gathered, weight_groups
 from truenewton.tracking.family import families_from, fitted_population, most_outlying
-from truenewton.tracking.figures import write_tracking_figures
+from truenewton.tracking.figures import tracking_figures
 from truenewton.tracking.linear_fit import linear_fit
 from truenewton.tracking.validity import validity_of
 
@@ -430,7 +431,7 @@ def test_departures_and_limits_come_back_from_the_file(tmp_path):
 def test_figures_name_who_left(tmp_path):
     k = np.where(np.arange(45) == 4, 3e-3, K)
     found = tn.track(*drawn(7, k, R, gap=90.0))
-    paths = write_tracking_figures(found, tmp_path / "figures")
+    paths = write_drawn(tracking_figures(found), tmp_path / "figures")
     kinds = ("temperature", "time", "family-temperature", "family-drift")
     assert {p.stem for p in paths} == {f"track-{kind}" for kind in kinds}
     from truenewton.tracking.figures import plot_family, plot_law

@@ -48,9 +48,10 @@ def run(
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
     from truenewton.cli.terminal import busy, print_json, print_result
+    from truenewton.figures.writing import write_drawn
     from truenewton.files.outputs import refuse_existing
     from truenewton.modal.dissipation import Budget
-    from truenewton.modal.figures import write_modes_figures
+    from truenewton.modal.figures import modes_figures
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
     from truenewton.modal.turbulence import Atmosphere
@@ -80,7 +81,7 @@ def run(
         if output is not None:
             written += write_modes(modes, output, limits, overwrite=overwrite)
         if figures is not None:
-            written += write_modes_figures(modes, figures, limits, overwrite=overwrite)
+            written += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
     if json:
         print_json(values(modes, limits))
     else:

@@ -26,8 +26,9 @@ def run(
     """Find how alpha varies with temperature and time, from calibrations of different days."""
     from truenewton.cli.terminal import print_json, print_result
     from truenewton.errors import FormatError
+    from truenewton.figures.writing import write_drawn
     from truenewton.files.outputs import refuse_existing
-    from truenewton.tracking.figures import write_tracking_figures
+    from truenewton.tracking.figures import tracking_figures
     from truenewton.tracking.fit import track
     from truenewton.tracking.validity import validity_of
     from truenewton.tracking.words import lines, values
@@ -44,7 +45,7 @@ def run(
         tracking.write(output, overwrite=overwrite)
         written.append(output)
     if figures is not None:
-        written += write_tracking_figures(tracking, figures, overwrite=overwrite)
+        written += write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
     if json:
         print_json(values(tracking, validity))
     else:

@@ -18,13 +18,6 @@ from truenewton.rounding import percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns
 NUMBERS = 8  # of modes, in the table
-FAINTEST = 1e-5  # of the largest power; below it, a piston that costs nothing takes up all the axis
-
-
-def chosen_modes(count: int) -> list[int]:
-    """Return which modes are drawn: the softest eight, and four more up to the stiffest."""
-    more = np.geomspace(8, count, 5)[1:] - 1
-    return sorted({*range(min(8, count)), *(round(k) for k in more if count > 8)})
 
 
 def stiffness_text(value: float) -> str:
@@ -61,13 +54,6 @@ def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
     return rows
 
 
-def least_power(base: ModalBase) -> float:
-    """Return where a logarithmic axis of the power of a coil begins [W]."""
-    means = np.concatenate([cost.power.mean(axis=0) for cost in base.costs])
-    most = max(float(cost.power.max()) for cost in base.costs)
-    return max(0.8 * float(means.min()), FAINTEST * most)
-
-
 def measured_text(measured: MeasuredStiffness) -> str:
     """Say of how many shapes and rows a stiffness is, and how well it is known."""
     m = measured
@@ -86,7 +72,7 @@ def rigid_text(measured: MeasuredStiffness) -> str:
     return f"no shape holds {measured.rigid_assumed} of 3 rigid motions: taken to cost nothing"
 
 
-def apart(comparison: ModesComparison) -> str:
+def comparison_text(comparison: ModesComparison) -> str:
     """Say how far the modes taken with alpha = 1 lie from the calibrated."""
     c = comparison
     if not c.orders.size:
@@ -99,7 +85,7 @@ def apart(comparison: ModesComparison) -> str:
     )
 
 
-def turbulence(base: ModalBase) -> str:
+def turbulence_text(base: ModalBase) -> str:
     """Say which turbulence meets how large a mirror."""
     a, pupil = base.seen.atmosphere, base.seen.pupil
     return (
@@ -109,7 +95,7 @@ def turbulence(base: ModalBase) -> str:
     )
 
 
-def between_actuators(base: ModalBase) -> str:
+def fitting_error_text(base: ModalBase) -> str:
     """Say what no number of modes takes away."""
     return (
         f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, whatever the"
@@ -117,7 +103,7 @@ def between_actuators(base: ModalBase) -> str:
     )
 
 
-def static_force(cost: Dissipation) -> str:
+def static_force_text(cost: Dissipation) -> str:
     """Say between which limits the static forces lie."""
     force = 1e3 * cost.static
     if not force.any():
@@ -141,10 +127,10 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
         ("rigid motions", f"{'':<12}{rigid} N/m"),
         ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
          + (f"; {negative}" if negative else "")),
-        ("modes by alpha = 1", apart(findings.comparison)),
-        ("turbulence", turbulence(base)),
-        ("between actuators", between_actuators(base)),
-        ("static force", static_force(base.costs[0])),
+        ("modes by alpha = 1", comparison_text(findings.comparison)),
+        ("turbulence", turbulence_text(base)),
+        ("between actuators", fitting_error_text(base)),
+        ("static force", static_force_text(base.costs[0])),
     ]  # fmt: skip
     warnings = (*(c.diagnosis.warnings if c.diagnosis else ()), *findings.warnings)
     return [

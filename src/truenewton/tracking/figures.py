@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.figures.style import ACCENT, FAINT, INK, STYLE, new_axes
-from truenewton.figures.writing import write_drawn
+from truenewton.figures.maps import mark_rings
+from truenewton.figures.style import ACCENT, FAINT, INK, NAMED, STYLE, new_axes
 from truenewton.statics.layout import ring_of
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
@@ -23,7 +21,6 @@ if TYPE_CHECKING:
 
 
 OUTLYING = "#b2182b"
-FEW = 100  # actuators, beyond which single points would fill the page
 PERCENT = 1e2
 LABEL = {"temperature": "$k$  (% per K)", "drift": r"$d\,/\,\alpha$  (% per year)"}
 
@@ -72,7 +69,7 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
         ax.fill_between(origin + unit * inside, low, high, color=FAINT, alpha=0.35, linewidth=0)
         ax.plot(shown_ends, PERCENT * np.outer(ends, slope[on & ~outlying]), color=ACCENT,
                 linewidth=0.25, alpha=0.6)  # fmt: skip
-        if np.count_nonzero(on) <= FEW:
+        if np.count_nonzero(on) <= NAMED:
             ax.plot(shown_x, y[:, on & ~outlying], "o", color=INK, markersize=1.0, alpha=0.6,
                     markeredgewidth=0)  # fmt: skip
         ax.plot(shown_ends, PERCENT * family.mean * ends, color=INK, linewidth=1.0)
@@ -86,7 +83,7 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
             _name(ax, t.layout.id[one], shown_ends[1], PERCENT * slope[one] * ends[1], 2)
         ax.set_xlabel(label)
         ax.set_ylabel(r"change of $\alpha$ (%)")
-        ax.set_title("band: family, mean ± 2 spreads", loc="right", fontsize=6.5, color=INK)
+        ax.set_title("band: family, mean ± 2 spreads")
     return ax
 
 
@@ -111,49 +108,36 @@ def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes
     family = next(f for f in tracking.families if f.effect == effect)
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.75)
-        ring = ring_of(layout)
-        order = np.argsort(ring, kind="stable")
+        order = np.argsort(ring_of(layout), kind="stable")
         position = np.arange(1, layout.n + 1)
-        band = PERCENT * np.array(
-            [family.mean - 2 * family.spread, family.mean + 2 * family.spread]
-        )
-        ax.axhspan(*band, color=FAINT, alpha=0.35, linewidth=0)
+        low, high = family.mean - 2 * family.spread, family.mean + 2 * family.spread
+        ax.axhspan(PERCENT * low, PERCENT * high, color=FAINT, alpha=0.35, linewidth=0)
         ax.axhline(PERCENT * family.mean, color=INK, linewidth=0.8)
-        few = layout.n <= FEW
+        few = layout.n <= NAMED
         for some, colour in ((~outlying, ACCENT), (outlying, OUTLYING)):
             at = some[order]
             ax.errorbar(position[at], PERCENT * values[order][at], yerr=PERCENT * error[order][at],
                         fmt="o", color=colour, ecolor=INK if colour == ACCENT else colour,
                         markersize=1.8 if few else 1.0, elinewidth=0.5,
                         capsize=1.2 if few else 0.0)  # fmt: skip
-        for edge in np.flatnonzero(np.diff(ring[order])) + 1.5:
-            ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
+        mark_rings(ax, layout)
         for k in np.flatnonzero(outlying[order]):
             _name(ax, layout.id[order][k], position[k], PERCENT * values[order][k], 3)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         ax.margins(y=0.12)
-        ax.set_xlabel("actuator, ring by ring from the centre")
         ax.set_ylabel(LABEL[effect])
-        ax.set_title("bars: 1σ; band: family, mean ± 2 spreads", loc="right", fontsize=6.5,
-                     color=INK)  # fmt: skip
+        ax.set_title("bars: 1σ; band: family, mean ± 2 spreads")
     return ax
 
 
-def write_tracking_figures(
-    tracking: Tracking, folder: str | os.PathLike[str], *, overwrite: bool = False
-) -> list[Path]:
-    """Write the figures as PDF and PNG into a folder; return the paths.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
-    figures: dict[str, Callable[[], Axes]] = {}
+def tracking_figures(tracking: Tracking) -> dict[str, Callable[..., Axes]]:
+    """Return what draws each figure of tracking, by name; it takes axes or none."""
+    figures: dict[str, Callable[..., Axes]] = {}
     for effect in tracking.effects:
         name = "time" if effect == "drift" else effect
         figures[f"track-{name}"] = partial(plot_law, tracking, effect)
         figures[f"track-family-{effect}"] = partial(plot_family, tracking, effect)
-    return write_drawn(figures, folder, overwrite=overwrite)
+    return figures
 
 
 def _outlying(tracking: Tracking, effect: str) -> NDArray[np.bool_]:
