@@ -122,8 +122,8 @@ def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.7)
         number = np.arange(1, c.rms_angle.size)
-        whole = ~c.cuts[:-1]
-        ax.semilogy(number[whole], np.degrees(c.rms_angle[:-1][whole]), "o", color=CURVES[0],
+        uncut = ~c.cuts[:-1]
+        ax.semilogy(number[uncut], np.degrees(c.rms_angle[:-1][uncut]), "o", color=CURVES[0],
                     markersize=1.8, label="rms of the N")  # fmt: skip
         ax.semilogy(c.orders, np.degrees(c.largest_angle), "s", color=CURVES[1], markersize=1.8,
                     markerfacecolor="none", label="largest of the N")  # fmt: skip
