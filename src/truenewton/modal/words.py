@@ -158,14 +158,14 @@ def _table(base: ModalBase) -> list[str]:
 
 def _within(findings: ModalFindings, limits: Budget) -> list[str]:
     """Return how many modes the limits allow, and what alpha has to do with it."""
-    if not limits.any:
-        return ["  --power, --total-power or --force asks how many modes they allow"]
     asked = (
         (limits.power, "W in the worst coil"),
         (limits.total, "W in all"),
         (limits.force, "N on any actuator"),
     )
     words = " and ".join(f"{limit:g} {what}" for limit, what in asked if math.isfinite(limit))
+    if not words:
+        return ["  --power, --total-power or --force asks how many modes they allow"]
     lines = [f"  within {words}, piston and tilts counted:"]
     for cost, uncalibrated in zip(findings.after.costs, findings.before.costs, strict=True):
         number = cost.modes_within(limits)
