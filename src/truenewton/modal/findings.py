@@ -65,9 +65,9 @@ class ModalFindings:
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
-        told: tuple[Fault, ...] = ()
+        warnings: tuple[Fault, ...] = ()
         if self.measured is not None and self.measured.misfit > MISFIT:
-            told += (
+            warnings += (
                 Fault(
                     "shapes leave forces that no stiffness explains,"
                     f" {np.sqrt(self.measured.misfit):.2g} times what repeats scatter",
@@ -76,13 +76,13 @@ class ModalFindings:
             )
         before, after = self.before.stiffness, self.after.stiffness
         if after.asymmetry > before.asymmetry and after.imbalance > before.imbalance:
-            told += (
+            warnings += (
                 Fault(
                     "with alpha the stiffness is less symmetric and less balanced than without",
                     "give alpha of this very mirror, and its stiffness in commanded Newtons",
                 ),
             )
-        return told
+        return warnings
 
     def modes_between(self, cost: Dissipation, limits: Budget) -> tuple[int, int]:
         """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""

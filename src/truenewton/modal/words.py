@@ -18,6 +18,7 @@ from truenewton.rounding import percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns
 NUMBERS = 8  # of modes, in the table
+NEGATIVE = "bias magnets, or errors of the measurement"  # why a stiffness may be
 
 
 def stiffness_text(value: float) -> str:
@@ -26,12 +27,6 @@ def stiffness_text(value: float) -> str:
         if abs(value) >= 0.995 * size:
             return f"{significant(value / size)} {unit}"
     return f"{significant(value)} N/m"
-
-
-def negative_text(base: ModalBase) -> str:
-    """Say how many elastic modes are of negative stiffness, and why; nothing where none is."""
-    count = int(np.count_nonzero(base.modes.stiffness[3:] < 0))
-    return f"{count} negative: bias magnets, or errors of the measurement" if count else ""
 
 
 def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
@@ -117,7 +112,7 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
     before, after = findings.before.stiffness, base.stiffness
     count, elastic = base.modes.stiffness.size, base.modes.stiffness[3:]
     rigid = ", ".join(f"{value:.3g}" for value in after.rigid_stiffness)
-    negative = negative_text(base)
+    negative = int(np.count_nonzero(elastic < 0))
     rows = [
         ("measured stiffness", measured_text(measured) if measured else ""),
         ("", rigid_text(measured) if measured else ""),
@@ -126,7 +121,7 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
         ("imbalance of it", f"{percent(before.imbalance):<12}{percent(after.imbalance)}"),
         ("rigid motions", f"{'':<12}{rigid} N/m"),
         ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
-         + (f"; {negative}" if negative else "")),
+         + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
         ("modes by alpha = 1", comparison_text(findings.comparison)),
         ("turbulence", turbulence_text(base)),
         ("between actuators", fitting_error_text(base)),
