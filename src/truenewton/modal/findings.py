@@ -58,9 +58,8 @@ class ModalFindings:
     sources: tuple[UsedSource, ...]
 
     def __repr__(self) -> str:
-        return (
-            f"<ModalFindings of {self.after.instrument}: {self.after.modes.stiffness.size} modes>"
-        )
+        base = self.after
+        return f"<ModalFindings of {base.matrix.instrument}: {base.modes.stiffness.size} modes>"
 
     @property
     def warnings(self) -> tuple[Fault, ...]:

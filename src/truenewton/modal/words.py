@@ -129,7 +129,7 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
     ]  # fmt: skip
     warnings = (*(c.diagnosis.warnings if c.diagnosis else ()), *findings.warnings)
     return [
-        f"{base.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
+        f"{base.matrix.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
         *(row(name, text) for name, text in rows if text),
         *_table(base),
         *_within(findings, limits),
@@ -179,8 +179,8 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
     """Return the same figures for a script."""
     base, measured, c = findings.after, findings.measured, findings.comparison
     values: dict[str, Any] = {
-        "instrument": base.instrument,
-        "date": base.date.isoformat(),
+        "instrument": base.matrix.instrument,
+        "date": base.matrix.date.isoformat(),
         "method": findings.calibration.method,
         "scale": findings.calibration.scale,
         "seeing": base.seen.atmosphere.seeing,
