@@ -197,7 +197,7 @@ def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
     reading_covariance = np.diag(cycles_svd.scatter_covariance(campaign, fit))[:n]
     changes = cycles_svd.weight_changes(fit, weight_errors(campaign))[:, :n]
     whole = reading_covariance + np.sum(changes**2, axis=0)
-    return Answer(fit.found.solution[:n], np.sqrt(reading_covariance), np.sqrt(whole))
+    return Answer(fit.solved.solution[:n], np.sqrt(reading_covariance), np.sqrt(whole))
 
 
 def by_svd(campaign: tn.Campaign) -> Answer:

@@ -9,9 +9,9 @@ from balanced import BIAS, LAYOUT, arms_of, gradients
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.displaced_rows import BalancedRows, common_reference
 from truenewton.estimation.moments import campaign_moments
-from truenewton.estimation.outliers import repeat_deviations
+from truenewton.estimation.sifted import sift
 from truenewton.records.campaign import Campaign
-from truenewton.report.evidence import campaign_evidence
+from truenewton.report.investigate import investigate
 from truenewton.statics.arms import enabled_arms
 
 MOVED = 3e-8  # between cycles [m], by 600 /m 2e-5 of alpha
@@ -135,10 +135,10 @@ def test_repeats_and_residuals_count_from_the_same():
     half = replace(campaign.cycles[-1], valid=campaign.cycles[-1].sign > 0)
     campaign = Campaign((*campaign.cycles[:-1], half))
     moments, a = campaign_moments(campaign), enabled_arms(campaign.layout)
-    assert np.abs(np.vstack(list(repeat_deviations(campaign, moments, 100)))).max() < 1e-11
+    assert np.abs(np.vstack(sift(campaign).samples)).max() < 1e-11
     own = BalancedRows(half, a, half.rest_position).at(slice(None))[0]
     assert np.abs(BalancedRows(half, a, moments.reference).at(slice(None))[0] - own).max() > 1e-5
-    evidence = campaign_evidence(campaign, calibrate(campaign))
+    evidence = investigate(campaign).evidence
     lines = {line.what: line for line in evidence.balance}
     assert lines["force, ring"].before > 10.0  # mN
     assert lines["force, ring"].after < 1e-5

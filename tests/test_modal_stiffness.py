@@ -17,13 +17,14 @@ from truenewton.bench.simulated.loop_campaign import run_loop_cycles
 from truenewton.bench.simulated.static import rows_of_cycle, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.estimation import moments
+from truenewton.estimation import repeats
+from truenewton.estimation.row_readers import read_rows
+from truenewton.estimation.sifted import sift
 from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.modal import shape_products
 from truenewton.modal.comparison import compare_modes
-from truenewton.modal.measured_stiffness import measured_stiffness
+from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
@@ -129,7 +130,9 @@ def test_noise_of_the_sensors_does_not_soften():
             tuple(replace(c, position=z) for c, z in zip(cycles, read, strict=True))
         )
         softer.append(np.sum(measured_stiffness(campaign).matrix.stiffness * k) / np.sum(k * k) - 1)
-        alike = shape_products.shape_products(campaign).between
+        reader = motion_reader(sift(campaign))
+        read_rows(campaign, (reader,))
+        alike = reader.products().between
         plain = alike.cz @ np.linalg.inv(alike.zz)
         naive.append(np.sum(plain * k) / np.sum(k * k) - 1)
     error = np.std(naive) / np.sqrt(40)
@@ -239,7 +242,7 @@ def test_rows_may_stay_on_disk(tmp_path, monkeypatch):
     _, campaign, _ = spoilt()
     write_campaign(campaign.cycles, tmp_path / "campaign")
     monkeypatch.setattr(reading, "IN_MEMORY", -1)
-    for module in (stored_rows, moments, shape_products):
+    for module in (stored_rows, repeats):
         monkeypatch.setattr(module, "BLOCK_BYTES", 4000)
     stored = read(tmp_path / "campaign")
     assert not isinstance(stored.cycles[0].position, np.ndarray)

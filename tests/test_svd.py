@@ -247,7 +247,7 @@ def test_the_bias_to_first_order_is_the_bias():
     for k in range(200):
         campaign = noisy(quiet, 2e-3, [98, k])
         fitted = fit(campaign)
-        solutions.append(fitted.found.solution)
+        solutions.append(fitted.solved.solution)
         predicted.append(bias(campaign, fitted, np.full(n, 4e-6)))
     measured = (np.mean(solutions, axis=0) - truth)[:n]
     error = (np.std(solutions, axis=0) / np.sqrt(200))[:n]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truenewton.estimation.diagnosis import ErrorKind
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
@@ -139,7 +140,7 @@ def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
          + f", lowest actuator {ids[low]}, highest {ids[high]}"),
         ("typical error of alpha", percent(float(np.median(relative))), "E_ALPHA, one sigma"),
     ]  # fmt: skip
-    if c.scale != "mean 1":
+    if c.scale != Scale.MEAN_ONE:
         rows += _budget(c)
         rows += [
             ("bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""),

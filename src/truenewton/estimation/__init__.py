@@ -10,7 +10,7 @@ the system that follows eq. 3:
     eq. 4   E alpha' = r, B and torques unknown  `systems`: `system_e`; `unknowns`: `Unknowns`
     sec. 4  solution by SVD                      `cycles_svd`: `solve`; of a campaign, `find`
     sec. 4  the proof code                       `studies.proof`: `prove`
-    sec. 5  error over the cycles, E_CYCLE       `cycle_errors`: `cycle_errors`
+    sec. 5  error over the cycles, E_CYCLE       `cycle_errors`: `CycleErrors`
 
 Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md): `likelihood`. The
 files, in the order in which data pass through them:
@@ -20,7 +20,10 @@ files, in the order in which data pass through them:
     cycles_svd       the paper's method: E alpha' = r by singular value decomposition
     cycle_errors     the paper's error: each cycle solved alone
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
-    moments          repeats put together: number, mean, scatter; they merge
+    row_readers      one walk through the rows, for all who want to see them
+    repeats          rows by the group that they repeat, in one reading
+    sifted           rows far from their repeats left out; what the reading leaves behind
+    moments          repeats put together: number, mean, scatter
     shape_sums       sums over shapes: what the likelihood needs of the means
     imbalance        what a reading is out of balance by, in terms of its noise
     outliers         rows that do not belong

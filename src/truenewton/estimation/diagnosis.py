@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, StrEnum
 
 import numpy as np
 
 from truenewton.records.fault import Fault
+
+
+class NoiseSource(StrEnum):
+    """Where the noise of a reading is from."""
+
+    REPEATS = "repeats"
+    DECLARED = "FORCERR"
+    MINIMUM = "minimum"  # only its shape is known: it fits by definition
 
 
 @dataclass(frozen=True)
@@ -65,14 +73,14 @@ class Goodness:
     chi2, degrees_of_freedom
         Sum of squared imbalance in terms of its noise; equations less unknowns.
     against
-        Where the noise comes from: 'repeats', 'FORCERR', or 'minimum' when it fits by definition.
+        Where the noise comes from.
     probability
         Of a larger chi2 by chance; NaN against 'minimum'.
     """
 
     chi2: float
     degrees_of_freedom: int
-    against: str
+    against: NoiseSource
     probability: float
 
     @property

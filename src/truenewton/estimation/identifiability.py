@@ -14,6 +14,8 @@ does not stand apart from it is a direction that only noise decides (docs/method
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.linalg
 
@@ -223,11 +225,11 @@ def _undetermined_fault(span: int, free: int, n: int) -> Fault:
     )
 
 
-def refuse(diagnosis: Diagnosis) -> None:
+def refuse(faults: Sequence[Fault], undetermined: int = 0) -> None:
     """Raise RankDeficient with the first fault, where there is one."""
-    if diagnosis.faults:
-        fault, remedy = diagnosis.faults[0]
-        raise RankDeficient(fault, remedy=remedy, got=diagnosis.undetermined, want=0)
+    if faults:
+        fault, remedy = faults[0]
+        raise RankDeficient(fault, remedy=remedy, got=undetermined, want=0)
 
 
 def leverage(scaled_arms: Array, variance: Array) -> Array:

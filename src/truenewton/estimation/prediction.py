@@ -109,8 +109,7 @@ def predict(
         The shapes or the actuators cannot fix alpha, whatever the noise.
     """
     free = load_faults(campaign)
-    faults = [fault for fault in structural_faults(campaign, moments) if fault not in free]
-    refuse(Diagnosis((), 0, tuple(faults)))
+    refuse([fault for fault in structural_faults(campaign, moments) if fault not in free])
     problem = problem_of(campaign, reading_noise(campaign, moments))
     n = problem.n
     alpha = np.ones(n) if alpha is None else alpha

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.imbalance import (
     imbalance_covariance,
     squared_distances,
@@ -17,8 +18,9 @@ from truenewton.estimation.imbalance import (
 from truenewton.estimation.likelihood import minimise, start_values
 from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import SHARE_ROWS, Noise, least_variance
-from truenewton.estimation.outliers import MEDIAN_CHI2, repeat_deviations
+from truenewton.estimation.noise import Noise, least_variance
+from truenewton.estimation.outliers import MEDIAN_CHI2
+from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_ml import likeliest, mode_data, population_prior
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
 from truenewton.estimation.unknowns import Unknowns
@@ -130,28 +132,26 @@ def problem_of(campaign: Campaign, noise: Noise) -> Problem:
 
 def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
     """Give an unknown noise a first size, from the imbalance that least squares leave."""
-    if problem.noise.source != "minimum":
+    if problem.noise.source != NoiseSource.MINIMUM:
         return problem
     start = start_values(problem.a, problem.data(moments), problem.prior)
     # From the median, and rather too small: bad rows shall not swell it, lest D outgrow M.
     distance = problem.distances(start, moments)[moments.rows > 0]
     size = 0.25 * float(np.median(distance)) / MEDIAN_CHI2
-    return replace(problem, noise=Noise(problem.noise.variance * max(size, 1.0), "minimum"))
+    variance = problem.noise.variance * max(size, 1.0)
+    return replace(problem, noise=Noise(variance, NoiseSource.MINIMUM))
 
 
-def with_share_in_balance(
-    problem: Problem, campaign: Campaign, moments: Moments, alpha: Array
-) -> Problem:
+def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Problem:
     """Return the problem with the share of the repeats' scatter that reaches the balance.
 
     From the imbalance of deviations from the mean, A diag(alpha) (c - c_mean), of some repeated
     rows; 1 unless they say otherwise by more than four standard errors.
     """
-    if problem.noise.source != "repeats":
+    if problem.noise.source != NoiseSource.REPEATS:
         return problem
-    scaled_arms = problem.a * alpha
-    deviations = repeat_deviations(campaign, moments, SHARE_ROWS)
-    rho = np.concatenate([scaled_arms @ apart.T for apart in deviations], axis=1).T
+    scaled_arms, moments = problem.a * alpha, sifted.moments
+    rho = np.concatenate([sample @ scaled_arms.T for sample in sifted.samples])
     s = imbalance_covariance(scaled_arms, problem.noise.variance)
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, least_variance(moments) / problem.noise.variance.mean())
@@ -173,13 +173,13 @@ def with_noise_from_minimum(
     Degrees of freedom are those of the problem, unless a function gives those of a minimum.
     """
     for _ in range(20):
-        if problem.noise.source != "minimum":
+        if problem.noise.source != NoiseSource.MINIMUM:
             break
         degrees = freedom(problem, minimum) if freedom else problem.degrees_of_freedom(moments)
         size = minimum.chi2 / max(degrees, 1.0)
         variance = np.maximum(problem.noise.variance * size, least_variance(moments))
         if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
             break
-        problem = replace(problem, noise=Noise(variance, "minimum"))
+        problem = replace(problem, noise=Noise(variance, NoiseSource.MINIMUM))
         minimum = problem.fitted(moments, minimum.values)
     return problem, minimum

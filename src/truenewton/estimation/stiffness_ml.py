@@ -8,14 +8,12 @@ import numpy as np
 import scipy.optimize
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import geometry_faults, refuse
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Prior
 from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.stiffness_svd import (
-    ElasticSolution,
     balance_modes,
     comparable_arms,
     elastic_modes,
@@ -46,15 +44,15 @@ class ElasticFit:
         Of the noise of one element of a mode, from the minimum.
     spread
         Of the population that alpha was taken from; infinite for none.
-    start
-        The singular vector from which it began.
+    singular_values
+        (n,) of the balance of the modes, ascending; the first belongs to alpha.
     """
 
     alpha: Array
     covariance: Array
     variance: float
     spread: float
-    start: ElasticSolution
+    singular_values: Array
 
 
 def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit:
@@ -71,22 +69,25 @@ def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit
     ------
     RankDeficient, NotConverged
     """
-    start = balance_modes(modes, a)
-    fit = _at_spread(modes, a, np.inf, start)
+    start, singular_values = balance_modes(modes, a)
+    fit = _at_spread(modes, a, np.inf, start, singular_values)
     if not population:
         return fit
-    return _at_spread(modes, a, population_spread(fit.alpha, fit.covariance), start)
+    spread = population_spread(fit.alpha, fit.covariance)
+    return _at_spread(modes, a, spread, start, singular_values)
 
 
-def _at_spread(modes: Array, a: Array, spread: float, start: ElasticSolution) -> ElasticFit:
+def _at_spread(
+    modes: Array, a: Array, spread: float, start: Array, singular_values: Array
+) -> ElasticFit:
     n, freedom = a.shape[1], 3 * len(modes) - a.shape[1] + 1
-    s = (a * start.alpha**2) @ a.T
-    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a) @ start.alpha
+    s = (a * start**2) @ a.T
+    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a) @ start
     least = 1e-18 / n  # rounding of a mode's element
-    variance, values = max(float(rows @ rows) / freedom, least), start.alpha
+    variance, values = max(float(rows @ rows) / freedom, least), start
     for _ in range(20):
         # Elastic forces leave the scale free, so nothing but this holds the mean at 1.
-        scale = float(np.sum(start.singular_values**2)) / variance
+        scale = float(np.sum(singular_values**2)) / variance
         prior = population_prior(n, spread, scale)
         minimum = minimise(a, [mode_data(modes, variance)], prior, values)
         size, values = minimum.chi2 / freedom, minimum.values / minimum.values.mean()
@@ -95,7 +96,8 @@ def _at_spread(modes: Array, a: Array, spread: float, start: ElasticSolution) ->
         variance *= size
     s = (a * values**2) @ a.T
     pull = population_prior(n, spread).information * variance
-    return ElasticFit(values, mode_covariance(modes, a, values, s, pull), variance, spread, start)
+    covariance = mode_covariance(modes, a, values, s, pull)
+    return ElasticFit(values, covariance, variance, spread, singular_values)
 
 
 def population_prior(n: int, spread: float, scale: float = 0.0) -> Prior:
@@ -139,7 +141,7 @@ def find(matrix: StiffnessMatrix, population: bool) -> Estimate:
     ------
     RankDeficient, NotConverged
     """
-    refuse(Diagnosis((), 0, geometry_faults(enabled_arms(matrix.layout))))
+    refuse(geometry_faults(enabled_arms(matrix.layout)))
     fit = likeliest(elastic_modes(matrix), comparable_arms(matrix), population=population)
     method = f"ml, population {fit.spread:.2g}" if population else "ml"
-    return relative_estimate(matrix, method, fit.alpha, fit.covariance, fit.start.singular_values)
+    return relative_estimate(matrix, method, fit.alpha, fit.covariance, fit.singular_values)

@@ -74,7 +74,7 @@ def scale_errors(
     sources
         The errors of the weights.
     """
-    direction = _common_change(alpha)
+    direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
     lines = [scale_error_from_readings(alpha, reading_covariance)]
     lines += [
         ScaleError(source.source, abs(float(direction @ change)))
@@ -85,14 +85,8 @@ def scale_errors(
 
 def scale_error_from_readings(alpha: Array, reading_covariance: Array) -> ScaleError:
     """Return the part of the readings, from (n,) alpha and its (n, n) covariance from them."""
-    direction = _common_change(alpha)
-    error = float(np.sqrt(direction @ reading_covariance @ direction))
-    return ScaleError(READINGS, error)
-
-
-def _common_change(alpha: Array) -> Array:
-    """Return (n,) weights that take e from a relative change of all, alpha -> alpha (1 + e)."""
-    return np.asarray(alpha / (alpha @ alpha))
+    direction = alpha / (alpha @ alpha)
+    return ScaleError(READINGS, float(np.sqrt(direction @ reading_covariance @ direction)))
 
 
 def scale_total(lines: tuple[ScaleError, ...]) -> float:

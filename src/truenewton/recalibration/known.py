@@ -12,6 +12,7 @@ from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import WeightError, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
@@ -98,7 +99,7 @@ def known_from(
         alpha, covariance, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
         temperature = temperature if recorded else given.temperature
     else:
-        if given.scale == "mean 1":
+        if given.scale == Scale.MEAN_ONE:
             raise FormatError(
                 "gives alpha relative to its mean, so it carries no scale",
                 remedy="give a calibration whose scale comes from weights",

@@ -30,6 +30,7 @@ from truenewton.estimation.problem import (
     with_noise_from_minimum,
     with_share_in_balance,
 )
+from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError
 from truenewton.linalg import mirrored
@@ -82,39 +83,39 @@ class ShortRun:
         return np.asarray(np.diag(size**-2) + np.outer(stay, stay) / SCALE_HELD**2)
 
 
-def sifted(
-    run: ShortRun, moments: Moments, new: NDArray[np.bool_]
+def balancing(
+    run: ShortRun, sifted: Sifted, new: NDArray[np.bool_]
 ) -> tuple[Problem, Moments, Minimum, list[RejectedRow]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
     Held to its earlier calibration, one that was replaced would make good shapes look bad.
     """
+    moments = sifted.moments
     noise = reading_noise(run.campaign, moments)
     try:
         posed = run.problem(noise, run.loose(new))
-        kept, distance, (problem, estimate) = fitted_groups(posed, moments)
+        belongs, distance, (problem, minimum) = fitted_groups(posed, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
         posed = run.problem(noise, run.tight(~new))
-        kept, distance, (problem, estimate) = fitted_groups(posed, moments)
-    alpha = estimate.values[: problem.n]
-    shared = with_share_in_balance(posed, run.campaign, moments, alpha)
+        belongs, distance, (problem, minimum) = fitted_groups(posed, moments)
+    shared = with_share_in_balance(posed, sifted, minimum.values[: problem.n])
     if shared.noise.share != 1.0:
-        kept, distance, (problem, estimate) = fitted_groups(shared, moments)
+        belongs, distance, (problem, minimum) = fitted_groups(shared, moments)
     lost: list[RejectedRow] = []
-    if not kept.all():
-        actuator = problem.standing_out(estimate.values, moments)
-        lost = rows_of(run.campaign, moments, ~kept, distance, actuator)
+    if not belongs.all():
+        actuator = problem.standing_out(minimum.values, moments)
+        lost = rows_of(run.campaign, ~belongs, distance, actuator)
         refuse_too_many(len(lost), int(moments.rows.sum()))
-        moments = chosen_groups(moments, kept)
-    problem, estimate = with_noise(problem, moments, estimate)
-    return problem, moments, estimate, lost
+        moments = chosen_groups(moments, belongs)
+    problem, minimum = with_noise(problem, moments, minimum)
+    return problem, moments, minimum, lost
 
 
-def inverse_of(problem: Problem, estimate: Minimum) -> Array:
+def inverse_of(problem: Problem, minimum: Minimum) -> Array:
     """Return H^-1 of the unknowns that are not held."""
     prior = problem.prior
-    free = len(estimate.values) - (prior.measured if prior.held else 0)
-    return np.asarray(scipy.linalg.inv(mirrored(estimate.information[:free, :free])))
+    free = len(minimum.values) - (prior.measured if prior.held else 0)
+    return np.asarray(scipy.linalg.inv(mirrored(minimum.information[:free, :free])))
 
 
 def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
@@ -133,18 +134,18 @@ def with_noise(problem: Problem, moments: Moments, minimum: Minimum) -> tuple[Pr
     return with_noise_from_minimum(problem, moments, minimum, degrees)
 
 
-def pulls(problem: Problem, estimate: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:
+def pulls(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:
     """Return (n,) how far each who stays is pulled, in sigmas; chi2 of all together; degrees."""
     n = problem.n
     at = np.ix_(stay, stay)
     prior = problem.prior
     information = prior.information[at]
-    apart = (estimate.values - prior.mean)[:n][stay]
+    apart = (minimum.values - prior.mean)[:n][stay]
     root = scipy.linalg.cholesky(information, lower=True)
     # In units of the prior: variances 0 (the run says nothing) to 1 (it says all).
-    inverse = root.T @ inverse_of(problem, estimate)[:n, :n][at] @ root
-    by_weights = estimate.changes[:n][stay]
-    spread = root.T @ (estimate.reading_covariance[:n, :n][at] + by_weights @ by_weights.T) @ root
+    inverse = root.T @ inverse_of(problem, minimum)[:n, :n][at] @ root
+    by_weights = minimum.changes[:n][stay]
+    spread = root.T @ (minimum.reading_covariance[:n, :n][at] + by_weights @ by_weights.T) @ root
     variance = np.eye(len(apart)) - 2 * inverse + spread
     pull = root.T @ apart
     values, vectors = scipy.linalg.eigh(variance)

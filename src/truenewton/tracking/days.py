@@ -14,6 +14,7 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
+from truenewton.estimation.estimate import Scale
 from truenewton.linalg import factor_of
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign, mean_temperature
@@ -128,13 +129,13 @@ def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
 
 def _refuse_unfit(day: DatedCalibration) -> None:
     c = day.calibration
-    if c.scale == "mean 1":
+    if c.scale == Scale.MEAN_ONE:
         raise FormatError(
             "gives alpha relative to its mean, in which what is common to all is lost",
             remedy="give calibrations whose scale comes from weights",
             path=day.name,
         )
-    if c.scale == "given" or "recalibrated" in c.method:
+    if c.scale == Scale.GIVEN or "recalibrated" in c.method:
         raise FormatError(
             "was made with an earlier calibration, which it holds over again",
             remedy="give the campaigns themselves, or full calibrations",
