@@ -108,7 +108,7 @@ def test_a_planned_day_at_the_simulated_bench_gives_what_was_predicted(ready):
 def test_two_loads_know_the_scale_as_well_as_their_difference(ready):
     found = predicted(ready)
     source = found.scale_errors[0]
-    assert source.source == "weight of 'ring'"
+    assert str(source.source) == "weight of 'ring'"
     assert source.relative == pytest.approx(0.005 / 0.289, rel=1e-9)
     assert found.systematic_error / found.alpha == pytest.approx(0.005 / 0.289, rel=1e-6)
 

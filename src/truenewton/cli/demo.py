@@ -24,7 +24,7 @@ def run(
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.calibration.figures import write_figures
     from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.words import print_summary
+    from truenewton.calibration.words import summary_lines
     from truenewton.files.outputs import new_folder, refuse_existing
     from truenewton.mirrors.known import p45
     from truenewton.reading import read_data
@@ -50,7 +50,7 @@ def run(
     if calibration is None:
         raise AssertionError("a sound campaign gives a calibration")
     calibration.write(output / "alpha.fits", overwrite=overwrite)
-    print_summary(calibration)
+    print(*summary_lines(calibration), sep="\n")
     print(f"   {output / 'alpha.fits'}\n")
 
     print("3. The truth beside it, since this is a simulation")

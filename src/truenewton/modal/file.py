@@ -89,7 +89,7 @@ def _plain(axis: str, meaning: str, unit: str | None, matrix: Attribute) -> File
     return FileFormat(
         (
             INSTRUMENT,
-            Keyword("DATE-OBS", "base.date", "UTC", kind="date"),
+            Keyword("DATE-OBS", "base.matrix.date", "UTC", kind="date"),
             Keyword("CTYPE1", lambda _: axis, f"columns: {meaning}", kind="str"),
             Keyword("CTYPE2", lambda _: "ACTUATOR", "rows, axis 0 in numpy", kind="str"),
             Keyword("BUNIT", lambda _: unit, "of the matrix", kind="str"),
@@ -98,12 +98,12 @@ def _plain(axis: str, meaning: str, unit: str | None, matrix: Attribute) -> File
     )
 
 
-INSTRUMENT = Keyword("INSTRUME", "base.instrument", "mirror", kind="str")
+INSTRUMENT = Keyword("INSTRUME", "base.matrix.instrument", "mirror", kind="str")
 STATE = Column("STATE", _states, kind="str", width=9)
 MODES = FileFormat(
     (
         INSTRUMENT,
-        Keyword("DATE-OBS", "base.date", "UTC, of the stiffness", kind="date"),
+        Keyword("DATE-OBS", "base.matrix.date", "UTC, of the stiffness", kind="date"),
         Keyword("MISFIT", "measured.misfit", "variance of shapes over repeats"),
         Keyword("RELERR", "measured.relative_error", "of the stiffness, by noise"),
         Keyword("RIGID", "measured.rigid_assumed", "motions taken to cost nothing", kind="int"),
@@ -202,16 +202,15 @@ def write_modes(
 
 def _write_all(findings: ModalFindings, paths: list[Path], limits: Budget) -> None:
     base, stiffness = findings.after, findings.after.stiffness
-    true = _square(base, stiffness.whole)
-    commanded = _square(base, stiffness.whole / stiffness.enabled_alpha[:, None])
+    true = _square(base, stiffness.acting_stiffness)
+    commanded = _square(base, stiffness.acting_stiffness / stiffness.enabled_alpha[:, None])
     written = _Written(
         findings.measured, findings.calibration, findings.sources, base, limits, true, commanded
     )
-    layout = replace(
-        base.layout, enabled=np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
-    )
+    acting = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
+    layout = replace(base.layout, enabled=acting)
     for target, forces in zip(paths[1:3], (true, commanded), strict=True):
-        record = StiffnessMatrix(base.instrument, base.date, layout, forces)
+        record = StiffnessMatrix(base.matrix.instrument, base.matrix.date, layout, forces)
         write_stiffness(record, target)
     for target, form in zip((paths[0], *paths[3:]), (MODES, *PLAIN.values()), strict=True):
         write_fits(target, form, written)
@@ -219,6 +218,7 @@ def _write_all(findings: ModalFindings, paths: list[Path], limits: Budget) -> No
 
 def _square(base: ModalBase, forces: Array) -> Array:
     """Return (N, N) forces per displacement over all actuators from (n, n) over the enabled."""
-    square = np.zeros((base.layout.n, base.layout.n))
-    square[:, np.isin(base.layout.id, base.stiffness.enabled.id)] = base.on_all_actuators(forces)
+    on = base.layout.enabled
+    square = np.zeros((on.size, on.size))
+    square[:, on] = base.on_all_actuators(forces)
     return square

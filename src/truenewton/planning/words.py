@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from truenewton.calibration.words import warning_lines
 from truenewton.estimation.prediction import typical
 from truenewton.planning.outlook import reading_time
 from truenewton.rounding import percent
@@ -68,8 +69,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
     yield from _table("added weights, times", outlook.against_weight, [
         f"{value:g}" for value in outlook.against_weight.values
     ])  # fmt: skip
-    for fault, remedy in outlook.warnings:
-        yield f"  WARNING: {fault}; {remedy}"
+    yield from warning_lines(outlook.warnings)
 
 
 def _table(name: str, curve: Curve, heads: Sequence[str]) -> Iterator[str]:
@@ -120,7 +120,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
         "typical_e_stat": typical(found.reading_error, found.alpha),
         "typical_e_syst": typical(found.systematic_error, found.alpha),
         "scale_errors": [
-            {"source": line.source, "relative": line.relative} for line in found.scale_errors
+            {"source": str(line.source), "relative": line.relative} for line in found.scale_errors
         ],
         "actuators": {
             "id": found.layout.id[found.layout.enabled],

@@ -50,7 +50,7 @@ from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.law import Departure, Tracking
+from truenewton.tracking.law import Outlier, Tracking
 
 ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
 MOST = 0.25  # of the actuators that may have moved
@@ -80,7 +80,7 @@ class Recalibration:
 
     calibration: Calibration
     asked: tuple[int, ...]
-    moved: tuple[Departure, ...]
+    moved: tuple[Outlier, ...]
     earlier: Array
     chi2: float
     degrees_of_freedom: int
@@ -128,7 +128,7 @@ def recalibrate(
     alpha = np.where(np.isfinite(before.alpha), before.alpha, np.nanmean(before.alpha))[on]
     run = ShortRun(before, sifted.sound, errors, alpha, before.covariance[np.ix_(on, on)])
     problem, moments, minimum, lost = balancing(run, sifted, new)
-    moved: list[Departure] = []
+    moved: list[Outlier] = []
     stay = ~new
     while True:
         problem = replace(problem, prior=run.problem(problem.noise, run.tight(stay)).prior)
@@ -139,7 +139,7 @@ def recalibrate(
         mirror = chance_of_any(chance, int(stay.sum()))
         if mirror >= FALSE_ALARM:
             break
-        moved.append(Departure(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
+        moved.append(Outlier(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
         stay[worst] = False
         if len(moved) > MOST * len(stay):
             raise RankDeficient(

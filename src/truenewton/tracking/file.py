@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 
 import numpy as np
-import scipy.stats
 
 from truenewton.errors import FormatError
 from truenewton.files.content import FitsFile
@@ -36,11 +35,11 @@ DEPARTURES = TableFormat(
     "DEPARTURES",
     (
         Column("ID", "actuator", kind="int"),
-        Column("EFFECT", "what", kind="str", width=11),
+        Column("EFFECT", "effect", kind="str", width=11),
         Column("SIGMAS", "sigmas"),
         Column("CHANCE", "probability"),
     ),
-    of="departures",
+    of="outliers",
 )
 DAYS = TableFormat(
     "DAYS",
@@ -129,11 +128,10 @@ def tracking_from(file: FitsFile) -> Tracking:
         The file breaks the contract of a tracking file.
     """
     values = file.values(TRACKING)
-    alpha, chi2, freedom = (values[name] for name in ("alpha", "chi2", "degrees_of_freedom"))
+    alpha = values["alpha"]
     file.require_squares(("COVARIANCE", "SYSTEMATIC"), 3 * alpha.size, "ALPHA, K and DRIFT")
     if not values["days"]["name"]:
         raise FormatError("DAYS is empty", remedy="track again", path=file.path)
     values["layout"]["enabled"] = np.isfinite(alpha)
-    values["told"] = values["families"]["effect"]
-    values["probability"] = float(scipy.stats.chi2.sf(chi2, freedom)) if freedom else float("nan")
+    values["effects"] = values["families"]["effect"]
     return file.filled(Tracking, values)

@@ -8,19 +8,18 @@ import numpy as np
 
 from truenewton.figures.writing import inline_svg
 from truenewton.modal.dissipation import Budget
-from truenewton.modal.figures import plot_modes, plot_power, plot_residual
+from truenewton.modal.figures import chosen_modes, plot_modes, plot_power, plot_residual
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.words import (
-    apart,
-    between_actuators,
-    chosen_modes,
+    comparison_text,
     cost_rows,
+    fitting_error_text,
     measured_text,
     rigid_text,
-    static_force,
+    static_force_text,
     stiffness_text,
-    turbulence,
+    turbulence_text,
 )
 from truenewton.report.investigate import Findings
 from truenewton.report.page.section import Section, TextTable
@@ -48,7 +47,7 @@ def _modes(modes: ModalFindings) -> Section:
         f"Of {values.size} modes the softest elastic one has {stiffness_text(softest)}, the"
         f" stiffest {stiffness_text(stiffest)}. Rigid motions bend nothing; bias magnets and errors"
         f" leave them {rigid}.",
-        f"Modes found with alpha = 1 lie {apart(modes.comparison)}.",
+        f"Modes found with alpha = 1 lie {comparison_text(modes.comparison)}.",
     ]
     if modes.measured is not None:
         texts = filter(None, (measured_text(modes.measured), rigid_text(modes.measured)))
@@ -77,7 +76,7 @@ def _turbulence(base: ModalBase) -> Section:
         "Rms wavefront that the first N modes of three bases leave on the actuators. After"
         f" {half} of {count}: {left}."
     )
-    words = (f"For {turbulence(base)}.", f"Between actuators: {between_actuators(base)}.")
+    words = (f"For {turbulence_text(base)}.", f"Between actuators: {fitting_error_text(base)}.")
     figure = inline_svg(plot_residual(base), "turbulence")
     return Section("turbulence", "Turbulence", words, figure, caption)
 
@@ -91,7 +90,7 @@ def _dissipation(base: ModalBase) -> Section:
         f" {cost.power[:, -1].mean():.2g} W."
     )
     words = (
-        f"Static force of the actuators: {static_force(cost)}.",
+        f"Static force of the actuators: {static_force_text(cost)}.",
         "truenewton modes --power W --force N tells how many modes a limit allows.",
     )
     head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",
