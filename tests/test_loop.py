@@ -10,16 +10,11 @@ from step_response import settling_time, step_responses
 
 from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control, ramp
-from truenewton.bench.simulated.loop import (
-    DRIFT,
-    closed_loop,
-    equilibrium,
-    record,
-    row_noise,
-    samples_of,
-)
+from truenewton.bench.simulated.loop import closed_loop, equilibrium, samples_of
+from truenewton.bench.simulated.noise import row_noise
 from truenewton.bench.simulated.plant import advance, film_damping
-from truenewton.bench.simulated.sensors import Sensors, count_step, draw_sensors
+from truenewton.bench.simulated.record import DRIFT, record
+from truenewton.bench.simulated.sensors import Sensors, draw_sensors
 from truenewton.bench.simulated.stability import roots, state_matrix
 from truenewton.errors import BenchFault, LoopUnstable
 from truenewton.mirrors.known import GRAVITY, p45
@@ -30,7 +25,7 @@ from truenewton.statics.modes import stiffness_modes
 
 PERIOD = 1 / 71.6e3
 GAP = 68e-6
-COUNT = count_step(Sensors(np.ones(1), np.zeros(1), GAP), GAP)
+COUNT = GAP**2 * 2.0 / (65e-6 * 65536)  # that one count means [m]
 SMOOTH = {"dac_step": 1e-15, "driver_noise": 0.0}  # of coils
 SHARP = {"noise": 0.0, "codes": 2**40}  # of sensors
 
@@ -41,7 +36,7 @@ def one_mode(k=2e5, mass=6.6e-3, damping=64.0, alpha=0.8, gain=1.05, **changes):
         np.array([[k]]),
         np.array([mass]),
         np.array([damping]),
-        Coils(np.array([alpha]), np.zeros(1), coil_gradient=0.0, **SMOOTH),
+        Coils(np.array([alpha]), coil_gradient=0.0, **SMOOTH),
         Sensors(np.array([gain]), np.array([2e-7]), GAP, **SHARP),
         Control(np.array([[0.9 * k]]), **changes),
     )
@@ -54,7 +49,7 @@ def p45_parts(seed=1):
     at = (mirror.layout.x, mirror.layout.y)
     k = condense(influence(mirror.shell, at, at), arms(mirror.layout)).stiffness
     mass = np.full(n, -mirror.weight / GRAVITY / n)
-    coils = Coils(random.uniform(*mirror.alpha_range, n), np.full(n, mirror.bias_force))
+    coils = Coils(random.uniform(*mirror.alpha_range, n))
     sensors = draw_sensors(n, mirror.gap, random)
     held = k - coils.bias_gradient * np.eye(n)
     control = Control(held / coils.alpha[:, None] * sensors.gain)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.glass import Annulus, Shell
@@ -141,7 +142,8 @@ def check_glass(mirror: Mirror) -> None:
     GeometryError
     """
     shell = mirror.shell
-    if not 0 < shell.inner_radius < shell.outer_radius < np.inf or not shell.thickness > 0:
+    hole = shell.inner_radius > 0 or (shell.outline is not None and shell.inner_radius == 0)
+    if not (hole and shell.inner_radius < shell.outer_radius < np.inf and shell.thickness > 0):
         raise GeometryError(
             f"the glass reaches from {shell.inner_radius:g} m to {shell.outer_radius:g} m, "
             f"{shell.thickness:g} m thick",
@@ -154,13 +156,44 @@ def check_glass(mirror: Mirror) -> None:
             f" {shell.outer_radius:g} m",
             remedy="give a larger one, with sign; leave it out for a plate",
         )
-    r = np.hypot(*shell.along(mirror.layout.x, mirror.layout.y))
-    reach = max(mirror.puck_radius, mirror.sensor.outer_radius)
-    off = np.flatnonzero((r - reach < shell.inner_radius) | (r + reach > shell.outer_radius))
-    if off.size:
+    at = shell.along(mirror.layout.x, mirror.layout.y)
+    r, reach = np.hypot(*at), max(mirror.puck_radius, mirror.sensor.outer_radius)
+    if shell.outline is None:
+        off = (r - reach < shell.inner_radius) | (r + reach > shell.outer_radius)
+        where = f"that is from {shell.inner_radius:g} m to {shell.outer_radius:g} m"
+    else:
+        off = _depth_in_outline(shell, at) < reach
+        where = "bring it further within the outline"
+    if off.any():
+        i = off.argmax()
         raise GeometryError(
-            f"actuator {mirror.layout.id[off[0]]} stands {r[off[0]]:.4g} m from the axis: it or its"
+            f"actuator {mirror.layout.id[i]} stands {r[i]:.4g} m from the axis: it or its"
             " sensor reaches off the glass",
-            remedy=f"that is from {shell.inner_radius:g} m to {shell.outer_radius:g} m; the sensor"
-            f" reaches {reach:g} m",
+            remedy=f"{where}; the sensor reaches {reach:g} m",
         )
+
+
+def _depth_in_outline(shell: Shell, at: tuple[Array, Array]) -> Array:
+    """Return (n,) how far from the edges places lie within an outlined glass; negative off it [m].
+
+    Raises
+    ------
+    GeometryError
+        Polygons that cannot be, or that reach beyond the outer radius.
+    """
+    from truenewton.mirrors.shell.finite_elements.outline import (
+        checked_sides,
+        distance_to_sides,
+        inside,
+    )
+
+    assert shell.outline is not None
+    loops, places = shell.polygons(), np.stack(at, axis=1)
+    checked_sides(loops, shell.outline.mesh_size)
+    furthest = np.hypot(*loops[0].T).max()
+    if furthest > shell.outer_radius:
+        raise GeometryError(
+            f"the outline reaches {furthest:.6g} m from the axis",
+            remedy=f"give an outer radius that it stays within, more than {shell.outer_radius:g} m",
+        )
+    return np.where(inside(loops, places), 1.0, -1.0) * distance_to_sides(loops, places)

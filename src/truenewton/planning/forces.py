@@ -16,10 +16,10 @@ from truenewton.acquisition.shapes import (
     with_enabled_only,
 )
 from truenewton.arrays import Array
-from truenewton.bench.simulated.static import START, tool_wedges
+from truenewton.bench.simulated.static import START
 from truenewton.errors import LimitExceeded
-from truenewton.mirrors.known import GRAVITY, Mirror
-from truenewton.mirrors.shell.held_glass import forces_under, held_glass
+from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import arms
@@ -52,19 +52,15 @@ class Holding:
 
 
 def holding(mirror: Mirror) -> Holding:
-    """Return what holds a mirror, by the model.
-
-    The glass spread evenly, magnets and bias magnets at their actuators, an added weight on three
-    wedges at the inner edge, 120 degrees apart: the simulated bench without its scatter.
-    """
+    """Return what holds a mirror, by the model: the simulated bench without its scatter."""
     glass = held_glass(with_enabled_only(mirror))
-    nz = glass.mirror.layout.nz
-    magnets = np.full(nz.size, -mirror.magnet_mass * GRAVITY)
-    wedges = tool_wedges(mirror)
+    n = glass.mirror.layout.n
+    own = weight_on(glass.mirror, mirror.weight)
+    tool = replace(own, spread=0.0, force=np.full(3, 1 / 3), local=np.zeros(n))
     return Holding(
-        own=forces_under(glass, mirror.weight - magnets.sum(), wedges, np.zeros(3)) - magnets / nz,
-        tool=forces_under(glass, 0.0, wedges, np.full(3, 1 / 3)),
-        bias=np.full(nz.size, -mirror.bias_force),
+        own=forces_under(glass, own),
+        tool=forces_under(glass, tool),
+        bias=np.full(n, -mirror.bias_force),
     )
 
 

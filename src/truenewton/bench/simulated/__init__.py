@@ -3,7 +3,9 @@
 bench          the bench behind the same door as hardware
 static         every shape held exactly, readings noisy
 loop_campaign  the same campaign in closed loop
+record         a shape in closed loop: means over the samples of a record
 loop           sensors, control, DAC, coils and glass, from sample to sample
+noise          random numbers of the rows
 plant          the glass as the loop moves it: M z'' + C z' + K z = f
 sensors        capacitive sensors
 coils          coils and magnets

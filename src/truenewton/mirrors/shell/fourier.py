@@ -21,6 +21,8 @@ units of b and displacements in units of b^2 / D per newton.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from truenewton.arrays import Array
@@ -82,13 +84,28 @@ def influence(
         A shell that cannot be, a point off the glass, a force on an edge or all but on it, a sensor
         or a puck over an edge, a sensor over the place where a force acts.
     """
+    parts = influence_in_parts(shell, at, of, sensor=sensor, puck_radius=puck_radius, digits=digits)
+    return np.concatenate([np.zeros((0, np.size(of[0]))), *parts])
+
+
+def influence_in_parts(
+    shell: Shell,
+    at: Points,
+    of: Points,
+    *,
+    sensor: Annulus | None = None,
+    puck_radius: float = 0.0,
+    digits: int = 13,
+) -> Iterator[Array]:
+    """Yield the rows of `influence`, some at a time, where all of them would fill the memory."""
     forces = on_glass(shell, of, "force", puck_radius)
     points = on_glass(shell, at, "point", sensor.outer_radius if sensor else 0.0)
     if points.size == 0 or forces.size == 0:
-        return np.zeros((points.size, forces.size))
+        yield np.zeros((points.size, forces.size))
+        return
     loaded = LoadedShell.of(shell, forces, np.abs(points), puck_radius, digits)
-    chunks = np.array_split(points, -(-points.size // POINTS_AT_ONCE))
-    return np.concatenate([loaded.read(some, sensor) for some in chunks])
+    for some in np.array_split(points, -(-points.size // POINTS_AT_ONCE)):
+        yield loaded.read(some, sensor)
 
 
 def uniform_influence(

@@ -1,7 +1,7 @@
 """Thin free glass of any outline and spherical curvature, by finite elements.
 
-stiffness  the shell seen from its actuators: stiffness, influence, frequencies
-energy     elastic energy and mass on a mesh
+stiffness  the shell seen from its actuators: influence, stiffness
+energy     elastic energy on a mesh
 argyris    Argyris' triangle, and quadrature
 mesh       triangles over a glass
 meshing    a mesh with a vertex at every actuator

@@ -54,13 +54,6 @@ class Mesh:
         """Median length of the edges [m]."""
         return float(np.median(np.linalg.norm(np.diff(self.points[self.edges], axis=1), axis=2)))
 
-    @cached_property
-    def angles(self) -> Array:
-        """(n_triangles, 3) angle at each vertex [rad]."""
-        side = np.linalg.norm(self.corners - np.roll(self.corners, -1, axis=1), axis=2)
-        a, b, c = side, np.roll(side, -1, axis=1), np.roll(side, -2, axis=1)
-        return np.asarray(np.arccos((a**2 + c**2 - b**2) / (2 * a * c)))
-
     @property
     def corners(self) -> Array:
         """(n_triangles, 3, 2) the vertices of each triangle [m]."""

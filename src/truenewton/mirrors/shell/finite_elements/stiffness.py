@@ -1,9 +1,9 @@
 """Thin free glass of any outline and spherical curvature, by finite elements.
 
-Seen from its actuators: stiffness, influence, and the frequencies at which it rings. For round
-glass it is the independent check of `truenewton.mirrors.shell.fourier`, with which it shares the
-last step alone, `truenewton.mirrors.shell.condensation`. x and y are the shallow shell's own
-coordinates: where the glass is deep, give arc lengths from the vertex as radii. Edges are free.
+Seen from its actuators: influence and stiffness. For round glass it is the independent check of
+`truenewton.mirrors.shell.fourier`, with which it shares the last step alone,
+`truenewton.mirrors.shell.condensation`. x and y are the shallow shell's own coordinates: where the
+glass is deep, give arc lengths from the vertex as radii. Edges are free.
 
 Elements that conform make a glass too stiff: by a part in the square of mesh size to spacing of
 actuators in the stiffest modes under point forces, where the glass bends most under the forces
@@ -12,23 +12,28 @@ themselves; by far less in soft modes, and where annular sensors read.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array, csc_array, csr_array
-from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.shell.condensation import condense
-from truenewton.mirrors.shell.finite_elements.argyris import Argyris, argyris
-from truenewton.mirrors.shell.finite_elements.energy import elastic_energy, inertia, unknowns
+from truenewton.mirrors.shell.finite_elements.argyris import Argyris, argyris, quadrature
+from truenewton.mirrors.shell.finite_elements.energy import elastic_energy, unknowns
 from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
-from truenewton.mirrors.shell.finite_elements.meshing import annulus_mesh, outline_mesh
+from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
+from truenewton.mirrors.shell.places import Points
 
-FORCES_AT_ONCE = 64  # bounds the memory of the solutions
+AT_ONCE = 64  # forces, which bounds the memory of the solutions
+POINTS_AT_ONCE = 4096  # read from them
+AREA_DEGREE = 6  # of the quadrature over the glass
 
 
 def stiffness(
@@ -39,14 +44,14 @@ def stiffness(
     mesh_size: float,
     sensor: Annulus | None = None,
 ) -> Array:
-    """Return the stiffness between point actuators on a free round glass.
+    """Return the stiffness between point actuators on a free glass.
 
     Parameters
     ----------
     shell
-        The glass; an inner radius of 0 means a full disc.
+        The glass, a ring or outlined; an inner radius of 0 means a full disc.
     x, y
-        (n,) positions of the actuators [m].
+        (n,) positions of the actuators along the glass [m].
     mesh_size
         Length of the triangles' sides [m].
     sensor
@@ -61,174 +66,121 @@ def stiffness(
     Raises
     ------
     GeometryError
-        A shell, a mesh size or a sensor that cannot be; actuators off the glass, all but on an
-        edge, on one line, or all but at one place; a sensor that reaches over an edge.
+        A shell, a mesh size or a sensor that cannot be; polygons that cross, or have corners below
+        45 degrees; actuators off the glass, all but on an edge, on one line, or all but at one
+        place; a sensor that reaches over an edge.
     """
-    return _stiffness(shell, annulus_mesh(shell, x, y, mesh_size=mesh_size), sensor)
+    free = MeshedShell(shell, shell_mesh(shell, x, y, mesh_size=mesh_size))
+    at = tuple(free.mesh.points[: free.mesh.actuators].T)
+    tilts = np.array([np.ones_like(at[0]), *at])
+    if np.linalg.matrix_rank(tilts) < 3:
+        raise GeometryError(
+            f"the {at[0].size} actuators stand on one line and cannot hold a tilt",
+            remedy="give at least three that do not",
+        )
+    compliance = np.concatenate([*free.influence_in_parts(at, at, sensor=sensor)])
+    return condense(compliance, tilts, reciprocal=sensor is None).stiffness
 
 
-def outline_stiffness(
-    shell: Shell,
-    outline: ArrayLike,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    mesh_size: float,
-    holes: Sequence[ArrayLike] = (),
-    sensor: Annulus | None = None,
-) -> Array:
-    """Return the stiffness between point actuators on a free glass of any outline.
+@dataclass(frozen=True, eq=False)
+class MeshedShell:
+    """A glass on a mesh: a `FreeShell`, whose arguments and units are those of `fourier.influence`.
 
-    Parameters
-    ----------
-    shell
-        Thickness, material and curvature; its radii do not count.
-    outline
-        (n_vertices, 2) the polygon around the glass [m], convex or not, either way round.
-    x, y, mesh_size, sensor
-        As in `stiffness`.
-    holes
-        Polygons, as the outline, where there is no glass.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n, n) as from `stiffness`.
-
-    Raises
-    ------
-    GeometryError
-        As in `stiffness`; polygons that cross, or have corners below 45 degrees.
-    """
-    return _stiffness(shell, outline_mesh(outline, x, y, mesh_size=mesh_size, holes=holes), sensor)
-
-
-def influence(shell: Shell, mesh: Mesh, at: tuple[ArrayLike, ArrayLike]) -> Array:
-    """Return the displacement at points per unit force at the actuators of a mesh.
-
-    Right, up to rigid motions, for every combination of forces whose sum and torques vanish.
-
-    Parameters
+    Attributes
     ----------
     shell
         Thickness, material and curvature.
     mesh
-        From `annulus_mesh` or `outline_mesh`.
-    at
-        x and y, (n_at,) each, of the points where the displacement is read [m].
-
-    Returns
-    -------
-    numpy.ndarray
-        (n_at, n) displacement along z [m/N].
-
-    Raises
-    ------
-    GeometryError
-        A shell that cannot be, a point off the glass.
-    """
-    _check(shell, mesh)
-    element = argyris(mesh)
-    places = np.stack([np.asarray(coordinate, dtype=float) for coordinate in at], axis=1)
-    return _influence(shell, mesh, element, _means(mesh, element, places[:, None], np.ones(1)))
-
-
-def natural_frequencies(shell: Shell, mesh: Mesh, count: int) -> Array:
-    """Return the lowest frequencies of the free glass, without its three rigid motions.
-
-    The glass has mass for motion along z alone, as is usual for shallow shells.
-
-    Parameters
-    ----------
-    shell
-        Thickness, material and curvature.
-    mesh
-        From `annulus_mesh` or `outline_mesh`.
-    count
-        How many.
-
-    Returns
-    -------
-    numpy.ndarray
-        (count,) frequencies [Hz], ascending.
+        From `shell_mesh`.
 
     Raises
     ------
     GeometryError
         A shell that cannot be.
     """
-    _check(shell, mesh)
-    element = argyris(mesh)
-    free = np.setdiff1d(
-        np.arange(unknowns(shell, mesh, element)), _held_in_plane(shell, mesh, element)
-    )
-    energy = elastic_energy(shell, mesh, element)[free][:, free]
-    mass = inertia(shell, mesh, element)[free][:, free]
-    areal = shell.density * shell.thickness
-    below = -shell.bending_stiffness / (areal * mesh.areas.sum() ** 2)  # clear of the rigid zeros
-    factor = _factor(energy - below * mass)
-    squared = eigsh(
-        energy,
-        k=count + 3,
-        M=mass,
-        sigma=below,
-        OPinv=LinearOperator(energy.shape, matvec=factor.solve, dtype=float),
-        v0=factor.solve(mass @ np.random.default_rng(0).normal(size=free.size)),
-        return_eigenvectors=False,
-    )
-    return np.asarray(np.sqrt(np.sort(squared)[3:]) / (2 * np.pi))
 
+    shell: Shell
+    mesh: Mesh
 
-def _stiffness(shell: Shell, mesh: Mesh, sensor: Annulus | None) -> Array:
-    _check(shell, mesh)
-    places = mesh.points[: mesh.actuators]
-    tilts = np.vstack([np.ones(mesh.actuators), places.T])
-    if np.linalg.matrix_rank(tilts) < 3:
-        raise GeometryError(
-            f"the {mesh.actuators} actuators stand on one line and cannot hold a tilt",
-            remedy="give at least three that do not",
-        )
-    element = argyris(mesh)
-    around, weights = _annulus(sensor) if sensor else (np.zeros((1, 2)), np.ones(1))
-    try:
-        reading = _means(mesh, element, places[:, None] + around, weights)
-    except GeometryError as off:
-        raise GeometryError(
-            "a sensor reaches over an edge of the glass",
-            remedy="give a smaller sensor, or bring the actuators off the edges",
-            got=sensor,
-        ) from off
-    compliance = _influence(shell, mesh, element, reading)
-    return condense(compliance, tilts, reciprocal=sensor is None).stiffness
+    def __post_init__(self) -> None:
+        _check(self.shell, self.mesh)
 
+    @cached_property
+    def element(self) -> Argyris:
+        """The element on every triangle."""
+        return argyris(self.mesh)
 
-def _influence(shell: Shell, mesh: Mesh, element: Argyris, reading: csr_array) -> Array:
-    """Return (n_read, n) readings per unit force; three vertices hold what is not balanced."""
-    held = np.concatenate([6 * _apart(mesh), _held_in_plane(shell, mesh, element)])
-    count = unknowns(shell, mesh, element)
-    free = np.setdiff1d(np.arange(count), held)
-    factor = _factor(elastic_energy(shell, mesh, element)[free][:, free])
-    pushed = csc_array(
-        (np.ones(mesh.actuators), (6 * np.arange(mesh.actuators), np.arange(mesh.actuators))),
-        shape=(count, mesh.actuators),
-    )[free]
-    bending = np.count_nonzero(free < element.count)
-    reading = reading[:, free[:bending]]
-    compliance = np.zeros((reading.shape[0], mesh.actuators))
-    for first in range(0, mesh.actuators, FORCES_AT_ONCE):
-        some = slice(first, first + FORCES_AT_ONCE)
-        compliance[:, some] = reading @ factor.solve(pushed[:, some].toarray())[:bending]
-    return compliance
+    @cached_property
+    def _held(self) -> tuple[Indices, SuperLU]:
+        """The unknowns left free where three vertices hold what is not balanced; the factors."""
+        shell, mesh, element = self.shell, self.mesh, self.element
+        held = np.concatenate([6 * _apart(mesh), _held_in_plane(shell, mesh, element)])
+        free = np.setdiff1d(np.arange(unknowns(shell, mesh, element)), held)
+        return free, _factor(elastic_energy(shell, mesh, element)[free][:, free])
 
+    def influence_in_parts(
+        self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
+    ) -> Iterator[Array]:
+        """Yield (some of n_at, n_of) displacement per unit force [m/N].
 
-def _means(mesh: Mesh, element: Argyris, places: Array, weights: Array) -> csr_array:
-    """Return the matrix (n, unknowns of w) of the weighted sums of w over (n, q, 2) places."""
-    n, q = places.shape[:2]
-    triangle = mesh.triangle_at(places.reshape(-1, 2))
-    shapes = element.shapes(triangle, places.reshape(-1, 1, 2), (0, 0)).reshape(n, q, 21)
-    values = (weights[:, None] * shapes).ravel()
-    rows, columns = np.repeat(np.arange(n), 21 * q), element.unknown[triangle].ravel()
-    return csr_array(coo_array((values, (rows, columns)), shape=(n, element.count)))
+        Raises
+        ------
+        GeometryError
+            A point, a puck or a sensor off the glass.
+        """
+        puck = Annulus(puck_radius, puck_radius) if puck_radius else None
+        solved = self._solved(self._means(of, puck).T)
+        for first in range(0, at[0].size, POINTS_AT_ONCE):
+            some = slice(first, first + POINTS_AT_ONCE)
+            yield self._means((at[0][some], at[1][some]), sensor) @ solved
+
+    def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
+        """Return (n_at,) displacement per unit force spread evenly over the glass [m/N]."""
+        element, areas = self.element, self.mesh.areas
+        barycentric, weights = quadrature(AREA_DEGREE)
+        shapes = element.shapes(np.arange(len(areas)), barycentric @ self.mesh.corners, (0, 0))
+        work = areas[:, None] * np.einsum("q,tqj->tj", weights, shapes) / areas.sum()
+        pushed = np.bincount(element.unknown.ravel(), work.ravel(), element.count)
+        return np.asarray(self._means(at, sensor) @ self._solved(csc_array(pushed[:, None])))[:, 0]
+
+    def quadrature(self, actuators: int) -> tuple[Points, Array]:  # noqa: ARG002
+        """Return x, y [m] and areas [m^2] of a rule on each triangle, however many actuators."""
+        barycentric, weights = quadrature(AREA_DEGREE)
+        x, y = (barycentric @ self.mesh.corners).reshape(-1, 2).T
+        return (x, y), (self.mesh.areas[:, None] * weights).ravel()
+
+    def _solved(self, pushed: csc_array) -> Array:
+        """Return (unknowns of w, loads) for the work that (unknowns of w, loads) do."""
+        free, factor = self._held
+        bending = free[: np.count_nonzero(free < self.element.count)]
+        loads = csc_array(pushed)[bending]
+        solved = np.zeros((self.element.count, loads.shape[1]))
+        for first in range(0, loads.shape[1], AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            given = np.zeros((free.size, loads[:, some].shape[1]))
+            given[: bending.size] = loads[:, some].toarray()
+            solved[bending, some] = factor.solve(given)[: bending.size]
+        return solved
+
+    def _means(self, at: Points, over: Annulus | None) -> csr_array:
+        """Return the matrix (n, unknowns of w) of w at points, or of its mean round each."""
+        around, weights = _annulus(over) if over else (np.zeros((1, 2)), np.ones(1))
+        places = np.stack(at, axis=1)[:, None] + around
+        n, q = places.shape[:2]
+        try:
+            triangle = self.mesh.triangle_at(places.reshape(-1, 2))
+        except GeometryError as off:
+            if over is None:
+                raise
+            raise GeometryError(
+                "a sensor reaches over an edge of the glass",
+                remedy="give a smaller sensor or puck, or bring the actuators off the edges",
+                got=over,
+            ) from off
+        shapes = self.element.shapes(triangle, places.reshape(-1, 1, 2), (0, 0)).reshape(n, q, 21)
+        values = (weights[:, None] * shapes).ravel()
+        rows, columns = np.repeat(np.arange(n), 21 * q), self.element.unknown[triangle].ravel()
+        return csr_array(coo_array((values, (rows, columns)), shape=(n, self.element.count)))
 
 
 def _annulus(sensor: Annulus) -> tuple[Array, Array]:
