@@ -21,9 +21,9 @@ from stub_bench import StubBench
 
 import truenewton as tn
 from truenewton.acquisition.clock import SteadyClock, instant_of
-from truenewton.acquisition.folder import locked
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal
+from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import PlannedShapes
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.protocol import Shape
@@ -286,7 +286,7 @@ def test_two_runs_do_not_share_a_folder(tmp_path, whole):
 
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
     code = (
-        "import os, sys; from truenewton.acquisition.folder import locked\n"
+        "import os, sys; from truenewton.acquisition.lock import locked\n"
         "with locked(sys.argv[1]): print(os.getpid(), flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run(

@@ -77,7 +77,7 @@ def check_command(
     ------
     LimitExceeded
     """
-    where = f"in {said(shape)}, which was not commanded"
+    where = f"in {shape_name(shape)}, which was not commanded"
     _check_planned_stroke(limits, layout, gap, shape.position, where)
     if forecast is not None:
         forecast = np.where(layout.enabled, np.abs(forecast), 0.0)
@@ -93,7 +93,7 @@ def check_reading(
     ------
     LimitExceeded
     """
-    where = f"in {said(shape)}"
+    where = f"in {shape_name(shape)}"
     force = np.where(layout.enabled, np.abs(reading.force), 0.0)
     _refuse(force, limits.force, layout, "N,", where)
     scatter = np.where(layout.enabled, np.nan_to_num(reading.force_scatter), 0.0)
@@ -152,7 +152,7 @@ def _refuse(
         )
 
 
-def said(shape: Shape) -> str:
+def shape_name(shape: Shape) -> str:
     """Return which shape it is, for people."""
     which = f"shape {shape.number} {'+' if shape.sign > 0 else '-'}" if shape.number else "rest"
     return f"{which} of cycle {shape.cycle} under '{shape.load.name}'"

@@ -13,7 +13,7 @@ from truenewton.acquisition.limits import (
     check_command,
     check_reading,
     largest_force,
-    said,
+    shape_name,
     smallest_gap,
 )
 from truenewton.acquisition.plan import CampaignPlan
@@ -95,8 +95,8 @@ class Taker:
                 if not fault:
                     self._sound = shape, reading
                     break
-            self._log.note("not sound", **described(shape), attempt=attempt, fault=fault)
-            self._onlooker.say(f"{said(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
+            self._log.note("not sound", **shape_fields(shape), attempt=attempt, fault=fault)
+            self._onlooker.say(f"{shape_name(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
         return Taken(reading, fault)
 
     def rest(self) -> None:
@@ -120,7 +120,7 @@ class Taker:
     def _command_and_read(self, shape: Shape) -> Reading:
         plan, bench = self._plan, self._bench
         stroke = float(np.abs(shape.position).max())
-        self._log.note("command", **described(shape), stroke=stroke)
+        self._log.note("command", **shape_fields(shape), stroke=stroke)
         bench.command(shape)
         if isinstance(bench, OwnTime):
             bench.wait(plan.settling)
@@ -134,7 +134,7 @@ class Taker:
         self.smallest_gap = min(self.smallest_gap, gap)
         self._log.note(
             "reading",
-            **described(shape),
+            **shape_fields(shape),
             largest_force=force,
             smallest_gap=gap,
             temperature=reading.temperature,
@@ -193,7 +193,7 @@ def _check_size(layout: Layout, reading: Reading) -> None:
             raise BenchFault(f"the bench gives {name} of shape {got} for {layout.n} actuators")
 
 
-def described(shape: Shape) -> dict[str, Any]:
+def shape_fields(shape: Shape) -> dict[str, Any]:
     """Return which shape it is, for the log."""
     return {
         "load": shape.load.name,
@@ -203,7 +203,7 @@ def described(shape: Shape) -> dict[str, Any]:
     }
 
 
-def noise_of(layout: Layout, reading: Reading | None, samples: int) -> float:
+def force_noise(layout: Layout, reading: Reading | None, samples: int) -> float:
     """Return the RMS over actuators of the error of a mean force [N], samples independent."""
     if reading is None:
         return float("nan")
