@@ -71,7 +71,8 @@ class Journal:
         self.load, self.number, self.form = load, number, record_type(n)
         self._head = f"truenewton journal {VERSION}: {load.key!r}, cycle {number}, {n}\n".encode()
         with in_one_line(self.path):
-            self._handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            binary = getattr(os, "O_BINARY", 0)  # Windows would write every \n as two bytes
+            self._handle = os.open(self.path, os.O_RDWR | os.O_CREAT | binary, 0o666)
             try:
                 self.count, self.dropped = self._sound()
             except BaseException:

@@ -34,6 +34,7 @@ def locked(folder: str | os.PathLike[str]) -> Iterator[Path]:
         try:
             _lock(handle)
         except (BlockingIOError, PermissionError):
+            os.lseek(handle, 0, os.SEEK_SET)
             holder = os.read(handle, 200).decode(errors="replace").strip() or "another process"
             raise OutputFailed(
                 f"another run writes here ({holder})", remedy="let it end first", path=folder

@@ -171,9 +171,8 @@ def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
         twin: Array | None = None
         if journal.count % 2:  # as its + twin the last one on record counts, which was valid
             twin = np.array(journal.rows()["force"][-1])
-        for k, s in zip(
-            shape[journal.count :].tolist(), sign[journal.count :].tolist(), strict=True
-        ):
+        for row in range(journal.count, 2 * count):
+            k, s = int(shape[row]), int(sign[row])
             # The mirror answers in proportion: what + takes beyond rest, - takes short of it.
             forecast = None if twin is None or s > 0 else 2 * rest_force - twin
             wanted = Shape(load, number, k, s, s * run.shapes[k - 1])
