@@ -17,13 +17,13 @@ from truenewton.acquisition.folder import (
     refuse_shared_names,
 )
 from truenewton.acquisition.interruption import Interruption
-from truenewton.acquisition.limits import check_shapes
+from truenewton.acquisition.limits import Guard
 from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
 from truenewton.acquisition.progress import Nobody, Onlooker
 from truenewton.acquisition.run import Count, Run, Written, take_all
 from truenewton.acquisition.run_log import RunLog
-from truenewton.acquisition.shapes import planned_shapes
+from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.acquisition.taker import Taker
 from truenewton.bench.protocol import Bench, Operator
 from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
@@ -83,27 +83,25 @@ def acquire(
     operator = operator or (bench if isinstance(bench, Operator) else None)
     if operator is None:
         raise BenchFault("nobody puts the loads on", remedy="give an operator")
-    onlooker = onlooker or Nobody()
     with Interruption() as interruption, locked(folder) as folder:
-        shapes = begin_or_resume(folder, plan, beside, lambda: planned_shapes(plan, mirror, beside))
-        check_shapes(plan, mirror.layout, bench.gap, shapes)
+        shapes = begin_or_resume(
+            folder, plan, beside, lambda: shapes_and_forces(plan, mirror, beside)[0]
+        )
+        Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
         rows = 2 * len(shapes)
         complete = finished_cycles(folder, plan, mirror, rows)
         files = tuple(folder / name for name in cycle_names(plan))
         if len(complete) == len(files):
             return files
         with closing(RunLog(folder)) as log:
+            taker = Taker(bench, plan, log, onlooker or Nobody(), interruption)
             run = Run(
-                bench=bench,
                 plan=plan,
                 mirror=mirror,
                 shapes=shapes,
                 folder=folder,
                 operator=operator,
-                onlooker=onlooker,
-                interruption=interruption,
-                log=log,
-                taker=Taker(bench, plan, log, onlooker, interruption),
+                taker=taker,
                 count=Count(done=len(complete) * rows),
                 written=Written(complete),
             )
@@ -130,18 +128,18 @@ def _note_start(run: Run) -> None:
     from importlib.metadata import version
 
     plan = (run.folder / PLAN).read_bytes()
-    run.log.note(
+    run.taker.log.note(
         "start",
         truenewton=version("truenewton"),
         python=platform.python_version(),
         host=platform.node(),
         process=os.getpid(),
-        bench=type(run.bench).__name__,
+        bench=type(run.taker.bench).__name__,
         kind=run.plan.bench.kind,
         address=run.plan.bench.address,
-        instrument=run.bench.instrument,
-        actuators=run.bench.layout.n,
-        gap=run.bench.gap,
+        instrument=run.taker.bench.instrument,
+        actuators=run.taker.bench.layout.n,
+        gap=run.taker.bench.gap,
         plan=hashlib.sha256(plan).hexdigest(),
         shapes=hashlib.sha256(run.shapes.tobytes()).hexdigest(),
         complete=len(run.written.cycles),
@@ -155,21 +153,21 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
         yield
         run.taker.rest()
     except BaseException as error:
-        run.log.last_words("stop", error=type(error).__name__, why=str(error))
+        run.taker.log.last_words("stop", error=type(error).__name__, why=str(error))
         try:
-            run.bench.rest()
+            run.taker.bench.rest()
         except BenchFault as fault:
-            run.log.last_words("not at rest", fault=fault.fault)
+            run.taker.log.last_words("not at rest", fault=fault.fault)
             raise BenchFault(
                 f"the mirror may not be at rest ({fault.fault}), after: {error}",
                 remedy="see to the bench; the same command goes on with the campaign",
                 path=run.folder,
             ) from error
-        run.log.last_words("rest")
+        run.taker.log.last_words("rest")
         if isinstance(error, TrueNewtonError):
             raise _with_way_on(error, run.folder) from error
         raise
-    run.log.note("complete", invalid=run.count.invalid)
+    run.taker.log.note("complete", invalid=run.count.invalid)
 
 
 def _with_way_on(error: TrueNewtonError, folder: Path) -> TrueNewtonError:

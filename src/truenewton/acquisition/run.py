@@ -11,16 +11,14 @@ import numpy as np
 
 from truenewton.acquisition.clock import SteadyClock
 from truenewton.acquisition.folder import Finished, finished, static_force
-from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal, journal_path
-from truenewton.acquisition.limits import check_room, shape_name
+from truenewton.acquisition.limits import shape_name
 from truenewton.acquisition.load_check import judge, sum_at_rest, sum_error
 from truenewton.acquisition.plan import CampaignPlan
-from truenewton.acquisition.progress import Onlooker, Progress
-from truenewton.acquisition.run_log import RunLog
+from truenewton.acquisition.progress import Progress
 from truenewton.acquisition.taker import Taker, force_noise, shape_fields
 from truenewton.arrays import Array
-from truenewton.bench.protocol import Bench, Graded, Operator, OwnTime, Shape
+from truenewton.bench.protocol import Graded, Operator, OwnTime, Shape
 from truenewton.errors import BenchFault, Interrupted
 from truenewton.files.outputs import to_disk
 from truenewton.mirrors.known import Mirror
@@ -91,15 +89,11 @@ class Written:
 class Run:
     """What a run has at hand: shapes (shapes, n) [m], and whom and what it deals with."""
 
-    bench: Bench
     plan: CampaignPlan
     mirror: Mirror
     shapes: Array
     folder: Path
     operator: Operator
-    onlooker: Onlooker
-    interruption: Interruption
-    log: RunLog
     taker: Taker
     count: Count
     written: Written
@@ -119,13 +113,13 @@ def take_all(run: Run) -> None:
 def _put_on(run: Run, load: Load, number: int) -> Array:
     """Have a load put on, until the forces say that it is; return those at rest, (n,) [N]."""
     run.taker.rest()
-    sums, layout, samples = run.written.rest_sums, run.bench.layout, run.plan.samples
+    sums, layout, samples = run.written.rest_sums, run.taker.bench.layout, run.plan.samples
     if load.key not in sums:
         sums |= _sum_under_way(run, load, number)
     rest = Shape(load, number, 0, 1, np.zeros(layout.n))
     why = ""
     for _ in range(ASKED):
-        with run.interruption.at_once():
+        with run.taker.interruption.at_once():
             run.operator.put_on(load)
         taken = run.taker.take(rest)
         if taken.reading is None or taken.fault:
@@ -134,19 +128,19 @@ def _put_on(run: Run, load: Load, number: int) -> Array:
         error = sum_error(layout, taken.reading, samples)
         verdict = judge(run.mirror.weight, run.plan.loads, load, sums, total, error)
         why = verdict.why
-        run.log.note("load", load=load.name, on=verdict.on, total=total, why=why)
+        run.taker.log.note("load", load=load.name, on=verdict.on, total=total, why=why)
         if verdict.on is not False:
-            run.onlooker.say(f"'{load.name}' is on: {why}")
+            run.taker.onlooker.say(f"'{load.name}' is on: {why}")
             sums[load.key] = total
-            check_room(run.plan, run.mirror, load, taken.reading.force)
+            run.taker.guard.check_room(run.plan, run.mirror, load, taken.reading.force)
             return taken.reading.force
-        run.onlooker.say(f"'{load.name}' is not on: {why}")
+        run.taker.onlooker.say(f"'{load.name}' is not on: {why}")
     raise BenchFault(f"'{load.name}' is not on: {why}", remedy="put it on as the plan says")
 
 
 def _sum_under_way(run: Run, load: Load, number: int) -> dict[str, float]:
     """Return the sum of the forces at rest by the shapes of the cycle under way, if there are."""
-    layout = run.bench.layout
+    layout = run.taker.bench.layout
     if not journal_path(run.folder, load, number).exists():
         return {}
     with closing(Journal(run.folder, load, number, layout.n)) as journal:
@@ -158,12 +152,12 @@ def _sum_under_way(run: Run, load: Load, number: int) -> dict[str, float]:
 
 def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
     """Take what is missing of a cycle, and write its file."""
-    count, layout = len(run.shapes), run.bench.layout
+    count, layout = len(run.shapes), run.taker.bench.layout
     shape, sign = np.repeat(np.arange(1, count + 1), 2), np.tile([1, -1], count)
     with closing(Journal(run.folder, load, number, layout.n)) as journal:
         journal.check_order(shape, sign)
         if journal.count or journal.dropped:
-            run.log.note(
+            run.taker.log.note(
                 "resume", load=load.name, cycle=number, kept=journal.count, cut=journal.dropped
             )
             run.count.done += journal.count
@@ -184,7 +178,7 @@ def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
 def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
     """Take one shape into the journal; return its forces [N] where they are valid."""
     try:
-        run.interruption.check()
+        run.taker.interruption.check()
         start = time.monotonic()
         taken = run.taker.take(shape, forecast)
     except Interrupted:
@@ -192,12 +186,12 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
     reading, valid, clock = taken.reading, not taken.fault, run.written.clock
     instant = clock.instant(reading.time if reading is not None and valid else None)
     if clock.leap:
-        run.log.note("clock", **shape_fields(shape), leap=clock.leap)
-    if clock.leap and not isinstance(run.bench, OwnTime):  # a simulated day begins anew
-        run.onlooker.say(
+        run.taker.log.note("clock", **shape_fields(shape), leap=clock.leap)
+    if clock.leap and not isinstance(run.taker.bench, OwnTime):  # a simulated day begins anew
+        run.taker.onlooker.say(
             f"the clock of the bench leapt by {clock.leap:.3g} s; TIME counts on steadily"
         )
-    noise = force_noise(run.bench.layout, reading, run.plan.samples)
+    noise = force_noise(run.taker.bench.layout, reading, run.plan.samples)
     journal.append(instant, shape, valid, reading, noise)
     run.count.add(valid, time.monotonic() - start)
     _show(run, shape)
@@ -213,7 +207,7 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
 def _show(run: Run, shape: Shape) -> None:
     plan, count, shapes = run.plan, run.count, len(run.shapes)
     total = len(plan.loads) * plan.cycles * 2 * shapes
-    run.onlooker.progress(
+    run.taker.onlooker.progress(
         Progress(
             shape=shape,
             cycles=plan.cycles,
@@ -230,10 +224,10 @@ def _show(run: Run, shape: Shape) -> None:
 
 def _write(run: Run, journal: Journal, load: Load, number: int) -> None:
     """Write the file of a cycle; when this returns it is on the disk, complete."""
-    gradients = run.bench.gradients if isinstance(run.bench, Graded) else (None, None)
-    cycle = journal.cycle(run.mirror, run.bench.layout, run.bench.gap, gradients)
+    gradients = run.taker.bench.gradients if isinstance(run.taker.bench, Graded) else (None, None)
+    cycle = journal.cycle(run.mirror, run.taker.bench.layout, run.taker.bench.gap, gradients)
     path = run.folder / cycle_name(load, number)
     write_cycle(cycle, path)
     to_disk(run.folder)
     run.written.cycles[load.key, number] = finished(cycle)
-    run.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
+    run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))

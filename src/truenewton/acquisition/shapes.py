@@ -21,18 +21,6 @@ from truenewton.statics.layout import Layout
 from truenewton.statics.modes import stiffness_modes
 
 
-def planned_shapes(
-    plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str] = "."
-) -> Array:
-    """Return the (shapes, n) displacements of a plan [m], each to be taken with both signs.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
-    return shapes_and_forces(plan, mirror, folder)[0]
-
-
 def expected_alpha(mirror: Mirror) -> float:
     """Return the true over commanded Newton that a plan reckons with: the middle of its range."""
     return float(np.mean(mirror.alpha_range))
@@ -106,8 +94,8 @@ def model_stiffness(mirror: Mirror) -> Array:
 def with_enabled_only(mirror: Mirror) -> Mirror:
     """Return the mirror without its disabled actuators."""
     layout, on = mirror.layout, mirror.layout.enabled
-    kept = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
-    return replace(mirror, layout=kept)
+    enabled = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
+    return replace(mirror, layout=enabled)
 
 
 def _spread(shapes: Array, stiffness: Array, on: NDArray[np.bool_]) -> tuple[Array, Array]:

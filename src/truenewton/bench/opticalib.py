@@ -215,9 +215,9 @@ def from_address(
     module, _, name = address.partition(":")
     sys.path.insert(0, os.fspath(folder))
     try:
-        found: Any = importlib.import_module(module)
+        named: Any = importlib.import_module(module)
         for part in name.split("."):
-            found = getattr(found, part)
+            named = getattr(named, part)
     except (ImportError, AttributeError, ValueError) as error:
         raise UnknownName(
             f"there is no mirror '{address}' ({error})",
@@ -226,12 +226,12 @@ def from_address(
         ) from error
     finally:
         sys.path.remove(os.fspath(folder))
-    if isinstance(found, type) or not hasattr(found, "set_shape"):
+    if isinstance(named, type) or not hasattr(named, "set_shape"):
         try:
-            found = found()
+            named = named()
         except Exception as error:
             raise BenchFault(
                 f"{address} cannot be made ({type(error).__name__}: {error})",
                 remedy="name a mirror, or a function that makes it without arguments",
             ) from error
-    return OpticalibMirror(found, mirror)
+    return OpticalibMirror(named, mirror)

@@ -141,29 +141,29 @@ def strain(ready: Prepared) -> Strain:
     on, alpha = mirror.layout.enabled, expected_alpha(mirror)
     static = ready.holding.under(plan.loads) / alpha
     largest = np.abs(static) + np.abs(ready.force[:, on]).max(axis=0)  # both signs are taken
-    load, place = np.unravel_index(largest.argmax(), largest.shape)
+    load_index, actuator_index = np.unravel_index(largest.argmax(), largest.shape)
     force, stroke = float(largest.max()), float(np.abs(ready.shapes).max())
-    found = Strain(
+    asked = Strain(
         force=force,
-        actuator=int(mirror.layout.id[on][place]),
-        load=plan.loads[load].name,
+        actuator=int(mirror.layout.id[on][actuator_index]),
+        load=plan.loads[load_index].name,
         force_at_worst=force * alpha / min(mirror.alpha_range),
         stroke=stroke,
         gap=mirror.gap - stroke,
     )
     for what, got, want, beyond, remedy in (
-        (f"actuator {found.actuator} takes {force:.3g} N under load '{found.load}'", force,
+        (f"actuator {asked.actuator} takes {force:.3g} N under load '{asked.load}'", force,
          limits.force, force > limits.force, "plan a smaller shapes.force, or a lighter load"),
         (f"the stroke is {stroke:.3g} m", stroke, limits.displacement,
          stroke > limits.displacement, "plan smaller shapes"),
-        (f"the gap closes to {found.gap:.3g} m", found.gap, limits.gap, found.gap < limits.gap,
+        (f"the gap closes to {asked.gap:.3g} m", asked.gap, limits.gap, asked.gap < limits.gap,
          "plan a smaller shapes.stroke"),
     ):  # fmt: skip
         if beyond:
             raise LimitExceeded(
                 f"{what}, beyond its limit of {want:g}", remedy=remedy, got=got, want=want
             )
-    return found
+    return asked
 
 
 def noiseless(ready: Prepared) -> Campaign:

@@ -152,8 +152,8 @@ def _added_in_words(plan: CampaignPlan) -> str:
 
 
 def _errors_in_words(plan: CampaignPlan) -> str:
-    known = (one for one in plan.loads if one.added_error)
-    return ", ".join(f"'{one.name}' known to {1e3 * one.added_error:g} mN" for one in known)
+    uncertain = (one for one in plan.loads if one.added_error)
+    return ", ".join(f"'{one.name}' known to {1e3 * one.added_error:g} mN" for one in uncertain)
 
 
 def _tilt_in_words(plan: CampaignPlan) -> str:

@@ -121,8 +121,8 @@ def require_stable(
     LoopUnstable
         A root on or outside the unit circle.
     """
-    found = roots(stiffness, mass, damping, coils, sensors, control)
-    worst = found[np.abs(found).argmax()]
+    every = roots(stiffness, mass, damping, coils, sensors, control)
+    worst = every[np.abs(every).argmax()]
     radius, frequency = float(np.abs(worst)), abs(np.angle(worst)) * control.rate / (2 * np.pi)
     if not radius < 1:
         raise LoopUnstable(

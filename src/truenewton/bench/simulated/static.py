@@ -115,17 +115,8 @@ def static_bench(
     """
     random = np.random.default_rng([seed, 0])
     layout, n = mirror.layout, mirror.layout.n
-    loads = tuple(loads) or (
-        Load("bare"),
-        Load("ring", mirror.added_weight, mirror.added_weight_error, tool="ring"),
-    )
-    if mirror.gap - stroke <= 0:
-        raise GeometryError(
-            f"a stroke of {stroke:g} m closes the gap of {mirror.gap:g} m",
-            remedy="take smaller shapes or a larger gap",
-            got=stroke,
-            want=mirror.gap,
-        )
+    loads = tuple(loads) or _bare_and_ring(mirror)
+    _refuse_closed_gap(mirror, stroke)
     alpha = random.uniform(*mirror.alpha_range, n)
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
@@ -145,14 +136,7 @@ def static_bench(
     warm = gain(coils, temperature)[:, 0]
     # What is recorded stays under the limit too, with room for its noise.
     room = force_limit * np.minimum(warm, 1.0) - 5 * force_noise - np.abs(load_force).max(axis=0)
-    if (room <= 0).any():
-        raise LimitExceeded(
-            f"holding the mirror alone takes actuator {layout.id[room.argmin()]} beyond the limit"
-            f" of {force_limit:g} N",
-            remedy="take a lighter weight, less noise, or a higher limit",
-            got=float(np.abs(load_force).max()),
-            want=force_limit,
-        )
+    _refuse_no_room(mirror, room, load_force, force_limit)
     truth = Truth(
         instrument=mirror.name,
         layout=layout,
@@ -174,6 +158,32 @@ def static_bench(
     return StaticBench(
         mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise, temperature
     )
+
+
+def _bare_and_ring(mirror: Mirror) -> tuple[Load, Load]:
+    ring = Load("ring", mirror.added_weight, mirror.added_weight_error, tool="ring")
+    return Load("bare"), ring
+
+
+def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:
+    if mirror.gap - stroke <= 0:
+        raise GeometryError(
+            f"a stroke of {stroke:g} m closes the gap of {mirror.gap:g} m",
+            remedy="take smaller shapes or a larger gap",
+            got=stroke,
+            want=mirror.gap,
+        )
+
+
+def _refuse_no_room(mirror: Mirror, room: Array, load_force: Array, limit: float) -> None:
+    if (room <= 0).any():
+        raise LimitExceeded(
+            f"holding the mirror alone takes actuator {mirror.layout.id[room.argmin()]} beyond the"
+            f" limit of {limit:g} N",
+            remedy="take a lighter weight, less noise, or a higher limit",
+            got=float(np.abs(load_force).max()),
+            want=limit,
+        )
 
 
 def _true_loads(loads: Sequence[Load], random: np.random.Generator) -> tuple[Array, Array]:
