@@ -5,14 +5,15 @@ from math import factorial
 
 import numpy as np
 import pytest
+from shells import influence as round_influence
+from shells import meshed_stiffness, stiffness
 
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Outline, Shell
-from truenewton.mirrors.shell import fourier
 from truenewton.mirrors.shell.finite_elements.argyris import argyris, monomials, quadrature
 from truenewton.mirrors.shell.finite_elements.energy import elastic_energy
+from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.finite_elements.meshing import outline_mesh, shell_mesh
-from truenewton.mirrors.shell.finite_elements.stiffness import MeshedShell, stiffness
 from truenewton.statics.layout import rings
 
 GLASS = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
@@ -275,8 +276,8 @@ def test_rigid_motions_of_a_sphere_cost_nothing():
 
 def test_flat_stiffness_is_that_of_the_semi_analytic_model():
     """5273.6, 15117, 32321, ..., 2.3705e6 N/m."""
-    want = fourier.stiffness(GLASS, X, Y)
-    got = stiffness(GLASS, X, Y, mesh_size=8e-3)
+    want = stiffness(GLASS, X, Y)
+    got = meshed_stiffness(GLASS, X, Y, mesh_size=8e-3)
     ratio = np.linalg.eigvalsh(got)[3:] / np.linalg.eigvalsh(want)[3:]
     assert np.abs(ratio - 1).max() < 2e-3
     assert np.abs(ratio[:6] - 1).max() < 1e-4
@@ -284,9 +285,9 @@ def test_flat_stiffness_is_that_of_the_semi_analytic_model():
 
 
 def test_stiffest_mode_converges_with_the_square_of_the_mesh_size():
-    top = np.linalg.eigvalsh(fourier.stiffness(GLASS, X, Y))[-1]
+    top = np.linalg.eigvalsh(stiffness(GLASS, X, Y))[-1]
     excess = [
-        np.linalg.eigvalsh(stiffness(GLASS, X, Y, mesh_size=h))[-1] / top - 1
+        np.linalg.eigvalsh(meshed_stiffness(GLASS, X, Y, mesh_size=h))[-1] / top - 1
         for h in (24e-3, 12e-3, 6e-3)
     ]
     assert 2.5 < excess[0] / excess[1] < 8
@@ -296,19 +297,19 @@ def test_stiffest_mode_converges_with_the_square_of_the_mesh_size():
 
 def test_curved_stiffness_of_an_earlier_semi_analytic_model():
     """Of the same with R = 2 m: 5434, 33190, ..., 2.3815e6 N/m."""
-    eigenvalues = np.linalg.eigvalsh(stiffness(SPHERE, X, Y, mesh_size=8e-3))
+    eigenvalues = np.linalg.eigvalsh(meshed_stiffness(SPHERE, X, Y, mesh_size=8e-3))
     assert eigenvalues[[3, 4]] == pytest.approx([5434, 5434], rel=1e-4)
     assert eigenvalues[[5, 6]] == pytest.approx([33190, 33190], rel=1e-4)
     assert eigenvalues[-1] == pytest.approx(2.3815e6, rel=2e-3)
-    hollow = stiffness(replace(SPHERE, radius_of_curvature=-2.0), X, Y, mesh_size=16e-3)
-    bulging = stiffness(SPHERE, X, Y, mesh_size=16e-3)
+    hollow = meshed_stiffness(replace(SPHERE, radius_of_curvature=-2.0), X, Y, mesh_size=16e-3)
+    bulging = meshed_stiffness(SPHERE, X, Y, mesh_size=16e-3)
     assert hollow == pytest.approx(bulging, abs=1e-7 * bulging.max())
 
 
 @pytest.mark.parametrize("shell", [GLASS, SPHERE], ids=["flat", "curved"])
 @pytest.mark.parametrize("sensor", [None, Annulus()], ids=["points", "sensors"])
 def test_rigid_motions_are_free_and_forces_balance(shell, sensor):
-    K = stiffness(shell, X, Y, mesh_size=16e-3, sensor=sensor)
+    K = meshed_stiffness(shell, X, Y, mesh_size=16e-3, sensor=sensor)
     tilts = np.array([np.ones(X.size), X, Y])
     assert np.abs(K @ tilts.T).max() < 2e-8
     assert np.abs(tilts @ K).max() < 2e-8
@@ -317,8 +318,8 @@ def test_rigid_motions_are_free_and_forces_balance(shell, sensor):
 
 
 def test_a_gentle_sphere_is_flat():
-    K = stiffness(GLASS, X, Y, mesh_size=16e-3)
-    gentle = stiffness(replace(GLASS, radius_of_curvature=2e3), X, Y, mesh_size=16e-3)
+    K = meshed_stiffness(GLASS, X, Y, mesh_size=16e-3)
+    gentle = meshed_stiffness(replace(GLASS, radius_of_curvature=2e3), X, Y, mesh_size=16e-3)
     assert gentle == pytest.approx(K, abs=1e-5 * K.max())
 
 
@@ -333,9 +334,9 @@ def test_sensors_read_means():
     tilts = np.array([np.ones(X.size), X, Y])
     free = np.linalg.svd(tilts)[2][3:].T
     want = free @ np.linalg.inv(free.T @ compliance @ free) @ free.T
-    got = stiffness(SPHERE, X, Y, mesh_size=16e-3, sensor=sensor)
+    got = meshed_stiffness(SPHERE, X, Y, mesh_size=16e-3, sensor=sensor)
     assert got == pytest.approx(want, abs=2e-4 * want.max())
-    points = stiffness(SPHERE, X, Y, mesh_size=16e-3)
+    points = meshed_stiffness(SPHERE, X, Y, mesh_size=16e-3)
     assert got != pytest.approx(points, abs=0.2 * want.max())
 
 
@@ -346,10 +347,10 @@ def test_influence_is_that_of_the_semi_analytic_model():
     at = tuple(curl(angle, 1.0).T * np.append(np.linspace(20e-3, 125e-3, 39), 125e-3))
     mesh = shell_mesh(GLASS, x, y, mesh_size=8e-3)
     f = np.linalg.svd(np.array([np.ones(7), x, y]))[2][3:].T
-    gap = (influence(GLASS, mesh, at) - fourier.influence(GLASS, at, (x, y))) @ f
+    gap = (influence(GLASS, mesh, at) - round_influence(GLASS, at, (x, y))) @ f
     tilts = np.array([np.ones(40), *at]).T
     gap -= tilts @ np.linalg.lstsq(tilts, gap, rcond=None)[0]
-    bent = fourier.influence(GLASS, at, (x, y)) @ f
+    bent = round_influence(GLASS, at, (x, y)) @ f
     bent -= tilts @ np.linalg.lstsq(tilts, bent, rcond=None)[0]
     assert np.abs(gap).max() < 1e-3 * np.abs(bent).max()
 
@@ -360,9 +361,9 @@ def test_influence_is_that_of_the_semi_analytic_model():
 def test_an_outline_may_be_a_circle_and_run_either_way():
     outline, hole = (curl(2 * np.pi * np.arange(n) / n, r) for n, r in ((80, 0.125), (40, 0.02)))
     outline, hole = outline * 1.00051, hole * 1.0021  # of the circles' areas
-    ring = np.linalg.eigvalsh(stiffness(SPHERE, X, Y, mesh_size=12e-3))[3:]
-    one = stiffness(cut_to(SPHERE, outline, [hole]), X, Y, mesh_size=12e-3)
-    other = stiffness(cut_to(SPHERE, outline[::-1], [hole]), X, Y, mesh_size=12e-3)
+    ring = np.linalg.eigvalsh(meshed_stiffness(SPHERE, X, Y, mesh_size=12e-3))[3:]
+    one = meshed_stiffness(cut_to(SPHERE, outline, [hole]), X, Y, mesh_size=12e-3)
+    other = meshed_stiffness(cut_to(SPHERE, outline[::-1], [hole]), X, Y, mesh_size=12e-3)
     for K in (one, other):
         assert np.linalg.eigvalsh(K)[3:] == pytest.approx(ring, rel=2e-3)
 
@@ -373,21 +374,23 @@ def test_turning_shifting_and_scaling_an_outline():
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     for shell in (GLASS, SPHERE):
-        K = np.linalg.eigvalsh(stiffness(cut_to(shell, PETAL), x, y, mesh_size=8e-3))[3:]
+        K = np.linalg.eigvalsh(meshed_stiffness(cut_to(shell, PETAL), x, y, mesh_size=8e-3))[3:]
         moved = 2 * PETAL @ turn + [0.1, -0.2]
         u, v = (2 * np.stack([x, y], axis=1) @ turn + [0.1, -0.2]).T
         twice = replace(
             shell, thickness=2 * shell.thickness, radius_of_curvature=2 * shell.radius_of_curvature
         )
-        again = np.linalg.eigvalsh(stiffness(cut_to(twice, moved), u, v, mesh_size=16e-3))[3:]
+        again = np.linalg.eigvalsh(meshed_stiffness(cut_to(twice, moved), u, v, mesh_size=16e-3))[
+            3:
+        ]
         assert again == pytest.approx(2 * K, rel=3e-3)
 
 
 def test_a_slender_outline_along_either_axis():
     diamond = np.array([[0.1, 0.0], [0.0, 0.05], [-0.1, 0.0], [0.0, -0.05]])
     x, y = np.array([[0.06, 0.0], [0.02, 0.02], [-0.05, 0.01], [-0.01, -0.03], [0.0, 0.0]]).T
-    one = stiffness(cut_to(SPHERE, diamond), x, y, mesh_size=10e-3)
-    other = stiffness(cut_to(SPHERE, diamond[:, ::-1]), y, x, mesh_size=10e-3)
+    one = meshed_stiffness(cut_to(SPHERE, diamond), x, y, mesh_size=10e-3)
+    other = meshed_stiffness(cut_to(SPHERE, diamond[:, ::-1]), y, x, mesh_size=10e-3)
     assert other == pytest.approx(one, abs=5e-3 * one.max())
 
 
@@ -401,9 +404,9 @@ def test_cutting_a_glass_into_petals_softens_it(shell):
     for k, third in enumerate(thirds):
         mine = np.flatnonzero(which == k)
         x, y = turned[mine].real, turned[mine].imag
-        cut[np.ix_(mine, mine)] = stiffness(cut_to(shell, third), x, y, mesh_size=10e-3)
+        cut[np.ix_(mine, mine)] = meshed_stiffness(cut_to(shell, third), x, y, mesh_size=10e-3)
     rim, hole = (np.concatenate([t[:20] for t in thirds]) * s for s in (1.0, 20 / 125))
-    whole = stiffness(cut_to(shell, rim, [hole]), turned.real, turned.imag, mesh_size=10e-3)
+    whole = meshed_stiffness(cut_to(shell, rim, [hole]), turned.real, turned.imag, mesh_size=10e-3)
     soft, stiff = np.linalg.eigvalsh(cut), np.linalg.eigvalsh(whole)
     assert np.abs(soft[:9]).max() < 1e-7
     assert np.all(soft[9:] > 100)
@@ -445,7 +448,7 @@ WEDGE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.03]])
 def test_refused(change, words):
     given = {"shell": GLASS, "x": [0.03, 0.05, -0.05], "y": [0.03, -0.05, 0.05], "mesh_size": 2e-2}
     with pytest.raises(GeometryError, match=words):
-        stiffness(**(given | change))
+        meshed_stiffness(**(given | change))
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.linalg import eigh
+from shells import influence
 
 from truenewton.bench.simulated.loop_campaign import run_loop_cycles
 from truenewton.bench.simulated.static import held_command, run_cycles, static_bench
@@ -12,7 +13,6 @@ from truenewton.errors import GeometryError
 from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import ring
-from truenewton.mirrors.shell.fourier import influence
 from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
 from truenewton.mirrors.shell.moving_mass import moving_mass
 from truenewton.statics.arms import external_load, resultants

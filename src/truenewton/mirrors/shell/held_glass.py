@@ -10,7 +10,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.mirrors.known import GRAVITY, Mirror
 from truenewton.mirrors.shell.condensation import Condensed, condense, holding_forces, rearming
-from truenewton.mirrors.shell.free_shell import FreeShell, free_shell
+from truenewton.mirrors.shell.free_shell import FreeShell, free_shell, influence
 from truenewton.mirrors.shell.places import Points
 from truenewton.statics.arms import arms, resultants
 
@@ -56,16 +56,15 @@ def held_glass(mirror: Mirror) -> HeldGlass:
     Raises
     ------
     GeometryError
-        What `free_shell`, `fourier.influence` and `condense` raise.
+        What `free_shell`, `influence` and `condense` raise.
     """
     places = mirror.shell.along(mirror.layout.x, mirror.layout.y)
     free = free_shell(mirror.shell, places)
     tilts, lever = np.array([np.ones_like(places[0]), *places]), arms(mirror.layout)
     exchange = rearming(tilts, lever)
-    compliance = np.concatenate(
-        [*free.influence_in_parts(places, places, sensor=mirror.sensor,
-                                  puck_radius=mirror.puck_radius)]
-    )  # fmt: skip
+    compliance = influence(
+        free, places, places, sensor=mirror.sensor, puck_radius=mirror.puck_radius
+    )
     condensed = condense(exchange @ compliance @ exchange.T, lever, reciprocal=False)
     return HeldGlass(mirror, free, places, compliance, exchange, condensed)
 
@@ -131,8 +130,7 @@ def forces_under(glass: HeldGlass, external: ExternalForces) -> Array:
     """Return the (n,) forces that hold the flat mirror under external ones [N]."""
     sensor, at, force = glass.mirror.sensor, external.at, external.force
     bent = external.spread * glass.free.uniform_influence(glass.places, sensor=sensor)
-    by_points = [*glass.free.influence_in_parts(glass.places, at, sensor=sensor)]
-    bent += np.concatenate(by_points) @ force
+    bent += influence(glass.free, glass.places, at, sensor=sensor) @ force
     flat = np.zeros(glass.places[0].size)
     held = holding_forces(
         glass.condensed, flat, glass.exchange @ bent, _resultants_on_glass(glass.mirror, external)

@@ -8,7 +8,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.mirrors.shell.condensation import Condensed, condense
-from truenewton.mirrors.shell.fourier import rim
+from truenewton.mirrors.shell.free_shell import influence, rim
 from truenewton.mirrors.shell.held_glass import HeldGlass
 from truenewton.mirrors.shell.places import Points
 
@@ -65,10 +65,8 @@ def _puck_motion(glass: HeldGlass, condensed: Condensed) -> Array:
     on_puck = rim(mirror.puck_radius)
     if mirror.sensor == on_puck:
         return np.eye(places[0].size)
-    read = glass.free.influence_in_parts(
-        places, places, sensor=on_puck, puck_radius=mirror.puck_radius
-    )
-    return np.concatenate([*read]) @ condensed.stiffness + _tilts(places).T @ condensed.motion
+    read = influence(glass.free, places, places, sensor=on_puck, puck_radius=mirror.puck_radius)
+    return read @ condensed.stiffness + _tilts(places).T @ condensed.motion
 
 
 def _tilts(at: Points) -> Array:

@@ -1,9 +1,8 @@
 """Thin free glass of any outline and spherical curvature, by finite elements.
 
-Seen from its actuators: influence and stiffness. For round glass it is the independent check of
-`truenewton.mirrors.shell.fourier`, with which it shares the last step alone,
-`truenewton.mirrors.shell.condensation`. x and y are the shallow shell's own coordinates: where the
-glass is deep, give arc lengths from the vertex as radii. Edges are free.
+For round glass it is the independent check of `truenewton.mirrors.shell.fourier`, with which it
+shares nothing before `truenewton.mirrors.shell.condensation`. x and y are the shallow shell's own
+coordinates: where the glass is deep, give arc lengths from the vertex as radii. Edges are free.
 
 Elements that conform make a glass too stiff: by a part in the square of mesh size to spacing of
 actuators in the stiffest modes under point forces, where the glass bends most under the forces
@@ -24,7 +23,6 @@ from scipy.sparse.linalg import SuperLU, splu
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Shell
-from truenewton.mirrors.shell.condensation import condense
 from truenewton.mirrors.shell.finite_elements.argyris import Argyris, argyris, quadrature
 from truenewton.mirrors.shell.finite_elements.energy import elastic_energy, unknowns
 from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
@@ -36,15 +34,8 @@ POINTS_AT_ONCE = 4096  # read from them
 AREA_DEGREE = 6  # of the quadrature over the glass
 
 
-def stiffness(
-    shell: Shell,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    mesh_size: float,
-    sensor: Annulus | None = None,
-) -> Array:
-    """Return the stiffness between point actuators on a free glass.
+def meshed_shell(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) -> MeshedShell:
+    """Return a free glass with a vertex of its mesh at every actuator.
 
     Parameters
     ----------
@@ -54,37 +45,19 @@ def stiffness(
         (n,) positions of the actuators along the glass [m].
     mesh_size
         Length of the triangles' sides [m].
-    sensor
-        Around each actuator, over which a reading is the mean; none reads at the actuator.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n, n) force per displacement read [N/m], exact for displacements that balanced forces
-        make; its null space is {1, x, y}. Symmetric where forces act at the points that are read.
 
     Raises
     ------
     GeometryError
-        A shell, a mesh size or a sensor that cannot be; polygons that cross, or have corners below
-        45 degrees; actuators off the glass, all but on an edge, on one line, or all but at one
-        place; a sensor that reaches over an edge.
+        A shell or a mesh size that cannot be; polygons that cross, or have corners below 45
+        degrees; actuators off the glass, all but on an edge, or all but at one place.
     """
-    free = MeshedShell(shell, shell_mesh(shell, x, y, mesh_size=mesh_size))
-    at = tuple(free.mesh.points[: free.mesh.actuators].T)
-    tilts = np.array([np.ones_like(at[0]), *at])
-    if np.linalg.matrix_rank(tilts) < 3:
-        raise GeometryError(
-            f"the {at[0].size} actuators stand on one line and cannot hold a tilt",
-            remedy="give at least three that do not",
-        )
-    compliance = np.concatenate([*free.influence_in_parts(at, at, sensor=sensor)])
-    return condense(compliance, tilts, reciprocal=sensor is None).stiffness
+    return MeshedShell(shell, shell_mesh(shell, x, y, mesh_size=mesh_size))
 
 
 @dataclass(frozen=True, eq=False)
 class MeshedShell:
-    """A glass on a mesh: a `FreeShell`, whose arguments and units are those of `fourier.influence`.
+    """A free glass on a mesh, as `free_shell.FreeShell` has it.
 
     Attributes
     ----------
