@@ -45,13 +45,10 @@ class Finished:
         Its last instant [us since 1970, UTC].
     total
         Mean over its shapes of the sum of the forces [N]: the elastic ones cancel.
-    invalid
-        Number of rows that are not valid.
     """
 
     end: int
     total: float
-    invalid: int
 
 
 def plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
@@ -199,7 +196,7 @@ def finished(cycle: Cycle) -> Finished:
     total = sum_at_rest(
         cycle.layout, static_force(np.asarray(cycle.force), cycle.sign, cycle.valid)
     )
-    return Finished(end, total, int((~cycle.valid).sum()))
+    return Finished(end, total)
 
 
 def static_force(force: Array, sign: NDArray[Any], valid: NDArray[Any]) -> Array:

@@ -181,19 +181,14 @@ def _depth_in_outline(shell: Shell, at: tuple[Array, Array]) -> Array:
     GeometryError
         Polygons that cannot be, or that reach beyond the outer radius.
     """
-    from truenewton.mirrors.shell.finite_elements.outline import (
-        checked_sides,
-        distance_to_sides,
-        inside,
-    )
+    from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
 
     assert shell.outline is not None
-    loops, places = shell.polygons(), np.stack(at, axis=1)
-    checked_sides(loops, shell.outline.mesh_size)
+    loops = checked_sides(shell.polygons(), shell.outline.mesh_size)
     furthest = np.hypot(*loops[0].T).max()
     if furthest > shell.outer_radius:
         raise GeometryError(
             f"the outline reaches {furthest:.6g} m from the axis",
             remedy=f"give an outer radius that it stays within, more than {shell.outer_radius:g} m",
         )
-    return np.where(inside(loops, places), 1.0, -1.0) * distance_to_sides(loops, places)
+    return depth_inside(loops, np.stack(at, axis=1))

@@ -110,7 +110,6 @@ def _time(seconds: float) -> str:
 def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[str, Any]:
     """Return the same figures for a script; infinite where the scale is free."""
     ready, prediction = outlook.ready, outlook.prediction
-    curves = {"cycles": outlook.against_cycles, "added_factor": outlook.against_weight}
     return {
         "instrument": ready.mirror.name,
         "shapes": len(ready.shapes),
@@ -135,19 +134,15 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
         **{f"largest_{key}" if key in ("force", "stroke") else key: value
            for key, value in dataclasses.asdict(outlook.strain).items()},
         "curves": {
-            name: {
-                name: curve.values,
-                "error": curve.error,
-                "e_stat": curve.reading_error,
-                "e_syst": curve.systematic_error,
-            }
-            for name, curve in curves.items()
+            "cycles": _errors("cycles", outlook.against_cycles),
+            "added_factor": _errors("added_factor", outlook.against_weight),
         },
         "warnings": [fault for fault, _ in outlook.warnings],
         "target": target,
-        "ways": [
-            {"what": way.what, "reached": way.reached, "change": way.change, "error": way.error,
-             "duration": way.duration}
-            for way in ways
-        ],
+        "ways": [{k: v for k, v in vars(way).items() if k != "plan"} for way in ways],
     }  # fmt: skip
+
+
+def _errors(name: str, curve: Curve) -> dict[str, Any]:
+    return {name: curve.values, "error": curve.error, "e_stat": curve.reading_error,
+            "e_syst": curve.systematic_error}  # fmt: skip

@@ -31,11 +31,9 @@ class Record:
         (n, batch) mean and standard deviation of what the DAC was told [N].
     position, position_scatter
         (n, batch) mean and standard deviation of the reading along +z [m].
-    drift
-        (n, batch) mean reading of the second half less that of the first [m].
     settled
-        (batch,) no sensor drifted by more than `DRIFT`: through the air film a steady drift pulls
-        by 64 N s/m x 1 nm / 14 ms = 4 uN at most.
+        (batch,) no mean reading changed by more than `DRIFT` between the halves: through the air
+        film a steady drift pulls by 64 N s/m x 1 nm / 14 ms = 4 uN at most.
 
     Samples follow each other closely, so that the error of a mean is not scatter / samples^1/2: of
     the forces, whose scatter is mostly what the derivative makes of noise, it is far less.
@@ -45,7 +43,6 @@ class Record:
     force_scatter: Array
     position: Array
     position_scatter: Array
-    drift: Array
     settled: NDArray[np.bool_]
 
 
@@ -105,14 +102,12 @@ def record(
     _refuse_growth(np.sqrt(np.maximum(square / size - halves**2, 0))[:, 0])
     mean = total.sum(axis=0) / samples
     scatter = np.sqrt(np.maximum(square.sum(axis=0) / samples - mean**2, 0))
-    drift = halves[1, 1] - halves[0, 1]
     return Record(
         force=first[0] + mean[0],
         force_scatter=scatter[0],
         position=first[1] + mean[1],
         position_scatter=scatter[1],
-        drift=drift,
-        settled=np.abs(drift).max(axis=0) <= DRIFT,
+        settled=np.abs(halves[1, 1] - halves[0, 1]).max(axis=0) <= DRIFT,
     )
 
 

@@ -90,13 +90,13 @@ def checked_places(loops: Sequence[Array], x: ArrayLike, y: ArrayLike, mesh_size
             f"X has shape {across.shape} and Y {up.shape}", remedy="give two numbers an actuator"
         )
     places = np.stack([across, up], axis=1)
-    closest = CLOSEST * mesh_size
-    for i in np.flatnonzero(~inside(loops, places)):
+    closest, depth = CLOSEST * mesh_size, depth_inside(loops, places)
+    for i in np.flatnonzero(~(depth >= 0)):
         raise GeometryError(
             f"actuator {i} at x = {across[i]:.6g} m, y = {up[i]:.6g} m is off the glass",
             remedy="bring it within the outline",
         )
-    for i in np.flatnonzero(distance_to_sides(loops, places) < closest):
+    for i in np.flatnonzero(depth < closest):
         raise GeometryError(
             f"actuator {i} at x = {across[i]:.6g} m, y = {up[i]:.6g} m is all but on an edge",
             remedy=f"keep actuators {closest:.2g} m away from edges, or take a smaller mesh size",
@@ -154,8 +154,11 @@ def _meets(p: Array, q: Array, start: Array, end: Array) -> NDArray[np.bool_]:
     return np.asarray(crossing & overlap.all(axis=1) & ~ends_at(p) & ~ends_at(q))
 
 
-def distance_to_sides(loops: Sequence[Array], places: Array) -> Array:
-    """Return (n,) distance from each place to the nearest side."""
+def depth_inside(loops: Sequence[Array], places: Array) -> Array:
+    """Return (n,) distance from each of (n, 2) places to the nearest side, negative off the glass.
+
+    Lengths as those of the places.
+    """
     nearest = np.full(len(places), np.inf)
     for loop in loops:
         for start, end in zip(loop, np.roll(loop, -1, axis=0), strict=True):
@@ -163,4 +166,4 @@ def distance_to_sides(loops: Sequence[Array], places: Array) -> Array:
             part = np.clip((places - start) @ along / (along @ along), 0, 1)
             gap = places - start - part[:, None] * along
             nearest = np.minimum(nearest, np.hypot(*gap.T))
-    return nearest
+    return np.where(inside(loops, places), nearest, -nearest)
