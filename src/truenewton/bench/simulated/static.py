@@ -121,14 +121,10 @@ def static_bench(
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
     added, tilt = _true_loads(loads, random)
-    glass = held_glass(mirror)
-    external = [
-        weight_on(
-            mirror, weight, q, cosine=cosine, bias=bias,
-            off_centre=random.normal(0.0, CENTRING_ERROR, 2),
-        )
-        for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True)
-    ]  # fmt: skip
+    glass, external = held_glass(mirror), []
+    for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):
+        centre = random.normal(0.0, CENTRING_ERROR, 2)
+        external.append(weight_on(mirror, weight, q, cosine=cosine, off_centre=centre, bias=bias))
     load_force = np.array([forces_under(glass, each) for each in external])
     k = np.array([external_resultants(mirror, each) for each in external])
     coils = Coils(alpha, bias_gradient=mirror.bias_gradient, coil_gradient=mirror.coil_gradient)
