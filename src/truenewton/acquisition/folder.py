@@ -67,7 +67,8 @@ def begin_or_resume(
 ) -> Array:
     """Keep plan and shapes in a folder that has none; else return the shapes that it has.
 
-    Shapes are never made twice: modes of one stiffness may come out turned on another machine.
+    They are (shapes, n) displacements [m], and never made twice: modes of one stiffness may come
+    out turned on another machine.
 
     Raises
     ------

@@ -128,7 +128,7 @@ class Journal:
         self.count += 1
 
     def rows(self) -> NDArray[Any]:
-        """Return the records so far, as they lie on the disk."""
+        """Return the (count,) records so far, as they lie on the disk; see `record_type`."""
         if not self.count:
             return np.zeros(0, dtype=self.form)
         offset = len(self._head)
@@ -136,7 +136,7 @@ class Journal:
             return np.memmap(self.path, self.form, "r", offset=offset, shape=(self.count,))
 
     def check_order(self, shape: NDArray[np.int64], sign: NDArray[np.int64]) -> None:
-        """Refuse records that are not the first of those planned.
+        """Refuse records that are not the first of the (N,) shapes and signs planned.
 
         Raises
         ------

@@ -42,17 +42,12 @@ class Taken:
 class Taker:
     """Takes shapes on a bench, and remembers what the next reading is compared with.
 
-    Parameters
+    Attributes
     ----------
     bench, plan
         Whom it commands, and what says how.
-    log, onlooker
-        Who is told.
-    interruption
-        Whether someone asked to stop.
-
-    Attributes
-    ----------
+    log, onlooker, interruption
+        As given: who hears of it, and whether someone asked to stop.
     guard
         Over the limits of the plan.
     largest_force, smallest_gap
@@ -75,7 +70,7 @@ class Taker:
         self.largest_force, self.smallest_gap = 0.0, bench.gap
 
     def take(self, shape: Shape, forecast: Array | None = None) -> Taken:
-        """Command a shape and read it, a few times if need be.
+        """Command a shape, (n,) forces [N] forecast, and read it, a few times if need be.
 
         Raises
         ------

@@ -37,13 +37,13 @@ class DeformableMirror(Protocol):
         """Number of actuators."""
 
     def set_shape(self, cmd: Array, differential: bool, /) -> None:
-        """Command displacements from rest, or from the present shape where differential."""
+        """Command (n,) displacements [m] from rest, or from the present shape if differential."""
 
     def get_shape(self) -> ArrayLike:
-        """Return the positions by the sensors; their zero is free."""
+        """Return the (n,) positions by the sensors [m]; their zero is free."""
 
     def get_force(self) -> ArrayLike:
-        """Return the commanded forces."""
+        """Return the (n,) commanded forces [N]."""
 
 
 class OpticalibMirror:

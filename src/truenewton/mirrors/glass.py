@@ -125,7 +125,7 @@ class Shell:
         return [np.stack(self.along(*np.reshape(loop, (-1, 2)).T), axis=1) for loop in loops]
 
     def along(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return positions along the glass, R asin(r / R) from the axis, of points seen along it.
+        """Return (n,) positions along the glass [m], R asin(r / R) from the axis, of (n,) x and y.
 
         Layouts give what the balance needs, the distance from the axis; the model of the shell
         wants the way along the glass. On a flat shell they are the same.

@@ -114,7 +114,7 @@ def require_stable(
     sensors: Sensors,
     control: Control,
 ) -> None:
-    """Refuse gains that do not hold the loop; parameters as of `roots`.
+    """Refuse gains that do not hold the loop; parameters, (n, n) and more, as of `roots`.
 
     Raises
     ------

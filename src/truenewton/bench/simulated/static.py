@@ -239,7 +239,10 @@ def cycle_of(
     valid: NDArray[np.bool_],
     force_error: float,
 ) -> Cycle:
-    """Return the record of one cycle, with what the files declare of the mirror."""
+    """Return the record of one cycle, with what the files declare of the mirror.
+
+    Its (N, n) forces [N] and positions [m], (N,) rows valid or not; 0 for an unknown force error.
+    """
     shape, sign, _ = rows_of_cycle(bench)
     mirror = bench.mirror
     return Cycle(

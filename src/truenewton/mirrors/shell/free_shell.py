@@ -25,7 +25,7 @@ class FreeShell(Protocol):
     def influence_in_parts(
         self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
     ) -> Iterator[Array]:
-        """Yield the rows of `influence`, some at a time: all of them would fill the memory."""
+        """Yield rows of `influence` [m/N], some at a time: all of them would fill the memory."""
 
     def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
         """Return the same, (n_at,), per unit force spread evenly over the glass [m/N]."""
