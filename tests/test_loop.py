@@ -11,12 +11,12 @@ from step_response import settling_time, step_responses
 
 from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control, ramp
-from truenewton.bench.simulated.loop import closed_loop, equilibrium, samples_of
+from truenewton.bench.simulated.loop import Loop, equilibrium, samples_of
 from truenewton.bench.simulated.noise import row_noise
 from truenewton.bench.simulated.plant import advance, film_damping
 from truenewton.bench.simulated.record import DRIFT, record
 from truenewton.bench.simulated.sensors import Sensors, draw_sensors
-from truenewton.bench.simulated.stability import roots, state_matrix
+from truenewton.bench.simulated.stability import closed_loop, roots, state_matrix
 from truenewton.errors import BenchFault, LoopUnstable
 from truenewton.mirrors.known import GRAVITY, p45
 from truenewton.mirrors.shell.condensation import condense
@@ -54,6 +54,11 @@ def p45_parts(seed=1):
     held = k - coils.bias_gradient * np.eye(n)
     control = Control(held / coils.alpha[:, None] * sensors.gain)
     return k, mass, np.full(n, film_damping(mirror.gap)), coils, sensors, control
+
+
+def roots_of(k, mass, damping, coils, sensors, control):
+    step = advance(k, mass, damping, control.period)
+    return roots(Loop(k, mass, damping, step, coils, sensors, control))
 
 
 @pytest.fixture(scope="module")
@@ -194,16 +199,16 @@ def test_modes_taken_alone_stand_for_the_whole(monkeypatch):
     k, mass, damping, coils, sensors, control = p45_parts()
     parts = k - 31 * np.eye(45), np.diag(mass), np.diag(damping)
     even = replace(coils, alpha=np.full(45, 0.8)), replace(sensors, gain=np.ones(45))
-    whole = roots(*parts, *even, control)
-    rough = roots(*parts, coils, sensors, control)
+    whole = roots_of(*parts, *even, control)
+    rough = roots_of(*parts, coils, sensors, control)
     monkeypatch.setattr("truenewton.bench.simulated.stability.DENSE", 10)
-    alone = roots(*parts, *even, control)
+    alone = roots_of(*parts, *even, control)
     assert np.abs(alone).max() == pytest.approx(np.abs(whole).max(), rel=1e-9)
     # A gain too high is as much too high either way, alpha 0.7 to 1.1.
     high = replace(control, derivative=600.0)
-    alone = np.abs(roots(*parts, coils, sensors, high)).max()
+    alone = np.abs(roots_of(*parts, coils, sensors, high)).max()
     monkeypatch.undo()
-    whole = np.abs(roots(*parts, coils, sensors, high)).max()
+    whole = np.abs(roots_of(*parts, coils, sensors, high)).max()
     assert np.abs(rough).max() < 1 < whole <= alone
     assert alone == pytest.approx(whole, rel=0.05)
 
@@ -213,8 +218,8 @@ def test_no_triangle_of_a_slightly_asymmetric_glass_is_taken_for_the_whole(monke
     monkeypatch.setattr("truenewton.bench.simulated.stability.DENSE", 10)
     skew = 1e-3 * np.abs(k).max() * np.random.default_rng(2).standard_normal((45, 45))
     k = k + skew - skew.T
-    once = roots(k, np.diag(mass), np.diag(damping), coils, sensors, control)
-    again = roots(k.T, np.diag(mass), np.diag(damping), coils, sensors, control)
+    once = roots_of(k, np.diag(mass), np.diag(damping), coils, sensors, control)
+    again = roots_of(k.T, np.diag(mass), np.diag(damping), coils, sensors, control)
     assert np.sort(np.abs(again)) == pytest.approx(np.sort(np.abs(once)), rel=1e-9)
 
 

@@ -10,6 +10,6 @@ plant          the glass as the loop moves it: M z'' + C z' + K z = f
 sensors        capacitive sensors
 coils          coils and magnets
 control        what runs in the electronics of each actuator
-stability      whether gains hold the loop
+stability      closing the loop, if the gains hold it
 truth          what a simulation knows; written beside the campaign, for scoring only
 """

@@ -32,9 +32,7 @@ from truenewton.bench.simulated.coils import (
     true_force,
 )
 from truenewton.bench.simulated.control import Control, ramp
-from truenewton.bench.simulated.plant import advance
 from truenewton.bench.simulated.sensors import Sensors, counts, out_of_range, reading
-from truenewton.bench.simulated.stability import require_stable
 from truenewton.errors import BenchFault
 
 BLOCK = 16  # samples of noise drawn at once
@@ -42,12 +40,12 @@ BLOCK = 16  # samples of noise drawn at once
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A mirror in closed loop, from `closed_loop`.
+    """A mirror in closed loop, from `stability.closed_loop`.
 
     Attributes
     ----------
-    stiffness
-        (n, n) K of the glass less the gradient of the bias magnets [N/m].
+    stiffness, mass, damping
+        (n, n) K of the glass less the gradient of the bias magnets [N/m], M [kg], C [N s/m].
     step
         (2n, 3n) of the glass, from `plant.advance`.
     coils, sensors, control
@@ -55,41 +53,12 @@ class Loop:
     """
 
     stiffness: Array
+    mass: Array
+    damping: Array
     step: Array
     coils: Coils
     sensors: Sensors
     control: Control
-
-
-def closed_loop(
-    stiffness: Array,
-    mass: Array,
-    damping: Array,
-    coils: Coils,
-    sensors: Sensors,
-    control: Control,
-) -> Loop:
-    """Close the loop, if the gains hold it.
-
-    Parameters
-    ----------
-    stiffness
-        (n, n) K of the glass at the actuators [N/m].
-    mass, damping
-        (n, n), or (n,) of diagonal ones [kg, N s/m].
-    coils, sensors, control
-        What closes the loop; the bias magnets' gradient comes off the diagonal of K.
-
-    Raises
-    ------
-    LoopUnstable
-        The gains do not hold the loop.
-    """
-    mass, damping = (np.diag(a) if a.ndim == 1 else a for a in (mass, damping))
-    softer = stiffness - coils.bias_gradient * np.eye(len(stiffness))
-    require_stable(softer, mass, damping, coils, sensors, control)
-    step = advance(softer, mass, damping, control.period)
-    return Loop(softer, step, coils, sensors, control)
 
 
 def samples_of(

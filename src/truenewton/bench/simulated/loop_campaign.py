@@ -8,10 +8,11 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.control import Control
-from truenewton.bench.simulated.loop import Loop, closed_loop, equilibrium
+from truenewton.bench.simulated.loop import Loop, equilibrium
 from truenewton.bench.simulated.noise import LOOP, cycle_noise
 from truenewton.bench.simulated.plant import film_damping
 from truenewton.bench.simulated.record import record
+from truenewton.bench.simulated.stability import closed_loop
 from truenewton.bench.simulated.static import StaticBench, cycle_of, rows_of_cycle, schedule
 from truenewton.mirrors.shell.moving_mass import moving_mass
 from truenewton.records.cycle import Cycle
