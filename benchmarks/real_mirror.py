@@ -17,7 +17,8 @@ from matplotlib.figure import Figure
 
 import truenewton as tn
 from truenewton.calibration.methods import held_out
-from truenewton.figures.maps import ACCENT, INK, plot_map
+from truenewton.figures.maps import plot_map
+from truenewton.figures.style import ACCENT, INK
 from truenewton.figures.style import COLUMN
 
 

@@ -191,7 +191,7 @@ def test_noiseless_readings_of_unknown_noise_give_the_truth(cycles, loads):
     )
     found = find(campaign)
     assert found.values == pytest.approx(truth, abs=1e-9 if exact else 2e-5)
-    assert np.isfinite(found.reading_error).all()
+    assert np.isfinite(found.reading_covariance).all()
 
 
 def turned(campaign, angle):
