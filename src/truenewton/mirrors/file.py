@@ -162,7 +162,7 @@ def check_glass(mirror: Mirror) -> None:
         off = (r - reach < shell.inner_radius) | (r + reach > shell.outer_radius)
         where = f"that is from {shell.inner_radius:g} m to {shell.outer_radius:g} m"
     else:
-        off = _depth_in_outline(shell, at) < reach
+        off = _depth_in_outline(mirror, at) < reach
         where = "bring it further within the outline"
     if off.any():
         i = off.argmax()
@@ -173,7 +173,7 @@ def check_glass(mirror: Mirror) -> None:
         )
 
 
-def _depth_in_outline(shell: Shell, at: tuple[Array, Array]) -> Array:
+def _depth_in_outline(mirror: Mirror, at: tuple[Array, Array]) -> Array:
     """Return (n,) how far from the edges places lie within an outlined glass; negative off it [m].
 
     Raises
@@ -183,6 +183,7 @@ def _depth_in_outline(shell: Shell, at: tuple[Array, Array]) -> Array:
     """
     from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
 
+    shell = mirror.shell
     assert shell.outline is not None
     loops = checked_sides(shell.polygons(), shell.outline.mesh_size)
     furthest = np.hypot(*loops[0].T).max()
