@@ -179,9 +179,10 @@ def _depth_in_outline(mirror: Mirror, at: tuple[Array, Array]) -> Array:
     Raises
     ------
     GeometryError
-        Polygons that cannot be, or that reach beyond the outer radius.
+        Polygons that cannot be, that reach beyond the outer radius, or leave no glass for the tool.
     """
     from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
+    from truenewton.mirrors.shell.held_glass import tool_wedges
 
     shell = mirror.shell
     assert shell.outline is not None
@@ -191,5 +192,10 @@ def _depth_in_outline(mirror: Mirror, at: tuple[Array, Array]) -> Array:
         raise GeometryError(
             f"the outline reaches {furthest:.6g} m from the axis",
             remedy=f"give an outer radius that it stays within, more than {shell.outer_radius:g} m",
+        )
+    if (depth_inside(loops, np.stack(tool_wedges(shell), axis=1)) < 0).any():
+        raise GeometryError(
+            f"the weight tool, {shell.inner_radius:g} m from the axis, stands off the glass",
+            remedy="give as inner radius that of a circle on the glass",
         )
     return depth_inside(loops, np.stack(at, axis=1))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array
+from truenewton.mirrors.glass import Shell
 from truenewton.mirrors.known import GRAVITY, Mirror
 from truenewton.mirrors.shell.condensation import Condensed, condense, holding_forces, rearming
 from truenewton.mirrors.shell.free_shell import FreeShell, free_shell, influence
@@ -100,8 +101,7 @@ def weight_on(
 ) -> ExternalForces:
     """Return what a mirror's own weight, a weight tool and the bias magnets do to it.
 
-    The glass spread evenly, magnets and bias magnets at their actuators, the tool on three wedges
-    120 degrees apart at the inner edge.
+    The glass spread evenly, magnets and bias magnets at their actuators, the tool on its wedges.
 
     Parameters
     ----------
@@ -116,14 +116,22 @@ def weight_on(
     bias
         (n,) forces of the bias magnets along the normals [N].
     """
-    angle = np.radians([90.0, 210.0, 330.0])
-    radius = mirror.shell.inner_radius + WEDGE_MARGIN
-    at = radius * np.cos(angle) + off_centre[0], radius * np.sin(angle) + off_centre[1]
+    x, y = tool_wedges(mirror.shell)
     magnets = np.full(mirror.layout.n, -mirror.magnet_mass * GRAVITY)
     spread = cosine * (weight - magnets.sum())
     return ExternalForces(
-        spread, at, np.full(3, cosine * added / 3), cosine * magnets / mirror.layout.nz + bias
+        spread=spread,
+        at=(x + off_centre[0], y + off_centre[1]),
+        force=np.full(3, cosine * added / 3),
+        local=cosine * magnets / mirror.layout.nz + bias,
     )
+
+
+def tool_wedges(shell: Shell) -> Points:
+    """Return x, y [m] of the weight tool's three wedges, 120 degrees apart, at the inner edge."""
+    angle = np.radians([90.0, 210.0, 330.0])
+    radius = shell.inner_radius + WEDGE_MARGIN
+    return radius * np.cos(angle), radius * np.sin(angle)
 
 
 def forces_under(glass: HeldGlass, external: ExternalForces) -> Array:
