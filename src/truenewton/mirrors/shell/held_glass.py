@@ -30,8 +30,6 @@ class HeldGlass:
         The model of its shell.
     places
         x and y of the actuators along the glass [m].
-    compliance
-        (n, n) reading per unit force of the shallow shell [m/N], up to rigid motions.
     exchange
         (n, n) J, from motions of the shallow shell to those of the sphere (`rearming`).
     condensed
@@ -41,7 +39,6 @@ class HeldGlass:
     mirror: Mirror
     free: FreeShell
     places: Points
-    compliance: Array
     exchange: Array
     condensed: Condensed
 
@@ -67,7 +64,7 @@ def held_glass(mirror: Mirror) -> HeldGlass:
         free, places, places, sensor=mirror.sensor, puck_radius=mirror.puck_radius
     )
     condensed = condense(exchange @ compliance @ exchange.T, lever, reciprocal=False)
-    return HeldGlass(mirror, free, places, compliance, exchange, condensed)
+    return HeldGlass(mirror, free, places, exchange, condensed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,8 +33,11 @@ def moving_mass(glass: HeldGlass) -> tuple[Array, Array]:
     GeometryError
         What `held_glass` raises.
     """
-    mirror, n = glass.mirror, glass.places[0].size
-    condensed = condense(glass.compliance, _tilts(glass.places), reciprocal=False)
+    mirror, places, n = glass.mirror, glass.places, glass.places[0].size
+    compliance = influence(
+        glass.free, places, places, sensor=mirror.sensor, puck_radius=mirror.puck_radius
+    )
+    condensed = condense(compliance, _tilts(places), reciprocal=False)
     at, area = glass.free.quadrature(n)
     mass = np.zeros((n, n))
     first = 0
