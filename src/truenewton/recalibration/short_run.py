@@ -88,8 +88,8 @@ def balancing(
 ) -> tuple[Problem, Moments, Minimum, list[RejectedRow]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
-    Held to its earlier calibration, one that was replaced, (n,) ``new``, would make good shapes look
-    bad.
+    Held to its earlier calibration, one that was replaced, of (n,) ``new``, would make good shapes
+    look bad.
     """
     moments = sifted.moments
     noise = reading_noise(run.campaign, moments)
@@ -120,7 +120,7 @@ def inverse_of(problem: Problem, minimum: Minimum) -> Array:
 
 
 def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
-    """Return equations less what the data say of the unknowns, of (u, u) ``inverse`` information."""
+    """Return equations less what the data say of the u unknowns, by (u, u) ``inverse``."""
     free = len(inverse)
     from_prior = float(np.sum(inverse * problem.prior.added_to(np.zeros((free, free)))))
     return 3 * moments.groups - free + from_prior
