@@ -15,7 +15,7 @@ from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.records.file import is_stiffness_file, stiffness_from
+from truenewton.records.file import stiffness_from
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import stiffness_modes
 
@@ -88,7 +88,7 @@ def shapes_and_forces(
         scaled = scaled_shapes(modes, true, plan.shapes)
         return _spread(scaled, true / expected_alpha(mirror), on)
     file = read_fits(path)
-    if is_stiffness_file(file):
+    if "STIFFNESS" in file.extensions:
         matrix = stiffness_from(file)
         if not matrix.layout.same_as(mirror.layout):
             raise FormatError(
@@ -113,7 +113,7 @@ def shapes_and_forces(
 def shapes_are_given(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> bool:
     """Tell whether a file gives the shapes as they stand, whatever stroke and force say."""
     source = plan.shapes.source
-    return source != "modes" and not is_stiffness_file(read_fits(Path(folder) / source))
+    return source != "modes" and "STIFFNESS" not in read_fits(Path(folder) / source).extensions
 
 
 def model_stiffness(mirror: Mirror) -> Array:

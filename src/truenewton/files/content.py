@@ -65,22 +65,6 @@ class FitsFile:
     header: Mapping[str, Any]
     extensions: Mapping[str, Table | Image | TrueNewtonError]
 
-    def holds(self, name: str) -> bool:
-        """Tell whether there is such an extension, sound or not."""
-        return name in self.extensions
-
-    def record(self, kind: type[Record], form: FileFormat, **known: Any) -> Record:
-        """Return the record in the file; ``known`` are fields that are no part of the format.
-
-        Raises
-        ------
-        FormatError
-            The file breaks its contract.
-        TrueNewtonError
-            What the record itself refuses.
-        """
-        return self.filled(kind, self.values(form) | known)
-
     def filled(self, kind: type[Record], values: dict[str, Any]) -> Record:
         """Return a record filled from `values`; what it refuses names the file."""
         try:

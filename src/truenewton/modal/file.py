@@ -19,7 +19,7 @@ from truenewton.modal.dissipation import Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import ModalBase
-from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
+from truenewton.records.file import ACTUATORS, SOURCES, STIFFNESS
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -195,26 +195,33 @@ def write_modes(
     OutputExists, OutputFailed
     """
     paths = modes_paths(path)
-    with files_together(paths, overwrite=overwrite) as folder:
-        _write_all(findings, [folder / target.name for target in paths], limits or Budget())
-    return list(paths)
-
-
-def _write_all(findings: ModalFindings, paths: list[Path], limits: Budget) -> None:
     base, stiffness = findings.after, findings.after.stiffness
-    true = _square(base, stiffness.whole)
-    commanded = _square(base, stiffness.whole / stiffness.enabled_alpha[:, None])
+    acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
+    true, commanded = (
+        StiffnessMatrix(
+            base.instrument, base.date, replace(base.layout, enabled=acts), _square(base, forces)
+        )
+        for forces in (stiffness.whole, stiffness.whole / stiffness.enabled_alpha[:, None])
+    )
     written = _Written(
-        findings.measured, findings.calibration, findings.sources, base, limits, true, commanded
+        findings.measured,
+        findings.calibration,
+        findings.sources,
+        base,
+        limits or Budget(),
+        true.stiffness,
+        commanded.stiffness,
     )
-    layout = replace(
-        base.layout, enabled=np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
+    contents = (
+        (MODES, written),
+        (STIFFNESS, true),
+        (STIFFNESS, commanded),
+        *((form, written) for form in PLAIN.values()),
     )
-    for target, forces in zip(paths[1:3], (true, commanded), strict=True):
-        record = StiffnessMatrix(base.instrument, base.date, layout, forces)
-        write_stiffness(record, target)
-    for target, form in zip((paths[0], *paths[3:]), (MODES, *PLAIN.values()), strict=True):
-        write_fits(target, form, written)
+    with files_together(paths, overwrite=overwrite) as folder:
+        for target, (form, record) in zip(paths, contents, strict=True):
+            write_fits(folder / target.name, form, record)
+    return list(paths)
 
 
 def _square(base: ModalBase, forces: Array) -> Array:

@@ -19,7 +19,7 @@ from truenewton.records.source import UsedSource
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.file import is_tracking_file, tracking_from
+from truenewton.tracking.file import tracking_from
 from truenewton.tracking.law import Tracking
 
 EARLIER = "earlier calibration"
@@ -81,7 +81,7 @@ def known_from(
     if not isinstance(given, Calibration | Tracking):
         name = os.fspath(given)
         file = read_fits(given)
-        given = tracking_from(file) if is_tracking_file(file) else _calibration(name)
+        given = tracking_from(file) if "TRACKING" in file.extensions else _calibration(name)
     if given.instrument != campaign.instrument or not _same_actuators(
         given.layout, campaign.layout
     ):
