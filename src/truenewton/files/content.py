@@ -30,19 +30,19 @@ class Table(NamedTuple):
     rows
         Number of rows.
     columns
-        Values in native byte order, or where they stay in the file, with their unit; by upper-case
-        name.
+        Values in native byte order, or where they stay in the file, with their unit or ''; by
+        upper-case name.
     """
 
     rows: int
-    columns: Mapping[str, tuple[NDArray[Any] | StoredRows, str | None]]
+    columns: Mapping[str, tuple[NDArray[Any] | StoredRows, str]]
 
 
 class Image(NamedTuple):
-    """An image as it was read: pixels in numpy order, and BUNIT."""
+    """An image as it was read: pixels in numpy order, and BUNIT or ''."""
 
     data: NDArray[Any]
-    unit: str | None
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,7 @@ class FitsFile:
             )
         if column.unit is None:
             return values
-        in_unit = partial(convert, has=has_unit, want=column.unit, what=what, path=self.path)
+        in_unit = partial(_convert, has=has_unit, want=column.unit, what=what, path=self.path)
         if isinstance(values, StoredRows):
             in_unit(np.empty(0))  # refuses a unit before any use
             return replace(values, in_unit=in_unit)
@@ -189,7 +189,7 @@ class FitsFile:
         if data.dtype.kind not in "fiu":
             self._refuse(f"{name} is not numeric", "store D")
         values: NDArray[np.float64] = data.astype(np.float64, copy=False)
-        return values if unit is None else convert(values, has_unit, unit, name, self.path)
+        return values if unit is None else _convert(values, has_unit, unit, name, self.path)
 
     def require_squares(self, names: tuple[str, ...], side: int, meaning: str) -> None:
         """Refuse images that are not square, with a side that has a meaning."""
@@ -239,11 +239,11 @@ def _rows(columns: dict[str, Any]) -> list[dict[str, Any]]:
     return [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=True)]
 
 
-def convert(
-    values: NDArray[Any], has: str | None, want: str, what: str, path: str
+def _convert(
+    values: NDArray[Any], has: str, want: str, what: str, path: str
 ) -> NDArray[np.float64]:
     """Convert values from the unit they declare to the one wanted; refuse what cannot be."""
-    if not has or not has.strip():
+    if not has.strip():
         raise FormatError(f"{what} declares no unit", remedy=f"declare {want}", path=path)
     try:
         # An odd spelling of a unit is no concern of the user's; what overflows is refused as inf.

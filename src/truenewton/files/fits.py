@@ -122,8 +122,7 @@ def _extensions(
             if isinstance(hdu, fits.BinTableHDU):
                 extensions[name] = _table(hdu, path, stream, state)
             elif isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
-                unit = hdu.header.get("BUNIT")
-                extensions[name] = Image(_native(hdu.data), None if unit is None else str(unit))
+                extensions[name] = Image(_native(hdu.data), str(hdu.header.get("BUNIT", "")))
         except TrueNewtonError as error:
             extensions[name] = error
         except Exception:
@@ -150,13 +149,12 @@ def _table(hdu: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] |
     if state:
         left = long_rows(hdu, path, state)
         hdu = without_columns(stream, hdu, left)
-    columns: dict[str, tuple[NDArray[Any] | StoredRows, str | None]] = {}
+    columns: dict[str, tuple[NDArray[Any] | StoredRows, str]] = {}
     for column in hdu.columns:
         values: NDArray[Any] | StoredRows | None = left.get(column.name)
         if values is None:
             values = _native(np.asarray(hdu.data[column.name]))
-        unit = None if column.unit is None else str(column.unit)
-        columns[str(column.name).upper()] = values, unit
+        columns[str(column.name).upper()] = values, str(column.unit or "")
     return Table(len(hdu.data), columns)
 
 
