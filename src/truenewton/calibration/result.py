@@ -14,7 +14,7 @@ from truenewton.errors import FormatError
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
@@ -99,7 +99,7 @@ class Calibration:
     noise: float
     degrees_of_freedom: int | None
     chi2: float
-    sources: tuple[UsedSource, ...]
+    sources: tuple[Source, ...]
     diagnosis: Diagnosis | None = None
     goodness: Goodness | None = None
     scale_errors: tuple[ScaleError, ...] = ()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,7 +25,7 @@ from truenewton.modal.true_stiffness import places, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 MISFIT = 2.0  # of the variance of repeats; hundreds of readings and more hold it within 10 %
@@ -54,7 +54,7 @@ class ModalFindings:
     before: ModalBase
     after: ModalBase
     comparison: ModesComparison
-    sources: tuple[UsedSource, ...]
+    sources: tuple[Source, ...]
 
     def __repr__(self) -> str:
         return (
@@ -162,14 +162,13 @@ def find_modes(
 
 def _sources(
     data: Campaign | StiffnessMatrix, measured: MeasuredStiffness | None, matrix: StiffnessMatrix
-) -> tuple[UsedSource, ...]:
+) -> tuple[Source, ...]:
     """Return the files of a stiffness: its own, or those of the cycles that hold POSITION."""
     if measured is None or isinstance(data, StiffnessMatrix):
-        source = matrix.source
-        return (UsedSource(source.file, source.sha256, matrix.layout.n, 0),) if source else ()
+        return (replace(matrix.source, rows=matrix.layout.n),) if matrix.source else ()
     lost = Counter(row.cycle for row in measured.rejected)
     return tuple(
-        UsedSource(c.source.file, c.source.sha256, int(c.valid.sum()) - lost[k], lost[k])
+        replace(c.source, rows=int(c.valid.sum()) - lost[k], rejected=lost[k])
         for k, c in enumerate(with_positions(data).cycles)
         if c.source
     )

@@ -15,7 +15,7 @@ from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
@@ -55,7 +55,7 @@ class EarlierCalibration:
     uneven: Array
     temperature: float
     loads: tuple[Load, ...]
-    sources: tuple[UsedSource, ...]
+    sources: tuple[Source, ...]
 
 
 def known_from(
@@ -77,7 +77,7 @@ def known_from(
     """
     name = "the earlier calibration"
     loads: tuple[Load, ...] = ()
-    sources: tuple[UsedSource, ...] = ()
+    sources: tuple[Source, ...] = ()
     if not isinstance(given, Calibration | Tracking):
         name = os.fspath(given)
         file = read_fits(given)

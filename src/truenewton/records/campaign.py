@@ -61,15 +61,15 @@ class Campaign:
             if double is not cycle:
                 raise CampaignMismatch(
                     f"LOAD '{cycle.load.name}' has CYCLE {cycle.number} twice",
-                    remedy=f"leave one out, or number it anew (the other is {_file(double)})",
-                    path=_file(cycle),
+                    remedy=f"leave one out, or number it anew (the other is {double.name})",
+                    path=cycle.name,
                 )
         matrix = self.stiffness
         if matrix is not None and not (
             matrix.instrument == self.instrument and matrix.layout.same_as(self.layout)
         ):
             raise CampaignMismatch(
-                f"disagrees with {_file(ordered[0])} on INSTRUME or the ACTUATORS table",
+                f"disagrees with {ordered[0].name} on INSTRUME or the ACTUATORS table",
                 remedy="give the stiffness matrix of the same mirror",
                 path=matrix.source.file if matrix.source else "stiffness matrix",
             )
@@ -125,15 +125,11 @@ def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:
     return (load.added != 0.0, load.tilt != 0.0, load.key, cycle.number)
 
 
-def _file(cycle: Cycle) -> str:
-    return cycle.source.file if cycle.source else f"{cycle.load.name} {cycle.number}"
-
-
 def _mismatch(one: Cycle, other: Cycle, what: str) -> CampaignMismatch:
     return CampaignMismatch(
-        f"disagrees with {_file(one)} on {what}",
+        f"disagrees with {one.name} on {what}",
         remedy="calibrate files of one campaign only",
-        path=_file(other),
+        path=other.name,
     )
 
 

@@ -161,6 +161,11 @@ class Cycle:
         )
 
     @property
+    def name(self) -> str:
+        """Its file, or its load and number where it has none."""
+        return self.source.file if self.source else f"{self.load.name} {self.number}"
+
+    @property
     def used_force(self) -> Array:
         """(N_valid, n_enabled) commanded forces of the rows and actuators that count [N]."""
         return self.used(self.force, slice(None))
