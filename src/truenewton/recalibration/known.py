@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -82,8 +82,8 @@ def known_from(
         name = os.fspath(given)
         file = read_fits(given)
         given = tracking_from(file) if "TRACKING" in file.extensions else _calibration(name)
-    if given.instrument != campaign.instrument or not _same_actuators(
-        given.layout, campaign.layout
+    if given.instrument != campaign.instrument or not given.layout.same_as(
+        campaign.layout, enabled=False
     ):
         raise CampaignMismatch(
             f"is of {given.instrument}, the run of {campaign.instrument}"
@@ -136,10 +136,6 @@ def _calibration(name: str) -> Calibration:
             "is no calibration", remedy="give --known the calibration from before", path=name
         )
     return data
-
-
-def _same_actuators(one: Layout, other: Layout) -> bool:
-    return one.n == other.n and one.same_as(replace(other, enabled=one.enabled))
 
 
 def run_temperature(campaign: Campaign) -> float:

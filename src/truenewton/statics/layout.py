@@ -101,11 +101,14 @@ class Layout:
         """Number of actuators, disabled ones included."""
         return int(np.size(self.id))
 
-    def same_as(self, other: Layout) -> bool:
-        """Tell whether two layouts are one: same order, positions to 1e-9 m (docs/files.md)."""
+    def same_as(self, other: Layout, *, enabled: bool = True) -> bool:
+        """Tell whether two layouts are one: same order, positions to 1e-9 m (docs/files.md).
+
+        With ``enabled`` false it does not count which take part.
+        """
         return (
             np.array_equal(self.id, other.id)
-            and np.array_equal(self.enabled, other.enabled)
+            and (np.array_equal(self.enabled, other.enabled) or not enabled)
             and all(
                 np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=1e-9)
                 for name in ("x", "y", "nz")

@@ -160,8 +160,7 @@ def _refuse_strangers(one: Day, other: Day) -> None:
             got=b.instrument,
             want=a.instrument,
         )
-    same = replace(b.layout, enabled=a.layout.enabled) if a.layout.n == b.layout.n else b.layout
-    if not a.layout.same_as(same):
+    if not a.layout.same_as(b.layout, enabled=False):
         raise CampaignMismatch(
             f"has other actuators than {one.name}",
             remedy="track one mirror at a time",
