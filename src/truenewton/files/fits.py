@@ -198,12 +198,12 @@ def write_fits(
         hdu.add_checksum(when="data unit checksum")
     with file_beside(path, overwrite=overwrite) as temporary, temporary.open("wb") as file:
         whole = io.BytesIO()  # of a full disk astropy makes a riddle: let Python meet it
-        hdus.writeto(whole)
         if os.fspath(path).endswith(".gz"):
-            with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed:
-                packed.write(whole.getbuffer())
+            with gzip.GzipFile(filename="", mode="wb", fileobj=whole, mtime=0) as packed:
+                hdus.writeto(packed)
         else:
-            file.write(whole.getbuffer())
+            hdus.writeto(whole)
+        file.write(whole.getbuffer())
 
 
 def _card(key: str, value: Any, comment: str) -> Any:
