@@ -19,7 +19,7 @@ from truenewton.modal.findings import ModalFindings, find_modes, modes_reader
 from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.evidence import (
     Evidence,
@@ -69,19 +69,13 @@ class Findings:
         return known.instrument if known is not None else ""
 
     @property
-    def inputs(self) -> tuple[UsedSource, ...]:
+    def inputs(self) -> tuple[Source, ...]:
         """The files: those that went into the calibration, or those that did not suffice."""
         if self.calibration is not None:
             return self.calibration.sources
         if isinstance(self.data, Campaign):
-            return tuple(
-                UsedSource(c.source.file, c.source.sha256, 0, 0)
-                for c in self.data.cycles
-                if c.source
-            )
-        if self.data is not None and self.data.source is not None:
-            return (UsedSource(self.data.source.file, self.data.source.sha256, 0, 0),)
-        return ()
+            return tuple(c.source for c in self.data.cycles if c.source)
+        return (self.data.source,) if self.data and self.data.source else ()
 
     def plot(self, name: str, ax: Axes | None = None) -> Axes:
         """Draw a figure by its name, as 'budget', 'map-leverage' or 'modes'; return the axes.
