@@ -56,7 +56,7 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
     calibration = replace(found.calibration, alpha=truth.alpha)
     stiffness = true_stiffness(matrix, calibration)
     reader = modes_reader(sift(campaign))
-    read_rows(campaign, (reader,))
+    read_rows(campaign, (reader.take,))
     static = static_force(stiffness, calibration, reader.force_at_rest)
     return modal_base(matrix, stiffness, found.after.seen, static, found.after.costs[0].efficiency)
 

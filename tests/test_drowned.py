@@ -8,9 +8,9 @@ from balanced import p45_bench, ungraded
 
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import posed
+from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.undetermined import drowned_patterns, held_even, with_unknown_patterns
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign

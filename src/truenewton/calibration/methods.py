@@ -17,9 +17,8 @@ from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.estimate import Estimate
-from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.row_readers import RowReader, read_rows
-from truenewton.estimation.sifted import Sifted, sift
+from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
@@ -54,40 +53,35 @@ def calibrate(
     TypeError
         The data are neither.
     """
-    refuse_method(data, method, population=population)
-    if isinstance(data, StiffnessMatrix):
-        if method == "svd":
-            return _from_stiffness(data, stiffness_svd.find(data))
-        return _from_stiffness(data, stiffness_ml.find(data, population))
     if isinstance(data, Campaign):
-        if method == "svd":  # takes all rows as they are
-            return calibration_of(data, cycles_svd.find(data, campaign_moments(data)))
-        return calibration_of(data, cycles_ml.find(sift(data), population))
+        return calibration_of(data, find_alpha(sift(data), method, population=population))
+    if isinstance(data, StiffnessMatrix):
+        _refuse_method(method, population)
+        svd = method == "svd"
+        estimate = stiffness_svd.find(data) if svd else stiffness_ml.find(data, population)
+        return _from_stiffness(data, estimate)
     raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
 
 
-def refuse_method(
-    data: Campaign | StiffnessMatrix, method: str, *, population: bool = False
-) -> None:
-    """Raise UnknownName where there is no such method, or it takes no such data."""
+def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
+    """Find alpha of a campaign that was sifted, as `calibrate` does; no row is read for 'ml'."""
+    campaign = sifted.campaign
+    _refuse_method(method, population or campaign.stiffness is not None)
+    if method == "ml":
+        return cycles_ml.find(sifted, population)
+    moments = campaign_moments(campaign) if sifted.rejected else sifted.moments  # all rows count
+    return cycles_svd.find(campaign, moments)
+
+
+def _refuse_method(method: str, more: bool) -> None:
     if method not in METHODS:
         raise UnknownName(
             f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method
         )
-    if method == "svd" and (population or (isinstance(data, Campaign) and data.stiffness)):
+    if method == "svd" and more:
         raise UnknownName(
             "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
         )
-
-
-def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
-    """Find alpha of a campaign that was sifted, as `calibrate` does; see `calibration_of`."""
-    if method != "svd":
-        return cycles_ml.find(sifted, population)
-    campaign = sifted.campaign
-    return cycles_svd.find(
-        campaign, campaign_moments(campaign) if sifted.rejected else sifted.moments
-    )
 
 
 def held_out(
@@ -114,7 +108,7 @@ def calibration_of(
     start, end, temperature = _times(campaign)
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(campaign.cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
-    read_rows(campaign, (cycle_errors, *readers))
+    read_rows(campaign, (cycle_errors.take, *readers))
     warnings = estimate.diagnosis.warnings + _implausible(estimate.values[:n])
     matrix = campaign.stiffness
     return Calibration(

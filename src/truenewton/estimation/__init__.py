@@ -8,7 +8,7 @@ Where the equations of the paper (Ricci, Riccardi and Zanotti 2008) stand:
     eq. 4   E alpha' = r, all loads              `systems`: `system_e`
     sec. 4  solution by SVD                      `cycles_svd`: `find`
     sec. 4  the proof code                       `studies.proof`
-    sec. 5  the error over the cycles, E_CYCLE   `cycle_errors`: `cycle_errors`
+    sec. 5  the error over the cycles, E_CYCLE   `cycle_errors`: `CycleErrors`
 
 Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md). The files, in the
 order in which data pass through them:
@@ -17,9 +17,12 @@ order in which data pass through them:
     cycles_svd       the paper's method: E alpha' = r by singular value decomposition
     cycle_errors     the paper's error: each cycle solved alone
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
-    moments          repeats put together: number, mean, scatter; they merge
+    repeats          rows by the group that they repeat, a block of groups after the other
+    moments          repeats put together: number, mean, scatter
+    sifted           rows far from their repeats left out; what one reading of the rows leaves
+    row_readers      the second reading of the rows, once for all who want to see them
     shape_sums       sums over shapes: what the likelihood needs of the means
-    outliers         rows that do not belong
+    outliers         shapes that do not balance
     noise            of one reading: from repeats, as declared, or left to the fit
     weights          errors of the weights, and the budget of the common scale
     problem          what the likelihood is asked: data, noise, unknowns, priors

@@ -139,9 +139,9 @@ def find_modes(
         sifted = sift(data)
         reader = modes_reader(sifted)
         if calibration is None:
-            calibration = calibration_of(data, cycles_ml.find(sifted), (reader,))
+            calibration = calibration_of(data, cycles_ml.find(sifted), (reader.take,))
         else:
-            read_rows(data, (reader,))
+            read_rows(data, (reader.take,))
     measured = stiffness_of(reader) if reader is not None and reader.positioned else None
     at_rest = None if reader is None else reader.force_at_rest
     matrix = measured.matrix if measured is not None else _given_matrix(data)

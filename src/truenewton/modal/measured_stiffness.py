@@ -94,7 +94,7 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
         So many rows stand off from their repeats that the rest cannot be trusted.
     """
     reader = motion_reader(sift(campaign))
-    read_rows(campaign, (reader,))
+    read_rows(campaign, (reader.take,))
     return stiffness_of(reader)
 
 

@@ -13,8 +13,8 @@ from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.errors import LimitExceeded, TrueNewtonError, located
-from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.prediction import Prediction, predict, typical
+from truenewton.estimation.sifted import campaign_moments
 from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain
 from truenewton.records.fault import Fault
 

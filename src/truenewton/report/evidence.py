@@ -136,9 +136,6 @@ class RowImbalance:
         for arms, parts in self._kinds:
             parts.append(force @ arms.T + (0.0 if known is None else known))
 
-    def end_cycle(self, cycle_index: int) -> None:
-        """Nothing is concluded with a cycle."""
-
     def before_and_after(
         self, load: NDArray[np.int64], kept: NDArray[np.bool_]
     ) -> tuple[Array, Array]:
