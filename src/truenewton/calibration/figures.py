@@ -34,10 +34,10 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
         bars = 3 * calibration.reading_error
         ring = ring_of(layout)
         order = np.argsort(ring, kind="stable")
-        place = np.arange(1, layout.n + 1)
+        position = np.arange(1, layout.n + 1)
         few = layout.n <= 100
         ax.errorbar(
-            place, alpha[order], yerr=bars[order], fmt="o", color=ACCENT, ecolor=INK,
+            position, alpha[order], yerr=bars[order], fmt="o", color=ACCENT, ecolor=INK,
             markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
         )  # fmt: skip
         edges = np.flatnonzero(np.diff(ring[order])) + 1.5
@@ -45,7 +45,7 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
             ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         for extreme in (np.nanargmin(alpha), np.nanargmax(alpha)):
-            at = (place[order == extreme][0], alpha[extreme])
+            at = (position[order == extreme][0], alpha[extreme])
             ax.annotate(str(layout.id[extreme]), at, xytext=(3, 0), textcoords="offset points",
                         fontsize=6.0, va="center")  # fmt: skip
         ax.set_xlabel("actuator, ring by ring from the centre" if len(edges) else "actuator")
