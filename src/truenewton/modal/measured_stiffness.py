@@ -93,13 +93,15 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     TooManyOutliers
         So many rows stand off from their repeats that the rest cannot be trusted.
     """
-    reader = motion_reader(sift(campaign))
+    reader = motion_reader(sift(replace(campaign, stiffness=None)))
     read_rows(campaign, (reader.take,))
     return stiffness_of(reader)
 
 
 def motion_reader(sifted: Sifted) -> MotionReader:
     """Return who reads force and displacement of all rows that stand off in neither.
+
+    Where a stiffness stands among the cycles, only the force at rest is read.
 
     Raises
     ------
@@ -109,6 +111,8 @@ def motion_reader(sifted: Sifted) -> MotionReader:
         So many rows stand off from their repeats that the rest cannot be trusted.
     """
     campaign, on = sifted.campaign, sifted.campaign.layout.enabled
+    if campaign.stiffness is not None:
+        return MotionReader(campaign, sifted.sound)
     positioned = [
         k
         for k, cycle in enumerate(campaign.cycles)  # zeros may stand in place of POSITION

@@ -13,7 +13,8 @@ from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import Sifted, sift
 from truenewton.modal.dissipation import Budget
-from truenewton.modal.findings import ModalFindings, find_modes, modes_reader
+from truenewton.modal.findings import ModalFindings, find_modes
+from truenewton.modal.measured_stiffness import motion_reader
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
@@ -185,7 +186,7 @@ def _told(sifted: Sifted, estimate: Estimate) -> Findings:
     """Return all that is told of a campaign; its rows are read once more for it."""
     campaign, n = sifted.campaign, int(sifted.campaign.layout.enabled.sum())
     imbalance = RowImbalance(sifted, estimate.values[:n])
-    reader, no_modes = _modes(campaign, lambda: modes_reader(sifted))
+    reader, no_modes = _modes(campaign, lambda: motion_reader(sifted))
     readers = [imbalance.take] if reader is None else [imbalance.take, reader.take]
     calibration = calibration_of(campaign, estimate, readers)
     evidence, modes = campaign_evidence(sifted, calibration, imbalance), None
