@@ -53,35 +53,35 @@ def calibrate(
     TypeError
         The data are neither.
     """
+    refuse_method(data, method, population=population)
     if isinstance(data, Campaign):
         return calibration_of(data, find_alpha(sift(data), method, population=population))
     if isinstance(data, StiffnessMatrix):
-        _refuse_method(method, population)
         svd = method == "svd"
         estimate = stiffness_svd.find(data) if svd else stiffness_ml.find(data, population)
         return _from_stiffness(data, estimate)
     raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
 
 
-def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
-    """Find alpha of a campaign that was sifted, as `calibrate` does; no row is read for 'ml'."""
-    campaign = sifted.campaign
-    _refuse_method(method, population or campaign.stiffness is not None)
-    if method == "ml":
-        return cycles_ml.find(sifted, population)
-    moments = campaign_moments(campaign) if sifted.rejected else sifted.moments  # all rows count
-    return cycles_svd.find(campaign, moments)
-
-
-def _refuse_method(method: str, more: bool) -> None:
+def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: bool) -> None:
+    """Raise UnknownName where there is no such method, or it takes no such data."""
     if method not in METHODS:
         raise UnknownName(
             f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method
         )
-    if method == "svd" and more:
+    if method == "svd" and (population or (isinstance(data, Campaign) and data.stiffness)):
         raise UnknownName(
             "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
         )
+
+
+def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
+    """Find alpha of a campaign that was sifted, as `calibrate` does; 'ml' reads no row."""
+    if method == "ml":
+        return cycles_ml.find(sifted, population)
+    campaign = sifted.campaign  # all of its rows count
+    moments = campaign_moments(campaign) if sifted.rejected else sifted.moments
+    return cycles_svd.find(campaign, moments)
 
 
 def held_out(

@@ -6,7 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from truenewton.calibration.methods import calibrate, calibration_of, find_alpha
+from truenewton.calibration.methods import (
+    calibrate,
+    calibration_of,
+    find_alpha,
+    refuse_method,
+)
 from truenewton.calibration.result import Calibration
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers, TrueNewtonError
 from truenewton.estimation.estimate import Estimate
@@ -166,6 +171,7 @@ def investigate(
     """
     if isinstance(data, Calibration):
         return Findings(None, data)
+    refuse_method(data, method, population=population)
     sifted: Sifted | None = None
     try:
         if isinstance(data, StiffnessMatrix):
