@@ -180,7 +180,7 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
     reading, systematic = estimate.reading_covariance, estimate.systematic_covariance
     return {
         "method": estimate.method,
-        "scale": estimate.scale,
+        "scale": estimate.scale.value,
         "alpha": spread(estimate.values[:n], on),
         "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
         "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),

@@ -185,10 +185,10 @@ def investigate(
         # The estimator names the first fault only.
         faults = diagnose(sifted.sound, sifted.moments).faults if sifted is not None else ()
         return Findings(data, None, faults=faults or (Fault(error.fault, error.remedy),))
-    return _told(sifted, estimate)
+    return _findings_of(sifted, estimate)
 
 
-def _told(sifted: Sifted, estimate: Estimate) -> Findings:
+def _findings_of(sifted: Sifted, estimate: Estimate) -> Findings:
     """Return all that is told of a campaign; its rows are read once more for it."""
     campaign, n = sifted.campaign, int(sifted.campaign.layout.enabled.sum())
     imbalance = RowImbalance(sifted, estimate.values[:n])
