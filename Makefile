@@ -1,15 +1,22 @@
 # Two commands: `make demo` and `make test`. Each builds what it needs, with Python and make alone.
 PYTHON ?= python3
 
-.PHONY: demo test test-opticalib browser lint types contracts format clean
+# A worker a core; each keeps to one thread of linear algebra (tests/conftest.py).
+PYTEST = .venv-test/bin/python -m pytest -n logical --dist worksteal
+
+.PHONY: demo test test-all test-opticalib browser lint types contracts house sizes format clean
 
 demo: .venv-demo/ready
 	.venv-demo/bin/truenewton demo --overwrite
 
 test: .venv-test/ready
-	.venv-test/bin/python -m pytest
+	$(PYTEST) -m "not study"
 
-# Against the published opticalib: 0.7 GB, so it is not part of `make test`.
+# The statistical studies too, and which lines and branches no test reaches.
+test-all: .venv-test/ready
+	$(PYTEST) --cov
+
+# Against the published opticalib: 0.7 GB, so it is not part of `make test-all`.
 test-opticalib: .venv-opticalib/ready
 	.venv-opticalib/bin/python -m pytest tests/test_opticalib.py
 
@@ -26,6 +33,13 @@ types: .venv-test/ready
 
 contracts: .venv-test/ready
 	.venv-test/bin/lint-imports
+
+# The rooms as a picture, from the import contract; what is largest in them.
+house: .venv-test/ready
+	.venv-test/bin/python docs/house.py
+
+sizes: .venv-test/ready
+	.venv-test/bin/python docs/house.py --sizes
 
 format: .venv-test/ready
 	.venv-test/bin/ruff check --fix .
@@ -47,4 +61,4 @@ format: .venv-test/ready
 	touch $@
 
 clean:
-	rm -rf .venv-demo .venv-test .venv-opticalib .browser
+	rm -rf .venv-demo .venv-test .venv-opticalib .browser .coverage

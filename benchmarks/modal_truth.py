@@ -50,7 +50,7 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
     """Return the modal base that true alpha and true stiffness give, the rest as measured."""
     matrix = StiffnessMatrix(
         campaign.instrument,
-        found.after.date,
+        found.after.matrix.date,
         campaign.layout,
         truth.stiffness / truth.alpha[:, None],
     )

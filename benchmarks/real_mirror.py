@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 import truenewton as tn
 from truenewton.calibration.methods import held_out
-from truenewton.figures.maps import ACCENT, INK, plot_map
-from truenewton.figures.style import COLUMN
+from truenewton.figures.maps import plot_map
+from truenewton.figures.style import ACCENT, COLUMN, INK
 
 
 def without_polynomial(values, layout, degree=6):

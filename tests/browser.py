@@ -12,15 +12,15 @@ CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 READY = "return document.documentElement.dataset.ready === 'true'"
 # Where an actuator stands on the screen, in pixels of the window.
 PIXEL = """
-const [key, place] = arguments;
+const [key, index] = arguments;
 const source = Bokeh.documents[0].get_model_by_name("actuators");
 const host = document.getElementById("plot-" + key);
 host.scrollIntoView({ block: "center" });
 const view = [...Bokeh.index.roots].find((view) => host.contains(view.el));
-const [x, y] = { map: ["x", "y"], rings: ["place", arguments[2] ?? "alpha"] }[key];
+const [x, y] = { map: ["x", "y"], rings: ["number", arguments[2] ?? "alpha"] }[key];
 const box = view.el.getBoundingClientRect();
-return [box.x + view.frame.x_scale.compute(source.get_column(x)[place]),
-        box.y + view.frame.y_scale.compute(source.get_column(y)[place])];
+return [box.x + view.frame.x_scale.compute(source.get_column(x)[index]),
+        box.y + view.frame.y_scale.compute(source.get_column(y)[index])];
 """
 TOOLTIP = """
 const found = [];
@@ -103,11 +103,11 @@ class Browser:
         assert urls  # the page itself at least, or nothing was recorded
         return [url for url in urls if not url.startswith(("file:", "data:", "blob:"))]
 
-    def pointer(self, key, place, *, click=False, column=None):
+    def pointer(self, key, index, *, click=False, column=None):
         """Move to an actuator in a view, and click it if told to."""
         from selenium.webdriver.common.action_chains import ActionChains
 
-        x, y = self.js(PIXEL, key, place, column)
+        x, y = self.js(PIXEL, key, index, column)
         chain = ActionChains(self.driver)
         chain.w3c_actions.pointer_action.move_to_location(round(x) - 3, round(y))
         chain.w3c_actions.pointer_action.move_to_location(round(x), round(y))

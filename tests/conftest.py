@@ -1,8 +1,12 @@
 """Campaigns that several test files share."""
 
 import datetime
+import os
 import sys
 from typing import NamedTuple
+
+# Of small matrices threads make everything slower, and workers share the cores already.
+os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 
 import numpy as np
 import pytest

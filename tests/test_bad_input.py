@@ -3,6 +3,7 @@
 import dataclasses
 import gzip
 import io
+import shutil
 import sys
 from pathlib import Path
 
@@ -36,10 +37,16 @@ def refused(inside, tmp_path):
 
 
 @pytest.fixture
-def folder(tiny, tmp_path):
-    """A sound campaign of two files."""
-    write_campaign(tiny.cycles, tmp_path / "c")
-    return tmp_path / "c"
+def folder(sound_folder, tmp_path):
+    """A sound campaign of two files, of which each test has its own copy."""
+    return Path(shutil.copytree(sound_folder, tmp_path / "c"))
+
+
+@pytest.fixture(scope="module")
+def sound_folder(tiny, tmp_path_factory):
+    path = tmp_path_factory.mktemp("sound") / "c"
+    write_campaign(tiny.cycles, path)
+    return path
 
 
 def edit(path, *edits):

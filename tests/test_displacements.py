@@ -7,7 +7,7 @@ import pytest
 from balanced import BIAS, LAYOUT, arms_of, gradients
 
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.displaced_rows import BalancedRows, common_rest
+from truenewton.estimation.displaced_rows import BalancedRows, common_reference
 from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.records.campaign import Campaign
 from truenewton.report.investigate import investigate
@@ -71,7 +71,7 @@ def test_one_offset_of_each_sensor_changes_nothing(size):
 def test_zeros_set_anew_with_each_file_are_taken_out(size):
     """Then each cycle counts from its own mean, as if this were 0 in every file; and it is said."""
     campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, zeros=size)
-    assert np.isnan(common_rest(campaign)).all()
+    assert np.isnan(common_reference(campaign)).all()
     found = calibrate(campaign)
     assert found.alpha == pytest.approx(alpha, abs=1e-9)
     [(fault, remedy)] = found.diagnosis.warnings
@@ -87,7 +87,7 @@ def test_a_sensor_set_anew_leaves_the_others_alone():
     zeros = np.zeros((6, 14))
     zeros[4:, 3] = 5e-6
     one = shifted(campaign, zeros)
-    assert np.flatnonzero(np.isnan(common_rest(one))).tolist() == [3]
+    assert np.flatnonzero(np.isnan(common_reference(one))).tolist() == [3]
     found = calibrate(one)
     assert np.abs(np.delete(found.alpha - alpha, 3)).max() < 1e-5
     assert abs(found.alpha[3] - alpha[3]) < 600 * 3 * MOVED
@@ -100,7 +100,7 @@ def test_where_most_zeros_jump_no_sensor_is_trusted():
     for jumped, lost in ((7, 7), (8, 14)):
         zeros = np.zeros((6, 14))
         zeros[4:, :jumped] = 5e-6
-        assert np.isnan(common_rest(shifted(campaign, zeros))).sum() == lost
+        assert np.isnan(common_reference(shifted(campaign, zeros))).sum() == lost
 
 
 def test_a_cycle_broken_off_early_is_no_new_zero():
@@ -108,8 +108,8 @@ def test_a_cycle_broken_off_early_is_no_new_zero():
     campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
     last = campaign.cycles[-1]
     for valid in (np.arange(28) == 2, last.sign > 0):
-        rest = common_rest(Campaign((*campaign.cycles[:-1], replace(last, valid=valid))))
-        assert rest == pytest.approx(common_rest(Campaign(campaign.cycles[:-1])), abs=1e-15)
+        rest = common_reference(Campaign((*campaign.cycles[:-1], replace(last, valid=valid))))
+        assert rest == pytest.approx(common_reference(Campaign(campaign.cycles[:-1])), abs=1e-15)
 
 
 def test_a_spike_of_position_is_no_new_zero():
@@ -117,14 +117,14 @@ def test_a_spike_of_position_is_no_new_zero():
     position = campaign.cycles[0].position.copy()
     position[3, 5] += 1e-4
     spiked = replace(campaign.cycles[0], position=position)
-    assert not np.isnan(common_rest(Campaign((spiked, *campaign.cycles[1:])))).any()
+    assert not np.isnan(common_reference(Campaign((spiked, *campaign.cycles[1:])))).any()
 
 
 def test_without_gradients_nothing_counts():
     campaign, _ = gradients(seed=9, noise=1e-4, offset=1e-5, zeros=1e-5)
     for left_out in ({"position": None}, {"coil_gradient": None, "bias_gradient": None}):
         bare = Campaign(tuple(replace(c, **left_out) for c in campaign.cycles))
-        assert np.isnan(common_rest(bare)).all()
+        assert np.isnan(common_reference(bare)).all()
         assert not calibrate(bare).diagnosis.warnings
 
 

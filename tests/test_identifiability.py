@@ -30,8 +30,8 @@ def judged(campaign):
 
 def campaign_with_shapes(shapes, noise, cycles=2):
     """Return a P45 campaign that applies only the given displacements."""
-    bench = ungraded(static_bench(p45(), seed=1, force_noise=noise))
-    return Campaign(tuple(run_cycles(replace(bench, shapes=shapes), cycles)))
+    bench = replace(p45_bench(), shapes=shapes, force_noise=noise)
+    return Campaign(tuple(run_cycles(bench, cycles)))
 
 
 def refusal(campaign):

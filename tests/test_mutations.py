@@ -270,8 +270,8 @@ def bench(sound, tmp_path):
     ("sealing", "examples", "least_refused", "least_right", "in_memory"),
     [
         ("stale", 400, 300, 5, 2**28),
-        ("anew", 1300, 500, 200, 2**28),
-        ("absent", 1300, 500, 200, 2**28),
+        pytest.param("anew", 1300, 500, 200, 2**28, marks=pytest.mark.study),
+        pytest.param("absent", 1300, 500, 200, 2**28, marks=pytest.mark.study),
         ("anew", 400, 150, 60, -1),  # FORCE and POSITION are left on disk
     ],
 )

@@ -10,7 +10,7 @@ from truenewton.bench.simulated.static import run_cycles
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation import cycles_ml
-from truenewton.estimation.outliers import squared_distances, standing_out
+from truenewton.estimation.imbalance import squared_distances, standing_out
 from truenewton.estimation.sifted import sift
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load

@@ -1,6 +1,9 @@
 """The report's figures for papers show what the page shows, one call each."""
 
 import datetime
+import re
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +19,7 @@ from truenewton.figures.style import COLUMN
 from truenewton.figures.writing import write_figure
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.change import change
-from truenewton.report.figures import still_figures
+from truenewton.report.figures import figures_of, still_figures
 from truenewton.report.investigate import investigate
 
 
@@ -31,19 +34,28 @@ def points(ax):
 
 def test_every_call_takes_axes_and_returns_them(p45):
     found = change(*changed_by(12.0))
-    calls = (p45.plot_budget, p45.plot_residuals, p45.plot_balance, p45.plot_singular_values,
-             p45.plot_temperatures, p45.plot_residual_wavefront, p45.plot_power,
-             p45.plot_modes_comparison, found.plot_map, found.plot_actuators)  # fmt: skip
-    for call in calls:
+    names = (
+        "budget",
+        "residuals",
+        "balance",
+        "singular-values",
+        "temperatures",
+        "modes",
+        "modes-residual",
+        "modes-power",
+        "modes-comparison",
+        "map-leverage",
+        "map-noise",
+    )
+    calls = [partial(p45.plot, name) for name in names]
+    for call in (*calls, found.plot_map, found.plot_actuators):
         ax = Figure().add_subplot()
         assert call(ax) is ax
         assert call().get_figure().get_figwidth() == pytest.approx(COLUMN)
-    ax = Figure().add_subplot()
-    assert p45.plot_layer("leverage", ax) is ax
 
 
 def test_the_budget_bars_are_the_errors_in_per_cent(p45):
-    ax = p45.plot_budget()
+    ax = p45.plot("budget")
     names = [label.get_text() for label in ax.get_yticklabels()]
     sizes = dict(zip(names, [bar.get_width() for bar in ax.patches], strict=True))
     c = p45.calibration
@@ -55,7 +67,7 @@ def test_the_budget_bars_are_the_errors_in_per_cent(p45):
 
 def test_residuals_stand_at_their_shape_and_cycle():
     found = investigate(report_data.with_outliers())
-    residuals, ax = found.evidence.residuals, found.plot_residuals()
+    residuals, ax = found.evidence.residuals, found.plot("residuals")
     [image] = ax.images
     shown, (left, right, bottom, top) = image.get_array(), image.get_extent()
     assert (left, right, bottom, top) == (-14.5, 14.5, 8.5, 0.5)
@@ -68,7 +80,7 @@ def test_residuals_stand_at_their_shape_and_cycle():
 
 
 def test_the_balance_before_lies_above_that_after(p45):
-    before, after = points(p45.plot_balance())
+    before, after = points(p45.plot("balance"))
     assert len(before.get_xdata()) == len(after.get_xdata()) == 90
     assert np.median(before.get_ydata()) > 5 * np.median(after.get_ydata())
     one = np.flatnonzero(np.asarray(after.get_xdata()) == -7)[0]
@@ -81,14 +93,14 @@ def test_the_balance_before_lies_above_that_after(p45):
 def test_modes_stand_over_their_stiffness():
     truth = p45_bench().truth
     matrix = StiffnessMatrix("P45", START, truth.layout, truth.stiffness / truth.alpha[:, None])
-    ax = investigate(matrix).plot_residuals()
+    ax = investigate(matrix).plot("residuals")
     before, _ = points(ax)
     assert np.asarray(before.get_xdata()).min() > 1e3
     assert ax.get_xscale() == ax.get_yscale() == "log"
 
 
 def test_temperatures_stand_at_their_time(p45):
-    ax = p45.plot_temperatures()
+    ax = p45.plot("temperatures")
     lines = points(ax)
     assert len(lines) == 4
     cycle = p45.data.cycles[0]
@@ -118,18 +130,28 @@ def test_all_of_them_as_pdf_png_and_svg(p45, tmp_path):
             "modes-comparison"} == set(more)  # fmt: skip
     paths = write_figures(p45.calibration, tmp_path / "figures", more=more)
     assert len(paths) == 2 * (3 + len(more))
-    write_figure(p45.plot_balance(), tmp_path / "balance.svg")
-    assert "<svg" in (tmp_path / "balance.svg").read_text()
+    write_figure(p45.plot("balance"), tmp_path / "balance.svg")
+    text = (tmp_path / "balance.svg").read_text()
+    assert "<svg" in text
+    write_figure(p45.plot("balance"), tmp_path / "again.svg")
+    assert (tmp_path / "again.svg").read_text() == text
+
+
+def test_every_name_of_a_figure_is_documented(p45):
+    text = (Path(__file__).parents[1] / "docs" / "report.md").read_text(encoding="utf-8")
+    names = set(re.findall(r"`([a-z-]+)`", text))
+    assert set(figures_of(p45)) <= names
+    assert set(figures_of(p45)) >= set(still_figures(p45))
 
 
 def test_a_calibration_alone_has_no_residuals_to_draw(p45):
     alone = investigate(p45.calibration)
     with pytest.raises(ValueError, match="holds no residuals"):
-        alone.plot_residuals()
+        alone.plot("residuals")
     with pytest.raises(ValueError, match="only the cycles of a campaign"):
-        alone.plot_temperatures()
+        alone.plot("temperatures")
     with pytest.raises(ValueError, match="tells no modes"):
-        alone.plot_modes()
+        alone.plot("modes")
     assert not {"residuals", "modes"} & set(still_figures(alone))
 
 
@@ -141,5 +163,5 @@ def test_names_with_dollars_are_no_formulas():
     cycles = report_data.fine().cycles
     hostile = [replace(c, load=replace(c.load, name=f"{c.load.name} $x_{{$")) for c in cycles]
     found = investigate(Campaign(tuple(hostile)))
-    for call in (found.plot_temperatures, found.plot_budget):
-        call().get_figure().canvas.draw()  # matplotlib raises where a formula has no end
+    for name in ("temperatures", "budget"):
+        found.plot(name).get_figure().canvas.draw()  # matplotlib raises where a formula has no end

@@ -9,6 +9,8 @@ from balanced import p45_bench, p45_campaign
 from truenewton.bench.simulated.static import START
 from truenewton.modal import words
 from truenewton.modal.comparison import compare_modes
+from truenewton.modal.dissipation import Budget
+from truenewton.modal.figures import plot_power
 from truenewton.modal.findings import find_modes
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -94,46 +96,48 @@ def test_a_stiffness_file_tells_its_modes_but_no_weight(matrix):
 
 
 def test_the_maps_hold_each_chosen_mode_at_its_place(p45):
-    plot = sections(p45)["modes"].plot
-    dots, titles = plot.renderers
-    data, layout = dots.data_source.data, p45.calibration.layout
+    ax, layout = p45.plot("modes"), p45.calibration.layout
+    [dots] = ax.collections
+    part, (x, y) = np.asarray(dots.get_array()), np.asarray(dots.get_offsets()).T
     chosen = [0, 1, 2, 3, 4, 5, 6, 7, 11, 18, 28, 44]
-    assert np.unique(data["mode"]).tolist() == [k + 1 for k in chosen]
+    titles = [title.get_text() for title in ax.texts]
+    assert [int(title.split(":")[0]) for title in titles] == [k + 1 for k in chosen]
+    assert len(part) == 45 * len(chosen)
     for place, k in enumerate(chosen):
         mode = p45.modes.after.modes.modes[:, k]
         some = slice(45 * place, 45 * (place + 1))
-        assert data["part"][some] == pytest.approx(mode / np.abs(mode).max(), abs=1e-6)
-        for name, own in (("x", layout.x), ("y", layout.y)):
-            apart = data[name][some] - 1e3 * own
+        assert part[some] == pytest.approx(mode / np.abs(mode).max(), abs=1e-6)
+        for drawn, own in ((x, layout.x), (y, layout.y)):
+            apart = drawn[some] - 1e3 * own
             assert np.ptp(apart) < 1e-3  # moved as a whole [mm]
-    corners = np.array([[data["x"][45 * k : 45 * (k + 1)].min(),
-                         data["y"][45 * k : 45 * (k + 1)].max()] for k in range(12)])  # fmt: skip
+    corners = np.array([[x[45 * k : 45 * (k + 1)].min(), y[45 * k : 45 * (k + 1)].max()]
+                        for k in range(12)])  # fmt: skip
     assert (np.diff(corners[:4, 0]) > 2e3 * np.hypot(layout.x, layout.y).max()).all()
     assert (np.diff(corners[::4, 1]) < -2e3 * np.hypot(layout.x, layout.y).max()).all()
     softest = p45.modes.after.modes.stiffness[3] / 1e3
-    assert titles.data_source.data["text"][3] == f"4: {softest:.1f} kN/m"
+    assert titles[3] == f"4: {softest:.1f} kN/m"
 
 
 def test_the_curves_are_those_of_the_three_bases(p45):
-    parts, costs = sections(p45), p45.modes.after.costs
-    for key, places in (("turbulence", (0, 1, 2)), ("dissipation", (0, 1, 2, 3, 4, 5))):
-        lines = parts[key].plot.renderers
-        assert len(lines) == len(places)
-        for line, place in zip(lines, places, strict=True):
-            cost, data = costs[place % 3], line.data_source.data
-            wanted = {
-                "turbulence": 1e9 * cost.residual[:-1],
-                "dissipation": cost.power.max(axis=0) if place < 3 else cost.power.mean(axis=0),
-            }[key]
-            assert line.glyph.y == cost.base
-            assert data[cost.base] == pytest.approx(wanted, rel=1e-6)
-            assert data["n"].tolist() == list(range(1, len(wanted) + 1))
+    costs = p45.modes.after.costs
+    curves = {
+        "modes-residual": [1e9 * cost.residual[:-1] for cost in costs],
+        "modes-power": [f(cost.power, axis=0) for cost in costs for f in (np.max, np.mean)],
+    }
+    for name, wanted in curves.items():
+        ax = p45.plot(name)
+        assert len(ax.lines) == len(wanted)
+        for line, values in zip(ax.lines, wanted, strict=True):
+            assert line.get_ydata() == pytest.approx(values, rel=1e-6)
+            assert line.get_xdata().tolist() == list(range(1, len(values) + 1))
+        legend = [text.get_text() for text in ax.get_legend().get_texts()]
+        assert legend == [cost.base for cost in costs]
 
 
 def test_cycles_without_positions_say_so():
     parts, text = told(p45_campaign(2), lambda cycle: replace(cycle, position=None))
     assert list(parts) == ["modes"]
-    assert parts["modes"].plot is None
+    assert parts["modes"].figure == ""
     [words] = parts["modes"].words
     assert words.startswith("The data do not tell them: no cycle holds POSITION")
     assert "give a measured stiffness file." in words
@@ -180,7 +184,7 @@ def test_a_stiffness_reads_in_its_unit(value, text):
 
 def test_equal_modes_are_not_told_apart():
     c = compare_modes(np.eye(4), np.eye(4)[:, ::-1], np.ones(4))
-    assert words.apart(c).startswith("not to be told from the calibrated")
+    assert words.comparison_text(c).startswith("not to be told from the calibrated")
 
 
 def test_an_axis_of_power_begins_at_what_is_drawn(p45, matrix):
@@ -189,7 +193,7 @@ def test_an_axis_of_power_begins_at_what_is_drawn(p45, matrix):
         costs = found.after.costs
         least = min(cost.power.mean(axis=0).min() for cost in costs)
         most = max(cost.power.max() for cost in costs)
-        start = words.least_power(found.after)
+        start = plot_power(found.after, Budget()).get_ylim()[0]
         if drawn_whole:
             assert 0.5 * least < start < least
         else:

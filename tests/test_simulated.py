@@ -130,6 +130,7 @@ def test_the_truth_is_kept_beside_the_folder_and_comes_back(tmp_path):
     )  # fmt: skip
 
 
+@pytest.mark.study
 def test_weights_scatter_as_their_errors_say():
     drawn = np.array(
         [(t.weight, t.added[1]) for t in (static_bench(p45(), seed).truth for seed in range(100))]

@@ -60,10 +60,16 @@ def test_the_truth_stays_inside_but_for_its_sealed_file(tmp_path):
     assert truth.alpha == pytest.approx(static_bench(p45(), 3).truth.alpha)
 
 
-def test_the_static_bench_agrees_with_the_settled_loop_within_its_noise():
+@pytest.fixture(scope="module")
+def loop():
+    """Return a plan, and the first cycle that the closed loop makes of it."""
+    plan = static_bench(p45(), 3)
+    return plan, next(run_loop_cycles(plan, 1))
+
+
+def test_the_static_bench_agrees_with_the_settled_loop_within_its_noise(loop):
     """The loop's forces are those that hold the readings it comes to rest at."""
-    plan = static_bench(p45(), 3, force_noise=0.0)
-    cycle = next(run_loop_cycles(plan, 1))
+    plan, cycle = loop
     assert cycle.valid.all()
     flat = plan.sensors.offset
     expected = held_command(plan, 0, cycle.position - flat)
@@ -74,20 +80,19 @@ def test_the_static_bench_agrees_with_the_settled_loop_within_its_noise():
     assert np.abs(apart / noise).max() < 6
 
 
-def test_the_loop_rests_where_its_sensors_say():
+def test_the_loop_rests_where_its_sensors_say(loop):
     """Their gain and offset known, which a campaign does not know."""
-    plan = static_bench(p45(), 3)
+    plan, cycle = loop
     found = rest_displacement(plan)[0]
-    read = next(run_loop_cycles(plan, 1)).rest_position
+    read = cycle.rest_position
     seen = plan.sensors.gain * (read - plan.sensors.offset)
     # The mean of 90 records of 2,048 samples of 3 nm; the coils' gradient alone moves it by 20 pm.
     assert found == pytest.approx(seen, abs=0.1e-9)
     assert np.sqrt(np.mean(found**2)) > 30e-9
 
 
-def test_the_loop_behind_the_protocol_gives_the_rows_of_its_campaign():
-    plan = static_bench(p45(), 3)
-    cycle = next(run_loop_cycles(plan, 1))
+def test_the_loop_behind_the_protocol_gives_the_rows_of_its_campaign(loop):
+    plan, cycle = loop
     bench = tn.SimulatedBench(p45(), 3, fidelity="loop")
     bench.put_on(cycle.load)
     for row in (0, 37):

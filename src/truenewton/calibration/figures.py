@@ -11,8 +11,8 @@ import matplotlib as mpl
 import numpy as np
 
 from truenewton.estimation.estimate import Scale
-from truenewton.figures.maps import ALPHA_LABEL, plot_layout, plot_map
-from truenewton.figures.style import ACCENT, FAINT, INK, STYLE, new_axes
+from truenewton.figures.maps import ALPHA_LABEL, mark_rings, plot_layout, plot_map
+from truenewton.figures.style import ACCENT, INK, NAMED, STYLE, new_axes
 from truenewton.figures.writing import write_drawn
 from truenewton.statics.layout import ring_of
 
@@ -32,23 +32,19 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
         ax = ax or new_axes(0.75)
         layout, alpha = calibration.layout, calibration.alpha
         bars = 3 * calibration.reading_error
-        ring = ring_of(layout)
-        order = np.argsort(ring, kind="stable")
-        position = np.arange(1, layout.n + 1)
-        few = layout.n <= 100
+        order = np.argsort(ring_of(layout), kind="stable")
+        number = np.arange(1, layout.n + 1)
+        few = layout.n <= NAMED
         ax.errorbar(
-            position, alpha[order], yerr=bars[order], fmt="o", color=ACCENT, ecolor=INK,
+            number, alpha[order], yerr=bars[order], fmt="o", color=ACCENT, ecolor=INK,
             markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
         )  # fmt: skip
-        edges = np.flatnonzero(np.diff(ring[order])) + 1.5
-        for edge in edges:
-            ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
+        mark_rings(ax, layout)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         for extreme in (np.nanargmin(alpha), np.nanargmax(alpha)):
-            at = (position[order == extreme][0], alpha[extreme])
+            at = (number[order == extreme][0], alpha[extreme])
             ax.annotate(str(layout.id[extreme]), at, xytext=(3, 0), textcoords="offset points",
                         fontsize=6.0, va="center")  # fmt: skip
-        ax.set_xlabel("actuator, ring by ring from the centre" if len(edges) else "actuator")
         ax.set_ylabel(ALPHA_LABEL)
         ax.margins(y=0.12)
         note = "bars: 3σ, readings"
@@ -57,7 +53,7 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
             note += f"; common scale ±{100 * scale:.1f} % (1σ)"
         else:
             note += f"; scale: {calibration.scale}"
-        ax.set_title(note, loc="right", fontsize=6.5, color=INK)
+        ax.set_title(note)
     return ax
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread
+from truenewton.arrays import Array, spread, spread_square
 from truenewton.calibration.result import Calibration
 from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
@@ -19,7 +19,8 @@ from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.row_readers import RowReader, read_rows
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
-from truenewton.records.campaign import Campaign
+from truenewton.estimation.unknowns import Unknowns
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -90,7 +91,7 @@ def held_out(
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
     if method == "svd":
         return stiffness_svd.imbalances(
-            matrix, lambda modes, a: stiffness_svd.balance_modes(modes, a).alpha
+            matrix, lambda modes, a: stiffness_svd.balance_modes(modes, a)[0]
         )
     return stiffness_svd.imbalances(
         matrix,
@@ -103,13 +104,13 @@ def calibration_of(
 ) -> Calibration:
     """Return an estimate as a calibration; the rows are read for E_CYCLE, and for more readers."""
     layout, on = campaign.layout, campaign.layout.enabled
-    n = int(on.sum())
-    torques = estimate.values[n + 1 :].reshape(-1, 2)
+    unknowns = Unknowns(int(on.sum()), len(campaign.loads))
+    torques = estimate.values[unknowns.torques].reshape(-1, 2)
     start, end, temperature = _times(campaign)
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(campaign.cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
     read_rows(campaign, (cycle_errors.take, *readers))
-    warnings = estimate.diagnosis.warnings + _implausible(estimate.values[:n])
+    warnings = estimate.diagnosis.warnings + _implausible(estimate.values[unknowns.alpha])
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
@@ -118,7 +119,7 @@ def calibration_of(
         layout=layout,
         loads=campaign.loads,
         cycle_error=spread(cycle_errors.errors, on),
-        bias_force=float(estimate.values[n]),
+        bias_force=float(estimate.values[unknowns.bias]),
         torque_y=torques[:, 0],
         torque_x=torques[:, 1],
         weight=campaign.weight,
@@ -218,21 +219,15 @@ def _implausible(alpha: Array) -> tuple[Fault, ...]:
 
 def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
     """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
-    if on.all():
-        values.setflags(write=False)  # so that the calibration need not copy it
-        return values
-    rest = len(values) - int(on.sum())
-    known = np.concatenate([on, np.ones(rest, dtype=bool)])
-    out = np.full((known.size, known.size), np.nan)
-    out[np.ix_(known, known)] = values
+    rest = np.ones(len(values) - int(on.sum()), dtype=bool)
+    out = spread_square(values, np.concatenate([on, rest]))
+    out.setflags(write=False)  # so that the calibration need not copy it
     return out
 
 
 def _times(campaign: Campaign) -> tuple[datetime.datetime, datetime.datetime, float]:
     """Return when the rows used begin and end, and their mean temperature."""
-    used = [(c, c.time[c.valid]) for c in campaign.cycles if c.valid.any()]
-    start = min(c.date for c, _ in used)
-    end = max(c.date + datetime.timedelta(seconds=float(time.max())) for c, time in used)
-    temperatures = [c.temperature[c.valid] for c, _ in used if c.temperature is not None]
-    mean = float(np.concatenate(temperatures).mean()) if temperatures else float("nan")
-    return start, end, mean
+    cycles = campaign.cycles
+    start = min(c.date for c in cycles)
+    end = max(c.date + datetime.timedelta(seconds=float(c.time[c.valid].max())) for c in cycles)
+    return start, end, mean_temperature(cycles)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truenewton.calibration.methods import calibrate
-from truenewton.calibration.words import rejected_lines, rejected_values
+from truenewton.calibration.words import rejected_lines, rejected_values, warning_lines
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
@@ -112,10 +112,9 @@ def survey_stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]
 
 
 def _verdict(diagnosis: Diagnosis) -> list[str]:
-    warnings = [f"  WARNING: {fault}; {remedy}" for fault, remedy in diagnosis.warnings]
     if not diagnosis.faults:
         return [
             f"  enough for alpha, which stands apart by {diagnosis.separation:.3g}",
-            *warnings,
+            *warning_lines(diagnosis.warnings),
         ]
     return [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in diagnosis.faults]

@@ -27,11 +27,11 @@ def run(
 
     refuse_existing(output, overwrite=overwrite)
     with busy("drawing"):
-        found = investigate(read(*paths))
-        if found.calibration is None:
-            fault, remedy = found.faults[0]
+        findings = investigate(read(*paths))
+        if findings.calibration is None:
+            fault, remedy = findings.faults[0]
             raise RankDeficient(fault, remedy=remedy)
-        more = still_figures(found)
-        written = write_figures(found.calibration, output, more=more, overwrite=overwrite)
+        more = still_figures(findings)
+        written = write_figures(findings.calibration, output, more=more, overwrite=overwrite)
     for path in written:
         print(path)

@@ -42,19 +42,19 @@ def run(
         raise typer.BadParameter("the page is HTML: let -o end in .html (a browser prints it)")
     refuse_existing(output, overwrite=overwrite)
     with busy("looking into it"):
-        found = _found(paths, method, population=population)
+        findings = _findings(paths, method, population=population)
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method != "ml" else []
     words += ["--population"] if population else []
-    write_report(output, found, command=shlex.join(words), overwrite=overwrite)
-    judged = verdict_on_change(found) if isinstance(found, Change) else verdict(found)
+    write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
+    judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)
     for line in judged.lines():
         print(line)
     print(f"written: {output}")
 
 
-def _found(paths: list[Path], method: str, *, population: bool) -> Findings | Change:
-    """Return what is to be told: of data or a calibration, or of two calibrations compared."""
+def _findings(paths: list[Path], method: str, *, population: bool) -> Findings | Change:
+    """Return what is known of data or a calibration, or what changed between two."""
     from truenewton.reading import read, read_calibrations
     from truenewton.report.change import change
     from truenewton.report.investigate import investigate

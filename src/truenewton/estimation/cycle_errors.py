@@ -10,6 +10,7 @@ from scipy.linalg.lapack import dpocon, dpotrf
 from truenewton.arrays import Array
 from truenewton.estimation.row_readers import RowBlock
 from truenewton.estimation.systems import system_c
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import enabled_arms, external_load
@@ -30,11 +31,10 @@ class CycleErrors:
 
     def __init__(self, campaign: Campaign, solution: Array) -> None:
         self._a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
-        weights = campaign.effective_weights.tolist()
-        torques = solution[n + 1 :].reshape(-1, 2).tolist()
-        self._external = [
-            (weights[k], float(solution[n]), *torques[k]) for k in campaign.load_index
-        ]
+        unknowns = Unknowns(n, len(campaign.loads))
+        weights, bias_force = campaign.effective_weights.tolist(), float(solution[unknowns.bias])
+        torques = solution[unknowns.torques].reshape(-1, 2).tolist()
+        self._external = [(weights[k], bias_force, *torques[k]) for k in campaign.load_index]
         self._square, self._total = np.zeros((n, n), order="F"), np.zeros(n)
         self._alphas: list[Array] = []
 

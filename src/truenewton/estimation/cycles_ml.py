@@ -30,7 +30,7 @@ from truenewton.estimation.outliers import against_balance, refuse_too_many, row
 from truenewton.estimation.problem import (
     Problem,
     load_data,
-    posed,
+    problem_of,
     roughly_scaled,
     with_noise_from_minimum,
     with_share_in_balance,
@@ -39,10 +39,10 @@ from truenewton.estimation.repeats import WEIGHED_NOISE
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_ml import population_spread
 from truenewton.estimation.undetermined import (
-    drowned_patterns,
-    held_even,
     tolerable,
-    with_unknown_patterns,
+    undetermined_patterns,
+    with_patterns_held,
+    with_undetermined_patterns,
 )
 from truenewton.estimation.weights import scale_errors
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
@@ -68,9 +68,9 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     campaign, sound, moments = sifted.campaign, sifted.sound, sifted.moments
     rejected = sifted.rejected
     rows = sum(int(c.valid.sum()) for c in campaign.cycles)
-    refuse(Diagnosis((), 0, structural_faults(sound, moments)))
+    refuse(structural_faults(sound, moments))
     refuse_too_many(len(rejected), rows)
-    free = posed(campaign, reading_noise(sound, moments))
+    free = problem_of(campaign, reading_noise(sound, moments))
     belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
     free = with_share_in_balance(free, sifted, minimum.values[: free.n])
     if free.noise.share != 1.0:
@@ -82,7 +82,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         moments = chosen_groups(moments, belongs)
     problem, minimum = with_noise_from_minimum(problem, moments, minimum)
     if patterns.size:
-        minimum = with_unknown_patterns(minimum, patterns)
+        minimum = with_undetermined_patterns(minimum, patterns)
     method = "ml"
     if population:
         covariance = minimum.reading_covariance[: problem.n, : problem.n]
@@ -94,7 +94,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     if estimate.diagnosis.undetermined:
         diagnosis = diagnose(sound, moments)
         if 3 * diagnosis.span < problem.n - 1:  # not even without noise
-            refuse(diagnosis)
+            refuse(diagnosis.faults, diagnosis.undetermined)
     return estimate
 
 
@@ -114,12 +114,12 @@ def _fitted(
     except (RankDeficient, NotConverged, TooManyOutliers):
         diagnosis = diagnose(campaign, moments)  # which knows better what is missing
         if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
-            refuse(diagnosis)
+            refuse(diagnosis.faults, diagnosis.undetermined)
             raise
     for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
-        patterns = drowned_patterns(problem, moments, count)
+        patterns = undetermined_patterns(problem, moments, count)
         try:
-            return *fitted_groups(held_even(problem, patterns), moments), patterns
+            return *fitted_groups(with_patterns_held(problem, patterns), moments), patterns
         except (RankDeficient, NotConverged):
             continue
     fault, remedy = diagnosis.faults[0]
@@ -161,19 +161,19 @@ def estimate_of(
         at_declared = load_data(campaign, moments, same, problem.errors)
         declared = chi2_at(problem.a, [at_declared], minimum.values)
     diagnosis = _diagnosis(problem, moments, minimum, held)
-    warnings = weights_warning(minimum.values[unknowns:], len(campaign.loads))
+    warnings = weights_warning(minimum.values[unknowns.weights], len(campaign.loads))
     warnings += zeros_warning(campaign, moments)
     diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
     e_condition = condition(campaign, moments, minimum.reading_covariance)  # while there is room
     return Estimate(
         method=method,
         scale=Scale.WEIGHTS,
-        values=minimum.values[:unknowns],
+        values=minimum.values[: unknowns.count],
         reading_covariance=minimum.reading_covariance,
         systematic_covariance=minimum.changes @ minimum.changes.T,
         noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
         condition=e_condition,
-        rank=unknowns - diagnosis.undetermined,
+        rank=unknowns.count - diagnosis.undetermined,
         diagnosis=diagnosis,
         goodness=Goodness(chi2, freedom, problem.noise.source, probability),
         declared_chi2=declared,

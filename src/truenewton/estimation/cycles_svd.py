@@ -207,7 +207,7 @@ def find(campaign: Campaign, moments: Moments) -> Estimate:
     RankDeficient
     """
     diagnosis = diagnose(campaign, moments)
-    refuse(diagnosis)
+    refuse(diagnosis.faults, diagnosis.undetermined)
     fitted, errors = fit(campaign), weight_errors(campaign)
     solution = fitted.solved.solution
     n = int(campaign.layout.enabled.sum())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum, StrEnum
 
 import numpy as np
 
@@ -89,19 +89,42 @@ class Goodness:
         return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom else float("nan")
 
 
+class ErrorKind(Enum):
+    """What an error of the common scale comes from; in words, with the name of tool or load."""
+
+    READINGS = "noise of the readings"
+    MIRROR = "weight of the mirror"
+    TOOL = "weight of '{}'"
+    ADDED = "added weight of load '{}'"
+    TILT = "tilt of load '{}'"
+    EARLIER = "earlier calibration"
+    TEMPERATURE = "temperature since then"
+
+
+@dataclass(frozen=True)
+class ErrorSource:
+    """An independent source of error: its kind, and of which tool or load it is."""
+
+    kind: ErrorKind
+    name: str = ""
+
+    def __str__(self) -> str:
+        return self.kind.value.format(self.name)
+
+
 @dataclass(frozen=True)
 class ScaleError:
-    """One source of error of the common scale of alpha.
+    """What one source of error does to the common scale of alpha.
 
     Attributes
     ----------
     source
-        In words.
+        Reads as words.
     relative
         Its part of the relative standard uncertainty of the common scale.
     """
 
-    source: str
+    source: ErrorSource
     relative: float
 
 

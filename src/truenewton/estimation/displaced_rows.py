@@ -20,7 +20,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 
 
-def common_rest(campaign: Campaign) -> Array:
+def common_reference(campaign: Campaign) -> Array:
     """Return (n,) the readings from which the displacements of a campaign count [m].
 
     NaN for a sensor whose zero was set anew, so that it counts from the mean of each cycle; all
@@ -30,10 +30,10 @@ def common_rest(campaign: Campaign) -> Array:
     if not displaced:
         return np.full(int(campaign.layout.enabled.sum()), np.nan)
     whole = [cycle for cycle in displaced if cycle.knows_rest] or displaced
-    rest = np.array([cycle.rest_position for cycle in whole])
+    reference = np.array([cycle.rest_position for cycle in whole])
     stroke = np.sqrt(np.mean([cycle.stroke**2 for cycle in whole], axis=0))
-    common = rest[0] + (rest - rest[0]).mean(axis=0)  # equal ones to the last digit
-    anew = (np.abs(rest - common) > stroke).any(axis=0)
+    common = reference[0] + (reference - reference[0]).mean(axis=0)  # equal ones to the last digit
+    anew = (np.abs(reference - common) > stroke).any(axis=0)
     return np.where(anew | (anew.mean() > 0.5), np.nan, common)
 
 
@@ -53,8 +53,8 @@ class BalancedRows:
     a
         (3, n) arms of its enabled actuators.
     reference
-        (n,) readings from which displacements count [m], of `common_rest`; NaN where they count
-        from the mean of the cycle.
+        (n,) readings from which displacements count [m], of `common_reference`; NaN where they
+        count from the mean of the cycle.
     """
 
     cycle: Cycle
@@ -73,14 +73,14 @@ class BalancedRows:
         """Return the same of (m, n) forces [N] and readings [m], None where they do not count."""
         if position is None:
             return force, None
-        z = position - self.flat
+        z = position - self.cycle_reference
         cycle = self.cycle
         coil, bias = cycle.coil_gradient or 0.0, cycle.bias_gradient or 0.0
         return force * (1.0 + coil * z), bias * z @ self.a.T
 
     @cached_property
-    def flat(self) -> Array:
-        """(n,) readings that are no displacement [m]."""
+    def cycle_reference(self) -> Array:
+        """(n,) ``reference``, that of the cycle itself where it is NaN [m]."""
         anew = np.isnan(self.reference)
         if not anew.any():
             return self.reference

@@ -20,12 +20,12 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.moments import Moments, chosen_groups
+from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.repeats import row_groups
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 
 Fit = TypeVar("Fit")
-FALSE_ALARM = 0.01  # for the whole campaign
 MOST = 0.3  # of the rows; beyond this the campaign is refused
 MEDIAN_CHI2 = scipy.stats.chi2.median(3)
 CORE = 0.75  # of the shapes that make the robust start
@@ -50,18 +50,6 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
             raise _too_many(lost, lost, f" in {cycles[k]!r}")
         cycles[k] = replace(cycles[k], valid=valid)
     return Campaign(tuple(cycles))
-
-
-def squared_distances(rho: Array, weight: Array, s: Array) -> Array:
-    """Return (g,) r rho' S^-1 rho of (g, 3) imbalances with (g,) weights r."""
-    return np.asarray(weight * np.einsum("gk,gk->g", rho, np.linalg.solve(s, rho.T).T))
-
-
-def standing_out(rho: Array, arms: Array, s: Array) -> NDArray[np.int64]:
-    """Return (g,) the actuator whose reading alone would best explain each imbalance."""
-    weighed = np.linalg.solve(s, arms)
-    pull = (rho @ weighed) ** 2 / np.einsum("kn,kn->n", arms, weighed)
-    return np.asarray(pull.argmax(axis=1))
 
 
 def against_balance(

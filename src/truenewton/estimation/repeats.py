@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.displaced_rows import BalancedRows, common_rest, is_displaced
+from truenewton.estimation.displaced_rows import BalancedRows, common_reference, is_displaced
 from truenewton.estimation.moments import Moments
 from truenewton.files.stored_rows import BLOCK_BYTES
 from truenewton.linalg import ROWS_AT_ONCE
@@ -150,7 +150,7 @@ class RepeatSums:
 
     def __init__(self, campaign: Campaign) -> None:
         self.campaign, self.stale = campaign, False
-        self._reference, self._lost = common_rest(campaign), list[RejectedRow]()
+        self._reference, self._lost = common_reference(campaign), list[RejectedRow]()
         self._labels, first, groups_of_rows = row_groups(campaign)
         self._coming = np.argsort(first)  # groups, as they come
         turn = np.argsort(self._coming)

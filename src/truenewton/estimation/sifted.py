@@ -17,7 +17,8 @@ import scipy.stats
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.moments import Moments
-from truenewton.estimation.outliers import FALSE_ALARM, without
+from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.outliers import without
 from truenewton.estimation.repeats import BlockRows, RepeatSums
 from truenewton.records.campaign import Campaign
 

@@ -2,5 +2,5 @@
 
 style    colours, sizes, fonts of a journal column
 maps     the actuators (paper, fig. 2), values on the map (fig. 6)
-writing  figures as files, complete or not there
+writing  figures as files, complete or not there, and in a web page
 """

@@ -13,7 +13,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle
 
 from truenewton.arrays import Array
-from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, STYLE, new_axes
+from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, STYLE, new_axes
 from truenewton.statics.layout import Layout, ring_of
 
 if TYPE_CHECKING:
@@ -23,15 +23,33 @@ if TYPE_CHECKING:
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
 
 
+def ring_edges(layout: Layout) -> Array:
+    """Return where rings part on an axis of actuators, counted from 1 ring by ring."""
+    return np.asarray(np.cumsum(np.bincount(ring_of(layout)))[:-1] + 0.5)
+
+
+def ring_label(layout: Layout) -> str:
+    """Return what an axis of actuators ring by ring is called."""
+    rings = ring_edges(layout).size
+    return "actuator, ring by ring from the centre" if rings else "actuator"
+
+
+def mark_rings(ax: Axes, layout: Layout) -> None:
+    """Name an axis of actuators ring by ring, and draw lines between the rings."""
+    for edge in ring_edges(layout):
+        ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
+    ax.set_xlabel(ring_label(layout))
+
+
 def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
     """Draw the actuators with their names, rings and axes (paper, fig. 2)."""
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(1.0)
         _frame(layout, ax)
         ax.add_collection(
-            PatchCollection(circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
+            PatchCollection(_circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
         )
-        if layout.n <= 100:
+        if layout.n <= NAMED:
             for name, x, y in zip(layout.id, layout.x, layout.y, strict=True):
                 ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
                         fontsize=5.5)  # fmt: skip
@@ -47,7 +65,7 @@ def plot_map(
     colours: str = COLOURS,
     limits: tuple[float, float] | None = None,
 ) -> Axes:
-    """Draw values on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
+    """Draw values (n,) on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
 
     An actuator without a value (disabled) is an open circle. Among many, the few farthest out take
     up no colours of their own, unless ``limits`` say where the colours end.
@@ -56,13 +74,13 @@ def plot_map(
         ax = ax or new_axes(1.02)
         _frame(layout, ax)
         known = np.isfinite(values)
-        patches = np.array(circles(layout), dtype=object)
+        patches = np.array(_circles(layout), dtype=object)
         ax.add_collection(
             PatchCollection(patches[~known], facecolor="none", edgecolor=FAINT, linewidth=0.6)
         )
         dots = PatchCollection(patches[known], cmap=colours, edgecolor=INK, linewidth=0.3)
         dots.set_array(values[known])
-        clipped = layout.n > 100 or limits is not None
+        clipped = layout.n > NAMED or limits is not None
         if clipped:
             ends = limits or np.percentile(values[known], [1.0, 99.0])
             dots.set_clim(float(ends[0]), float(ends[1]))
@@ -78,7 +96,7 @@ def plot_map(
         )
         bar.set_label(label)
         bar.outline.set_linewidth(0.4)
-        if layout.n <= 100:
+        if layout.n <= NAMED:
             for name, x, y, value in zip(layout.id, layout.x, layout.y, values, strict=True):
                 light = np.dot(dots.to_rgba(value)[:3], [0.299, 0.587, 0.114])
                 colour = INK if light > 0.5 else "white"
@@ -95,7 +113,7 @@ def _frame(layout: Layout, ax: Axes) -> None:
         for k in range(ring.max() + 1):
             r = radius[ring == k].mean()
             ax.add_patch(Circle((0, 0), r, fill=False, color=FAINT, linewidth=0.4, zorder=0))
-    reach = 1.08 * (radius.max() + _dot(layout))
+    reach = 1.08 * (radius.max() + dot_radius(layout))
     arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
     for name, (x, y), ha, va in (("$x$", (reach, 0.0), "right", "bottom"),
                                  ("$y$", (0.0, reach), "left", "top")):  # fmt: skip
@@ -117,7 +135,7 @@ def _round_length(length: float) -> float:
     return float(power * max(k for k in (1, 2, 5) if k * power <= length))
 
 
-def _dot(layout: Layout) -> float:
+def dot_radius(layout: Layout) -> float:
     """Return the radius of a dot that leaves its neighbours free [mm]."""
     from scipy.spatial import cKDTree
 
@@ -128,9 +146,9 @@ def _dot(layout: Layout) -> float:
     return float(0.42 * np.median(distance))
 
 
-def circles(layout: Layout) -> list[Circle]:
+def _circles(layout: Layout) -> list[Circle]:
     """Return a dot for each actuator, in millimetres."""
-    radius = _dot(layout)
+    radius = dot_radius(layout)
     return [
         Circle((x / MILLIMETRE, y / MILLIMETRE), radius)
         for x, y in zip(layout.x, layout.y, strict=True)

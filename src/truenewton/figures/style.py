@@ -13,20 +13,28 @@ if TYPE_CHECKING:
 
 COLUMN = 8.4 / 2.54  # width of the paper's column [inch]
 MILLIMETRE = 1e-3
-STYLE: Any = {
-    "font.size": 8.0,
-    "axes.labelsize": 8.0,
-    "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0,
-    "axes.linewidth": 0.6,
-    "lines.linewidth": 0.8,
-    "pdf.fonttype": 42,
-}
 COLOURS = "cividis"  # of values, in matplotlib; Bokeh writes it with a capital
 SIGNED_COLOURS = "PuOr_r"  # of values about zero; negative purple, as in Bokeh
 INK, FAINT, ACCENT, ALARM = "#1a1a1a", "#9a9a9a", "#00457c", "#a63603"
 # Of several curves; they differ in lightness too, so that they stay apart in grey.
 CURVES = ("#00457c", "#c8891c", "#4f8f6b", "#8c3d88", "#5c5c5c")
+# Titles are notes on how to read a figure; what it shows its caption says.
+STYLE: Any = {
+    "font.size": 8.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 6.5,
+    "legend.frameon": False,
+    "axes.titlesize": 6.5,
+    "axes.titlelocation": "right",
+    "axes.titlecolor": INK,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 0.8,
+    "pdf.fonttype": 42,
+}
+LONGEST = 40  # letters of a label; longer ones would leave no room for the axes
+NAMED = 100  # up to so many actuators bear their names
 
 
 def new_axes(height: float) -> Axes:
@@ -34,3 +42,16 @@ def new_axes(height: float) -> Axes:
     figure = Figure(figsize=(COLUMN, height * COLUMN), layout="constrained")
     FigureCanvasAgg(figure)
     return figure.add_subplot()
+
+
+def legend_above(ax: Axes) -> None:
+    """Put the legend of labelled curves above the axes, where it hides none of them."""
+    longest = max(map(len, ax.get_legend_handles_labels()[1]))
+    beside = max(1, min(4, 60 // (longest + 9)))  # of a line of some sixty letters
+    ax.legend(ncols=beside, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderpad=0.0)
+
+
+def plain(text: str) -> str:
+    """Return a name from a file as a label: on one line, not too long, and no formula in it."""
+    line = " ".join(text.split())
+    return (line if len(line) <= LONGEST else f"{line[:LONGEST]}...").replace("$", r"\$")

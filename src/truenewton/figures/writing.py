@@ -1,19 +1,39 @@
-"""Figures written as files: PDF, PNG or SVG, complete or not there."""
+"""Figures written as files, PDF, PNG or SVG, complete or not there; and as part of a web page."""
 
 from __future__ import annotations
 
+import io
 import os
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
+import matplotlib as mpl
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.collections import Collection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from truenewton.errors import OutputFailed
 from truenewton.files.outputs import file_beside, folder_beside
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
+REFERENCE = re.compile(r"^(url\()?#")  # of one element of an SVG to another
+NEEDLESS = re.compile(r"(?<=\.\d\d)\d+")  # decimals, of points of 1/72 inch
+# Identifiers of an SVG are random without a salt of one's own.
+SVG_STYLE: Any = {"svg.hashsalt": "truenewton"}
+PAGE_STYLE: Any = {**SVG_STYLE, "svg.fonttype": "none", "font.sans-serif": ["DejaVu Sans"]}
+PAGE_DPI = 150  # of what is a picture within a figure of a page
+CROWD = 600  # marks; beyond so many, a picture of them is shorter than a list
+POINTS_A_MARK = 8  # of a line, which take as long to write as a mark
+UNDATED = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 
 
 def write_drawn(
@@ -53,10 +73,53 @@ def write_figure(ax: Axes, path: str | os.PathLike[str], *, overwrite: bool = Fa
         _save(_figure_of(ax), temporary)
 
 
+def inline_svg(ax: Axes, key: str) -> str:
+    """Return the figure of some axes as an SVG element that an HTML page holds.
+
+    It is as wide as its place on the page, its text is text, and no identifier is that of another
+    figure of the page. What it shows tells the page's element ``caption-{key}``. Where there are
+    thousands of points, they become a picture within it.
+    """
+    figure = _figure_of(ax)
+    drawn = [artist for ax in figure.axes for artist in (*ax.lines, *ax.collections)]
+    if sum(map(_marks, drawn)) > CROWD:
+        for artist in drawn:
+            artist.set_rasterized(True)
+    file, nothing = io.BytesIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with mpl.rc_context(PAGE_STYLE):
+        figure.savefig(file, format="svg", dpi=PAGE_DPI, metadata=nothing)
+    root = ElementTree.fromstring(file.getvalue())
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(SVG)
+        element.attrib = {
+            name.replace(XLINK, "xlink:"): NEEDLESS.sub("", REFERENCE.sub(rf"\g<0>{key}-", value))
+            for name, value in element.attrib.items()
+        }
+        if "id" in element.attrib:
+            element.set("id", f"{key}-{element.get('id')}")
+        if (element.text or "").isspace():
+            element.text = None
+        element.tail = None
+    del root.attrib["width"], root.attrib["height"]
+    for definitions in root.findall("defs"):
+        if definitions.find("style") is not None:  # which would hold for the whole page
+            root.remove(definitions)
+    root.attrib |= {"role": "img", "aria-labelledby": f"caption-{key}"}
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _marks(artist: Artist) -> float:
+    """Return how many marks an artist takes up."""
+    if isinstance(artist, Line2D):
+        points = np.size(artist.get_xdata())
+        return points if artist.get_marker() != "None" else points / POINTS_A_MARK
+    return len(np.asarray(artist.get_offsets())) if isinstance(artist, Collection) else 1
+
+
 def _save(figure: Figure, path: Path) -> None:
     """Save a figure without a date in it: the same data give the same bytes."""
-    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-    figure.savefig(path, dpi=300, metadata=undated.get(path.suffix, {}))
+    with mpl.rc_context(SVG_STYLE):
+        figure.savefig(path, dpi=300, metadata=UNDATED.get(path.suffix, {}))
 
 
 def _figure_of(ax: Axes) -> Figure:

@@ -2,81 +2,96 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PatchCollection
-from matplotlib.figure import Figure
+from matplotlib.collections import EllipseCollection
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from truenewton.figures.maps import circles
-from truenewton.figures.style import COLUMN, CURVES, FAINT, INK, SIGNED_COLOURS, STYLE, new_axes
-from truenewton.figures.writing import write_drawn
+from truenewton.figures.maps import dot_radius
+from truenewton.figures.style import (
+    CURVES,
+    FAINT,
+    INK,
+    MILLIMETRE,
+    NAMED,
+    SIGNED_COLOURS,
+    STYLE,
+    new_axes,
+)
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
-from truenewton.modal.words import chosen_modes, least_power, stiffness_text
+from truenewton.modal.words import stiffness_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-NANOMETRE, MILLINEWTON = 1e-9, 1e-3
+NANOMETRE = 1e-9
 ACROSS = 4  # maps of modes beside each other
+LINES = ("-", "--", "-.")  # of the bases, which may lie upon each other
+FAINTEST = 1e-5  # of the largest power; below it, a piston that costs nothing takes up all the axis
+WIDE, HIGH = 2.3, 2.6  # from map to map, in units of a map's radius
 
 
-def plot_modes(base: ModalBase) -> Axes:
+def chosen_modes(count: int) -> list[int]:
+    """Return which modes are drawn: the softest eight, and four more up to the stiffest."""
+    more = np.geomspace(8, count, 5)[1:] - 1
+    return sorted({*range(min(8, count)), *(round(k) for k in more if count > 8)})
+
+
+def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
     """Draw modes on the map of the actuators, softest first, with their stiffness.
 
-    Colours go from the lowest to the highest displacement of each mode, white where there is none.
+    Each is coloured up to its largest displacement, one way and the other; white is none.
     """
-    shown = chosen_modes(base.modes.stiffness.size)
-    down = -(-len(shown) // ACROSS)
-    layout, patches = base.stiffness.layout, circles(base.stiffness.layout)
-    reach = 1.2e3 * float(np.hypot(layout.x, layout.y).max())
+    layout, shown = base.stiffness.layout, chosen_modes(base.modes.stiffness.size)
+    radius = dot_radius(layout)
+    reach = float(np.hypot(layout.x, layout.y).max()) / MILLIMETRE + radius
+    down, across = np.divmod(np.arange(len(shown)), ACROSS)
+    right, up = WIDE * reach * across, -HIGH * reach * down
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(COLUMN, 0.29 * down * COLUMN), layout="constrained")
-        FigureCanvasAgg(figure)
-        grid = figure.subplots(down, ACROSS, squeeze=False)
-        for ax in grid.flat[len(shown) :]:
-            ax.set_axis_off()
-        for ax, k in zip(grid.flat, shown, strict=False):
-            mode = base.modes.modes[:, k]
-            dots = PatchCollection(patches, cmap=SIGNED_COLOURS, edgecolor=INK,
-                                   linewidth=0.2 if layout.n <= 100 else 0.0)  # fmt: skip
-            dots.set_array(mode)
-            dots.set_clim(-np.abs(mode).max(), np.abs(mode).max())
-            ax.add_collection(dots)
-            ax.set_xlim(-reach, reach)
-            ax.set_ylim(-reach, reach)
-            ax.set_aspect("equal")
-            ax.set_axis_off()
-            ax.set_title(
-                f"{k + 1}: {stiffness_text(base.modes.stiffness[k])}", fontsize=6.0, pad=1.5
-            )
-    first: Axes = grid[0, 0]
-    return first
+        rows = down[-1] + 1
+        ax = ax or new_axes(HIGH * rows / (WIDE * ACROSS))
+        modes = base.modes.modes[:, shown]
+        dots = EllipseCollection(
+            [2 * radius], [2 * radius], [0.0], units="xy", offset_transform=ax.transData,
+            offsets=np.stack([np.add.outer(right, layout.x / MILLIMETRE).ravel(),
+                              np.add.outer(up, layout.y / MILLIMETRE).ravel()], axis=1),
+            cmap=SIGNED_COLOURS, edgecolor=INK, linewidth=0.2 if layout.n <= NAMED else 0.0,
+            clip_on=False,
+        )  # fmt: skip
+        dots.set_array((modes / np.abs(modes).max(axis=0)).T.ravel())
+        dots.set_clim(-1.0, 1.0)
+        ax.add_collection(dots)
+        for x, y, k in zip(right, up, shown, strict=True):
+            ax.text(x, y + 1.06 * reach, f"{k + 1}: {stiffness_text(base.modes.stiffness[k])}",
+                    fontsize=6.0, ha="center", va="bottom")  # fmt: skip
+        ax.set_xlim(-0.5 * WIDE * reach, (ACROSS - 0.5) * WIDE * reach)
+        ax.set_ylim((-rows + 0.55) * HIGH * reach, 0.55 * HIGH * reach)
+        ax.set_aspect("equal")
+        ax.set_axis_off()
+    return ax
 
 
 def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
     """Draw the wavefront that the first N modes of each base leave."""
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.7)
-        for cost, colour in zip(base.costs, CURVES, strict=False):
+        for cost, colour, line in zip(base.costs, CURVES, LINES, strict=False):
             left = cost.residual[:-1] / NANOMETRE  # all modes leave nothing on the actuators
-            ax.loglog(np.arange(1, left.size + 1), left, color=colour, label=cost.base)
+            ax.loglog(np.arange(1, left.size + 1), left, line, color=colour, label=cost.base)
         for axis in (ax.xaxis, ax.yaxis):
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axis.set_major_formatter(StrMethodFormatter("{x:g}"))
             axis.set_minor_formatter(NullFormatter())
         ax.set_xlabel("number of modes")
         ax.set_ylabel("residual wavefront, rms (nm)")
-        ax.legend(frameon=False, fontsize=6.5, loc="lower left")
+        ax.legend(loc="lower left")
     return ax
 
 
@@ -84,60 +99,46 @@ def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
     """Draw the power of the worst coil and the mean, static force included, against modes."""
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.7)
-        for cost, colour in zip(base.costs, CURVES, strict=False):
-            number = np.arange(1, cost.residual.size + 1)
-            power = cost.power
-            ax.semilogy(number, power.max(axis=0), color=colour, label=cost.base)
+        number = np.arange(1, base.modes.stiffness.size + 1)
+        powers = {cost.base: cost.power for cost in base.costs}
+        for (name, power), colour in zip(powers.items(), CURVES, strict=False):
+            ax.semilogy(number, power.max(axis=0), color=colour, label=name)
             ax.semilogy(number, power.mean(axis=0), color=colour, linestyle=":")
-        ax.set_ylim(bottom=least_power(base))
+        least = min(power.mean(axis=0).min() for power in powers.values())
+        most = max(power.max() for power in powers.values())
+        ax.set_ylim(bottom=max(0.8 * least, FAINTEST * most))
         if np.isfinite(limits.power):
             ax.axhline(limits.power, color=FAINT, linewidth=0.6, linestyle="--")
         ax.set_xlabel("number of modes")
         ax.set_ylabel("power of a coil (W)")
-        ax.set_title("full: the worst coil; dotted: the mean", loc="right", fontsize=6.5, color=INK)
-        ax.legend(fontsize=6.5, edgecolor="none", framealpha=1.0)
+        ax.set_title("full: the worst coil; dotted: the mean")
+        ax.legend(frameon=True, edgecolor="none", framealpha=1.0)
     return ax
 
 
-def plot_comparison(found: ModalFindings, ax: Axes | None = None) -> Axes:
+def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
     """Draw how far the modes taken with alpha = 1 lie from those with alpha as it is."""
-    c = found.comparison
+    c = modes.comparison
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.7)
         number = np.arange(1, c.rms_angle.size)
-        told = ~c.cuts[:-1]
-        ax.semilogy(number[told], np.degrees(c.rms_angle[:-1][told]), "o", color=CURVES[0],
+        uncut = ~c.cuts[:-1]
+        ax.semilogy(number[uncut], np.degrees(c.rms_angle[:-1][uncut]), "o", color=CURVES[0],
                     markersize=1.8, label="rms of the N")  # fmt: skip
         ax.semilogy(c.orders, np.degrees(c.largest_angle), "s", color=CURVES[1], markersize=1.8,
                     markerfacecolor="none", label="largest of the N")  # fmt: skip
         ax.set_xlabel("first N modes")
         ax.set_ylabel(r"angle between spans (°)")
-        ax.set_title(r"$\alpha = 1$ against calibrated", loc="right", fontsize=6.5, color=INK)
-        ax.legend(frameon=False, fontsize=6.5)
+        ax.set_title(r"$\alpha = 1$ against calibrated")
+        ax.legend()
     return ax
 
 
-def modes_figures(found: ModalFindings, limits: Budget) -> dict[str, Callable[[], Axes]]:
-    """Return the figures of the modal base by name."""
+def modes_figures(modes: ModalFindings, limits: Budget) -> dict[str, Callable[..., Axes]]:
+    """Return what draws each figure of the modal base, by name; it takes axes or none."""
     return {
-        "modes": lambda: plot_modes(found.after),
-        "modes-residual": lambda: plot_residual(found.after),
-        "modes-power": lambda: plot_power(found.after, limits),
-        "modes-comparison": lambda: plot_comparison(found),
+        "modes": partial(plot_modes, modes.after),
+        "modes-residual": partial(plot_residual, modes.after),
+        "modes-power": partial(plot_power, modes.after, limits),
+        "modes-comparison": partial(plot_comparison, modes),
     }
-
-
-def write_modes_figures(
-    found: ModalFindings,
-    folder: str | os.PathLike[str],
-    limits: Budget,
-    *,
-    overwrite: bool = False,
-) -> list[Path]:
-    """Write the figures as PDF and PNG into a folder; return the paths.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
-    return write_drawn(modes_figures(found, limits), folder, overwrite=overwrite)

@@ -14,6 +14,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
+from truenewton.modal.actuator_roles import indices_of
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
 from truenewton.modal.measured_stiffness import MeasuredStiffness, motion_reader, stiffness_of
@@ -21,7 +22,7 @@ from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.pupil import pupil_of, seen_turbulence
 from truenewton.modal.shape_products import MotionReader
 from truenewton.modal.static_force import static_force
-from truenewton.modal.true_stiffness import places, true_stiffness
+from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -57,16 +58,15 @@ class ModalFindings:
     sources: tuple[UsedSource, ...]
 
     def __repr__(self) -> str:
-        return (
-            f"<ModalFindings of {self.after.instrument}: {self.after.modes.stiffness.size} modes>"
-        )
+        base = self.after
+        return f"<ModalFindings of {base.matrix.instrument}: {base.modes.stiffness.size} modes>"
 
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
-        told: tuple[Fault, ...] = ()
+        warnings: tuple[Fault, ...] = ()
         if self.measured is not None and self.measured.misfit > MISFIT:
-            told += (
+            warnings += (
                 Fault(
                     "shapes leave forces that no stiffness explains,"
                     f" {np.sqrt(self.measured.misfit):.2g} times what repeats scatter",
@@ -75,18 +75,18 @@ class ModalFindings:
             )
         before, after = self.before.stiffness, self.after.stiffness
         if after.asymmetry > before.asymmetry and after.imbalance > before.imbalance:
-            told += (
+            warnings += (
                 Fault(
                     "with alpha the stiffness is less symmetric and less balanced than without",
                     "give alpha of this very mirror, and its stiffness in commanded Newtons",
                 ),
             )
-        return told
+        return warnings
 
     def modes_between(self, cost: Dissipation, limits: Budget) -> tuple[int, int]:
         """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""
         c = self.calibration
-        at = places(c.layout, self.after.stiffness.enabled.id)
+        at = indices_of(c.layout, self.after.stiffness.enabled.id)
         error: Array = c.error[at] / np.abs(c.alpha[at])
         fewest, most = (cost.modes_within(limits, alpha_error=e) for e in (error, -error))
         return fewest, most

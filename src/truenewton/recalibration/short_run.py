@@ -11,7 +11,7 @@ and q_i over its standard deviation is standard normal unless actuator i has mov
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -20,13 +20,18 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.cycles_ml import fitted_groups
-from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
+from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.minimum import Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
-from truenewton.estimation.noise import Noise, least_variance, reading_noise
+from truenewton.estimation.noise import Noise, reading_noise
 from truenewton.estimation.outliers import refuse_too_many, rows_of
-from truenewton.estimation.problem import Problem, with_share_in_balance
+from truenewton.estimation.problem import (
+    Problem,
+    with_noise_from_minimum,
+    with_share_in_balance,
+)
 from truenewton.estimation.sifted import Sifted
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
@@ -56,13 +61,13 @@ class ShortRun:
 
     def problem(self, noise: Noise, information: Array) -> Problem:
         """Pose the problem with (n, n) information on alpha."""
-        n, errors = len(self.alpha), len(self.errors)
-        count = n + 1 + 2 * len(self.campaign.loads) + errors
-        mean = np.zeros(count)
-        mean[:n] = self.alpha
+        errors = len(self.errors)
+        unknowns = Unknowns(len(self.alpha), len(self.campaign.loads), errors)
+        mean = np.zeros(unknowns.total)
+        mean[unknowns.alpha] = self.alpha
         prior = Prior(mean, information, errors, self.held)
-        arms = enabled_arms(self.campaign.layout)
-        return Problem(self.campaign, arms, self.errors, noise, prior, ())
+        a = enabled_arms(self.campaign.layout)
+        return Problem(self.campaign, a, self.errors, noise, prior, ())
 
     def tight(self, stay: NDArray[np.bool_]) -> Array:
         """Return the information of the earlier calibration on those who stay."""
@@ -102,7 +107,8 @@ def balancing(
         lost = rows_of(run.campaign, ~belongs, distance, actuator)
         refuse_too_many(len(lost), int(moments.rows.sum()))
         moments = chosen_groups(moments, belongs)
-    return *with_noise(problem, moments, minimum), lost
+    problem, minimum = with_noise(problem, moments, minimum)
+    return problem, moments, minimum, lost
 
 
 def inverse_of(problem: Problem, minimum: Minimum) -> Array:
@@ -119,20 +125,13 @@ def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
     return 3 * moments.groups - free + from_prior
 
 
-def with_noise(
-    problem: Problem, moments: Moments, minimum: Minimum
-) -> tuple[Problem, Moments, Minimum]:
+def with_noise(problem: Problem, moments: Moments, minimum: Minimum) -> tuple[Problem, Minimum]:
     """Give the noise its size from the minimum where nothing else does."""
-    for _ in range(20):
-        if problem.noise.source != NoiseSource.MINIMUM:
-            break
-        size = minimum.chi2 / max(degrees_of(problem, moments, inverse_of(problem, minimum)), 1.0)
-        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
-        if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
-            break
-        problem = replace(problem, noise=Noise(variance, NoiseSource.MINIMUM))
-        minimum = problem.fitted(moments, minimum.values)
-    return problem, moments, minimum
+
+    def degrees(problem: Problem, minimum: Minimum) -> float:
+        return degrees_of(problem, moments, inverse_of(problem, minimum))
+
+    return with_noise_from_minimum(problem, moments, minimum, degrees)
 
 
 def pulls(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:

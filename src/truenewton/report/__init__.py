@@ -4,9 +4,9 @@ investigate  the calibration, or why there is none, and the evidence for it
 evidence     residuals, balance before and after, singular values
 change       what changed between two calibrations
 verdict      the verdict in words and three numbers, and what to do
-budget       the error budget as bars
+budget       the error budget
 layers       what is known of each actuator, one layer a quantity
 series       rows of a campaign as figures draw them
-figures      figures of the evidence, for papers
+figures      figures of the evidence, for papers and the page
 page/        the same on one page that opens without network
 """

@@ -14,12 +14,11 @@ from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.report.budget import typical
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-FALSE_ALARM = 0.01  # for all actuators together
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +50,7 @@ class Change:
 
     @property
     def changed(self) -> NDArray[np.int64]:
-        """Places of the actuators beyond the limit, the farthest first."""
+        """Indices of the actuators beyond the limit, the farthest first."""
         size = np.nan_to_num(np.abs(self.sigmas))
         order = np.argsort(-size, kind="stable")
         return np.asarray(order[size[order] > self.limit])
@@ -101,11 +100,7 @@ def change(one: Calibration, other: Calibration) -> Change:
     ratio = float(np.median(other.alpha[both] / one.alpha[both]))
     moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
     error = np.hypot(one.reading_error, other.reading_error / ratio)
-    scales = [
-        float(np.nanmedian(c.systematic_error / np.abs(c.alpha)))
-        for c in (one, other)
-        if c.scale != Scale.MEAN_ONE
-    ]
+    scales = [typical(c.systematic_error, c) for c in (one, other) if c.scale != Scale.MEAN_ONE]
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = moved / error
     return Change(

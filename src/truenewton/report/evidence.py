@@ -18,10 +18,11 @@ from truenewton.calibration.result import Calibration
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.displaced_rows import BalancedRows, is_displaced
 from truenewton.estimation.identifiability import balance_spectrum, centred_means
+from truenewton.estimation.imbalance import imbalance_covariance, squared_distances
 from truenewton.estimation.moments import chosen_groups
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.outliers import without
-from truenewton.estimation.problem import posed, with_share_in_balance
+from truenewton.estimation.problem import problem_of, with_share_in_balance
 from truenewton.estimation.repeats import row_groups, row_weights
 from truenewton.estimation.row_readers import RowBlock
 from truenewton.estimation.sifted import Sifted
@@ -156,7 +157,7 @@ def campaign_evidence(
     """Return the evidence that a campaign gives for its calibration; no row is read."""
     campaign = sifted.campaign
     a, on = enabled_arms(campaign.layout), campaign.layout.enabled
-    arms = a * calibration.alpha[on]
+    scaled_arms = a * calibration.alpha[on]
     rows = [np.flatnonzero(cycle.valid) for cycle in campaign.cycles]
     cycle = np.repeat(np.arange(len(rows)), [len(some) for some in rows])
     balancing = without(campaign, list(calibration.rejected_rows))
@@ -173,11 +174,11 @@ def campaign_evidence(
     variance = noise.variance
     if noise.source == NoiseSource.MINIMUM:
         # Known in shape only: its size is what the residuals have.
-        s = (arms * variance) @ arms.T
-        variance = variance * np.mean(_squares(after, weight, s)[kept]) / 3
-    problem = posed(sifted.sound, replace(noise, variance=variance))
+        s = imbalance_covariance(scaled_arms, variance)
+        variance = variance * np.mean(squared_distances(after, weight, s)[kept]) / 3
+    problem = problem_of(sifted.sound, replace(noise, variance=variance))
     share = with_share_in_balance(problem, sifted, calibration.alpha[on]).noise.share
-    s, s_before = share * (arms * variance) @ arms.T, share * (a * variance) @ a.T
+    s, s_before = (share * imbalance_covariance(each, variance) for each in (scaled_arms, a))
     readings = np.sqrt(variance * moments.typical_variance)
     return Evidence(
         residuals=RowResiduals(
@@ -185,12 +186,12 @@ def campaign_evidence(
             row=np.concatenate(rows),
             shape=np.concatenate([c.shape[c.valid] for c in campaign.cycles]),
             sign=np.concatenate([c.sign[c.valid] for c in campaign.cycles]),
-            before=np.sqrt(_squares(before, weight, s_before) / 3),
-            after=np.sqrt(_squares(after, weight, s) / 3),
+            before=np.sqrt(squared_distances(before, weight, s_before) / 3),
+            after=np.sqrt(squared_distances(after, weight, s) / 3),
             kept=kept,
         ),
         balance=_balance_lines(campaign, before, after, s, weight, load, kept),
-        actuator_residual=spread(_pull(after[kept], weight[kept], arms, s), on),
+        actuator_residual=spread(_pull(after[kept], weight[kept], scaled_arms, s), on),
         actuator_noise=spread(
             readings if noise.source == NoiseSource.REPEATS else np.full(readings.size, np.nan), on
         ),
@@ -199,20 +200,16 @@ def campaign_evidence(
     )
 
 
-def _pull(rho: Array, weight: Array, arms: Array, s: Array) -> Array:
+def _pull(rho: Array, weight: Array, scaled_arms: Array, s: Array) -> Array:
     """Return (n,) rms over rows of (alpha_i a_i)' S^-1 rho, in terms of its noise.
 
     It is the correction of the reading of actuator i that rho asks for, over what noise asks.
     """
     solved = np.linalg.solve(s, rho.T)
     mean_square = (weight * solved) @ solved.T / len(rho)
-    asked = np.einsum("kn,kl,ln->n", arms, mean_square, arms)
-    return np.asarray(np.sqrt(asked / np.einsum("kn,kn->n", arms, np.linalg.solve(s, arms))))
-
-
-def _squares(rho: Array, weight: Array, s: Array) -> Array:
-    """Return (N,) squared distances w rho' S^-1 rho."""
-    return np.asarray(weight * np.einsum("nk,kn->n", rho, np.linalg.solve(s, rho.T)))
+    asked = np.einsum("kn,kl,ln->n", scaled_arms, mean_square, scaled_arms)
+    by_noise = np.einsum("kn,kn->n", scaled_arms, np.linalg.solve(s, scaled_arms))
+    return np.asarray(np.sqrt(asked / by_noise))
 
 
 def _balance_lines(
@@ -251,9 +248,9 @@ def stiffness_evidence(
     a, on = comparable_arms(matrix), matrix.layout.enabled
     modes, alpha = elastic_modes(matrix), calibration.alpha[on]
     before, after = (modes * values @ a.T for values in (np.ones(len(alpha)), alpha))
-    arms, even = a * alpha, np.ones(len(modes))
-    s = arms @ arms.T
-    s *= np.mean(_squares(after, even, s)) / 3
+    scaled_arms, even = a * alpha, np.ones(len(modes))
+    s = scaled_arms @ scaled_arms.T
+    s *= np.mean(squared_distances(after, even, s)) / 3
     eigenvalues = calibration.diagnosis.eigenvalues if calibration.diagnosis else ()
     return Evidence(
         residuals=ModeResiduals(
@@ -264,7 +261,7 @@ def stiffness_evidence(
             BalanceLine(line.modes, "", line.before, line.after, float("nan"))
             for line in held_out(matrix, method, population=population)
         ),
-        actuator_residual=spread(_pull(after, even, arms, s), on),
+        actuator_residual=spread(_pull(after, even, scaled_arms, s), on),
         actuator_noise=np.full(on.size, np.nan),
         singular_values=np.sqrt(np.maximum(eigenvalues, 0.0)),
         in_noise=False,

@@ -6,6 +6,7 @@ Every call takes axes or makes its own, and returns them.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
@@ -14,25 +15,27 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from truenewton.calibration.result import Calibration
 from truenewton.errors import UnknownName
-from truenewton.estimation.estimate import Scale
-from truenewton.figures.maps import plot_map
+from truenewton.figures.maps import mark_rings, plot_map
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
+    COLOURS,
     CURVES,
     FAINT,
-    INK,
     SIGNED_COLOURS,
     STYLE,
+    legend_above,
     new_axes,
+    plain,
 )
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import modes_figures
 from truenewton.records.campaign import Campaign
-from truenewton.report.budget import budget_bars
+from truenewton.report.budget import error_budget
 from truenewton.report.change import Change
-from truenewton.report.evidence import Evidence, ModeResiduals
+from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.investigate import Findings
 from truenewton.report.layers import calibration_layers, change_layers
 from truenewton.report.series import by_signed_shape, columns_of_shapes, cycle_times
@@ -43,45 +46,58 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def still_figures(findings: Findings) -> dict[str, Callable[[], Axes]]:
-    """Return the figures that findings allow beside the paper's, by name."""
+MAPS = ("map-e-stat", "map-leverage", "map-residual")  # written; that of alpha is the paper's
+
+
+def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
+    """Return what draws each figure that findings allow, by name; it takes axes or none."""
+    c, evidence = findings.calibration, findings.evidence
+    drawn: dict[str, Callable[..., Axes]] = {}
+    if c is not None:
+        for layer in calibration_layers(findings):
+            name = f"map-{layer.key.replace('_', '-')}"
+            drawn[name] = partial(plot_map, c.layout, layer.values, label=layer.title)
+        if error_budget(c):
+            drawn["budget"] = partial(plot_budget, c)
+    if evidence is not None:
+        drawn["residuals"] = partial(plot_residuals, evidence.residuals)
+        drawn["singular-values"] = partial(plot_singular_values, evidence)
+        drawn["balance"] = partial(plot_balance, evidence.residuals)
+    if isinstance(findings.data, Campaign):
+        drawn["temperatures"] = partial(plot_temperatures, findings.data)
+    if findings.modes is not None:
+        drawn |= modes_figures(findings.modes, Budget())
+    return drawn
+
+
+def still_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
+    """Return the figures that are written beside the paper's, by name."""
     if findings.calibration is None:
         return {}
-    keys = ("e_stat", "leverage", "residual")
-    known = {layer.key for layer in calibration_layers(findings)}
-    made: dict[str, Callable[[], Axes]] = {
-        f"map-{key.replace('_', '-')}": lambda key=key: plot_layer(findings, key)  # type: ignore[misc]
-        for key in keys
-        if key in known
-    }
-    if findings.calibration.scale != Scale.MEAN_ONE:
-        made["budget"] = lambda: plot_budget(findings)
-    if findings.evidence is not None:
-        made["residuals"] = lambda: plot_residuals(findings)
-        made["singular-values"] = lambda: plot_singular_values(findings)
-        made["balance"] = lambda: plot_balance(findings)
-    if isinstance(findings.data, Campaign):
-        made["temperatures"] = lambda: plot_temperatures(findings)
-    if findings.modes is not None:
-        made |= modes_figures(findings.modes, Budget())
-    return made
+    drawn = figures_of(findings)
+    return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
 
 
-def plot_layer(findings: Findings, key: str, ax: Axes | None = None) -> Axes:
-    """Draw one layer of the actuators on the map.
+def plot(findings: Findings, name: str, ax: Axes | None = None) -> Axes:
+    """Draw a figure by its name, and return the axes.
 
     Raises
     ------
     UnknownName
-        There is no such layer; the message names those that are.
+        There is no such figure; the message names those that are.
+    ValueError
+        What was found does not hold what the figure shows.
     """
-    c = findings.calibration
-    layers = {layer.key: layer for layer in calibration_layers(findings)}
-    if c is None or key not in layers:
-        raise UnknownName(
-            f"there is no layer '{key}'", remedy=f"choose {', '.join(layers)}", got=key
-        )
-    return plot_map(c.layout, layers[key].values, ax, label=layers[key].title)
+    drawn = figures_of(findings)
+    if name in drawn:
+        return drawn[name](ax=ax)
+    if name in ("residuals", "singular-values", "balance"):
+        raise ValueError("a calibration file holds no residuals; give the cycles")
+    if name == "temperatures":
+        raise ValueError("only the cycles of a campaign have times")
+    if name.startswith("modes"):
+        raise ValueError(findings.no_modes or "a calibration file tells no modes; give the data")
+    raise UnknownName(f"there is no figure '{name}'", remedy=f"choose {', '.join(drawn)}", got=name)
 
 
 def plot_change_map(change: Change, ax: Axes | None = None) -> Axes:
@@ -98,36 +114,32 @@ def plot_change(change: Change, ax: Axes | None = None) -> Axes:
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.75)
         layout = change.one.layout
-        ring = ring_of(layout)
-        order = np.argsort(ring, kind="stable")
-        place = np.arange(1, layout.n + 1)
+        order = np.argsort(ring_of(layout), kind="stable")
+        number = np.arange(1, layout.n + 1)
         ax.axhspan(-change.limit, change.limit, color=FAINT, alpha=0.2, linewidth=0)
         ax.axhline(0.0, color=FAINT, linewidth=0.5)
-        ax.plot(place, change.sigmas[order], "o", color=ACCENT, markersize=2.0)
-        for edge in np.flatnonzero(np.diff(ring[order])) + 1.5:
-            ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
+        ax.plot(number, change.sigmas[order], "o", color=ACCENT, markersize=2.0)
+        mark_rings(ax, layout)
         for far in change.changed[:10]:
-            at = (float(place[order == far][0]), float(change.sigmas[far]))
+            at = (float(number[order == far][0]), float(change.sigmas[far]))
             ax.annotate(str(layout.id[far]), at, xytext=(3, 0), textcoords="offset points",
                         fontsize=6.0, va="center")  # fmt: skip
-        ax.set_xlabel("actuator, ring by ring from the centre" if ring.max() else "actuator")
         ax.set_ylabel("change (sigma)")
-        ax.set_title("band: chance alone, 1 % for all", loc="right", fontsize=6.5, color=INK)
+        ax.set_title("band: chance alone, 1 % for all")
     return ax
 
 
-def plot_budget(findings: Findings, ax: Axes | None = None) -> Axes:
+def plot_budget(calibration: Calibration, ax: Axes | None = None) -> Axes:
     """Draw the error budget: of a typical actuator, and of the common scale by source."""
-    c = findings.calibration
-    bars = () if c is None else budget_bars(c)
+    budget = error_budget(calibration)
     with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.12 + 0.09 * max(len(bars), 2))
-        sizes = [100 * bar.size for bar in bars]
-        ax.barh(range(len(bars)), sizes, color=ACCENT, height=0.6)
-        for place, bar in enumerate(bars):
-            ax.annotate(percent(bar.size), (100 * bar.size, place), xytext=(2, 0),
+        ax = ax or new_axes(0.12 + 0.09 * len(budget))
+        sizes = [100 * size for size in budget.values()]
+        ax.barh(range(len(sizes)), sizes, color=ACCENT, height=0.6)
+        for k, size in enumerate(budget.values()):
+            ax.annotate(percent(size), (100 * size, k), xytext=(2, 0),
                         textcoords="offset points", va="center", fontsize=6.5)  # fmt: skip
-        ax.set_yticks(range(len(bars)), [bar.name.replace("$", r"\$") for bar in bars])
+        ax.set_yticks(range(len(sizes)), [plain(name) for name in budget])
         ax.invert_yaxis()
         ax.margins(x=0.15)
         ax.set_xlabel("error of alpha (%)")
@@ -135,17 +147,10 @@ def plot_budget(findings: Findings, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_residuals(findings: Findings, ax: Axes | None = None) -> Axes:
-    """Draw how far rows, by shape and cycle, or modes are out of balance.
-
-    Raises
-    ------
-    ValueError
-        The findings hold no residuals.
-    """
-    residuals = _evidence(findings).residuals
+def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
+    """Draw how far rows, by shape and cycle, or modes are out of balance."""
     if isinstance(residuals, ModeResiduals):
-        return plot_balance(findings, ax)
+        return plot_balance(residuals, ax)
     column, name = columns_of_shapes(residuals)
     cycles, reach = int(residuals.cycle.max()) + 1, int(np.abs(column).max())
     image = np.full((cycles, 2 * reach + 1), np.nan)
@@ -153,30 +158,23 @@ def plot_residuals(findings: Findings, ax: Axes | None = None) -> Axes:
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.62)
         shown = ax.imshow(
-            image, aspect="auto", cmap="cividis", vmin=0.0, vmax=4.0, interpolation="nearest",
+            image, aspect="auto", cmap=COLOURS, vmin=0.0, vmax=4.0, interpolation="nearest",
             extent=(-reach - 0.5, reach + 0.5, cycles + 0.5, 0.5),
         )  # fmt: skip
-        lost = ~residuals.kept
-        ax.plot(column[lost], residuals.cycle[lost] + 1, "x", color=ALARM, markersize=4.0)
+        rejected = ~residuals.kept
+        ax.plot(column[rejected], residuals.cycle[rejected] + 1, "x", color=ALARM, markersize=4.0)
         ax.yaxis.set_major_locator(MaxNLocator(integer=True))
         ax.set_xlabel(name)
         ax.set_ylabel("cycle")
         bar = ax.figure.colorbar(shown, ax=ax, extend="max", aspect=30, pad=0.02)
         bar.set_label("imbalance / noise")
-        if lost.any():
-            ax.set_title("crosses: rejected", loc="right", fontsize=6.5, color=INK)
+        if rejected.any():
+            ax.set_title("crosses: rejected")
     return ax
 
 
-def plot_balance(findings: Findings, ax: Axes | None = None) -> Axes:
-    """Draw the imbalance of shapes or modes with alpha = 1 and with alpha as found.
-
-    Raises
-    ------
-    ValueError
-        The findings hold no residuals.
-    """
-    residuals = _evidence(findings).residuals
+def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
+    """Draw the imbalance of shapes or modes with alpha = 1 and with alpha as found."""
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.7)
         if isinstance(residuals, ModeResiduals):
@@ -194,42 +192,26 @@ def plot_balance(findings: Findings, ax: Axes | None = None) -> Axes:
         ax.plot(x, before, "o", color=CURVES[1], markersize=size, markerfacecolor="none",
                 label=r"$\alpha = 1$")  # fmt: skip
         ax.plot(x, after, "s", color=CURVES[0], markersize=0.8 * size, label="calibrated")
-        ax.legend(frameon=False, fontsize=6.5, ncols=2, loc="lower right",
-                  bbox_to_anchor=(1.0, 1.0), borderpad=0.0)  # fmt: skip
+        legend_above(ax)
     return ax
 
 
-def plot_singular_values(findings: Findings, ax: Axes | None = None) -> Axes:
-    """Draw how clearly the data hold each pattern of alpha.
-
-    Raises
-    ------
-    ValueError
-        The findings hold no singular values.
-    """
-    evidence = _evidence(findings)
+def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
+    """Draw how clearly the data hold each pattern of alpha."""
     values = np.maximum(evidence.singular_values, 1e-16 * evidence.singular_values[-1])
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.62)
         ax.semilogy(np.arange(1, values.size + 1), values, "o", color=ACCENT, markersize=1.8)
         ax.semilogy([1], values[:1], "D", color=ALARM, markerfacecolor="none", markersize=5.0)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         ax.set_xlabel(r"pattern of $\alpha$")
         ax.set_ylabel("singular value" + (" / noise" if evidence.in_noise else ""))
-        ax.set_title(r"diamond: $\alpha$ itself", loc="right", fontsize=6.5, color=INK)
+        ax.set_title(r"diamond: $\alpha$ itself")
     return ax
 
 
-def plot_temperatures(findings: Findings, ax: Axes | None = None) -> Axes:
-    """Draw when the cycles ran, and how warm it was where that is known.
-
-    Raises
-    ------
-    ValueError
-        The findings are not of a campaign.
-    """
-    campaign = findings.data
-    if not isinstance(campaign, Campaign):
-        raise ValueError("only the cycles of a campaign have times")
+def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
+    """Draw when the cycles ran, and how warm it was where that is known."""
     known = any(cycle.temperature is not None for cycle in campaign.cycles)
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.55)
@@ -238,7 +220,7 @@ def plot_temperatures(findings: Findings, ax: Axes | None = None) -> Axes:
             load = campaign.load_index[k]
             colour = CURVES[load % len(CURVES)]
             first = campaign.load_index.index(load) == k
-            label = campaign.loads[load].name.replace("$", r"\$") if first else None
+            label = plain(campaign.loads[load].name) if first else None
             if known and temperature is not None:
                 ax.plot(time, temperature, color=colour, label=label)
             elif not known:
@@ -247,13 +229,6 @@ def plot_temperatures(findings: Findings, ax: Axes | None = None) -> Axes:
         ax.xaxis.set_major_locator(locator)
         ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
         ax.set_xlabel("time (UTC)")
-        ax.set_ylabel("temperature (deg C)" if known else "cycle")
-        ax.legend(frameon=False, fontsize=6.5, ncols=4, loc="lower right",
-                  bbox_to_anchor=(1.0, 1.0), borderpad=0.0)  # fmt: skip
+        ax.set_ylabel("temperature (°C)" if known else "cycle")
+        legend_above(ax)
     return ax
-
-
-def _evidence(findings: Findings) -> Evidence:
-    if findings.evidence is None:
-        raise ValueError("a calibration file holds no residuals; give the cycles")
-    return findings.evidence

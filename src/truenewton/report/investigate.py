@@ -17,7 +17,6 @@ from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers, True
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import Sifted, sift
-from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.measured_stiffness import motion_reader
 from truenewton.records.campaign import Campaign
@@ -86,70 +85,19 @@ class Findings:
             return (UsedSource(self.data.source.file, self.data.source.sha256, 0, 0),)
         return ()
 
-    def plot_layer(self, key: str, ax: Axes | None = None) -> Axes:
-        """Draw one layer, as 'e_stat', 'leverage', 'residual', on the map; return the axes."""
-        from truenewton.report.figures import plot_layer
+    def plot(self, name: str, ax: Axes | None = None) -> Axes:
+        """Draw a figure by its name, as 'budget', 'map-leverage' or 'modes'; return the axes.
 
-        return plot_layer(self, key, ax)
+        Raises
+        ------
+        UnknownName
+            There is no such figure; the message names those that are.
+        ValueError
+            These findings do not hold what it shows.
+        """
+        from truenewton.report.figures import plot
 
-    def plot_budget(self, ax: Axes | None = None) -> Axes:
-        """Draw the error budget; return the axes."""
-        from truenewton.report.figures import plot_budget
-
-        return plot_budget(self, ax)
-
-    def plot_residuals(self, ax: Axes | None = None) -> Axes:
-        """Draw how far rows or modes are out of balance; return the axes."""
-        from truenewton.report.figures import plot_residuals
-
-        return plot_residuals(self, ax)
-
-    def plot_balance(self, ax: Axes | None = None) -> Axes:
-        """Draw the imbalance with alpha = 1 and with alpha as found; return the axes."""
-        from truenewton.report.figures import plot_balance
-
-        return plot_balance(self, ax)
-
-    def plot_singular_values(self, ax: Axes | None = None) -> Axes:
-        """Draw how clearly the data hold each pattern of alpha; return the axes."""
-        from truenewton.report.figures import plot_singular_values
-
-        return plot_singular_values(self, ax)
-
-    def plot_temperatures(self, ax: Axes | None = None) -> Axes:
-        """Draw when the cycles ran, and how warm it was; return the axes."""
-        from truenewton.report.figures import plot_temperatures
-
-        return plot_temperatures(self, ax)
-
-    def plot_modes(self) -> Axes:
-        """Draw stiffness modes on maps of the mirror; return the axes of the first."""
-        from truenewton.modal.figures import plot_modes
-
-        return plot_modes(self._modes_found().after)
-
-    def plot_residual_wavefront(self, ax: Axes | None = None) -> Axes:
-        """Draw the wavefront that the first N modes of each base leave; return the axes."""
-        from truenewton.modal.figures import plot_residual
-
-        return plot_residual(self._modes_found().after, ax)
-
-    def plot_power(self, ax: Axes | None = None) -> Axes:
-        """Draw the power of the worst coil and the mean against modes; return the axes."""
-        from truenewton.modal.figures import plot_power
-
-        return plot_power(self._modes_found().after, Budget(), ax)
-
-    def plot_modes_comparison(self, ax: Axes | None = None) -> Axes:
-        """Draw how far modes with alpha = 1 lie from the calibrated; return the axes."""
-        from truenewton.modal.figures import plot_comparison
-
-        return plot_comparison(self._modes_found(), ax)
-
-    def _modes_found(self) -> ModalFindings:
-        if self.modes is None:
-            raise ValueError(self.no_modes or "a calibration file tells no modes; give the data")
-        return self.modes
+        return plot(self, name, ax)
 
 
 def investigate(

@@ -155,6 +155,6 @@ def _leverage(c: Calibration) -> Array:
     on = c.layout.enabled
     known = c.diagnosis.leverage if c.diagnosis else ()
     out = np.full(on.size, np.nan)
-    arms = arms_in_units_of_rms(c.layout) * c.alpha[on]
-    out[on] = known or leverage(arms, np.ones(int(on.sum())))
+    scaled_arms = arms_in_units_of_rms(c.layout) * c.alpha[on]
+    out[on] = known or leverage(scaled_arms, np.ones(int(on.sum())))
     return out

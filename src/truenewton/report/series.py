@@ -20,10 +20,10 @@ def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
 
     SHAPE with its SIGN; where shapes are numbered with wide gaps, their place among all instead.
     """
-    names, place = np.unique(residuals.shape, return_inverse=True)
+    names, index = np.unique(residuals.shape, return_inverse=True)
     if names[-1] <= 4 * names.size:
         return residuals.shape * residuals.sign, "shape, with its sign"
-    return (place.ravel() + 1) * residuals.sign, "place of the shape, with its sign"
+    return (index.ravel() + 1) * residuals.sign, "place of the shape, with its sign"
 
 
 def by_signed_shape(

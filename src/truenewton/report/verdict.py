@@ -15,6 +15,7 @@ from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import scale_total
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
+from truenewton.report.budget import typical
 from truenewton.report.change import Change
 from truenewton.report.evidence import ModeResiduals
 from truenewton.report.investigate import Findings
@@ -84,7 +85,7 @@ def verdict(findings: Findings) -> Verdict:
     limits, cares = list(_limits(findings, c)), list(_cares(c))
     level = CARE if cares else LIMITED if limits else SOUND
     known = "Alpha" if c.scale != Scale.MEAN_ONE else "Relative alpha"
-    sentence = f"{known} of {_actuators(c)} is known, typically to {percent(_typical(c.error, c))}."
+    sentence = f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c))}."
     return Verdict(level, LEVELS[level], (sentence,), _numbers(c), tuple(cares + limits))
 
 
@@ -102,7 +103,7 @@ def verdict_on_change(change: Change) -> Verdict:
     if changed.size:
         advice.append(
             Fault(
-                f"changed: {_names(ids, changed)}",
+                f"changed: {_names(ids[changed])}",
                 "calibrate anew before use, unless the change is known, as after a replacement",
             )
         )
@@ -130,35 +131,30 @@ def _actuators(c: Calibration) -> str:
     on = c.layout.enabled
     if on.all():
         return f"all {on.size} actuators of {c.instrument}"
-    off = np.flatnonzero(~on)
     return (
         f"{on.sum()} of the {on.size} actuators of {c.instrument}"
-        f" ({_names(c.layout.id, off)} disabled)"
+        f" ({_names(c.layout.id[~on])} disabled)"
     )
 
 
-def _names(ids: NDArray[np.int64], places: NDArray[np.int64]) -> str:
-    shown = ", ".join(str(ids[place]) for place in places[:8])
-    more = f" and {places.size - 8} more" if places.size > 8 else ""
-    return f"actuator{'s' if places.size > 1 else ''} {shown}{more}"
-
-
-def _typical(errors: NDArray[np.float64], c: Calibration) -> float:
-    return float(np.nanmedian(errors / np.abs(c.alpha)))
+def _names(ids: NDArray[np.int64]) -> str:
+    shown = ", ".join(map(str, ids[:8]))
+    more = f" and {ids.size - 8} more" if ids.size > 8 else ""
+    return f"actuator{'s' if ids.size > 1 else ''} {shown}{more}"
 
 
 def _numbers(c: Calibration) -> tuple[Number, ...]:
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
-    readings = percent(_typical(c.reading_error, c))
+    readings = percent(typical(c.reading_error, c))
     scale = Number("common scale", "free", "the mean of alpha is set to 1; weights would fix it")
     if c.scale != Scale.MEAN_ONE:
-        part = scale_total(c.scale_errors) if c.scale_errors else _typical(c.systematic_error, c)
+        part = scale_total(c.scale_errors) if c.scale_errors else typical(c.systematic_error, c)
         scale = Number("error of the common scale", percent(part), "one sigma, the same for all")
     return (
         Number("alpha", f"{ends[0]} to {ends[1]}", f"actuators {c.layout.id[low]} and"
                f" {c.layout.id[high]}, true N / commanded N"),
-        Number("typical error of alpha", percent(_typical(c.error, c)),
+        Number("typical error of alpha", percent(typical(c.error, c)),
                f"one sigma; {readings} from the readings"),
         scale,
     )  # fmt: skip
@@ -166,7 +162,7 @@ def _numbers(c: Calibration) -> tuple[Number, ...]:
 
 def _limits(findings: Findings, c: Calibration) -> Iterator[Fault]:
     """Yield what limits a calibration that is sound otherwise."""
-    weights, readings = _typical(c.systematic_error, c), _typical(c.reading_error, c)
+    weights, readings = typical(c.systematic_error, c), typical(c.reading_error, c)
     if c.scale != Scale.MEAN_ONE and weights > 2.0 * readings:
         fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
         yield Fault(fault, remedy or "better known weights would help, more cycles would not")
@@ -184,10 +180,10 @@ def _limits(findings: Findings, c: Calibration) -> Iterator[Fault]:
             f"{c.rejected} rows do not fit and were left out", "see the report of the cycle files"
         )
     yield from _unseen(findings)
-    for place in _off_family(c):
-        alpha = with_error(float(c.alpha[place]), float(c.reading_error[place]))
+    for k in _off_family(c):
+        alpha = with_error(float(c.alpha[k]), float(c.reading_error[k]))
         yield Fault(
-            f"actuator {c.layout.id[place]} stands off the others: alpha is {alpha}",
+            f"actuator {c.layout.id[k]} stands off the others: alpha is {alpha}",
             "look at its coil, magnet and wiring",
         )
 
@@ -225,7 +221,7 @@ def _cares(c: Calibration) -> Iterator[Fault]:
 
 
 def _off_family(c: Calibration) -> NDArray[np.int64]:
-    """Return the places of actuators far from the others, in terms of their spread and error."""
+    """Return the indices of actuators far from the others, in terms of their spread and error."""
     middle = np.nanmedian(c.alpha)
     spread = 1.4826 * np.nanmedian(np.abs(c.alpha - middle))
     far = np.abs(c.alpha - middle) > FAR * np.hypot(spread, c.reading_error)

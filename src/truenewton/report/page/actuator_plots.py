@@ -1,4 +1,8 @@
-"""The page's figures of actuators, for Bokeh: all share one source, and so one selection."""
+"""The page's figures of actuators, for Bokeh: all share one source, and so one selection.
+
+No text that comes from a file enters a figure, since Bokeh reads text between certain signs as
+formulas, but for what a tooltip shows, which it takes as it is.
+"""
 
 from __future__ import annotations
 
@@ -8,38 +12,44 @@ import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import (
     BoxSelectTool,
+    BoxZoomTool,
     ColumnDataSource,
     HoverTool,
     LassoSelectTool,
     LinearColorMapper,
+    PanTool,
+    ResetTool,
+    SaveTool,
     TapTool,
+    WheelZoomTool,
 )
 from bokeh.models.annotations import ColorBar, Span
 from bokeh.palettes import Cividis256, PuOr11
+from bokeh.plotting import figure
 
 from truenewton.calibration.result import Calibration
-from truenewton.figures.style import ACCENT, ALARM, FAINT, INK
+from truenewton.figures.maps import dot_radius, ring_edges, ring_label
+from truenewton.figures.style import ACCENT, ALARM, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
-from truenewton.report.page.looks import FONT, Plot, empty_plot
 from truenewton.statics.layout import Layout, ring_of
 
-NAMED = 100  # up to so many actuators bear their names
-CROWDED = 1000  # beyond so many, outlines would be all that is seen
-MILLIMETRE = 1e-3
+FONT = "system-ui, sans-serif"
+CROWDED = 1000  # beyond so many actuators, outlines would be all that is seen
+Plot = Any  # a figure of Bokeh, whose stubs lack many options
 
 
 def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSource:
-    """Return what all views of the actuators share: places, values and texts of every layer."""
+    """Return what all views of the actuators share: positions, values and texts of every layer."""
     ring = ring_of(layout)
-    place = np.empty(layout.n)
-    place[np.argsort(ring, kind="stable")] = np.arange(1, layout.n + 1)
+    number = np.empty(layout.n, dtype=np.int32)  # ring by ring from the centre
+    number[np.argsort(ring, kind="stable")] = np.arange(1, layout.n + 1)
     columns: dict[str, Any] = {
         "id": layout.id.astype(np.int32),
         "ring": (ring + 1).astype(np.int32),
         "x": layout.x / MILLIMETRE,
         "y": layout.y / MILLIMETRE,
-        "place": place.astype(np.int32),
+        "number": number,
         "shown": layers[0].values.copy(),
         "ink": ["#000000"] * layout.n,  # of the name on its dot; the page sets it
     }
@@ -51,7 +61,7 @@ def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSour
 
 def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ...]) -> Plot:
     """Return the map of the actuators; the page changes the layer that colours it."""
-    plot = empty_plot(height=None, aspect=True)
+    plot = _empty_plot(sizing_mode="scale_width", aspect_ratio=0.92, match_aspect=True)
     plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm)", "y (mm)"
     plot.grid.visible = False
     radius, ring = np.hypot(layout.x, layout.y) / MILLIMETRE, ring_of(layout)
@@ -78,7 +88,7 @@ def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ..
                    title_text_font_style="normal", title_text_font=FONT,
                    major_label_text_font=FONT)  # fmt: skip
     plot.add_layout(bar, "below")
-    _with_actuator_tools(plot, dots, layers)
+    _add_actuator_tools(plot, dots, layers)
     return plot
 
 
@@ -87,25 +97,14 @@ def palette(layer: Layer) -> tuple[str, ...]:
     return PuOr11 if layer.signed else Cividis256
 
 
-def dot_radius(layout: Layout) -> float:
-    """Return the radius of a dot that leaves its neighbours free [mm]."""
-    from scipy.spatial import cKDTree
-
-    if layout.n == 1:
-        return 1.0
-    points = np.stack([layout.x, layout.y], axis=1) / MILLIMETRE
-    distance = np.asarray(cKDTree(points).query(points, k=2)[0])[:, 1]
-    return float(0.44 * np.median(distance))
-
-
 def alpha_by_ring(
     source: ColumnDataSource, calibration: Calibration, layers: tuple[Layer, ...]
 ) -> Plot:
     """Return alpha per actuator, ring by ring, with bars of three errors from the readings."""
-    plot, layout = empty_plot(), calibration.layout
+    plot, layout = _empty_plot(), calibration.layout
     source.data["low"] = calibration.alpha - 3 * calibration.reading_error
     source.data["high"] = calibration.alpha + 3 * calibration.reading_error
-    plot.segment(x0="place", x1="place", y0="low", y1="high", source=source, line_color=INK,
+    plot.segment(x0="number", x1="number", y0="low", y1="high", source=source, line_color=INK,
                  nonselection_line_alpha=0.2)  # fmt: skip
     _actuator_points(plot, source, layout, "alpha", layers)
     plot.yaxis.axis_label = "alpha (true N / commanded N)"
@@ -114,7 +113,7 @@ def alpha_by_ring(
 
 def change_by_ring(source: ColumnDataSource, change: Change, layers: tuple[Layer, ...]) -> Plot:
     """Return the change per actuator in sigmas, and how far chance alone reaches."""
-    plot = empty_plot()
+    plot = _empty_plot()
     for level in (-change.limit, 0.0, change.limit):
         plot.add_layout(Span(location=level, dimension="width", line_color=FAINT,
                              line_dash="solid" if level == 0.0 else "dashed"))  # fmt: skip
@@ -128,24 +127,39 @@ def _actuator_points(
 ) -> None:
     """Draw a value per actuator, ring by ring."""
     dots = plot.scatter(
-        x="place", y=key, source=source, size=7 if layout.n <= NAMED else 4, color=ACCENT,
+        x="number", y=key, source=source, size=7 if layout.n <= NAMED else 4, color=ACCENT,
         selection_color=ALARM, selection_line_color=INK, nonselection_alpha=0.25,
     )  # fmt: skip
-    rings = np.bincount(ring_of(layout))
-    for edge in np.cumsum(rings)[:-1]:
-        plot.add_layout(Span(location=float(edge) + 0.5, dimension="height", line_color=FAINT,
+    for edge in ring_edges(layout).tolist():
+        plot.add_layout(Span(location=edge, dimension="height", line_color=FAINT,
                              line_dash="dotted", line_width=1))  # fmt: skip
-    plot.xaxis.axis_label = "place, ring by ring from the centre" if len(rings) > 1 else "place"
+    plot.xaxis.axis_label = ring_label(layout)
     plot.x_range.range_padding = 0.02
-    _with_actuator_tools(plot, dots, layers)
+    _add_actuator_tools(plot, dots, layers)
 
 
-def _with_actuator_tools(plot: Plot, dots: Any, layers: tuple[Layer, ...]) -> None:
+def _empty_plot(**size: Any) -> Plot:
+    """Return an empty figure in the page's looks, as wide as the page where no size is given."""
+    size = size or {"sizing_mode": "stretch_width", "height": 300}
+    tools = [PanTool(), BoxZoomTool(), WheelZoomTool(), ResetTool(), SaveTool()]
+    plot = figure(tools=tools, toolbar_location="above", min_border=4, **size)
+    plot.toolbar.logo = None
+    plot.toolbar.active_drag = None  # so that a finger scrolls the page
+    plot.toolbar.active_scroll = None
+    plot.outline_line_color = None
+    plot.axis.axis_label_text_font_style = "normal"
+    plot.axis.axis_label_text_font = plot.axis.major_label_text_font = FONT
+    plot.axis.axis_label_text_color = plot.axis.major_label_text_color = INK
+    plot.grid.grid_line_color = "#e4e4e4"
+    return plot
+
+
+def _add_actuator_tools(plot: Plot, dots: Any, layers: tuple[Layer, ...]) -> None:
     """Let the pointer tell of an actuator in full, and select actuators in all views."""
-    told = [("actuator", "@id"), ("ring", "@ring"), ("x, y", "@x{0.0}, @y{0.0} mm")]
-    told += [(layer.name, f"@{layer.key}_text {layer.unit}".rstrip()) for layer in layers]
+    tooltips = [("actuator", "@id"), ("ring", "@ring"), ("x, y", "@x{0.0}, @y{0.0} mm")]
+    tooltips += [(layer.name, f"@{layer.key}_text {layer.unit}".rstrip()) for layer in layers]
     plot.add_tools(
-        HoverTool(renderers=[dots], tooltips=told, visible=False),
+        HoverTool(renderers=[dots], tooltips=tooltips, visible=False),
         TapTool(renderers=[dots]),
         BoxSelectTool(renderers=[dots]),
         LassoSelectTool(renderers=[dots]),

@@ -6,42 +6,40 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truenewton.figures.style import CURVES
+from truenewton.figures.writing import inline_svg
+from truenewton.modal.dissipation import Budget
+from truenewton.modal.figures import chosen_modes, plot_modes, plot_power, plot_residual
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.words import (
-    apart,
-    between_actuators,
-    chosen_modes,
+    comparison_text,
     cost_rows,
+    fitting_error_text,
     measured_text,
     rigid_text,
-    static_force,
+    static_force_text,
     stiffness_text,
-    turbulence,
+    turbulence_text,
 )
 from truenewton.report.investigate import Findings
-from truenewton.report.page import modal_plots
 from truenewton.report.page.section import Section, TextTable
 from truenewton.rounding import percent
-
-LINES = ("full", "dashed", "dash and dot")  # of the three bases, as drawn
 
 
 def modal_sections(findings: Findings) -> Iterator[Section]:
     """Yield the modal base, or why there is none; nothing of a calibration file."""
-    found = findings.modes
-    if found is not None:
-        yield _modes(found)
-        yield _turbulence(found.after)
-        yield _dissipation(found.after)
+    modes = findings.modes
+    if modes is not None:
+        yield _modes(modes)
+        yield _turbulence(modes.after)
+        yield _dissipation(modes.after)
     elif findings.no_modes:
         yield Section("modes", "Stiffness modes", (findings.no_modes,))
 
 
-def _modes(found: ModalFindings) -> Section:
-    base, before, after = found.after, found.before.stiffness, found.after.stiffness
-    values = base.modes.stiffness
+def _modes(modes: ModalFindings) -> Section:
+    before, after = modes.before.stiffness, modes.after.stiffness
+    values = modes.after.modes.stiffness
     elastic = values[3:]
     softest, stiffest = (elastic[k] for k in (np.abs(elastic).argmin(), np.abs(elastic).argmax()))
     rigid = ", ".join(stiffness_text(value) for value in after.rigid_stiffness)
@@ -49,12 +47,12 @@ def _modes(found: ModalFindings) -> Section:
         f"Of {values.size} modes the softest elastic one has {stiffness_text(softest)}, the"
         f" stiffest {stiffness_text(stiffest)}. Rigid motions bend nothing; bias magnets and errors"
         f" leave them {rigid}.",
-        f"Modes found with alpha = 1 lie {apart(found.comparison)}.",
+        f"Modes found with alpha = 1 lie {comparison_text(modes.comparison)}.",
     ]
-    if found.measured is not None:
-        told = filter(None, (measured_text(found.measured), rigid_text(found.measured)))
-        words.append(f"Measured stiffness: {'; '.join(told)}.")
-    words += [f"Warning: {fault}; {remedy}." for fault, remedy in found.warnings]
+    if modes.measured is not None:
+        texts = filter(None, (measured_text(modes.measured), rigid_text(modes.measured)))
+        words.append(f"Measured stiffness: {'; '.join(texts)}.")
+    words += [f"Warning: {fault}; {remedy}." for fault, remedy in modes.warnings]
     rows = (
         ("asymmetry", percent(before.asymmetry), percent(after.asymmetry)),
         ("out of balance", percent(before.imbalance), percent(after.imbalance)),
@@ -66,9 +64,8 @@ def _modes(found: ModalFindings) -> Section:
         f" {'; '.join(drawn)}."
     )
     table = TextTable("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
-    return Section(
-        "modes", "Stiffness modes", tuple(words), modal_plots.modes(base), caption, tables=(table,)
-    )
+    figure = inline_svg(plot_modes(modes.after), "modes")
+    return Section("modes", "Stiffness modes", tuple(words), figure, caption, (table,))
 
 
 def _turbulence(base: ModalBase) -> Section:
@@ -79,22 +76,21 @@ def _turbulence(base: ModalBase) -> Section:
         "Rms wavefront that the first N modes of three bases leave on the actuators. After"
         f" {half} of {count}: {left}."
     )
-    words = (f"For {turbulence(base)}.", f"Between actuators: {between_actuators(base)}.")
-    return Section(
-        "turbulence", "Turbulence", words, modal_plots.residual(base), caption, _legend(base)
-    )
+    words = (f"For {turbulence_text(base)}.", f"Between actuators: {fitting_error_text(base)}.")
+    figure = inline_svg(plot_residual(base), "turbulence")
+    return Section("turbulence", "Turbulence", words, figure, caption)
 
 
 def _dissipation(base: ModalBase) -> Section:
     cost = base.costs[0]
     caption = (
-        "Mean power of the worst coil (thick) and of all coils (thin), static force included,"
+        "Mean power of the worst coil (full) and of all coils (dotted), static force included,"
         " against the number of modes. With all"
         f" {cost.residual.size}: {cost.power[:, -1].max():.2g} W and"
         f" {cost.power[:, -1].mean():.2g} W."
     )
     words = (
-        f"Static force of the actuators: {static_force(cost)}.",
+        f"Static force of the actuators: {static_force_text(cost)}.",
         "truenewton modes --power W --force N tells how many modes a limit allows.",
     )
     head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",
@@ -103,14 +99,5 @@ def _dissipation(base: ModalBase) -> Section:
         "Rms wavefront that N modes of each base leave; force and power of N stiffness modes",
         head, tuple(cost_rows(base)),
     )  # fmt: skip
-    return Section(
-        "dissipation", "Dissipation", words, modal_plots.power(base), caption, _legend(base),
-        tables=(table,),
-    )  # fmt: skip
-
-
-def _legend(base: ModalBase) -> tuple[tuple[str, str], ...]:
-    return tuple(
-        (colour, f"{cost.base}, {line}")
-        for cost, colour, line in zip(base.costs, CURVES, LINES, strict=False)
-    )
+    figure = inline_svg(plot_power(base, Budget()), "dissipation")
+    return Section("dissipation", "Dissipation", words, figure, caption, (table,))

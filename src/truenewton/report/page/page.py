@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-from dataclasses import dataclass
 from importlib import metadata
 from importlib.metadata import version
 from pathlib import Path
@@ -19,36 +18,18 @@ from jinja2.utils import htmlsafe_json_dumps
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import headline, summary_rows
 from truenewton.files.outputs import file_beside
+from truenewton.records.source import UsedSource
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
-from truenewton.report.layers import Layer, calibration_layers, change_layers
-from truenewton.report.page import actuator_plots
+from truenewton.report.layers import Layer
+from truenewton.report.page.actuator_plots import palette
 from truenewton.report.page.modal_sections import modal_sections
-from truenewton.report.page.section import Section, TextTable
-from truenewton.report.page.sections import evidence_sections, map_caption, ring_caption, times
-from truenewton.report.verdict import Verdict, verdict, verdict_on_change
-from truenewton.statics.layout import Layout
+from truenewton.report.page.section import TextTable
+from truenewton.report.page.sections import evidence_sections, times
+from truenewton.report.page.views import Actuators, calibration_views, change_views
+from truenewton.report.verdict import verdict, verdict_on_change
 
-LIBRARIES = ("numpy", "scipy", "astropy", "bokeh")
-
-
-@dataclass(frozen=True)
-class Actuators:
-    """The views of the actuators, which share one selection.
-
-    Attributes
-    ----------
-    layout
-        The actuators.
-    layers
-        What is known of them.
-    views
-        The map first, then a figure by ring.
-    """
-
-    layout: Layout
-    layers: tuple[Layer, ...]
-    views: tuple[Section, ...]
+LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
 
 
 def write_report(
@@ -85,60 +66,22 @@ def page(findings: Findings | Change, command: str = "") -> str:
         return _rendered(
             title=f"{findings.one.instrument}: what changed",
             heading=f"{findings.one.instrument}: two calibrations compared",
-            judged=verdict_on_change(findings),
-            actuators=_changed_actuators(findings),
+            verdict=verdict_on_change(findings),
+            actuators=change_views(findings),
             sections=(),
-            tables=(_summaries(findings), *_inputs(findings.one, "First calibration: files"),
-                    *_inputs(findings.other, "Second calibration: files")),
+            tables=(_summaries(findings), *_files(findings.one.sources, "First calibration: files"),
+                    *_files(findings.other.sources, "Second calibration: files")),
             command=command,
         )  # fmt: skip
     c = findings.calibration
     return _rendered(
         title=f"{findings.instrument}: calibration of its actuators",
         heading=headline(c) if c else f"{findings.instrument}: no calibration",
-        judged=verdict(findings),
-        actuators=_calibrated_actuators(findings, c) if c else None,
+        verdict=verdict(findings),
+        actuators=calibration_views(findings, c) if c else None,
         sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
-        tables=(*((_summary(c),) if c else ()), *_inputs(findings, "Files")),
+        tables=(*((_summary(c),) if c else ()), *_files(findings.inputs, "Files")),
         command=command,
-    )
-
-
-def _calibrated_actuators(findings: Findings, c: Calibration) -> Actuators:
-    layers = calibration_layers(findings)
-    source = actuator_plots.actuator_source(c.layout, layers)
-    plot = actuator_plots.mirror_map(source, c.layout, layers)
-    by_ring = actuator_plots.alpha_by_ring(source, c, layers)
-    return Actuators(
-        c.layout,
-        layers,
-        (
-            Section("map", "Map of the mirror", (), plot, map_caption(c)),
-            Section("rings", "Alpha by ring", (), by_ring, ring_caption(c)),
-        ),
-    )
-
-
-def _changed_actuators(change: Change) -> Actuators:
-    layers, layout = change_layers(change), change.one.layout
-    source = actuator_plots.actuator_source(layout, layers)
-    plot = actuator_plots.mirror_map(source, layout, layers)
-    by_ring = actuator_plots.change_by_ring(source, change, layers)
-    shown = (
-        f"Map of the {layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
-        " above. The table of actuators holds every value."
-    )
-    rings = (
-        "Change of each actuator in sigmas, ring by ring from the centre. Between the dashed lines"
-        f" ({change.limit:.1f} sigma) chance alone explains it."
-    )
-    return Actuators(
-        layout,
-        layers,
-        (
-            Section("map", "Map of the change", (), plot, shown),
-            Section("rings", "Change by ring", (), by_ring, rings),
-        ),
     )
 
 
@@ -147,83 +90,59 @@ def _summary(c: Calibration) -> TextTable:
 
 
 def _summaries(change: Change) -> TextTable:
-    one, other = ({n: (v, note) for n, v, note in summary_rows(c)} for c in
-                  (change.one, change.other))  # fmt: skip
-    names = [*one, *(name for name in other if name not in one)]
-    blank = ("", "")
-    rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in (change.one, change.other))),
-            ("method", change.one.method, change.other.method)]  # fmt: skip
-    rows += [(name, one.get(name, blank)[0], other.get(name, blank)[0]) for name in names]
+    pair = (change.one, change.other)
+    one, other = ({name: value for name, value, _ in summary_rows(c)} for c in pair)
+    rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in pair)),
+            ("method", *(c.method for c in pair))]  # fmt: skip
+    rows += [(name, one.get(name, ""), other.get(name, "")) for name in {**one, **other}]
     return TextTable("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
 
 
-def _inputs(given: Findings | Calibration, caption: str) -> tuple[TextTable, ...]:
-    sources = given.sources if isinstance(given, Calibration) else given.inputs
+def _files(sources: tuple[UsedSource, ...], caption: str) -> tuple[TextTable, ...]:
     rows = tuple(
         (s.file, str(s.rows) if s.rows else "none", str(s.rejected), s.sha256) for s in sources
     )
     return (TextTable(caption, ("file", "rows used", "rejected", "SHA256"), rows),) if rows else ()
 
 
-def _rendered(
-    *,
-    title: str,
-    heading: str,
-    judged: Verdict,
-    actuators: Actuators | None,
-    sections: tuple[Section, ...],
-    tables: tuple[TextTable, ...],
-    command: str,
-) -> str:
+def _rendered(actuators: Actuators | None, **content: Any) -> str:
     """Put the page together; what comes from files goes through autoescape or as JSON."""
     environment = Environment(
         loader=PackageLoader("truenewton.report.page"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    read = Path(__file__).with_name("templates")
-    views = actuators.views if actuators else ()
-    plots = {part.key: part.plot for part in (*views, *sections) if part.plot is not None}
+    templates = Path(__file__).with_name("templates")
     return environment.get_template("page.html.j2").render(
-        title=title,
-        heading=heading,
-        verdict=judged,
+        **content,
         actuators=actuators,
-        views=views,
-        sections=sections,
-        tables=tables,
-        command=command,
         versions=_versions(),
-        style=(read / "report.css").read_text(encoding="utf-8"),
-        script=(read / "report.js").read_text(encoding="utf-8"),
-        bokeh=_bokeh() if plots else "",
-        payload=htmlsafe_json_dumps(_payload(plots, actuators), dumps=_as_json) if plots else "",
+        style=(templates / "report.css").read_text(encoding="utf-8"),
+        script=(templates / "report.js").read_text(encoding="utf-8"),
+        bokeh=_bokeh() if actuators else "",
+        payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )
 
 
-def _payload(plots: dict[str, Any], actuators: Actuators | None) -> dict[str, Any]:
+def _payload(actuators: Actuators) -> dict[str, Any]:
     """Return what the script needs: Bokeh's document, where its figures go, and the layers."""
     document = Document()
-    for plot in plots.values():
-        document.add_root(plot)
-    places = {plot.id: f"plot-{key}" for key, plot in plots.items()}
+    for view in actuators.views:
+        document.add_root(view.plot)
+    hosts = {view.plot.id: f"plot-{view.key}" for view in actuators.views}
     return {
         "documents": {"report": document.to_json(deferred=False)},
-        "places": [{"docid": "report", "roots": places, "root_ids": list(places)}],
-        "layers": [_of_layer(layer) for layer in actuators.layers] if actuators else [],
+        "places": [{"docid": "report", "roots": hosts, "root_ids": list(hosts)}],
+        "layers": [_layer_data(layer) for layer in actuators.layers],
     }
 
 
-def _of_layer(layer: Layer) -> dict[str, Any]:
+def _layer_data(layer: Layer) -> dict[str, Any]:
     low, high = layer.limits
     return {
         "key": layer.key, "name": layer.name, "unit": layer.unit, "title": layer.title,
         "meaning": layer.meaning, "low": low, "high": high,
-        "palette": list(actuator_plots.palette(layer)),
+        "palette": list(palette(layer)),
     }  # fmt: skip
-
-
-def _as_json(value: Any, **_: Any) -> str:
-    return serialize_json(value)
 
 
 def _bokeh() -> str:

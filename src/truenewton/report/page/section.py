@@ -1,16 +1,13 @@
-"""What a section of the page is made of: words, a plot, bars, tables."""
+"""What a section of the page is made of: words, a figure, tables."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from truenewton.report.budget import BudgetLine
-from truenewton.report.page.looks import Plot
-
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text; its first column is a name; long cells wrap where told."""
+    """A table of text; its first column is a name; long cells wrap where ``wraps``."""
 
     caption: str
     head: tuple[str, ...]
@@ -28,21 +25,17 @@ class Section:
         For links; for people.
     words
         Paragraphs.
-    plot
-        The figure, if any.
+    figure
+        An SVG element, or nothing.
     caption
         What the figure shows, in words: its alternative for who cannot see it.
-    legend
-        Colours of the figure and their names.
-    bars, tables
+    tables
         What stands beneath.
     """
 
     key: str
     title: str
     words: tuple[str, ...] = ()
-    plot: Plot | None = None
+    figure: str = ""
     caption: str = ""
-    legend: tuple[tuple[str, str], ...] = ()
-    bars: tuple[BudgetLine, ...] = ()
     tables: tuple[TextTable, ...] = ()

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import cycle_name, rejected_values
-from truenewton.estimation.estimate import Scale
-from truenewton.figures.style import CURVES
+from truenewton.figures.writing import inline_svg
 from truenewton.records.campaign import Campaign
-from truenewton.report.budget import budget_bars, typical_error
+from truenewton.report.budget import error_budget, typical
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
+from truenewton.report.figures import (
+    plot_balance,
+    plot_budget,
+    plot_residuals,
+    plot_singular_values,
+    plot_temperatures,
+)
 from truenewton.report.investigate import Findings
-from truenewton.report.page import evidence_plots
 from truenewton.report.page.section import Section, TextTable
 from truenewton.report.series import columns_of_shapes
-from truenewton.rounding import percent, significant, to_digits
-from truenewton.statics.layout import ring_of
+from truenewton.rounding import percent, significant
 
-BEFORE_AND_AFTER = ((CURVES[1], "alpha = 1, open circles"), (CURVES[0], "calibrated, squares"))
 NO_DATA = "This page was made from a calibration file, which does not hold them: give the cycles."
 MOST_REJECTED = 50  # rows listed
 
@@ -30,7 +35,7 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
     """Yield what supports or explains alpha, in the order of the page."""
     c, evidence = findings.calibration, findings.evidence
     if c is not None:
-        yield budget(c)
+        yield _budget(c)
     if evidence is None and c is not None:
         yield Section("residuals", "Residuals, singular values and balance", (NO_DATA,))
     elif evidence is not None:
@@ -42,66 +47,34 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
         yield _balance(evidence)
 
 
-def map_caption(c: Calibration) -> str:
-    """Say in words what the map of alpha shows."""
-    low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
-    ring = ring_of(c.layout) + 1
-    lowest, highest = (
-        f"actuator {c.layout.id[k]} on ring {ring[k]}"
-        f" ({to_digits(float(c.alpha[k]), float(c.reading_error[k]))})"
-        for k in (low, high)
-    )
-    return (
-        f"Map of the {c.layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
-        f" above. Alpha is lowest at {lowest} and highest at {highest}. The table of actuators"
-        " holds every value."
-    )
-
-
-def ring_caption(c: Calibration) -> str:
-    """Say in words what alpha by ring shows."""
-    ring = ring_of(c.layout)
-    means = [float(np.nanmean(c.alpha[ring == k])) if np.isfinite(c.alpha[ring == k]).any()
-             else float("nan") for k in range(ring.max() + 1)]  # fmt: skip
-    words = "Alpha of each actuator, ring by ring from the centre. Bars: three standard"
-    words += " uncertainties from the readings (3 E_STAT); the error of the common scale moves all"
-    words += " points together. "
-    if len(means) == 1:
-        return words + f"The mean is {means[0]:.3g}."
-    return words + "Means of the rings: " + ", ".join(f"{mean:.3f}" for mean in means) + "."
-
-
-def budget(c: Calibration) -> Section:
+def _budget(c: Calibration) -> Section:
     """Return the error budget: of the common scale, source by source, and of an actuator."""
-    if c.scale == Scale.MEAN_ONE:
+    key, title, budget = "budget", "Error budget", error_budget(c)
+    if not budget:
         words = "The common scale is a convention (mean alpha 1), so all the error is the readings'"
-        return Section(
-            "budget", "Error budget", (f"{words}: {percent(typical_error(c))}, typically.",)
-        )
-    words = "Relative standard uncertainties of alpha. The readings' part shrinks with more cycles,"
-    return Section(
-        "budget",
-        "Error budget",
-        (words + " the weights' part with better weights.",),
-        bars=budget_bars(c),
+        return Section(key, title, (f"{words}: {percent(typical(c.error, c))}, typically.",))
+    parts = "; ".join(f"{name}: {percent(size)}" for name, size in budget.items())
+    caption = (
+        f"Relative standard uncertainties of alpha. {parts[:1].upper()}{parts[1:]}. The readings'"
+        " part shrinks with more cycles, the weights' part with better weights."
     )
+    return Section(key, title, (), inline_svg(plot_budget(c), key), caption)
 
 
 def _rows(findings: Findings, residuals: RowResiduals) -> Section:
     campaign, c = findings.data, findings.calibration
     if not isinstance(campaign, Campaign) or c is None:
         raise ValueError("residuals of rows belong to a campaign")
-    names = [_file(campaign, k) for k in range(len(campaign.cycles))]
-    kept = residuals.after[residuals.kept]
-    rms, place = float(np.sqrt(np.mean(kept**2))), int(np.argmax(kept))
-    shape = columns_of_shapes(residuals)[0][residuals.kept][place]
-    lost = int(np.count_nonzero(~residuals.kept))
+    after, rejected = residuals.after[residuals.kept], int(np.count_nonzero(~residuals.kept))
+    farthest = int(np.argmax(after))
+    shape = columns_of_shapes(residuals)[0][residuals.kept][farthest]
     caption = (
-        f"Imbalance of {kept.size} rows of {len(names)} cycles in terms of its noise, by signed"
-        f" shape and cycle: {rms:.2f} rms, where noise alone gives 1, and {kept.max():.1f} at most,"
-        f" at shape {shape} of cycle {residuals.cycle[residuals.kept][place] + 1}."
-        f" {lost or 'No'} row{'' if lost == 1 else 's'} rejected"
-        + (", marked by crosses in circles." if lost else ".")
+        f"Imbalance of {after.size} rows of {len(campaign.cycles)} cycles in terms of its noise, by"
+        f" signed shape and cycle: {_rms(after):.2f} rms, where noise alone gives 1, and"
+        f" {after[farthest]:.1f} at most, at shape {shape} of cycle"
+        f" {residuals.cycle[residuals.kept][farthest] + 1}."
+        f" {rejected or 'No'} row{'' if rejected == 1 else 's'} rejected"
+        + (", marked by crosses." if rejected else ".")
     )
     listed = rejected_values(campaign, c.rejected_rows)
     tables: tuple[TextTable, ...] = ()
@@ -114,24 +87,22 @@ def _rows(findings: Findings, residuals: RowResiduals) -> Section:
         more = f"; the farthest {MOST_REJECTED}" if len(listed) > MOST_REJECTED else ""
         head = ("file", "row", "sigma", "against", "actuator that stands out")
         tables = (TextTable(f"Rejected rows: {len(listed)}{more}", head, rows),)
-    plot = evidence_plots.row_residuals(residuals, c.rejected_rows, names)
-    return Section("residuals", "Residuals by shape and cycle", (), plot, caption, tables=tables)
+    figure = inline_svg(plot_residuals(residuals), "residuals")
+    return Section("residuals", "Residuals by shape and cycle", (), figure, caption, tables)
 
 
-def _file(campaign: Campaign, place: int) -> str:
-    return Path(cycle_name(campaign, place)).name
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _modes(residuals: ModeResiduals) -> Section:
-    before, after = (
-        float(np.sqrt(np.mean(values**2))) for values in (residuals.before, residuals.after)
-    )
+    before, after = percent(_rms(residuals.before)), percent(_rms(residuals.after))
     caption = (
         f"Imbalance of {residuals.after.size} elastic modes per unit of force against their"
-        f" stiffness: {percent(before)} rms with alpha = 1, {percent(after)} calibrated."
+        f" stiffness: {before} rms with alpha = 1, {after} calibrated."
     )
-    plot = evidence_plots.mode_residuals(residuals)
-    return Section("residuals", "Residuals by mode", (), plot, caption, BEFORE_AND_AFTER)
+    figure = inline_svg(plot_residuals(residuals), "residuals")
+    return Section("residuals", "Residuals by mode", (), figure, caption)
 
 
 def _singular_values(evidence: Evidence) -> Section:
@@ -142,8 +113,8 @@ def _singular_values(evidence: Evidence) -> Section:
         f" itself; the second is {significant(ratio)} times larger. Patterns that come near the"
         " first are hardly known; were it no larger, noise would choose between them."
     )
-    plot = evidence_plots.singular_values(evidence)
-    return Section("singular-values", "Singular values", (), plot, caption)
+    figure = inline_svg(plot_singular_values(evidence), "singular-values")
+    return Section("singular-values", "Singular values", (), figure, caption)
 
 
 def _balance(evidence: Evidence) -> Section:
@@ -160,17 +131,17 @@ def _balance(evidence: Evidence) -> Section:
     if isinstance(evidence.residuals, ModeResiduals):
         words = "Modes that the fit has not seen tell what alpha is worth on other forces."
         return Section("balance", title, (words,), tables=(table,))
-    kept = evidence.residuals.kept
+    used = evidence.residuals.kept
     before, after = (
-        float(np.sqrt(np.mean(values[kept] ** 2)))
+        significant(_rms(values[used]))
         for values in (evidence.residuals.before, evidence.residuals.after)
     )
     caption = (
         "Imbalance of every shape, with its sign, in terms of its noise:"
-        f" {significant(before)} rms with alpha = 1, {significant(after)} calibrated."
+        f" {before} rms with alpha = 1, {after} calibrated."
     )
-    plot = evidence_plots.balance(evidence.residuals)
-    return Section("balance", title, (), plot, caption, BEFORE_AND_AFTER, tables=(table,))
+    figure = inline_svg(plot_balance(evidence.residuals), "balance")
+    return Section("balance", title, (), figure, caption, (table,))
 
 
 def times(findings: Findings) -> Section:
@@ -184,9 +155,7 @@ def times(findings: Findings) -> Section:
         if c is not None and np.isfinite(c.temperature):
             words += f", at {c.temperature:.1f} °C on the average"
         return Section("times", title, (f"{words}.",))
-    lost = [0] * len(data.cycles)
-    for gone in c.rejected_rows if c is not None else ():
-        lost[gone.cycle] += 1
+    rejected = Counter(row.cycle for row in c.rejected_rows) if c is not None else Counter()
     rows, warm = [], []
     for k, cycle in enumerate(data.cycles):
         time = cycle.time[cycle.valid]
@@ -196,9 +165,9 @@ def times(findings: Findings) -> Section:
             warm += [some.min(), some.max()]
             span = f"{some.min():.2f} to {some.max():.2f}"
         rows.append(
-            (str(k + 1), cycle.load.name, str(cycle.number), _file(data, k),
+            (str(k + 1), cycle.load.name, str(cycle.number), Path(cycle_name(data, k)).name,
              f"{cycle.date:%Y-%m-%d %H:%M:%S}", f"{np.ptp(time) / 60:.1f}", str(time.size),
-             str(lost[k]), span)
+             str(rejected[k]), span)
         )  # fmt: skip
     head = ("cycle", "load", "its number", "file", "start (UTC)", "minutes", "rows", "rejected",
             "temperature (°C)")  # fmt: skip
@@ -206,8 +175,5 @@ def times(findings: Findings) -> Section:
     caption = f"{len(rows)} cycles, started between {min(starts):%Y-%m-%d %H:%M} and"
     caption += f" {max(starts):%Y-%m-%d %H:%M} UTC"
     caption += f", at {min(warm):.2f} to {max(warm):.2f} °C." if warm else "."
-    legend = tuple(
-        (CURVES[k % len(CURVES)], f"load {load.name}") for k, load in enumerate(data.loads)
-    )
-    plot, table = evidence_plots.temperatures(data), TextTable("Cycles", head, tuple(rows))
-    return Section("times", title, (), plot, caption, legend, tables=(table,))
+    figure = inline_svg(plot_temperatures(data), "times")
+    return Section("times", title, (), figure, caption, (TextTable("Cycles", head, tuple(rows)),))

@@ -8,18 +8,17 @@
   const byId = (id) => document.getElementById(id);
 
   // Print what is seen, at the width of the paper.
-  const keys = payload.places[0].root_ids.map((id) => [id, payload.places[0].roots[id]]);
+  const hosts = Object.entries(payload.places[0].roots);
   window.addEventListener("beforeprint", () => {
-    for (const [id, place] of keys) {
+    for (const [id, host] of hosts) {
       const view = roots.find((root) => root.model.id === id);
-      const still = byId(place.replace("plot-", "still-"));
+      const still = byId(host.replace("plot-", "still-"));
       still.src = view.export("png", true).canvas.toDataURL();
       still.hidden = false;
-      byId(place).classList.add("has-still");
+      byId(host).classList.add("has-still");
     }
   });
   document.documentElement.dataset.ready = "true";
-  if (payload.layers.length === 0) return;
 
   const source = models.get_model_by_name("actuators");
   const mapper = models.get_model_by_name("colours");
@@ -28,9 +27,9 @@
   const data = (key) => source.get_column(key);
   const ids = [...data("id")];
   const all = ids.map((_, k) => k);
-  const place = new Map(ids.map((id, k) => [id, k]));
+  const indexOf = new Map(ids.map((id, k) => [id, k]));
   const selected = () => new Set(source.selected.indices);
-  const select = (places) => { source.selected.indices = places; };
+  const select = (indices) => { source.selected.indices = indices; };
 
   // Layers of the map.
   const inks = (layer) => Array.from(data(layer.key), (value) => {
@@ -57,7 +56,7 @@
     element.textContent = text;
     return element;
   };
-  const tell = (k) => {
+  const describe = (k) => {
     const table = document.createElement("table");
     const lines = [["actuator", ids[k]], ["ring", data("ring")[k]],
       ["x, y", `${data("x")[k].toFixed(1)}, ${data("y")[k].toFixed(1)} mm`],
@@ -67,13 +66,13 @@
       row.append(cell("th", name), cell("td", value));
       row.firstChild.scope = "row";
     }
-    byId("told").replaceChildren(table);
+    byId("detail").replaceChildren(table);
     byId("which").value = ids[k];
   };
   byId("which").addEventListener("change", (event) => {
-    const k = place.get(Number(event.target.value));
+    const k = indexOf.get(Number(event.target.value));
     if (k === undefined) {
-      byId("told").replaceChildren(cell("p", `There is no actuator ${event.target.value}.`));
+      byId("detail").replaceChildren(cell("p", `There is no actuator ${event.target.value}.`));
     } else {
       select([k]);
     }
@@ -88,19 +87,19 @@
   const tests = { "<": (a, b) => a < b, ">": (a, b) => a > b, "<=": (a, b) => a <= b,
     ">=": (a, b) => a >= b, "=": (a, b) => a === b };
 
-  // Returns a test of a place, or null where the words are not understood.
+  // Returns a test of an actuator, or null where the words are not understood.
   const wanted = (words) => {
-    const rest = [], conditions = [];
+    const conditions = [];
     const pattern = /([a-z_]+)\s*(<=|>=|<|>|=)\s*([-+]?[\d.]+(?:e[-+]?\d+)?)/gi;
-    rest.push(words.replace(pattern, (_, key, sign, number) => {
+    const rest = words.replace(pattern, (_, key, sign, number) => {
       conditions.push([key.toLowerCase(), sign, Number(number)]);
       return " ";
-    }));
+    });
     const ranges = [];
-    for (const word of rest[0].split(/[\s,;]+/).filter(Boolean)) {
-      const found = /^(\d+)(?:-(\d+))?$/.exec(word);
-      if (!found) return null;
-      ranges.push([Number(found[1]), Number(found[2] ?? found[1])]);
+    for (const word of rest.split(/[\s,;]+/).filter(Boolean)) {
+      const range = /^(\d+)(?:-(\d+))?$/.exec(word);
+      if (!range) return null;
+      ranges.push([Number(range[1]), Number(range[2] ?? range[1])]);
     }
     if (conditions.some(([key, , number]) => !fields.includes(key) || Number.isNaN(number))) {
       return null;
@@ -115,7 +114,7 @@
     texts.forEach((text, j) => line.append(cell(j ? "td" : "th", text)));
     line.firstChild.scope = "row";
     line.tabIndex = 0;
-    line.dataset.place = k;
+    line.dataset.index = k;
     line.setAttribute("aria-selected", marked.has(k));
     return line;
   };
@@ -150,14 +149,14 @@
   const choose = (event) => {
     const line = event.target.closest("tr");
     if (!line) return;
-    const k = Number(line.dataset.place), marked = selected();
+    const k = Number(line.dataset.index), marked = selected();
     if (event.ctrlKey || event.shiftKey || event.metaKey) {
       marked.has(k) ? marked.delete(k) : marked.add(k);
       select([...marked]);
     } else {
       select(marked.size === 1 && marked.has(k) ? [] : [k]);
     }
-    body.querySelector(`[data-place="${k}"]`)?.focus();
+    body.querySelector(`[data-index="${k}"]`)?.focus();
   };
   body.addEventListener("click", choose);
   body.addEventListener("keydown", (event) => {
@@ -185,14 +184,14 @@
   // Selection: from any view to all.
   source.selected.properties.indices.change.connect(() => {
     const [first] = source.selected.indices;
-    if (first !== undefined) tell(first);
+    if (first !== undefined) describe(first);
     list();
   });
-  // The pointer over an actuator tells of it, without selecting it.
+  // The pointer over an actuator describes it, without selecting it.
   source.inspect.connect(() => {
     const [first] = source.inspected.indices;
-    if (first !== undefined) tell(first);
+    if (first !== undefined) describe(first);
   });
-  tell(0);
+  describe(0);
   list();
 })();

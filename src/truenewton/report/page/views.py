@@ -1,0 +1,117 @@
+"""The views of the actuators, which share one selection: on the map, and ring by ring."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from truenewton.calibration.result import Calibration
+from truenewton.report.change import Change
+from truenewton.report.investigate import Findings
+from truenewton.report.layers import Layer, calibration_layers, change_layers
+from truenewton.report.page.actuator_plots import (
+    Plot,
+    actuator_source,
+    alpha_by_ring,
+    change_by_ring,
+    mirror_map,
+)
+from truenewton.rounding import to_digits
+from truenewton.statics.layout import Layout, ring_of
+
+
+@dataclass(frozen=True)
+class View:
+    """An interactive figure of the actuators: for links, for people, of Bokeh, and in words."""
+
+    key: str
+    title: str
+    plot: Plot
+    caption: str
+
+
+@dataclass(frozen=True)
+class Actuators:
+    """What the page shows of the actuators.
+
+    Attributes
+    ----------
+    layout
+        The actuators.
+    layers
+        What is known of them.
+    views
+        The map first, then a figure by ring.
+    """
+
+    layout: Layout
+    layers: tuple[Layer, ...]
+    views: tuple[View, View]
+
+
+def calibration_views(findings: Findings, c: Calibration) -> Actuators:
+    """Return the views of alpha."""
+    layers = calibration_layers(findings)
+    source = actuator_source(c.layout, layers)
+    plot, by_ring = mirror_map(source, c.layout, layers), alpha_by_ring(source, c, layers)
+    return Actuators(
+        c.layout,
+        layers,
+        (
+            View("map", "Map of the mirror", plot, _map_caption(c)),
+            View("rings", "Alpha by ring", by_ring, _ring_caption(c)),
+        ),
+    )
+
+
+def change_views(change: Change) -> Actuators:
+    """Return the views of what changed."""
+    layers, layout = change_layers(change), change.one.layout
+    source = actuator_source(layout, layers)
+    plot, by_ring = mirror_map(source, layout, layers), change_by_ring(source, change, layers)
+    map_caption = (
+        f"Map of the {layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
+        " above. The table of actuators holds every value."
+    )
+    ring_caption = (
+        "Change of each actuator in sigmas, ring by ring from the centre. Between the dashed lines"
+        f" ({change.limit:.1f} sigma) chance alone explains it."
+    )
+    return Actuators(
+        layout,
+        layers,
+        (
+            View("map", "Map of the change", plot, map_caption),
+            View("rings", "Change by ring", by_ring, ring_caption),
+        ),
+    )
+
+
+def _map_caption(c: Calibration) -> str:
+    """Say in words what the map of alpha shows."""
+    low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
+    ring = ring_of(c.layout) + 1
+    lowest, highest = (
+        f"actuator {c.layout.id[k]} on ring {ring[k]}"
+        f" ({to_digits(float(c.alpha[k]), float(c.reading_error[k]))})"
+        for k in (low, high)
+    )
+    return (
+        f"Map of the {c.layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
+        f" above. Alpha is lowest at {lowest} and highest at {highest}. The table of actuators"
+        " holds every value."
+    )
+
+
+def _ring_caption(c: Calibration) -> str:
+    """Say in words what alpha by ring shows."""
+    ring = ring_of(c.layout)
+    means = [float(np.nanmean(c.alpha[ring == k])) if np.isfinite(c.alpha[ring == k]).any()
+             else float("nan") for k in range(ring.max() + 1)]  # fmt: skip
+    words = "Alpha of each actuator, ring by ring from the centre. Bars: three standard"
+    words += " uncertainties from the readings (3 E_STAT); the error of the common scale moves all"
+    words += " points together. "
+    if len(means) == 1:
+        return words + f"The mean is {means[0]:.3g}."
+    return words + "Means of the rings: " + ", ".join(f"{mean:.3f}" for mean in means) + "."
