@@ -5,22 +5,22 @@ Drawn at the width of a journal's column. Every call takes axes or makes its own
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, STYLE, new_axes
+from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, styled_axes
 from truenewton.statics.layout import Layout, ring_of
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
+
+
+def numbers_by_ring(layout: Layout) -> NDArray[np.int64]:
+    """Return (n,) the number of each actuator, counted from 1 ring by ring from the centre."""
+    return np.argsort(np.argsort(ring_of(layout), kind="stable")) + 1
 
 
 def ring_edges(layout: Layout) -> Array:
@@ -43,8 +43,7 @@ def mark_rings(ax: Axes, layout: Layout) -> None:
 
 def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
     """Draw the actuators with their names, rings and axes (paper, fig. 2)."""
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(1.0)
+    with styled_axes(ax, 1.0) as ax:
         _frame(layout, ax)
         ax.add_collection(
             PatchCollection(_circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
@@ -70,8 +69,7 @@ def plot_map(
     An actuator without a value (disabled) is an open circle. Among many, the few farthest out take
     up no colours of their own, unless ``limits`` say where the colours end.
     """
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(1.02)
+    with styled_axes(ax, 1.02) as ax:
         _frame(layout, ax)
         known = np.isfinite(values)
         patches = np.array(_circles(layout), dtype=object)

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.stats
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch
 from truenewton.report.budget import typical
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 FALSE_ALARM = 0.01  # for all actuators together
 

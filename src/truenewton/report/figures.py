@@ -5,19 +5,17 @@ Every call takes axes or makes its own, and returns them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from truenewton.calibration.result import Calibration
-from truenewton.errors import UnknownName
-from truenewton.figures.maps import mark_rings, plot_map
+from truenewton.figures.maps import mark_rings, numbers_by_ring, plot_map
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
@@ -25,10 +23,9 @@ from truenewton.figures.style import (
     CURVES,
     FAINT,
     SIGNED_COLOURS,
-    STYLE,
     legend_above,
-    new_axes,
     plain,
+    styled_axes,
 )
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import modes_figures
@@ -40,11 +37,6 @@ from truenewton.report.investigate import Findings
 from truenewton.report.layers import calibration_layers, change_layers
 from truenewton.report.series import by_signed_shape, columns_of_shapes, cycle_times
 from truenewton.rounding import percent
-from truenewton.statics.layout import ring_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 MAPS = ("map-e-stat", "map-leverage", "map-residual")  # written; that of alpha is the paper's
 
@@ -57,8 +49,8 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
         for layer in calibration_layers(findings):
             name = f"map-{layer.key.replace('_', '-')}"
             drawn[name] = partial(plot_map, c.layout, layer.values, label=layer.title)
-        if error_budget(c):
-            drawn["budget"] = partial(plot_budget, c)
+        if budget := error_budget(c):
+            drawn["budget"] = partial(plot_budget, budget)
     if evidence is not None:
         drawn["residuals"] = partial(plot_residuals, evidence.residuals)
         drawn["singular-values"] = partial(plot_singular_values, evidence)
@@ -72,32 +64,8 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
 
 def still_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
     """Return the figures that are written beside the paper's, by name."""
-    if findings.calibration is None:
-        return {}
     drawn = figures_of(findings)
     return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
-
-
-def plot(findings: Findings, name: str, ax: Axes | None = None) -> Axes:
-    """Draw a figure by its name, and return the axes.
-
-    Raises
-    ------
-    UnknownName
-        There is no such figure; the message names those that are.
-    ValueError
-        What was found does not hold what the figure shows.
-    """
-    drawn = figures_of(findings)
-    if name in drawn:
-        return drawn[name](ax=ax)
-    if name in ("residuals", "singular-values", "balance"):
-        raise ValueError("a calibration file holds no residuals; give the cycles")
-    if name == "temperatures":
-        raise ValueError("only the cycles of a campaign have times")
-    if name.startswith("modes"):
-        raise ValueError(findings.no_modes or "a calibration file tells no modes; give the data")
-    raise UnknownName(f"there is no figure '{name}'", remedy=f"choose {', '.join(drawn)}", got=name)
 
 
 def plot_change_map(change: Change, ax: Axes | None = None) -> Axes:
@@ -111,17 +79,15 @@ def plot_change_map(change: Change, ax: Axes | None = None) -> Axes:
 
 def plot_change(change: Change, ax: Axes | None = None) -> Axes:
     """Draw the change per actuator in sigmas, ring by ring, and how far chance alone reaches."""
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.75)
-        layout = change.one.layout
-        order = np.argsort(ring_of(layout), kind="stable")
-        number = np.arange(1, layout.n + 1)
+    layout = change.one.layout
+    with styled_axes(ax, 0.75) as ax:
+        numbers = numbers_by_ring(layout)
         ax.axhspan(-change.limit, change.limit, color=FAINT, alpha=0.2, linewidth=0)
         ax.axhline(0.0, color=FAINT, linewidth=0.5)
-        ax.plot(number, change.sigmas[order], "o", color=ACCENT, markersize=2.0)
+        ax.plot(numbers, change.sigmas, "o", color=ACCENT, markersize=2.0)
         mark_rings(ax, layout)
         for far in change.changed[:10]:
-            at = (float(number[order == far][0]), float(change.sigmas[far]))
+            at = (numbers[far], change.sigmas[far])
             ax.annotate(str(layout.id[far]), at, xytext=(3, 0), textcoords="offset points",
                         fontsize=6.0, va="center")  # fmt: skip
         ax.set_ylabel("change (sigma)")
@@ -129,17 +95,13 @@ def plot_change(change: Change, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_budget(calibration: Calibration, ax: Axes | None = None) -> Axes:
+def plot_budget(budget: Mapping[str, float], ax: Axes | None = None) -> Axes:
     """Draw the error budget: of a typical actuator, and of the common scale by source."""
-    budget = error_budget(calibration)
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.12 + 0.09 * len(budget))
-        sizes = [100 * size for size in budget.values()]
-        ax.barh(range(len(sizes)), sizes, color=ACCENT, height=0.6)
-        for k, size in enumerate(budget.values()):
-            ax.annotate(percent(size), (100 * size, k), xytext=(2, 0),
-                        textcoords="offset points", va="center", fontsize=6.5)  # fmt: skip
-        ax.set_yticks(range(len(sizes)), [plain(name) for name in budget])
+    with styled_axes(ax, 0.12 + 0.09 * len(budget)) as ax:
+        bars = ax.barh(range(len(budget)), [100 * size for size in budget.values()], color=ACCENT,
+                       height=0.6)  # fmt: skip
+        ax.bar_label(bars, [percent(size) for size in budget.values()], padding=2, fontsize=6.5)
+        ax.set_yticks(range(len(budget)), [plain(name) for name in budget])
         ax.invert_yaxis()
         ax.margins(x=0.15)
         ax.set_xlabel("error of alpha (%)")
@@ -155,8 +117,7 @@ def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = No
     cycles, reach = int(residuals.cycle.max()) + 1, int(np.abs(column).max())
     image = np.full((cycles, 2 * reach + 1), np.nan)
     np.fmax.at(image, (residuals.cycle, column + reach), residuals.after)
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.62)
+    with styled_axes(ax, 0.62) as ax:
         shown = ax.imshow(
             image, aspect="auto", cmap=COLOURS, vmin=0.0, vmax=4.0, interpolation="nearest",
             extent=(-reach - 0.5, reach + 0.5, cycles + 0.5, 0.5),
@@ -175,8 +136,7 @@ def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = No
 
 def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
     """Draw the imbalance of shapes or modes with alpha = 1 and with alpha as found."""
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.7)
+    with styled_axes(ax, 0.7) as ax:
         if isinstance(residuals, ModeResiduals):
             x: NDArray[Any] = residuals.stiffness
             before, after = residuals.before, residuals.after
@@ -199,8 +159,7 @@ def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None
 def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
     """Draw how clearly the data hold each pattern of alpha."""
     values = np.maximum(evidence.singular_values, 1e-16 * evidence.singular_values[-1])
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.62)
+    with styled_axes(ax, 0.62) as ax:
         ax.semilogy(np.arange(1, values.size + 1), values, "o", color=ACCENT, markersize=1.8)
         ax.semilogy([1], values[:1], "D", color=ALARM, markerfacecolor="none", markersize=5.0)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -213,8 +172,7 @@ def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
 def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
     """Draw when the cycles ran, and how warm it was where that is known."""
     known = any(cycle.temperature is not None for cycle in campaign.cycles)
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.55)
+    with styled_axes(ax, 0.55) as ax:
         for k, cycle in enumerate(campaign.cycles):
             time, temperature = cycle_times(cycle)
             load = campaign.load_index[k]

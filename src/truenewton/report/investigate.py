@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
 
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
-from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers, TrueNewtonError
+from truenewton.errors import (
+    NotConverged,
+    RankDeficient,
+    TooManyOutliers,
+    TrueNewtonError,
+    UnknownName,
+)
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.outliers import against_repeats
@@ -17,10 +24,6 @@ from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.evidence import Evidence, campaign_evidence, stiffness_evidence
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 MOST_MODES = 1500  # eigenmodes of thousands of actuators take minutes
 
@@ -83,9 +86,19 @@ class Findings:
         ValueError
             These findings do not hold what it shows.
         """
-        from truenewton.report.figures import plot
+        from truenewton.report.figures import figures_of
 
-        return plot(self, name, ax)
+        drawn = figures_of(self)
+        if name in drawn:
+            return drawn[name](ax=ax)
+        if name in ("residuals", "singular-values", "balance"):
+            raise ValueError("a calibration file holds no residuals; give the cycles")
+        if name == "temperatures":
+            raise ValueError("only the cycles of a campaign have times")
+        if name.startswith("modes"):
+            raise ValueError(self.no_modes or "a calibration file tells no modes; give the data")
+        remedy = f"choose {', '.join(drawn)}"
+        raise UnknownName(f"there is no figure '{name}'", remedy=remedy, got=name)
 
 
 def investigate(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.identifiability import leverage
 from truenewton.report.change import Change
@@ -88,39 +88,33 @@ def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
             _plain("e_syst", "error from weights", "", c.systematic_error,
                    "E_SYST: the errors of the weights, which move all alphas together.")
         )  # fmt: skip
-    if np.isfinite(c.cycle_error).any():
-        layers.append(
-            _plain("e_cycle", "error of the paper", "", c.cycle_error,
-                   "E_CYCLE: from the scatter of the cycles, three sigma.")
-        )  # fmt: skip
-    layers.append(
+    layers += [
+        _plain("e_cycle", "error of the paper", "", c.cycle_error,
+               "E_CYCLE: from the scatter of the cycles, three sigma."),
         _plain("leverage", "leverage", "", _leverage(c),
                "Share of the actuator in the noise of the balance; all together make 3. Where it"
-               " is small, a fault of the actuator is hard to see.")
-    )  # fmt: skip
+               " is small, a fault of the actuator is hard to see."),
+    ]  # fmt: skip
     if evidence is not None:
-        layers.append(
+        layers += [
             _plain("residual", "residual", "", evidence.actuator_residual,
                    "How far the imbalance pulls the actuator's reading, rms over rows, in terms"
-                   " of its noise; noise alone gives 1.")
-        )  # fmt: skip
-        if np.isfinite(evidence.actuator_noise).any():
-            layers.append(
-                _plain("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
-                       "Standard deviation of one reading among repeats of its shape.")
-            )  # fmt: skip
-    return tuple(layers)
+                   " of its noise; noise alone gives 1."),
+            _plain("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
+                   "Standard deviation of one reading among repeats of its shape."),
+        ]  # fmt: skip
+    return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
 
 def change_layers(change: Change) -> tuple[Layer, ...]:
     """Return what changed of the actuators."""
     largest = float(np.nanmax(np.abs(change.sigmas)))
-    sigmas = _plain("sigmas", "change", "sigma", change.sigmas,
-                    "Change of alpha beside the common ratio, in terms of the readings' errors.",
-                    signed=True)  # fmt: skip
+    # Noise shall not look like a change, nor one large change hide the others.
+    reach = float(np.clip(largest, change.limit, 3 * change.limit))
     return (
-        # Noise shall not look like a change, nor one large change hide the others.
-        replace(sigmas, reach=float(np.clip(largest, change.limit, 3 * change.limit))),
+        _plain("sigmas", "change", "sigma", change.sigmas,
+               "Change of alpha beside the common ratio, in terms of the readings' errors.",
+               signed=True, reach=reach),
         _plain("relative", "change", "%", 100 * change.relative,
                "Change of alpha beside the common ratio.", signed=True),
         alpha_layer(change.one, "alpha_one", "alpha, first"),
@@ -130,30 +124,30 @@ def change_layers(change: Change) -> tuple[Layer, ...]:
 
 def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:
     """Return alpha, as far as the errors of the readings go."""
-    c = calibration
-    texts = tuple(
-        with_error(value, error)
-        for value, error in zip(c.alpha.tolist(), c.reading_error.tolist(), strict=True)
-    )
+    alpha, error = calibration.alpha, calibration.reading_error
+    texts = tuple(map(with_error, alpha.tolist(), error.tolist()))
     meaning = "True Newton per commanded Newton, with the error from the readings (E_STAT)."
-    return Layer(key, name, "true N / commanded N", c.alpha, texts, meaning)
+    return Layer(key, name, "true N / commanded N", alpha, texts, meaning)
 
 
 def _plain(
-    key: str, name: str, unit: str, values: Array, meaning: str, *, signed: bool = False
+    key: str,
+    name: str,
+    unit: str,
+    values: Array,
+    meaning: str,
+    *,
+    signed: bool = False,
+    reach: float = float("nan"),
 ) -> Layer:
     sign = "+" if signed else ""
-    texts = tuple(
-        (sign if value > 0 else "") + significant(value) for value in np.asarray(values).tolist()
-    )
-    return Layer(key, name, unit, np.asarray(values), texts, meaning, signed)
+    texts = tuple((sign if value > 0 else "") + significant(value) for value in values.tolist())
+    return Layer(key, name, unit, values, texts, meaning, signed, reach)
 
 
 def _leverage(c: Calibration) -> Array:
     """Return (n,) leverage: as diagnosed, else with even noise; NaN where disabled."""
-    on = c.layout.enabled
-    known = c.diagnosis.leverage if c.diagnosis else ()
-    out = np.full(on.size, np.nan)
-    arms = arms_in_units_of_rms(c.layout) * c.alpha[on]
-    out[on] = known or leverage(arms, np.ones(int(on.sum())))
-    return out
+    if c.diagnosis and c.diagnosis.leverage:
+        return spread(np.array(c.diagnosis.leverage), c.layout.enabled)
+    scaled_arms = arms_in_units_of_rms(c.layout) * c.alpha[c.layout.enabled]
+    return spread(leverage(scaled_arms, np.ones(scaled_arms.shape[1])), c.layout.enabled)

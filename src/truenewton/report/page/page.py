@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-from importlib import metadata
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from truenewton.files.outputs import file_beside
 from truenewton.records.source import UsedSource
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
-from truenewton.report.layers import Layer
 from truenewton.report.page.actuator_plots import palette
 from truenewton.report.page.modal_sections import modal_sections
 from truenewton.report.page.section import TextTable
@@ -29,6 +27,8 @@ from truenewton.report.page.sections import evidence_sections, times
 from truenewton.report.page.views import Actuators, calibration_views, change_views
 from truenewton.report.verdict import verdict, verdict_on_change
 
+# Bokeh's script, which stands in the page; only what figures need.
+BOKEH = Resources(mode="inline", components=["bokeh"], minified=True)
 LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
 
 
@@ -118,7 +118,7 @@ def _rendered(actuators: Actuators | None, **content: Any) -> str:
         versions=_versions(),
         style=(templates / "report.css").read_text(encoding="utf-8"),
         script=(templates / "report.js").read_text(encoding="utf-8"),
-        bokeh=_bokeh() if actuators else "",
+        bokeh="\n".join(BOKEH.js_raw),
         payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )
 
@@ -132,24 +132,14 @@ def _payload(actuators: Actuators) -> dict[str, Any]:
     return {
         "documents": {"report": document.to_json(deferred=False)},
         "places": [{"docid": "report", "roots": hosts, "root_ids": list(hosts)}],
-        "layers": [_layer_data(layer) for layer in actuators.layers],
+        "layers": [
+            {name: getattr(layer, name) for name in ("key", "name", "unit", "title", "meaning")}
+            | {"low": layer.limits[0], "high": layer.limits[1], "palette": list(palette(layer))}
+            for layer in actuators.layers
+        ],
     }
 
 
-def _layer_data(layer: Layer) -> dict[str, Any]:
-    low, high = layer.limits
-    return {
-        "key": layer.key, "name": layer.name, "unit": layer.unit, "title": layer.title,
-        "meaning": layer.meaning, "low": low, "high": high,
-        "palette": list(palette(layer)),
-    }  # fmt: skip
-
-
-def _bokeh() -> str:
-    """Return Bokeh's script, which stands in the page; only what figures need."""
-    return "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
-
-
 def _versions() -> str:
-    libraries = ", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES)
+    libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
     return f"truenewton {version('truenewton')}, Python {platform.python_version()}, {libraries}"
