@@ -11,9 +11,6 @@ if TYPE_CHECKING:
     pass
 
 
-NAME = "info"
-
-
 def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
     """Say what files hold, and whether alpha can be had from them."""
     from truenewton.calibration.result import Calibration

@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     pass
 
 
-NAME = "plan"
-
-
 def run(
     path: Path | None = typer.Argument(None, metavar="FILE", help="The plan (TOML)."),
     new: bool = typer.Option(False, "--new", help="Print a commented plan to start from."),

@@ -6,8 +6,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "prove"
-
 
 def run(
     mirror: str = typer.Argument("p45", help="A known mirror, or a FITS file with ACTUATORS."),

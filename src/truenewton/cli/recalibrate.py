@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     pass
 
 
-NAME = "recalibrate"
-
-
 def run(
     paths: list[Path] = typer.Argument(
         ..., metavar="PATH...", help="Cycle files of the run after the change, or their folder."

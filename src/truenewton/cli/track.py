@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     pass
 
 
-NAME = "track"
-
-
 def run(
     paths: list[Path] = typer.Argument(
         ..., metavar="CALIBRATION...", help="Calibration files, or folders of campaigns."
