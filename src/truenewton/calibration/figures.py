@@ -10,13 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from truenewton.calibration.result import Calibration
-from truenewton.figures.maps import (
-    ALPHA_LABEL,
-    mark_rings,
-    numbers_by_ring,
-    plot_layout,
-    plot_map,
-)
+from truenewton.figures.maps import ALPHA_LABEL, mark_rings, numbers_by_ring, plot_layout, plot_map
 from truenewton.figures.style import ACCENT, INK, NAMED, styled_axes
 from truenewton.figures.writing import write_drawn
 

@@ -45,14 +45,13 @@ def write_drawn(
     ------
     OutputExists, OutputFailed
     """
-    names = []
-    with folder_beside(folder, (".pdf", ".png"), overwrite=overwrite) as temporary:
+    suffixes = (".pdf", ".png")
+    with folder_beside(folder, suffixes, overwrite=overwrite) as temporary:
         for name, draw in figures.items():
             figure = _figure_of(draw())
-            for suffix in (".pdf", ".png"):
-                _save(figure, temporary / (name + suffix))
-                names.append(name + suffix)
-    return [Path(folder) / name for name in names]
+            for suffix in suffixes:
+                _save(figure, temporary / f"{name}{suffix}")
+    return [Path(folder) / f"{name}{suffix}" for name in figures for suffix in suffixes]
 
 
 def write_figure(ax: Axes, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

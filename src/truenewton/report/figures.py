@@ -5,6 +5,7 @@ Every call takes axes or makes its own, and returns them.
 
 from __future__ import annotations
 
+import datetime
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -15,6 +16,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from truenewton.arrays import Array
 from truenewton.figures.maps import mark_rings, numbers_by_ring, plot_map
 from truenewton.figures.style import (
     ACCENT,
@@ -30,14 +32,15 @@ from truenewton.figures.style import (
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import modes_figures
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
 from truenewton.report.budget import error_budget
 from truenewton.report.change import Change
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.investigate import Findings
 from truenewton.report.layers import calibration_layers, change_layers
-from truenewton.report.series import by_signed_shape, columns_of_shapes, cycle_times
 from truenewton.rounding import percent
 
+POINTS = 200  # of a cycle over time; more cannot be told apart
 MAPS = ("map-e-stat", "map-leverage", "map-residual")  # written; that of alpha is the paper's
 
 
@@ -134,6 +137,17 @@ def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = No
     return ax
 
 
+def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
+    """Return (N,) where rows stand on an axis of signed shapes, and what the axis is called.
+
+    SHAPE with its SIGN; where shapes are numbered with wide gaps, their place among all instead.
+    """
+    names, index = np.unique(residuals.shape, return_inverse=True)
+    if names[-1] <= 4 * names.size:
+        return residuals.shape * residuals.sign, "shape, with its sign"
+    return (index + 1) * residuals.sign, "place of the shape, with its sign"
+
+
 def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
     """Draw the imbalance of shapes or modes with alpha = 1 and with alpha as found."""
     with styled_axes(ax, 0.7) as ax:
@@ -144,7 +158,7 @@ def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None
             ax.set_xlabel("stiffness of the mode (N/m)")
             ax.set_ylabel("imbalance / force")
         else:
-            x, before, after, name = by_signed_shape(residuals)
+            x, before, after, name = _by_signed_shape(residuals)
             ax.set_xlabel(name)
             ax.set_ylabel("imbalance / noise")
         ax.set_yscale("log")
@@ -154,6 +168,17 @@ def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None
         ax.plot(x, after, "s", color=CURVES[0], markersize=0.8 * size, label="calibrated")
         legend_above(ax)
     return ax
+
+
+def _by_signed_shape(residuals: RowResiduals) -> tuple[NDArray[np.int64], Array, Array, str]:
+    """Return signed shapes, their rms imbalance over kept rows before and after, and the axis."""
+    column, name = columns_of_shapes(residuals)
+    shapes, member = np.unique(column[residuals.kept], return_inverse=True)
+    before, after = (
+        np.sqrt(np.bincount(member, values[residuals.kept] ** 2) / np.bincount(member))
+        for values in (residuals.before, residuals.after)
+    )
+    return shapes, before, after, name
 
 
 def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
@@ -174,7 +199,7 @@ def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
     known = any(cycle.temperature is not None for cycle in campaign.cycles)
     with styled_axes(ax, 0.55) as ax:
         for k, cycle in enumerate(campaign.cycles):
-            time, temperature = cycle_times(cycle)
+            time, temperature = _times(cycle)
             load = campaign.load_index[k]
             colour = CURVES[load % len(CURVES)]
             first = campaign.load_index.index(load) == k
@@ -190,3 +215,15 @@ def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
         ax.set_ylabel("temperature (°C)" if known else "cycle")
         legend_above(ax)
     return ax
+
+
+def _times(cycle: Cycle) -> tuple[NDArray[Any], Array | None]:
+    """Return times (UTC, datetime64) and temperatures [deg C] of a cycle, a few hundred at most."""
+    valid = np.flatnonzero(cycle.valid)
+    valid = valid[np.argsort(cycle.time[valid], kind="stable")]
+    some = valid[np.linspace(0, valid.size - 1, min(valid.size, POINTS)).round().astype(int)]
+    start = cycle.date
+    if start.tzinfo is not None:
+        start = start.astimezone(datetime.UTC).replace(tzinfo=None)
+    time = np.datetime64(start, "ms") + (1e3 * cycle.time[some]).astype("timedelta64[ms]")
+    return time, None if cycle.temperature is None else cycle.temperature[some]

@@ -66,15 +66,9 @@ class Findings:
         """The files: those that went into the calibration, or those that did not suffice."""
         if self.calibration is not None:
             return self.calibration.sources
-        if isinstance(self.data, Campaign):
-            return tuple(
-                UsedSource(c.source.file, c.source.sha256, 0, 0)
-                for c in self.data.cycles
-                if c.source
-            )
-        if self.data is not None and self.data.source is not None:
-            return (UsedSource(self.data.source.file, self.data.source.sha256, 0, 0),)
-        return ()
+        records = self.data.cycles if isinstance(self.data, Campaign) else (self.data,)
+        sources = [record.source for record in records if record is not None]
+        return tuple(UsedSource(source.file, source.sha256, 0, 0) for source in sources if source)
 
     def plot(self, name: str, ax: Axes | None = None) -> Axes:
         """Draw a figure by its name, as 'budget', 'map-leverage' or 'modes'; return the axes.

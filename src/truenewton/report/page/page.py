@@ -69,8 +69,8 @@ def page(findings: Findings | Change, command: str = "") -> str:
             verdict=verdict_on_change(findings),
             actuators=change_views(findings),
             sections=(),
-            tables=(_summaries(findings), *_files(findings.one.sources, "First calibration: files"),
-                    *_files(findings.other.sources, "Second calibration: files")),
+            tables=(_summaries(findings), _files(findings.one.sources, "First calibration: files"),
+                    _files(findings.other.sources, "Second calibration: files")),
             command=command,
         )  # fmt: skip
     c = findings.calibration
@@ -80,13 +80,14 @@ def page(findings: Findings | Change, command: str = "") -> str:
         verdict=verdict(findings),
         actuators=calibration_views(findings, c) if c else None,
         sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
-        tables=(*((_summary(c),) if c else ()), *_files(findings.inputs, "Files")),
+        tables=(_summary(c), _files(findings.inputs, "Files")),
         command=command,
     )
 
 
-def _summary(c: Calibration) -> TextTable:
-    return TextTable("All figures", ("figure", "value", "note"), tuple(summary_rows(c)), wraps=True)
+def _summary(c: Calibration | None) -> TextTable:
+    rows = tuple(summary_rows(c)) if c else ()
+    return TextTable("All figures", ("figure", "value", "note"), rows, wraps=True)
 
 
 def _summaries(change: Change) -> TextTable:
@@ -98,11 +99,11 @@ def _summaries(change: Change) -> TextTable:
     return TextTable("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
 
 
-def _files(sources: tuple[UsedSource, ...], caption: str) -> tuple[TextTable, ...]:
+def _files(sources: tuple[UsedSource, ...], caption: str) -> TextTable:
     rows = tuple(
         (s.file, str(s.rows) if s.rows else "none", str(s.rejected), s.sha256) for s in sources
     )
-    return (TextTable(caption, ("file", "rows used", "rejected", "SHA256"), rows),) if rows else ()
+    return TextTable(caption, ("file", "rows used", "rejected", "SHA256"), rows)
 
 
 def _rendered(actuators: Actuators | None, **content: Any) -> str:

@@ -11,7 +11,10 @@ from truenewton.figures.writing import inline_svg
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text; its first column is a name; long cells wrap where ``wraps``."""
+    """A table of text, not shown without rows.
+
+    Its first column is a name; long cells wrap where ``wraps``.
+    """
 
     caption: str
     head: tuple[str, ...]

@@ -15,6 +15,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.report.budget import error_budget, typical
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.figures import (
+    columns_of_shapes,
     plot_balance,
     plot_budget,
     plot_residuals,
@@ -23,7 +24,6 @@ from truenewton.report.figures import (
 )
 from truenewton.report.investigate import Findings
 from truenewton.report.page.section import Section, TextTable
-from truenewton.report.series import columns_of_shapes
 from truenewton.rounding import percent, significant
 
 NO_DATA = "This page was made from a calibration file, which does not hold them: give the cycles."
@@ -74,18 +74,16 @@ def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Sectio
         + (", marked by crosses." if rejected else ".")
     )
     listed = rejected_values(campaign, c.rejected_rows)
-    tables: tuple[TextTable, ...] = ()
-    if listed:
-        rows = tuple(
-            (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
-             str(row["against"]), str(row["actuator"]))
-            for row in listed[:MOST_REJECTED]
-        )  # fmt: skip
-        more = f"; the farthest {MOST_REJECTED}" if len(listed) > MOST_REJECTED else ""
-        head = ("file", "row", "sigma", "against", "actuator that stands out")
-        tables = (TextTable(f"Rejected rows: {len(listed)}{more}", head, rows),)
+    rows = tuple(
+        (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
+         str(row["against"]), str(row["actuator"]))
+        for row in listed[:MOST_REJECTED]
+    )  # fmt: skip
+    more = f"; the farthest {MOST_REJECTED}" if len(listed) > MOST_REJECTED else ""
+    head = ("file", "row", "sigma", "against", "actuator that stands out")
+    table = TextTable(f"Rejected rows: {len(listed)}{more}", head, rows)
     title, figure = "Residuals by shape and cycle", plot_residuals(residuals)
-    return Section("residuals", title, (), figure, caption, tables)
+    return Section("residuals", title, (), figure, caption, (table,))
 
 
 def _rms(values: Array) -> float:
