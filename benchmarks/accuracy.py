@@ -26,6 +26,7 @@ from truenewton.bench.simulated.static import START, StaticBench, static_bench
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation import cycles_svd
 from truenewton.estimation.systems import system_e
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import weight_errors
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import GRAVITY, Mirror, p45
@@ -152,18 +153,16 @@ def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
     shapes = simulated.noiseless(bench.load_force)
     root = np.linalg.inv(np.linalg.cholesky((a * alpha * bench.force_noise**2) @ (a * alpha).T))
     errors = weight_errors(next(campaigns(simulated, 1, 1))[0])
-    unknowns = n + 1 + 2 * loads + len(errors)
-    information = np.zeros((unknowns, unknowns))
-    for place, forces in enumerate(shapes):
-        jacobian = np.zeros((len(forces), 3, unknowns))
-        jacobian[:, :, :n] = a * forces[:, None, :]
-        jacobian[:, 0, n] = 1.0
-        jacobian[:, 1, n + 1 + 2 * place] = 1.0
-        jacobian[:, 2, n + 2 + 2 * place] = -1.0
-        jacobian[:, 0, n + 1 + 2 * loads :] = [error.change[place] for error in errors]
-        whitened = (root @ jacobian).reshape(-1, unknowns)
+    unknowns = Unknowns(n, loads, len(errors))
+    beside = unknowns.external_load_derivative([error.change for error in errors])
+    information = np.zeros((unknowns.total, unknowns.total))
+    for forces, beside_alpha in zip(shapes, beside, strict=True):
+        jacobian = np.empty((len(forces), 3, unknowns.total))
+        jacobian[:, :, unknowns.alpha] = a * forces[:, None, :]
+        jacobian[:, :, n:] = beside_alpha
+        whitened = (root @ jacobian).reshape(-1, unknowns.total)
         information += cycles * whitened.T @ whitened
-    sure = unknowns - len(errors)
+    sure = unknowns.count
     known = np.linalg.inv(information[:sure, :sure])
     # alpha' = (B, torques, alpha) answers a change of the weights by -I^-1 I_w; these are measured.
     answer = known @ information[:sure, sure:]
@@ -198,7 +197,7 @@ def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
     reading_covariance = np.diag(cycles_svd.scatter_covariance(campaign, fit))[:n]
     changes = cycles_svd.weight_changes(fit, weight_errors(campaign))[:, :n]
     whole = reading_covariance + np.sum(changes**2, axis=0)
-    return Answer(fit.found.solution[:n], np.sqrt(reading_covariance), np.sqrt(whole))
+    return Answer(fit.solved.solution[:n], np.sqrt(reading_covariance), np.sqrt(whole))
 
 
 def by_svd(campaign: tn.Campaign) -> Answer:
@@ -250,10 +249,7 @@ def by_odrpack(campaign: tn.Campaign) -> Answer:
     means = np.array([forces[index == load].mean(axis=0) for load in range(loads)])
     n, count = a.shape[1], means.shape[0] * means.shape[1]
     place = np.repeat(np.arange(loads), means.shape[1])
-    nuisance = np.zeros((3, 1 + 2 * loads, count))
-    nuisance[0, 0] = 1.0
-    nuisance[1, 1 + 2 * place, np.arange(count)] = 1.0
-    nuisance[2, 2 + 2 * place, np.arange(count)] = -1.0
+    nuisance = Unknowns(n, loads).external_load_derivative()[place].transpose(1, 2, 0)
     weight = np.zeros((3, count))
     weight[0] = campaign.effective_weights[place]
 
@@ -432,6 +428,8 @@ def rings336() -> Mirror:
         gap=40e-6,
         puck_radius=3e-3,
         sensor=Annulus(3.5e-3, 6e-3),
+        coil_gradient=600.0,
+        bias_gradient=31.0,
     )
 
 

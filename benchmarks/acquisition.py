@@ -28,7 +28,8 @@ from truenewton.acquisition.journal import record_type
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
 from truenewton.acquisition.progress import Progress
 from truenewton.bench.protocol import Bench, Reading, Shape, Status
-from truenewton.files.fits import Sheet, write_fits
+from truenewton.files.fits import write_fits
+from truenewton.files.format import FileFormat, ImageFormat
 from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.known import Mirror
 
@@ -137,7 +138,8 @@ def measure(n: int, count: int, bench_name: str, root: Path) -> tuple[float, flo
     folder.mkdir()
     random = np.random.default_rng(1)
     image = 1e-9 * random.standard_normal((count, n))
-    write_fits(folder / "shapes.fits", {}, [Sheet("SHAPES", data=image, unit="m")])
+    form = FileFormat(extensions=(ImageFormat("SHAPES", "", "m"),))
+    write_fits(folder / "shapes.fits", form, image)
     plan = CampaignPlan(
         name,
         (tn.Load("bare"),),

@@ -99,20 +99,20 @@ def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
 
 def calibrate(folder: Path) -> None:
     """Run `truenewton calibrate`, its stages timed."""
-    import truenewton.calibration.methods
     import truenewton.calibration.result
     import truenewton.reading
+    from truenewton.calibration import methods
     from truenewton.cli.main import main as command
-    from truenewton.estimation import cycles_ml, cycles_svd, problem
+    from truenewton.estimation import cycles_ml, problem
 
     for name, module, function in (
         ("tn.read: checksums, SHA256, checks", truenewton.reading, "read_data"),
-        ("means of repeats, rows far from them", cycles_ml, "against_repeats"),
+        ("means of repeats, rows far from them", methods, "sift"),
         ("  a minimisation", problem, "minimise"),
         ("shapes against the balance", cycles_ml, "against_balance"),
         ("maximum likelihood, all of it", cycles_ml, "find"),
-        ("E_CYCLE", cycles_svd, "cycle_errors"),
-        ("calibrate, all of it", truenewton.calibration.methods, "calibrate"),
+        ("E_CYCLE", methods, "read_rows"),
+        ("calibrate, all of it", methods, "calibrate"),
         ("writing the calibration", truenewton.calibration.result.Calibration, "write"),
     ):
         setattr(module, function, timed(name, getattr(module, function)))

@@ -9,11 +9,13 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.truth import Truth
+from truenewton.estimation.row_readers import read_rows
+from truenewton.estimation.sifted import sift
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.dissipation import Budget, Dissipation, dissipation
-from truenewton.modal.findings import ModalFindings
+from truenewton.modal.findings import ModalFindings, modes_reader
 from truenewton.modal.modal_base import ModalBase, modal_base
-from truenewton.modal.static_force import force_at_rest, static_force
+from truenewton.modal.static_force import static_force
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -47,13 +49,15 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
     """Return the modal base that true alpha and true stiffness give, the rest as measured."""
     matrix = StiffnessMatrix(
         campaign.instrument,
-        found.after.date,
+        found.after.matrix.date,
         campaign.layout,
         truth.stiffness / truth.alpha[:, None],
     )
     calibration = replace(found.calibration, alpha=truth.alpha)
     stiffness = true_stiffness(matrix, calibration)
-    static = static_force(stiffness, calibration, force_at_rest(campaign))
+    reader = modes_reader(sift(campaign))
+    read_rows(campaign, (reader,))
+    static = static_force(stiffness, calibration, reader.force_at_rest)
     return modal_base(matrix, stiffness, found.after.seen, static, found.after.costs[0].efficiency)
 
 

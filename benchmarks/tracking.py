@@ -20,7 +20,7 @@ import numpy as np
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import p45
-from truenewton.tracking.days import YEAR, Day, covariances
+from truenewton.tracking.days import YEAR, covariances
 
 SEED = 8171
 MEAN_K, SPREAD_K = -1.1e-3, 2e-4
@@ -47,9 +47,7 @@ class World:
         self.k = random.normal(MEAN_K, SPREAD_K, n)
         self.r = random.normal(MEAN_R, SPREAD_R, n)
         self.start = pattern.date
-        reading_covariance, systematic_covariance = covariances(
-            Day("", pattern), np.ones(n, dtype=bool)
-        )
+        reading_covariance, systematic_covariance = covariances(pattern, np.ones(n, dtype=bool))
         root = np.linalg.cholesky(reading_covariance)
         scale = np.sqrt(systematic_covariance[0, 0]) / self.a[0] * random.standard_normal()
         self.days = []
@@ -81,7 +79,7 @@ class World:
 def bound(pattern: tn.Calibration, gap: float) -> float:
     """Return the least RMS error that k can have, the spreads known but not the means."""
     n = pattern.layout.n
-    reading_covariance, _ = covariances(Day("", pattern), np.ones(n, dtype=bool))
+    reading_covariance, _ = covariances(pattern, np.ones(n, dtype=bool))
     weight = np.linalg.inv(reading_covariance / np.outer(pattern.alpha, pattern.alpha))
     information = np.zeros((3 * n + 2, 3 * n + 2))
     for place, temperature in enumerate(TEMPERATURES):
@@ -134,7 +132,7 @@ def rate(hits: list[bool]) -> str:
 
 def alarms(pattern: tn.Calibration, mirrors: int) -> None:
     """Print how often anyone is said to leave a family that nobody left."""
-    false = [bool(tn.track(*World(pattern, 10_000 + s).days).departures) for s in range(mirrors)]
+    false = [bool(tn.track(*World(pattern, 10_000 + s).days).outliers) for s in range(mirrors)]
     print(f"nobody left, {mirrors} mirrors\n  any false alarm (stated 1 %)        {rate(false)}")
 
 
@@ -150,7 +148,7 @@ class Mirror:
         self.pattern = one_calibration(noise)
         [self.quiet] = [c for c in run_cycles(bench, 1) if c.load.name == "bare"]
         everyone = np.ones(bench.truth.layout.n, dtype=bool)
-        self.reading_covariance = covariances(Day("", self.pattern), everyone)[0]
+        self.reading_covariance = covariances(self.pattern, everyone)[0]
         self.root = np.linalg.cholesky(self.reading_covariance)
 
     def earlier(self, random: np.random.Generator) -> tn.Calibration:

@@ -2,7 +2,8 @@
 
 import truenewton as tn
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
-from truenewton.files.fits import read_fits
+from truenewton.files.fits import read_fits, write_fits
+from truenewton.files.format import FileFormat, ImageFormat
 from truenewton.records.file import fits_paths
 
 LOADS = (tn.Load("bare"), tn.Load("ring", -0.05, 0.001, tool="ring"))
@@ -12,6 +13,12 @@ def small_plan(*, cycles=2, count=3, loads=LOADS, shapes=None, **changes):
     """Return a plan for the stub bench: 2 loads x 2 cycles x 3 shapes, both signs."""
     shapes = shapes or PlannedShapes(count=count)
     return CampaignPlan("ring8", loads, cycles=cycles, shapes=shapes, **changes)
+
+
+def write_shapes(path, shapes):
+    """Write a file of shapes [m], for a plan to name."""
+    form = FileFormat(extensions=(ImageFormat("SHAPES", "", "m"),))
+    write_fits(path, form, shapes, overwrite=True)
 
 
 def contents(folder):
@@ -26,7 +33,7 @@ def contents(folder):
         }
         tables = {
             f"{name}.{column}": (values.tobytes(), unit)
-            for name, table in file.tables.items()
+            for name, table in file.extensions.items()
             for column, (values, unit) in table.columns.items()
             if column != "TIME"
         }

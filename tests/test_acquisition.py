@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from acquisition_plans import LOADS, contents, small_plan
+from acquisition_plans import LOADS, contents, small_plan, write_shapes
 from stub_bench import SMALL, GoneBench, StubBench
 
 import truenewton as tn
@@ -22,7 +22,7 @@ from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.bench.simulated.truth import read_truth
 from truenewton.errors import BenchFault, CampaignMismatch, FormatError, LimitExceeded
-from truenewton.files.fits import Sheet, read_fits, write_fits
+from truenewton.files.fits import read_fits
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.known import p45
 from truenewton.records.file import fits_paths
@@ -78,7 +78,7 @@ def altered(**values):
 def test_the_rows_are_those_that_the_simulated_campaign_makes_by_itself(tmp_path):
     static = static_bench(p45(), 3)
     shapes = tmp_path / "shapes.fits"
-    write_fits(shapes, {}, [Sheet("SHAPES", data=static.shapes, unit="m")])
+    write_shapes(shapes, static.shapes)
     plan = CampaignPlan(
         "p45",
         static.loads,

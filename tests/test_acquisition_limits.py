@@ -5,7 +5,7 @@ import os
 
 import numpy as np
 import pytest
-from acquisition_plans import LOADS, small_plan
+from acquisition_plans import LOADS, small_plan, write_shapes
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from stub_bench import SMALL, StubBench
@@ -15,7 +15,6 @@ from truenewton.acquisition.limits import check_command
 from truenewton.acquisition.plan import MirrorLimits, PlannedShapes
 from truenewton.bench.protocol import Shape
 from truenewton.errors import BenchFault, FormatError, LimitExceeded
-from truenewton.files.fits import Sheet, write_fits
 
 GAP, STROKE = 65e-6, 1e-6
 
@@ -119,7 +118,7 @@ def test_a_shape_beyond_a_limit_is_never_commanded(tmp_path, where, value, said)
     with pytest.raises(LimitExceeded, match=f"{said}.*shape 2 . of cycle 1"):
         check_command(MirrorLimits(), off, GAP, Shape(LOADS[0], 1, 2, 1, position), None)
     image = np.stack([np.full(8, 1e-7), position])
-    write_fits(tmp_path / "shapes.fits", {}, [Sheet("SHAPES", data=image, unit="m")])
+    write_shapes(tmp_path / "shapes.fits", image)
     bench, plan = StubBench(), small_plan(shapes=PlannedShapes(source="shapes.fits"))
     reason = f"{said}.*in planned shape 2|SHAPES holds NaN"
     with pytest.raises((LimitExceeded, FormatError), match=reason):
@@ -136,7 +135,7 @@ def test_the_minus_twin_of_a_shape_is_forecast(tmp_path):
     if np.abs(bench.exact(shapes[0])).max() > less:  # + shall be the one within the limit
         z = -z
     limit = (less + more) / 2
-    write_fits(tmp_path / "shapes.fits", {}, [Sheet("SHAPES", data=z[None], unit="m")])
+    write_shapes(tmp_path / "shapes.fits", z[None])
     plan = small_plan(
         loads=LOADS[:1],
         shapes=PlannedShapes(source="shapes.fits", force=1e-3),  # far less than it takes
@@ -201,7 +200,7 @@ def test_no_command_beyond_a_limit_reaches_a_bench(
     planned = share * force
     taken = np.abs(shapes @ bench.stiffness / stiffer).max()
     shapes *= min(1.0, planned / taken)
-    write_fits(folder / "shapes.fits", {}, [Sheet("SHAPES", data=shapes, unit="m")])
+    write_shapes(folder / "shapes.fits", shapes)
     plan = small_plan(
         shapes=PlannedShapes(source="shapes.fits", stroke=1e-9, force=planned), limits=limits
     )

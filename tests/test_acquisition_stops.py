@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from acquisition_plans import LOADS, contents, small_plan
+from acquisition_plans import LOADS, contents, small_plan, write_shapes
 from stub_bench import StubBench
 
 import truenewton as tn
@@ -36,7 +36,6 @@ from truenewton.errors import (
     OutputFailed,
     UnreadableFile,
 )
-from truenewton.files.fits import Sheet, write_fits
 from truenewton.files.toml import toml_text
 
 HERE = Path(__file__).parent
@@ -373,9 +372,7 @@ def test_a_file_that_the_plan_names_may_not_change_either(tmp_path):
     plan = small_plan(shapes=PlannedShapes(source="shapes.fits"))
     for k in (1, 2):
         image = k * 1e-7 * np.eye(8)
-        write_fits(
-            tmp_path / "shapes.fits", {}, [Sheet("SHAPES", data=image, unit="m")], overwrite=True
-        )
+        write_shapes(tmp_path / "shapes.fits", image)
         if k == 1:
             tn.acquire(StubBench(), plan, tmp_path / "c", beside=tmp_path)
     with pytest.raises(CampaignMismatch, match=r"-# shapes.fits: [0-9a-f]{64}, \+#"):

@@ -7,11 +7,11 @@ import pytest
 from balanced import BIAS, LAYOUT, arms_of, gradients
 
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.displaced_rows import BalancedRows, common_rest
+from truenewton.estimation.displaced_rows import BalancedRows, common_reference
 from truenewton.estimation.moments import campaign_moments
-from truenewton.estimation.outliers import repeat_deviations
+from truenewton.estimation.sifted import sift
 from truenewton.records.campaign import Campaign
-from truenewton.report.evidence import campaign_evidence
+from truenewton.report.investigate import investigate
 from truenewton.statics.arms import enabled_arms
 
 MOVED = 3e-8  # between cycles [m], by 600 /m 2e-5 of alpha
@@ -72,7 +72,7 @@ def test_one_offset_of_each_sensor_changes_nothing(size):
 def test_zeros_set_anew_with_each_file_are_taken_out(size):
     """Then each cycle counts from its own mean, as if this were 0 in every file; and it is said."""
     campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, zeros=size)
-    assert np.isnan(common_rest(campaign)).all()
+    assert np.isnan(common_reference(campaign)).all()
     found = calibrate(campaign)
     assert found.alpha == pytest.approx(alpha, abs=1e-9)
     [(fault, remedy)] = found.diagnosis.warnings
@@ -88,7 +88,7 @@ def test_a_sensor_set_anew_leaves_the_others_alone():
     zeros = np.zeros((6, 14))
     zeros[4:, 3] = 5e-6
     one = shifted(campaign, zeros)
-    assert np.flatnonzero(np.isnan(common_rest(one))).tolist() == [3]
+    assert np.flatnonzero(np.isnan(common_reference(one))).tolist() == [3]
     found = calibrate(one)
     assert np.abs(np.delete(found.alpha - alpha, 3)).max() < 1e-5
     assert abs(found.alpha[3] - alpha[3]) < 600 * 3 * MOVED
@@ -101,7 +101,7 @@ def test_where_most_zeros_jump_no_sensor_is_trusted():
     for jumped, lost in ((7, 7), (8, 14)):
         zeros = np.zeros((6, 14))
         zeros[4:, :jumped] = 5e-6
-        assert np.isnan(common_rest(shifted(campaign, zeros))).sum() == lost
+        assert np.isnan(common_reference(shifted(campaign, zeros))).sum() == lost
 
 
 def test_a_cycle_broken_off_early_is_no_new_zero():
@@ -109,8 +109,8 @@ def test_a_cycle_broken_off_early_is_no_new_zero():
     campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
     last = campaign.cycles[-1]
     for valid in (np.arange(28) == 2, last.sign > 0):
-        rest = common_rest(Campaign((*campaign.cycles[:-1], replace(last, valid=valid))))
-        assert rest == pytest.approx(common_rest(Campaign(campaign.cycles[:-1])), abs=1e-15)
+        rest = common_reference(Campaign((*campaign.cycles[:-1], replace(last, valid=valid))))
+        assert rest == pytest.approx(common_reference(Campaign(campaign.cycles[:-1])), abs=1e-15)
 
 
 def test_a_spike_of_position_is_no_new_zero():
@@ -118,14 +118,14 @@ def test_a_spike_of_position_is_no_new_zero():
     position = campaign.cycles[0].position.copy()
     position[3, 5] += 1e-4
     spiked = replace(campaign.cycles[0], position=position)
-    assert not np.isnan(common_rest(Campaign((spiked, *campaign.cycles[1:])))).any()
+    assert not np.isnan(common_reference(Campaign((spiked, *campaign.cycles[1:])))).any()
 
 
 def test_without_gradients_nothing_counts():
     campaign, _ = gradients(seed=9, noise=1e-4, offset=1e-5, zeros=1e-5)
     for left_out in ({"position": None}, {"coil_gradient": None, "bias_gradient": None}):
         bare = Campaign(tuple(replace(c, **left_out) for c in campaign.cycles))
-        assert np.isnan(common_rest(bare)).all()
+        assert np.isnan(common_reference(bare)).all()
         assert not calibrate(bare).diagnosis.warnings
 
 
@@ -135,10 +135,10 @@ def test_repeats_and_residuals_count_from_the_same():
     half = replace(campaign.cycles[-1], valid=campaign.cycles[-1].sign > 0)
     campaign = Campaign((*campaign.cycles[:-1], half))
     moments, a = campaign_moments(campaign), enabled_arms(campaign.layout)
-    assert np.abs(np.vstack(list(repeat_deviations(campaign, moments, 100)))).max() < 1e-11
+    assert np.abs(np.vstack(sift(campaign).samples)).max() < 1e-11
     own = BalancedRows(half, a, half.rest_position).at(slice(None))[0]
     assert np.abs(BalancedRows(half, a, moments.reference).at(slice(None))[0] - own).max() > 1e-5
-    evidence = campaign_evidence(campaign, calibrate(campaign))
+    evidence = investigate(campaign).evidence
     lines = {line.what: line for line in evidence.balance}
     assert lines["force, ring"].before > 10.0  # mN
     assert lines["force, ring"].after < 1e-5

@@ -10,8 +10,12 @@ from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.problem import posed
-from truenewton.estimation.undetermined import drowned_patterns, held_even, with_unknown_patterns
+from truenewton.estimation.problem import problem_of
+from truenewton.estimation.undetermined import (
+    undetermined_patterns,
+    with_patterns_held,
+    with_undetermined_patterns,
+)
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign
 from truenewton.statics.layout import layout
@@ -62,17 +66,17 @@ def test_what_does_not_drown_is_as_well_known_as_it_says():
     assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
 
 
-def test_drowned_patterns_have_no_mean_and_leave_the_common_scale_alone():
+def test_undetermined_patterns_have_no_mean_and_leave_the_common_scale_alone():
     campaign, _ = faint(0)
     moments = campaign_moments(campaign)
-    problem = posed(campaign, reading_noise(campaign, moments))
-    patterns = drowned_patterns(problem, moments, 4)
+    problem = problem_of(campaign, reading_noise(campaign, moments))
+    patterns = undetermined_patterns(problem, moments, 4)
     assert patterns.T @ patterns == pytest.approx(np.eye(4), abs=1e-12)
     assert patterns.mean(axis=0) == pytest.approx(np.zeros(4), abs=1e-12)
-    held = held_even(problem, patterns)
+    held = with_patterns_held(problem, patterns)
     estimate = held.fitted(moments)
     assert patterns.T @ estimate.values[:45] == pytest.approx(np.zeros(4), abs=1e-4)
-    wider = with_unknown_patterns(estimate, patterns)
+    wider = with_undetermined_patterns(estimate, patterns)
     more = (
         patterns.T @ (wider.reading_covariance - estimate.reading_covariance)[:45, :45] @ patterns
     )

@@ -22,11 +22,12 @@ from hypothesis import strategies as st
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import NotConverged, RankDeficient, UnknownName
-from truenewton.estimation.cycles_ml import find
+from truenewton.estimation import cycles_ml
 from truenewton.estimation.cycles_svd import condition_in_units_of_rms
 from truenewton.estimation.likelihood import _terms, chi2_at, minimise, start_values
 from truenewton.estimation.minimum import DataSet, Prior
 from truenewton.estimation.shape_sums import shape_sums
+from truenewton.estimation.sifted import sift
 from truenewton.estimation.weights import weight_errors
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.records.campaign import Campaign
@@ -41,6 +42,11 @@ EXACT_THREE = (*EXACT, Load("leaning", -0.1, tilt=60.0))
 THREE = (*BARE_AND_RING, Load("leaning", -0.1, 0.002, tilt=60.0, tilt_error=0.1))
 CURVED = rings([0.06, 0.1], [5, 9], nz=[0.97, 0.8])
 SIGMA = 1e-3
+
+
+def find(campaign, population=False):
+    """Return what ml finds of a campaign."""
+    return cycles_ml.find(sift(campaign), population)
 
 
 def one_load(c, r, q, variance, load, nuisance):

@@ -17,13 +17,14 @@ from truenewton.bench.simulated.loop_campaign import run_loop_cycles
 from truenewton.bench.simulated.static import rows_of_cycle, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.estimation import moments
+from truenewton.estimation import repeats
+from truenewton.estimation.row_readers import read_rows
+from truenewton.estimation.sifted import sift
 from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.modal import shape_products
 from truenewton.modal.comparison import compare_modes
-from truenewton.modal.measured_stiffness import measured_stiffness
+from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
@@ -129,7 +130,9 @@ def test_noise_of_the_sensors_does_not_soften():
             tuple(replace(c, position=z) for c, z in zip(cycles, read, strict=True))
         )
         softer.append(np.sum(measured_stiffness(campaign).matrix.stiffness * k) / np.sum(k * k) - 1)
-        alike = shape_products.shape_products(campaign).between
+        reader = motion_reader(sift(campaign))
+        read_rows(campaign, (reader,))
+        alike = reader.products().between
         plain = alike.cz @ np.linalg.inv(alike.zz)
         naive.append(np.sum(plain * k) / np.sum(k * k) - 1)
     error = np.std(naive) / np.sqrt(40)
@@ -239,7 +242,7 @@ def test_rows_may_stay_on_disk(tmp_path, monkeypatch):
     _, campaign, _ = spoilt()
     write_campaign(campaign.cycles, tmp_path / "campaign")
     monkeypatch.setattr(reading, "IN_MEMORY", -1)
-    for module in (stored_rows, moments, shape_products):
+    for module in (stored_rows, repeats):
         monkeypatch.setattr(module, "BLOCK_BYTES", 4000)
     stored = read(tmp_path / "campaign")
     assert not isinstance(stored.cycles[0].position, np.ndarray)
@@ -307,7 +310,7 @@ def test_alpha_and_gains_give_back_the_true_stiffness():
     assert found.feed_forward_commanded == pytest.approx(
         k / calibration.alpha[:, None], abs=1e-9 * np.abs(k).max()
     )
-    assert np.array_equal(found.alpha, calibration.alpha)
+    assert np.array_equal(found.enabled_alpha, calibration.alpha)
     modes = found.modes
     assert modes.stiffness[:3] == pytest.approx([-31.0] * 3, abs=1e-6)
     assert modes.stiffness[3] == pytest.approx(4626.0, rel=1e-3)
@@ -331,7 +334,7 @@ def test_without_a_calibration_only_symmetry_is_used():
     k, matrix, _, _ = known()
     found = true_stiffness(matrix, None)
     assert found.stiffness == pytest.approx(0.5 * (matrix.stiffness + matrix.stiffness.T))
-    assert (found.alpha == 1).all()
+    assert (found.enabled_alpha == 1).all()
     assert not found.calibrated
     assert found.asymmetry == pytest.approx(
         np.linalg.norm(matrix.stiffness - matrix.stiffness.T)
@@ -383,11 +386,11 @@ def test_actuators_that_are_off_leave_the_stiffness_of_a_mirror_without_them():
     assert difference < 1e-5 * np.linalg.norm(smaller)
     assert np.linalg.norm(whole[np.ix_(kept, kept)] - smaller) > 0.01 * np.linalg.norm(smaller)
     assert off.layout.id.tolist() == layout.id[kept].tolist()
-    assert np.array_equal(off.alpha, calibration.alpha[kept])
+    assert np.array_equal(off.enabled_alpha[off.acts], calibration.alpha[kept])
     assert not off.forces[~kept].any()
     assert off.shapes[kept] == pytest.approx(np.eye(42))
     assert off.feed_forward_commanded[kept] == pytest.approx(
-        off.stiffness / off.alpha[:, None], abs=1e-6 * np.abs(whole).max()
+        off.stiffness / calibration.alpha[kept][:, None], abs=1e-6 * np.abs(whole).max()
     )
     # A disabled actuator is not there: what it would feel is left out, not condensed.
     disabled = replace(matrix, layout=Layout(layout.id, layout.x, layout.y, layout.nz, kept))

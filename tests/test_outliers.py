@@ -9,13 +9,19 @@ from balanced import LAYOUT, RING, arms_of, campaign_of, p45_bench
 from truenewton.bench.simulated.static import run_cycles
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
-from truenewton.estimation.cycles_ml import find
-from truenewton.estimation.outliers import against_repeats, squared_distances, standing_out
+from truenewton.estimation import cycles_ml
+from truenewton.estimation.imbalance import squared_distances, standing_out
+from truenewton.estimation.sifted import sift
 from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
 
 SIGMA = 1e-3
 EXACT = (Load("bare"), replace(RING, added_error=0.0))
+
+
+def find(campaign, population=False):
+    """Return what ml finds of a campaign."""
+    return cycles_ml.find(sift(campaign), population)
 
 
 def small(seed, **options):
@@ -226,7 +232,8 @@ def test_too_many_bad_rows_are_refused_with_their_number():
 def test_rows_that_are_left_out_leave_the_rest_as_it_was():
     campaign, _ = small(14, cycles=3)
     bad, places = spiked(campaign, 0.04, 15)
-    moments, sound, rejected = against_repeats(bad)
+    sifted = sift(bad)
+    moments, sound, rejected = sifted.moments, sifted.sound, sifted.rejected
     assert {(row.cycle, row.row) for row in rejected} == set(places)
     for k, (one, other) in enumerate(zip(campaign.cycles, sound.cycles, strict=True)):
         lost = [row for cycle, row in places if cycle == k]

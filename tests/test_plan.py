@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from acquisition_plans import write_shapes
 from balanced import arms_of, campaign_of, noisy, three_loads
 
 import truenewton as tn
@@ -17,7 +18,6 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.prediction import predict, typical
 from truenewton.estimation.weights import READINGS, tilt_as_load
-from truenewton.files.fits import Sheet, write_fits
 from truenewton.mirrors.known import p45
 from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain
@@ -70,8 +70,8 @@ def test_against_little_noise_the_errors_are_the_bound_of_cramer_and_rao():
     assert found.reading_covariance == pytest.approx(
         bound, rel=1e-5, abs=1e-6 * np.abs(bound).max()
     )
-    assert found.undetermined == 0
-    assert found.warnings == ()
+    assert found.diagnosis.undetermined == 0
+    assert found.diagnosis.warnings == ()
 
 
 def test_what_is_stated_and_what_scatters_is_what_was_predicted():
@@ -108,7 +108,7 @@ def test_a_planned_day_at_the_simulated_bench_gives_what_was_predicted(ready):
 def test_two_loads_know_the_scale_as_well_as_their_difference(ready):
     found = predicted(ready)
     source = found.scale_errors[0]
-    assert source.source == "weight of 'ring'"
+    assert str(source.source) == "weight of 'ring'"
     assert source.relative == pytest.approx(0.005 / 0.289, rel=1e-9)
     assert found.systematic_error / found.alpha == pytest.approx(0.005 / 0.289, rel=1e-6)
 
@@ -167,7 +167,7 @@ def test_one_load_or_equal_ones_leave_the_scale_free(ready):
         found = predicted(ready.changed(replace(PLAN, loads=loads)))
         assert found.scale_is_free
         assert found.typical == np.inf
-        assert "the common scale is free" in found.warnings[0][0]
+        assert "the common scale is free" in found.diagnosis.warnings[0][0]
         # Patterns are known all the same: about as well as under two loads.
         assert 0.5 < typical(found.reading_error, found.alpha) / 3.7e-4 < 2.0
 
@@ -177,8 +177,8 @@ def test_too_few_shapes_are_refused_and_weak_ones_warned_of(ready):
     with pytest.raises(RankDeficient, match="too few shapes: 8 for 45"):
         predicted(prepared(few))
     loud = predicted(ready.changed(replace(PLAN, force_noise=0.1)))
-    assert loud.undetermined > 4
-    assert "so many that the campaign will be refused" in loud.warnings[0][0]
+    assert loud.diagnosis.undetermined > 4
+    assert "so many that the campaign will be refused" in loud.diagnosis.warnings[0][0]
     # The estimator says the same of such a campaign.
     bench = static_bench(p45(), 5, loads=LOADS, force_noise=1e-4)
     bench = replace(bench, shapes=ready.shapes, force_noise=0.1)
@@ -239,7 +239,7 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
     assert not by_measured.given
     assert predicted(by_measured).typical == pytest.approx(predicted(ready).typical, rel=0.01)
 
-    write_fits(tmp_path / "given.fits", {}, [Sheet("SHAPES", data=0.5 * ready.shapes, unit="m")])
+    write_shapes(tmp_path / "given.fits", 0.5 * ready.shapes)
     given = prepared(replace(PLAN, shapes=PlannedShapes("given.fits")), tmp_path)
     assert given.given
     half, whole = predicted(given), predicted(ready)
@@ -251,9 +251,7 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
         (ready.shapes[:, 1:], "give shapes x 45 actuators"),
         (np.full((45, 45), np.nan), "SHAPES holds NaN"),
     ):
-        write_fits(
-            tmp_path / "given.fits", {}, [Sheet("SHAPES", data=wrong, unit="m")], overwrite=True
-        )
+        write_shapes(tmp_path / "given.fits", wrong)
         with pytest.raises((RankDeficient, tn.errors.FormatError), match=said):
             predicted(prepared(given.plan, tmp_path))
 

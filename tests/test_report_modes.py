@@ -9,6 +9,8 @@ from balanced import p45_bench, p45_campaign
 from truenewton.bench.simulated.static import START
 from truenewton.modal import words
 from truenewton.modal.comparison import compare_modes
+from truenewton.modal.dissipation import Budget
+from truenewton.modal.figures import plot_power
 from truenewton.modal.findings import find_modes
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -182,7 +184,7 @@ def test_a_stiffness_reads_in_its_unit(value, text):
 
 def test_equal_modes_are_not_told_apart():
     c = compare_modes(np.eye(4), np.eye(4)[:, ::-1], np.ones(4))
-    assert words.apart(c).startswith("not to be told from the calibrated")
+    assert words.comparison_text(c).startswith("not to be told from the calibrated")
 
 
 def test_an_axis_of_power_begins_at_what_is_drawn(p45, matrix):
@@ -191,7 +193,7 @@ def test_an_axis_of_power_begins_at_what_is_drawn(p45, matrix):
         costs = found.after.costs
         least = min(cost.power.mean(axis=0).min() for cost in costs)
         most = max(cost.power.max() for cost in costs)
-        start = words.least_power(found.after)
+        start = plot_power(found.after, Budget()).get_ylim()[0]
         if drawn_whole:
             assert 0.5 * least < start < least
         else:

@@ -16,8 +16,10 @@ from test_files import same
 from truenewton import reading
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import UnreadableFile
-from truenewton.estimation import cycle_errors, moments
-from truenewton.estimation.outliers import against_repeats
+from truenewton.estimation import repeats
+from truenewton.estimation.cycle_errors import CycleErrors, from_rows
+from truenewton.estimation.row_readers import read_rows
+from truenewton.estimation.sifted import sift
 from truenewton.estimation.systems import system_c
 from truenewton.files import stored_rows
 from truenewton.files.stored_rows import StoredRows, blocks, largest_in_rows
@@ -30,7 +32,7 @@ from truenewton.statics.layout import rings
 def left_on_disk(monkeypatch):
     """Leave rows of every file on disk, and take few of them at once."""
     monkeypatch.setattr(reading, "IN_MEMORY", -1)
-    for module in (stored_rows, moments):
+    for module in (stored_rows, repeats):
         monkeypatch.setattr(module, "BLOCK_BYTES", 800)
 
 
@@ -72,7 +74,7 @@ def folder(tmp_path_factory, method):
 
 def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
     monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 800)
-    monkeypatch.setattr(moments, "BLOCK_BYTES", 800)
+    monkeypatch.setattr(repeats, "BLOCK_BYTES", 800)
     one = calibrate(read_data(folder), method)
     monkeypatch.setattr(reading, "IN_MEMORY", -1)
     campaign = read_data(folder)
@@ -90,7 +92,7 @@ def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
 def test_the_size_of_a_block_changes_rounding_only(folder, method, left_on_disk):
     small = calibrate(read_data(folder), method)
     with pytest.MonkeyPatch.context() as patch:
-        for module in (stored_rows, moments):
+        for module in (stored_rows, repeats):
             patch.setattr(module, "BLOCK_BYTES", 2**24)
         large = calibrate(read_data(folder), method)
     assert len(small.rejected_rows) == len(large.rejected_rows)
@@ -201,18 +203,18 @@ def test_a_file_that_goes_while_in_use_is_refused(tiny, tmp_path, left_on_disk):
 
 
 def test_memory_does_not_grow_with_repeats(tmp_path, left_on_disk, monkeypatch):
-    for module in (stored_rows, moments):
+    for module in (stored_rows, repeats):
         monkeypatch.setattr(module, "BLOCK_BYTES", 2**16)
     layout, peaks = rings([0.05, 0.08, 0.11, 0.14], [12, 24, 36, 48]), []
-    for cycles in (2, 16):
+    for cycles in (4, 32):
         campaign = campaign_of(seed=13, noise=1e-4, layout=layout, cycles=cycles)[0]
         write_campaign(campaign.cycles, tmp_path / str(cycles))
         rows = 2 * cycles * campaign.cycles[0].force.nbytes
         del campaign
         tracemalloc.start()
         stored = read_data(tmp_path / str(cycles))
-        against_repeats(stored)
-        cycle_errors.cycle_errors(stored, np.ones(layout.n + 5))
+        sift(stored)
+        read_rows(stored, (CycleErrors(stored, np.ones(layout.n + 5)),))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[1] - peaks[0] < 0.1 * rows
@@ -248,5 +250,5 @@ def test_a_cycle_near_rank_deficiency_is_solved_from_its_rows(monkeypatch):
     matrix, right = system_c(force, a, *external)
     values = scipy.linalg.svdvals(matrix)
     assert 1e5 < values[0] / values[-1] < 1e9
-    found = cycle_errors._from_one_cycle(cycle, a, external)
+    found = from_rows(cycle, a, external)
     assert found == pytest.approx(scipy.linalg.lstsq(matrix, right)[0], rel=1e-6)

@@ -165,7 +165,7 @@ def test_weights_propagate_as_finite_differences_do():
 def test_loads_with_one_tool_share_its_error_in_proportion():
     loads = (Load("bare"), RING, Load("two rings", -0.578, 0.010, tool="ring A"))
     campaign, _ = campaign_of(seed=14, noise=0.0, loads=loads)
-    errors = {e.source: e.change.tolist() for e in weight_errors(campaign)}
+    errors = {str(e.source): e.change.tolist() for e in weight_errors(campaign)}
     assert errors == {
         "weight of the mirror": [0.005, 0.005, 0.005],
         "weight of 'ring A'": [0.0, 0.005, 0.010],
@@ -247,7 +247,7 @@ def test_the_bias_to_first_order_is_the_bias():
     for k in range(200):
         campaign = noisy(quiet, 2e-3, [98, k])
         fitted = fit(campaign)
-        solutions.append(fitted.found.solution)
+        solutions.append(fitted.solved.solution)
         predicted.append(bias(campaign, fitted, np.full(n, 4e-6)))
     measured = (np.mean(solutions, axis=0) - truth)[:n]
     error = (np.std(solutions, axis=0) / np.sqrt(200))[:n]

@@ -21,13 +21,14 @@ from tracked import (
 
 import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
+from truenewton.figures.writing import write_drawn
 from truenewton.records.source import UsedSource
 from truenewton.statics.load import Load
-from truenewton.tracking.days import Day, covariances, gathered, groups
-from truenewton.tracking.family import families, fitted_population, stranger
-from truenewton.tracking.figures import write_tracking_figures
-from truenewton.tracking.lines import fitted_lines
-from truenewton.tracking.validity import serves
+from truenewton.tracking.days import DatedCalibration, covariances, gathered, weight_groups
+from truenewton.tracking.family import families_from, fitted_population, most_outlying
+from truenewton.tracking.figures import tracking_figures
+from truenewton.tracking.linear_fit import linear_fit
+from truenewton.tracking.validity import validity_of
 
 K = np.random.default_rng(11).normal(MEAN_K, SPREAD_K, 45)
 R = np.random.default_rng(12).normal(-4e-3, 1e-3, 45)
@@ -47,7 +48,7 @@ def test_even_noise_gives_the_sample_variance_less_the_noise():
     sample = y.var(ddof=1)
     assert found.variance[0] == pytest.approx(sample - 0.04, rel=1e-6)
     assert found.mean[0] == pytest.approx(y.mean(), rel=1e-12)
-    [family] = families(("temperature",), found, np.array([20]))
+    [family] = families_from(("temperature",), found, np.array([20]))
     assert family.mean_error == pytest.approx(np.sqrt(sample / 20), rel=1e-6)
     ends = 19 * sample / scipy.stats.chi2.isf([0.025, 0.975], 19)
     assert family.spread_interval == pytest.approx(np.sqrt(ends - 0.04), rel=1e-6)
@@ -78,14 +79,16 @@ def test_no_spread_beyond_the_noise_is_none():
     y = np.linspace(-0.01, 0.01, 12)
     found = fitted_population(y, np.eye(12), np.zeros(12, dtype=int))
     assert found.variance[0] == 0.0
-    [family] = families(("drift",), found, np.array([12]))
+    [family] = families_from(("drift",), found, np.array([12]))
     assert family.spread_interval[0] == 0.0
 
 
 def test_a_stranger_is_judged_by_students_t_where_there_is_no_noise():
     y = np.append(np.random.default_rng(3).normal(0, 1, 29), 4.5)
     which, covariance = np.zeros(30, dtype=int), 1e-12 * np.eye(30)
-    place, sigmas, chance = stranger(y, covariance, which, fitted_population(y, covariance, which))
+    place, sigmas, chance = most_outlying(
+        y, covariance, which, fitted_population(y, covariance, which)
+    )
     others = y[:29]
     # Even weight of all variances: Student's t with two degrees less than the others leave.
     squares = np.sum((others - others.mean()) ** 2)
@@ -100,17 +103,19 @@ def test_a_stranger_is_judged_by_students_t_where_there_is_no_noise():
 
 def test_lines_are_generalised_least_squares_with_weights_common_to_days():
     """Against all covariances in one matrix, and normal equations."""
-    days = [Day(str(k), c) for k, c in enumerate(drawn(4, K, R, scale=0.01))]
+    days = [DatedCalibration(str(k), c) for k, c in enumerate(drawn(4, K, R, scale=0.01))]
     other = tuple(dataclasses.replace(load, tool="ring B") for load in pattern().loads)
-    days[4:] = [Day(d.name, dataclasses.replace(d.calibration, loads=other)) for d in days[4:]]
-    assert groups(days) == [[0, 1, 2, 3], [4, 5]]
+    days[4:] = [
+        DatedCalibration(d.name, dataclasses.replace(d.calibration, loads=other)) for d in days[4:]
+    ]
+    assert weight_groups(days) == [[0, 1, 2, 3], [4, 5]]
     on = np.ones(45, dtype=bool)
     settings = np.column_stack([np.array(TEMPERATURES) - 18.0, 0.1 * np.arange(6) - 0.25])
-    found = fitted_lines(days, on, settings, np.zeros(45))
+    found = linear_fit(days, on, settings, np.zeros(45))
 
     y = np.concatenate([d.calibration.alpha for d in days])
     x = np.kron(np.column_stack([np.ones(6), settings]), np.eye(45))
-    whole = scipy.linalg.block_diag(*(covariances(d, on)[0] for d in days))
+    whole = scipy.linalg.block_diag(*(covariances(d.calibration, on)[0] for d in days))
     law = x @ np.linalg.lstsq(x, y, rcond=None)[0]
     scale = np.sqrt(pattern().systematic_covariance[0, 0]) / pattern().alpha[0]
     for group in (slice(0, 4 * 45), slice(4 * 45, None)):
@@ -159,8 +164,8 @@ def test_coefficients_of_simulated_campaigns_come_out_within_their_covariance(se
             whole = whole / np.outer(found.alpha, found.alpha)
         distance = (told - truth) @ np.linalg.solve(whole, told - truth)
         assert n - 5 * np.sqrt(2 * n) < distance < n + 5 * np.sqrt(2 * n)
-    assert found.told == ("temperature", "drift")
-    assert found.departures == ()
+    assert found.effects == ("temperature", "drift")
+    assert found.outliers == ()
     assert found.probability > 1e-4
     # Every day's truth is predicted, the ring's true weight apart.
     truth = quiet_cycles()[1]
@@ -171,9 +176,9 @@ def test_coefficients_of_simulated_campaigns_come_out_within_their_covariance(se
 
 
 def test_the_family_pulls_what_the_days_hardly_hold(tracking):
-    days = [Day("", c) for c in drawn(1, K, R, gap=90.0)]
+    days = [DatedCalibration("", c) for c in drawn(1, K, R, gap=90.0)]
     settings = np.column_stack([np.array(TEMPERATURES) - 18.0, 90 * np.arange(6) / 365.25])
-    alone = fitted_lines(days, np.ones(45, dtype=bool), settings, np.zeros(45)).effects[0]
+    alone = linear_fit(days, np.ones(45, dtype=bool), settings, np.zeros(45)).effects[0]
     pooled = tracking.coefficient
     assert np.mean((pooled - K) ** 2) < np.mean((alone - K) ** 2)
     family = tracking.families[0]
@@ -212,16 +217,16 @@ def test_who_leaves_by_temperature_by_drift_or_by_a_jump_is_named():
     jump = np.where(np.arange(45) == 40, 1.03, 1.0)
     days[2] = dataclasses.replace(days[2], alpha=days[2].alpha * jump)
     found = tn.track(*days)
-    named = {(one.actuator, one.what) for one in found.departures}
+    named = {(one.actuator, one.effect) for one in found.outliers}
     assert named == {(5, "temperature"), (6, "temperature"), (21, "drift"), (41, "line")}
-    assert all(one.probability < 0.01 for one in found.departures)
+    assert all(one.probability < 0.01 for one in found.outliers)
     assert found.families[0].members == 42
     assert np.abs(found.coefficient - k)[[4, 5]].max() < 5 * found.errors[1].max()
     assert found.errors[0][40] > 3 * np.median(found.errors[1])  # its own scatter is allowed for
 
 
 def test_nobody_leaves_in_quiet_families():
-    alarms = [tn.track(*drawn(100 + seed, K, R, gap=90.0)).departures for seed in range(20)]
+    alarms = [tn.track(*drawn(100 + seed, K, R, gap=90.0)).outliers for seed in range(20)]
     assert sum(map(bool, alarms)) <= 1  # 1 % of mirrors; two of twenty by chance: 1.7 %
 
 
@@ -233,7 +238,7 @@ def test_cycles_of_one_campaign_at_two_temperatures_are_calibrated_apart():
     warm = [dataclasses.replace(c, number=c.number + 10) for c in warm.cycles]
     found = tn.track(tn.Campaign((*cold.cycles, *warm)))
     assert [round(day.temperature) for day in found.days] == [12, 24]
-    assert found.told == ("temperature",)
+    assert found.effects == ("temperature",)
     assert "drift is not told" in found.limits[0]
     assert np.sqrt(np.mean((found.coefficient - K) ** 2)) < 2e-4
     apart = tn.track(cold, tn.Campaign(tuple(warm)))
@@ -242,7 +247,7 @@ def test_cycles_of_one_campaign_at_two_temperatures_are_calibrated_apart():
 
 def test_one_temperature_tells_drift_alone():
     found = tn.track(*drawn(9, K, R, gap=200.0, temperatures=(18.0, 18.2, 17.9)))
-    assert found.told == ("drift",)
+    assert found.effects == ("drift",)
     assert "one temperature" in found.limits[0]
     assert (found.coefficient == 0).all()
     assert found.errors[1].max() == 0
@@ -254,13 +259,13 @@ def test_one_temperature_tells_drift_alone():
 def test_no_temperature_at_all_tells_drift_with_a_word_of_warning():
     days = [dataclasses.replace(c, temperature=np.nan) for c in drawn(9, 0.0, R, gap=200.0)]
     found = tn.track(*days)
-    assert found.told == ("drift",)
+    assert found.effects == ("drift",)
     assert "whatever temperature did" in found.limits[0]
 
 
 def test_temperature_and_time_that_went_together_are_not_told_apart():
     found = tn.track(*drawn(9, K, R, temperatures=(12.0, 16.0, 20.0)))
-    assert found.told == ("temperature",)
+    assert found.effects == ("temperature",)
     assert "went together" in found.limits[0]
     with pytest.raises(RankDeficient, match="drifts"):
         found.alpha_at(time=found.date + datetime.timedelta(days=400))
@@ -275,7 +280,7 @@ def test_an_actuator_that_was_disabled_on_a_day_is_left_out():
     assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [7]
     assert "left out: 1" in found.limits[-1]
     assert np.isnan(found.alpha_at(20.0).error[7])
-    assert np.isfinite(serves(found, 0.01).now)
+    assert np.isfinite(validity_of(found, 0.01).now)
 
 
 def test_what_cannot_be_tracked_is_refused():
@@ -330,15 +335,17 @@ def test_loads_at_different_temperatures_put_the_scale_off_by_several_times_as_m
 
 
 def test_days_share_the_error_of_a_weight_only_where_all_agrees():
-    one, two = (Day("", c) for c in drawn(1, K)[:2])
-    assert groups([one, two]) == [[0, 1]]
+    one, two = (DatedCalibration("", c) for c in drawn(1, K)[:2])
+    assert weight_groups([one, two]) == [[0, 1]]
     for change in ({"tool": "another"}, {"added_error": 0.004}, {"added": -0.3}):
         loads = tuple(dataclasses.replace(load, **change) if load.added else load
                       for load in two.calibration.loads)  # fmt: skip
-        other = Day("", dataclasses.replace(two.calibration, loads=loads))
-        assert groups([one, other]) == [[0], [1]], change
+        other = DatedCalibration("", dataclasses.replace(two.calibration, loads=loads))
+        assert weight_groups([one, other]) == [[0], [1]], change
     unnamed = tuple(dataclasses.replace(load, tool=None) for load in two.calibration.loads)
-    assert groups([one, Day("", dataclasses.replace(two.calibration, loads=unnamed))]) == [[0, 1]]
+    assert weight_groups(
+        [one, DatedCalibration("", dataclasses.replace(two.calibration, loads=unnamed))]
+    ) == [[0, 1]]
     apart = tn.track(one.calibration, dataclasses.replace(two.calibration, loads=(
         Load("bare"), dataclasses.replace(two.calibration.loads[1], tool="another"))))  # fmt: skip
     together = tn.track(one.calibration, two.calibration)
@@ -350,7 +357,7 @@ def test_days_share_the_error_of_a_weight_only_where_all_agrees():
 
 def test_a_calibration_serves_as_far_as_its_error_stays_below_what_is_wanted(tracking):
     wanted = 0.004
-    v, last = serves(tracking, wanted), tracking.days[-1]
+    v, last = validity_of(tracking, wanted), tracking.days[-1]
     alpha, k = tracking.alpha, tracking.coefficient
     now = np.mean((last.error / last.alpha) ** 2)
     assert v.now == pytest.approx(np.sqrt(now))
@@ -373,7 +380,7 @@ def test_a_calibration_serves_as_far_as_its_error_stays_below_what_is_wanted(tra
 
 
 def test_a_calibration_that_is_too_noisy_serves_nowhere(tracking):
-    v = serves(tracking, 1e-5)
+    v = validity_of(tracking, 1e-5)
     assert v.now > 1e-5
     assert v.temperatures == (tracking.days[-1].temperature,) * 2
     assert v.until == tracking.days[-1].date
@@ -388,11 +395,11 @@ def test_the_file_holds_all_and_serves_electronics(tracking, tmp_path):
 
     tracking.write(tmp_path / "t.fits")
     back = tn.read_tracking(tmp_path / "t.fits")
-    assert serves(back, 0.004) == serves(tracking, 0.004)
+    assert validity_of(back, 0.004) == validity_of(tracking, 0.004)
     one, two = (t.alpha_at(14.0, t.days[2].date) for t in (tracking, back))
     assert np.array_equal(one.covariance, two.covariance)
-    assert (back.families, back.departures, back.limits, back.told) == (
-        tracking.families, tracking.departures, tracking.limits, tracking.told)  # fmt: skip
+    assert (back.families, back.outliers, back.limits, back.effects) == (
+        tracking.families, tracking.outliers, tracking.limits, tracking.effects)  # fmt: skip
     with fits.open(tmp_path / "t.fits") as hdus:  # as electronics would, with nothing of ours
         table, head = hdus["TRACKING"].data, hdus[0].header
         years = (
@@ -417,22 +424,22 @@ def test_departures_and_limits_come_back_from_the_file(tmp_path):
     found = tn.track(*drawn(7, k, temperatures=(12.0, 16.0, 20.0)))
     found.write(tmp_path / "t.fits")
     back = tn.read_tracking(tmp_path / "t.fits")
-    assert back.departures == found.departures != ()
+    assert back.outliers == found.outliers != ()
     assert back.limits == found.limits != ()
 
 
 def test_figures_name_who_left(tmp_path):
     k = np.where(np.arange(45) == 4, 3e-3, K)
     found = tn.track(*drawn(7, k, R, gap=90.0))
-    paths = write_tracking_figures(found, tmp_path / "figures")
+    paths = write_drawn(tracking_figures(found), tmp_path / "figures")
     kinds = ("temperature", "time", "family-temperature", "family-drift")
     assert {p.stem for p in paths} == {f"track-{kind}" for kind in kinds}
-    from truenewton.tracking.figures import plot_family, plot_temperature
+    from truenewton.tracking.figures import plot_family, plot_law
 
-    for ax in (plot_temperature(found), plot_family(found, "temperature")):
+    for ax in (plot_law(found, "temperature"), plot_family(found, "temperature")):
         assert "5" in {text.get_text() for text in ax.texts}
     assert "5" not in {text.get_text() for text in plot_family(found, "drift").texts}
-    points = [line for line in plot_temperature(found).lines if len(line.get_xdata()) == 6]
+    points = [line for line in plot_law(found, "temperature").lines if len(line.get_xdata()) == 6]
     drawn_k = [np.polyfit(p.get_xdata(), p.get_ydata(), 1)[0] for p in points]
     assert np.median(drawn_k) == pytest.approx(100 * np.median(found.coefficient), rel=0.1)
 
@@ -449,10 +456,10 @@ def test_the_command_tells_people_and_scripts(inside, tmp_path):
         assert words in out
     code, out, _ = inside("track", *files, "--json", "--accuracy", "0.004")
     values = json.loads(out)
-    assert values["told"] == ["temperature", "drift"]
+    assert values["effects"] == ["temperature", "drift"]
     assert values["families"][0]["mean"] == pytest.approx(MEAN_K, rel=0.2)
     assert len(values["actuators"]["k"]) == 45
-    assert values["serves"]["until"].startswith("20")
+    assert values["validity"]["until"].startswith("20")
     assert inside("track", *files, "-o", tmp_path / "t.fits")[0] == 2
     assert inside("track", *files, "-o", tmp_path / "t.fits", "--overwrite")[0] == 0
 

@@ -8,7 +8,7 @@ import numpy as np
 
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles
-from truenewton.tracking.days import YEAR, Day, covariances
+from truenewton.tracking.days import YEAR, covariances
 
 TEMPERATURES = (12.0, 19.2, 14.4, 24.0, 16.8, 21.6)
 MEAN_K, SPREAD_K = -1.1e-3, 2e-4
@@ -83,7 +83,7 @@ def drawn(seed, k, r=0.0, *, gap=30.0, temperatures=TEMPERATURES, noise=NOISE, s
     """Return calibrations of days drawn from a covariance: quicker than campaigns."""
     random = np.random.default_rng(seed)
     one = pattern(noise)
-    reading_covariance = covariances(Day("", one), np.ones(45, dtype=bool))[0]
+    reading_covariance = covariances(one, np.ones(45, dtype=bool))[0]
     root = np.linalg.cholesky(reading_covariance)
     made = []
     for place, t in enumerate(temperatures):

@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return a read-only contiguous copy of ``values``; themselves if they are that already."""
+    """Return a read-only contiguous copy of the same shape; the values if they are that already."""
     if (
         isinstance(values, np.ndarray)
         and values.dtype == dtype
@@ -25,7 +25,16 @@ def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
 
 
 def spread(values: Array, on: NDArray[np.bool_]) -> Array:
-    """Put values of the enabled actuators in the order of all, NaN elsewhere."""
-    out = np.full(on.size, np.nan)
+    """Put (n_enabled, ...) values of the enabled actuators in the order of all (n,), else NaN."""
+    out = np.full((on.size, *values.shape[1:]), np.nan)
     out[on] = values
+    return out
+
+
+def spread_square(matrix: Array, on: NDArray[np.bool_]) -> Array:
+    """Put an (n_enabled, n_enabled) matrix in the order of all, else NaN; itself if all are on."""
+    if on.all():
+        return matrix
+    out = np.full((on.size, on.size), np.nan)
+    out[np.ix_(on, on)] = matrix
     return out

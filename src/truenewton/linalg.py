@@ -15,15 +15,14 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 
 ROWS_AT_ONCE = 96  # a block of rows stays in the processor's cache
-MIRRORED_AT_ONCE = 96
-SMALL = 1e-6  # part of the systematic variance that rounding may leave
+ROUNDING = 1e-6  # of the largest eigenvalue of a covariance, which rounding may leave
 SINGULAR = 1e-13  # of the columns at unit length, below which one depends on the others
 CLOSE = 1e-3  # of an eigenvalue, which it may be off by at most
 MOST_STEPS = 60  # beyond, a full decomposition is as fast
 
 
 def singular_values_and_vectors(matrix: NDArray[np.floating[Any]]) -> tuple[Array, Array, Array]:
-    """Return U, s, V' of a matrix, s descending.
+    """Return (m, k) U, (k,) s descending, and (k, n) V' of an (m, n) matrix, k the smaller.
 
     LAPACK's fast driver (gesdd) fails to converge on a rare matrix; the plain one (gesvd) then
     does.
@@ -72,31 +71,31 @@ def smallest_eigenvalue(
 
 
 def largest_eigenvalue(matrix: Array) -> tuple[float, Array]:
-    """Return the largest eigenvalue of a symmetric matrix, as `smallest_eigenvalue`, its vector."""
+    """Return the largest eigenvalue of an (n, n) symmetric matrix and its vector, step by step."""
     value, vector = smallest_eigenvalue(lambda x: -(matrix @ x), len(matrix))
     return -value, vector
 
 
 def mirrored(upper: Array) -> Array:
-    """Copy the upper triangle of a square matrix into the lower one, in place; return the matrix.
+    """Copy the upper triangle of an (n, n) matrix into the lower one, in place; return the matrix.
 
     By blocks, since a transposed copy of the whole would miss the cache at every element.
     """
-    for start in range(0, len(upper), MIRRORED_AT_ONCE):
-        end = start + MIRRORED_AT_ONCE
+    for start in range(0, len(upper), ROWS_AT_ONCE):
+        end = start + ROWS_AT_ONCE
         block = upper[start:end, start:end]
         block[...] = np.triu(block) + np.triu(block, 1).T
-        for right in range(end, len(upper), MIRRORED_AT_ONCE):
-            columns = slice(right, right + MIRRORED_AT_ONCE)
+        for right in range(end, len(upper), ROWS_AT_ONCE):
+            columns = slice(right, right + ROWS_AT_ONCE)
             upper[columns, start:end] = upper[start:end, columns].T
     return upper
 
 
 def factor_of(matrix: Array) -> Array:
-    """Return (n, m) F with F F' a positive semi-definite matrix, rounding left out."""
+    """Return (n, m) F with F F' an (n, n) positive semi-definite matrix, rounding left out."""
     values, vectors = scipy.linalg.eigh(matrix)
-    kept = values > SMALL * max(values[-1], 1e-300)
-    return np.asarray(vectors[:, kept] * np.sqrt(values[kept]))
+    real = values > ROUNDING * max(values[-1], 1e-300)
+    return np.asarray(vectors[:, real] * np.sqrt(values[real]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,18 +143,13 @@ def least_squares(matrix: Array, right: Array) -> LeastSquares:
         A column is a combination of the others.
     """
     length = np.sqrt(np.sum(matrix**2, axis=0))
-    if not (length > 0.0).all():
-        raise _dependent()
+    length[length == 0.0] = 1.0  # of a column of zeros, whose diagonal in r is 0
     q, r = scipy.linalg.qr(matrix / length, mode="economic", check_finite=False)
-    if np.abs(np.diag(r)).min() < SINGULAR:
-        raise _dependent()
+    if not np.abs(np.diag(r)).min() >= SINGULAR:
+        raise RankDeficient(
+            "the data cannot tell the unknowns apart", remedy="add days at other temperatures"
+        )
     inverse, _ = dtrtri(r)
     values = scipy.linalg.solve_triangular(r, q.T @ right, check_finite=False) / length
     root = np.triu(inverse) / length[:, None]
     return LeastSquares(values, root, right - matrix @ values, q)
-
-
-def _dependent() -> RankDeficient:
-    return RankDeficient(
-        "the data cannot tell the unknowns apart", remedy="add days at other temperatures"
-    )

@@ -9,8 +9,10 @@ from pathlib import Path
 from truenewton.calibration.file import calibration_from, is_calibration_file
 from truenewton.calibration.result import Calibration
 from truenewton.errors import FormatError
+from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
 from truenewton.records.file import campaign_from, fits_paths, is_stiffness_file, stiffness_from
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -34,9 +36,9 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
     ------
     UnreadableFile, FormatError, CampaignMismatch
     """
-    found = fits_paths(paths)
-    whole = sum(path.stat().st_size for path in found if path.is_file()) <= IN_MEMORY
-    files = [read_fits(path, whole=whole) for path in found]
+    every = fits_paths(paths)
+    whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
+    files = [read_fits(path, whole=whole) for path in every]
     if len(files) == 1:
         if is_calibration_file(files[0]):
             return calibration_from(files[0])
@@ -44,35 +46,30 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
             return stiffness_from(files[0])
     matrices = [file for file in files if is_stiffness_file(file)]
     for file in files:
-        if "TRUTH" in file.tables:
-            raise FormatError(
-                "is the truth of a simulation", remedy="give the campaign beside it", path=file.path
-            )
-        if file.header.get("CTYPE2") == "ACTUATOR":
-            raise FormatError(
-                "is a plain matrix of a modal base",
-                remedy="give the .commanded.fits beside it",
-                path=file.path,
-            )
-        if file.holds("MODES"):
-            raise FormatError(
-                "is a modal base",
-                remedy="give what it was made from, or the .commanded.fits beside it",
-                path=file.path,
-            )
-        if "TRACKING" in file.tables:
-            raise FormatError(
-                "is a tracking file",
-                remedy="give it to `recalibrate --known`, or to read_tracking in Python",
-                path=file.path,
-            )
-        if is_calibration_file(file) or file in matrices[1:]:
-            what = "calibration" if is_calibration_file(file) else "second stiffness"
-            raise FormatError(
-                f"is a {what} file among others", remedy="give it alone", path=file.path
-            )
+        fault = _stranger(file)
+        if fault is None and file in matrices[1:]:
+            fault = Fault("is a second stiffness file among others", "give it alone")
+        if fault is not None:
+            raise FormatError(fault.fault, remedy=fault.remedy, path=file.path)
     campaign = campaign_from(file for file in files if file not in matrices)
     return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
+
+
+def _stranger(file: FitsFile) -> Fault | None:
+    """Say what a file is that does not belong among the cycle files of a campaign."""
+    if file.holds("TRUTH"):
+        return Fault("is the truth of a simulation", "give the campaign beside it")
+    if file.header.get("CTYPE2") == "ACTUATOR":
+        return Fault("is a plain matrix of a modal base", "give the .commanded.fits beside it")
+    if file.holds("MODES"):
+        remedy = "give what it was made from, or the .commanded.fits beside it"
+        return Fault("is a modal base", remedy)
+    if file.holds("TRACKING"):
+        remedy = "give it to `recalibrate --known`, or to read_tracking in Python"
+        return Fault("is a tracking file", remedy)
+    if is_calibration_file(file):
+        return Fault("is a calibration file among others", "give it alone")
+    return None
 
 
 def read_data(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix:
@@ -97,10 +94,10 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     ------
     UnreadableFile, FormatError
     """
-    made = read_calibrations(path)
-    if not made:
+    calibrations = read_calibrations(path)
+    if not calibrations:
         raise FormatError("is no calibration", remedy="give what `calibrate -o` wrote", path=path)
-    return made[0]
+    return calibrations[0]
 
 
 def read_calibrations(*paths: str | os.PathLike[str]) -> tuple[Calibration, ...]:

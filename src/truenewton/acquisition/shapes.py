@@ -96,10 +96,10 @@ def shapes_and_forces(
                 remedy="plan with the measured matrix of the same mirror",
                 path=path,
             )
-        measured = matrix.stiffness[np.ix_(on, on)]
+        measured = matrix.used_stiffness
         modes = np.linalg.svd(measured)[2][::-1]
         return _spread(scaled_shapes(modes, measured, plan.shapes), measured, on)
-    shapes = file.image("SHAPES").values("m")
+    shapes = file.pixels("SHAPES", "m")
     if shapes.ndim != 2 or shapes.shape[1] != on.size or not len(shapes):
         raise FormatError(
             f"SHAPES is {shapes.shape}", remedy=f"give shapes x {on.size} actuators", path=path

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from truenewton.calibration.result import Calibration
+from truenewton.estimation.estimate import Scale
 from truenewton.figures.maps import ALPHA_LABEL, mark_rings, numbers_by_ring, plot_layout, plot_map
 from truenewton.figures.style import ACCENT, INK, NAMED, styled_axes
 from truenewton.figures.writing import write_drawn
@@ -37,7 +38,7 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
         ax.set_ylabel(ALPHA_LABEL)
         ax.margins(y=0.12)
         note = "bars: 3σ, readings"
-        if calibration.scale != "mean 1":
+        if calibration.scale != Scale.MEAN_ONE:
             scale = np.nanmedian(calibration.systematic_error / np.abs(alpha))
             note += f"; common scale ±{100 * scale:.1f} % (1σ)"
         else:

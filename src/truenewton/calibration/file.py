@@ -1,15 +1,75 @@
-"""The calibration file (docs/files.md), read back."""
+"""The calibration file (docs/files.md): its format, and how it is read."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from truenewton.calibration.result import Calibration
-from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
-from truenewton.records.source import UsedSource
-from truenewton.statics.layout import Layout
-from truenewton.statics.load import Load
+from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
+from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
+
+UNKNOWN = float("nan")
+
+ACTUATORS = TableFormat(
+    "CALIBRATION",
+    (
+        ID,
+        X,
+        Y,
+        Column("ALPHA", "alpha"),
+        Column("E_ALPHA", lambda c: c.error),
+        Column("E_STAT", "reading_error"),
+        Column("E_SYST", "systematic_error"),
+        Column("E_CYCLE", "cycle_error"),
+        NZ,
+    ),
+)
+CALIBRATION = FileFormat(
+    (
+        INSTRUMENT,
+        Keyword("DATE-OBS", "date", "UTC, start of the data", kind="date"),
+        Keyword("DATE-END", "date_end", "UTC, end of the data", kind="date"),
+        Keyword("TEMPERAT", "temperature", "mean over the rows used", "deg_C", absent=UNKNOWN),
+        Keyword("WEIGHT", "weight", "weight of the mirror, P", "N", absent=UNKNOWN),
+        Keyword("E_WEIGHT", "weight_error", "standard uncertainty of WEIGHT", "N", absent=UNKNOWN),
+        Keyword("BIAS", "bias_force", "total force of the bias magnets, B", "N", absent=UNKNOWN),
+        Keyword("E_BIAS", lambda c: c.bias_force_error, "standard uncertainty of BIAS", "N"),
+        Keyword("METHOD", "method", "estimator", kind="str"),
+        Keyword("SCALE", "scale", "what fixes the common scale", kind="str"),
+        Keyword("NSHAPES", "shapes_used", "rows used", kind="int"),
+        Keyword("NREJECT", "rejected", "rows rejected as outliers", kind="int"),
+        Keyword("NINVALID", "invalid", "rows marked as not valid", kind="int"),
+        Keyword(
+            "CONDITIO", "condition", "condition of E, coordinates in units of RMS", absent=UNKNOWN
+        ),
+        Keyword("RANK", "rank", "directions held above noise", kind="int"),
+        Keyword("NOISE", "noise", "standard deviation of one force reading", "N", absent=UNKNOWN),
+        Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="int", absent=None),
+        Keyword("CHI2", "chi2", "against FORCERR", absent=UNKNOWN),
+    ),
+    (
+        ACTUATORS,
+        TableFormat(
+            "LOADS",
+            (
+                Column("LOAD", "loads.name", kind="str"),
+                Column("ADDED", "loads.added", "N"),
+                Column("E_ADDED", "loads.added_error", "N"),
+                Column("TILT", "loads.tilt", "deg"),
+                Column("MY", "torque_y", "N m"),
+                Column("E_MY", lambda c: c.torque_errors[:, 0], "N m"),
+                Column("MX", "torque_x", "N m"),
+                Column("E_MX", lambda c: c.torque_errors[:, 1], "N m"),
+                Column("TOOL", "loads.tool", kind="str", absent=None),
+            ),
+        ),
+        ImageFormat("COVARIANCE", "covariance"),
+        ImageFormat("SYSTEMATIC", "systematic_covariance"),
+        SOURCES,
+    ),
+)
 
 
 def is_calibration_file(file: FitsFile) -> bool:
@@ -18,82 +78,15 @@ def is_calibration_file(file: FitsFile) -> bool:
 
 
 def calibration_from(file: FitsFile) -> Calibration:
-    """Return the calibration that a file holds."""
-    table, lines, sources = file.table("CALIBRATION"), file.table("LOADS"), file.table("SOURCES")
+    """Return the calibration that a file holds.
 
-    def number(key: str) -> float:
-        value = file.optional_number(key)
-        return float("nan") if value is None else value
-
-    alpha = table.column("ALPHA")
-    count = alpha.size + 1 + 2 * lines.rows
-    images = {name: file.image(name).values() for name in ("COVARIANCE", "SYSTEMATIC")}
-    for name, image in images.items():
-        if image.shape != (count, count):
-            raise FormatError(
-                f"{name} has the shape {image.shape}",
-                remedy=f"it is square, of {count}: n + 1 + 2 L",
-                path=file.path,
-                got=image.shape,
-                want=(count, count),
-            )
-    freedom = file.optional_number("DOF")
-    tools = lines.column("TOOL", "str") if lines.has("TOOL") else np.full(lines.rows, "")
-    try:
-        return Calibration(
-            instrument=file.text("INSTRUME"),
-            date=file.date("DATE-OBS"),
-            date_end=file.date("DATE-END"),
-            method=file.text("METHOD"),
-            scale=file.text("SCALE"),
-            layout=Layout(
-                id=table.column("ID", "int"),
-                x=table.column("X", unit="m"),
-                y=table.column("Y", unit="m"),
-                nz=table.column("NZ") if table.has("NZ") else np.ones(table.rows),
-                enabled=np.isfinite(alpha),
-            ),
-            loads=tuple(
-                Load(str(name).strip(), added, added_error, str(tool).strip() or None, tilt)
-                for name, added, added_error, tilt, tool in zip(
-                    lines.column("LOAD", "str"),
-                    lines.column("ADDED", unit="N").tolist(),
-                    lines.column("E_ADDED", unit="N").tolist(),
-                    lines.column("TILT", unit="deg").tolist(),
-                    tools.tolist(),
-                    strict=True,
-                )
-            ),
-            alpha=alpha,
-            reading_error=table.column("E_STAT"),
-            systematic_error=table.column("E_SYST"),
-            cycle_error=table.column("E_CYCLE"),
-            covariance=images["COVARIANCE"],
-            systematic_covariance=images["SYSTEMATIC"],
-            bias_force=number("BIAS"),
-            torque_y=lines.column("MY", unit="N m"),
-            torque_x=lines.column("MX", unit="N m"),
-            weight=number("WEIGHT"),
-            weight_error=number("E_WEIGHT"),
-            temperature=number("TEMPERAT"),
-            shapes_used=file.integer("NSHAPES"),
-            rejected=file.integer("NREJECT"),
-            invalid=file.integer("NINVALID"),
-            condition=number("CONDITIO"),
-            rank=file.integer("RANK"),
-            noise=number("NOISE"),
-            degrees_of_freedom=None if freedom is None else int(freedom),
-            chi2=number("CHI2"),
-            sources=tuple(
-                UsedSource(str(name).strip(), str(digest).strip(), int(rows), int(rejected))
-                for name, digest, rows, rejected in zip(
-                    sources.column("FILE", "str"),
-                    sources.column("SHA256", "str"),
-                    sources.column("ROWS", "int"),
-                    sources.column("REJECTED", "int"),
-                    strict=True,
-                )
-            ),
-        )
-    except TrueNewtonError as error:
-        raise located(error, file.path) from None
+    Raises
+    ------
+    FormatError
+        The file breaks the contract of a calibration file.
+    """
+    values = file.values(CALIBRATION)
+    values["layout"]["enabled"] = np.isfinite(values["alpha"])
+    count = Unknowns(values["alpha"].size, values["torque_y"].size).count
+    file.require_squares(("COVARIANCE", "SYSTEMATIC"), count, "n + 1 + 2 L")
+    return file.filled(Calibration, values)

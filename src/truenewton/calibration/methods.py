@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,13 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread
+from truenewton.arrays import Array, spread, spread_square
 from truenewton.calibration.result import Calibration
 from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
-from truenewton.estimation.cycle_errors import cycle_errors
+from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.estimate import Estimate
-from truenewton.records.campaign import Campaign
+from truenewton.estimation.moments import campaign_moments
+from truenewton.estimation.row_readers import RowReader, read_rows
+from truenewton.estimation.sifted import Sifted, sift
+from truenewton.estimation.unknowns import Unknowns
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -50,6 +55,22 @@ def calibrate(
     TypeError
         The data are neither.
     """
+    refuse_method(data, method, population=population)
+    if isinstance(data, StiffnessMatrix):
+        if method == "svd":
+            return _from_stiffness(data, stiffness_svd.find(data))
+        return _from_stiffness(data, stiffness_ml.find(data, population))
+    if isinstance(data, Campaign):
+        if method == "svd":  # takes all rows as they are
+            return calibration_of(data, cycles_svd.find(data, campaign_moments(data)))
+        return calibration_of(data, cycles_ml.find(sift(data), population))
+    raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
+
+
+def refuse_method(
+    data: Campaign | StiffnessMatrix, method: str, *, population: bool = False
+) -> None:
+    """Raise UnknownName where there is no such method, or it takes no such data."""
     if method not in METHODS:
         raise UnknownName(
             f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method
@@ -58,13 +79,16 @@ def calibrate(
         raise UnknownName(
             "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
         )
-    if isinstance(data, StiffnessMatrix):
-        found = stiffness_svd.find(data) if method == "svd" else stiffness_ml.find(data, population)
-        return _from_stiffness(data, found)
-    if isinstance(data, Campaign):
-        found = cycles_svd.find(data) if method == "svd" else cycles_ml.find(data, population)
-        return calibration_of(data, found)
-    raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
+
+
+def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
+    """Find alpha of a campaign that was sifted, as `calibrate` does; see `calibration_of`."""
+    if method != "svd":
+        return cycles_ml.find(sifted, population)
+    campaign = sifted.campaign
+    return cycles_svd.find(
+        campaign, campaign_moments(campaign) if sifted.rejected else sifted.moments
+    )
 
 
 def held_out(
@@ -73,7 +97,7 @@ def held_out(
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
     if method == "svd":
         return stiffness_svd.imbalances(
-            matrix, lambda modes, a: stiffness_svd.balance_modes(modes, a).alpha
+            matrix, lambda modes, a: stiffness_svd.balance_modes(modes, a)[0]
         )
     return stiffness_svd.imbalances(
         matrix,
@@ -81,16 +105,18 @@ def held_out(
     )
 
 
-def calibration_of(campaign: Campaign, found: Estimate) -> Calibration:
-    """Return what was found of a campaign as a calibration."""
+def calibration_of(
+    campaign: Campaign, estimate: Estimate, readers: Sequence[RowReader] = ()
+) -> Calibration:
+    """Return an estimate as a calibration; the rows are read for E_CYCLE, and for more readers."""
     layout, on = campaign.layout, campaign.layout.enabled
-    n = int(on.sum())
-    torques = found.values[n + 1 :].reshape(-1, 2)
+    unknowns = Unknowns(int(on.sum()), len(campaign.loads))
+    torques = estimate.values[unknowns.torques].reshape(-1, 2)
     start, end, temperature = _times(campaign)
-    lost = [
-        sum(row.cycle == place for row in found.rejected) for place in range(len(campaign.cycles))
-    ]
-    warnings = found.diagnosis.warnings + _implausible(found.values[:n])
+    lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(campaign.cycles))]
+    cycle_errors = CycleErrors(campaign, estimate.values)
+    read_rows(campaign, (cycle_errors, *readers))
+    warnings = estimate.diagnosis.warnings + _implausible(estimate.values[unknowns.alpha])
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
@@ -98,15 +124,15 @@ def calibration_of(campaign: Campaign, found: Estimate) -> Calibration:
         date_end=end,
         layout=layout,
         loads=campaign.loads,
-        cycle_error=spread(cycle_errors(campaign, found.values), on),
-        bias_force=float(found.values[n]),
+        cycle_error=spread(cycle_errors.errors, on),
+        bias_force=float(estimate.values[unknowns.bias]),
         torque_y=torques[:, 0],
         torque_x=torques[:, 1],
         weight=campaign.weight,
         weight_error=campaign.weight_error,
         temperature=temperature,
-        shapes_used=sum(int(c.valid.sum()) for c in campaign.cycles) - len(found.rejected),
-        rejected=len(found.rejected),
+        shapes_used=sum(int(c.valid.sum()) for c in campaign.cycles) - len(estimate.rejected),
+        rejected=len(estimate.rejected),
         invalid=sum(int((~c.valid).sum()) for c in campaign.cycles),
         sources=tuple(
             UsedSource(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()) - less, less)
@@ -114,19 +140,19 @@ def calibration_of(campaign: Campaign, found: Estimate) -> Calibration:
             if c.source
         )
         + (_matrix_source(matrix) if matrix else ()),
-        rejected_rows=found.rejected,
-        **_common(replace(found, diagnosis=replace(found.diagnosis, warnings=warnings)), on),
+        rejected_rows=estimate.rejected,
+        **_common(replace(estimate, diagnosis=replace(estimate.diagnosis, warnings=warnings)), on),
     )
 
 
-def _from_stiffness(matrix: StiffnessMatrix, found: Estimate) -> Calibration:
+def _from_stiffness(matrix: StiffnessMatrix, estimate: Estimate) -> Calibration:
     on = matrix.layout.enabled
     # B is not to be had from elastic forces.
-    found = replace(
-        found,
-        reading_covariance=np.pad(found.reading_covariance, (0, 1), constant_values=np.nan),
-        systematic_covariance=np.pad(found.systematic_covariance, (0, 1), constant_values=np.nan),
+    reading, systematic = (
+        np.pad(covariance, (0, 1), constant_values=np.nan)
+        for covariance in (estimate.reading_covariance, estimate.systematic_covariance)
     )
+    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
     return Calibration(
         instrument=matrix.instrument,
         date=matrix.date,
@@ -144,7 +170,7 @@ def _from_stiffness(matrix: StiffnessMatrix, found: Estimate) -> Calibration:
         rejected=0,
         invalid=0,
         sources=_matrix_source(matrix),
-        **_common(found, on),
+        **_common(estimate, on),
     )
 
 
@@ -155,26 +181,26 @@ def _matrix_source(matrix: StiffnessMatrix) -> tuple[UsedSource, ...]:
     return (UsedSource(Path(matrix.source.file).name, matrix.source.sha256, modes, 0),)
 
 
-def _common(found: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
+def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
     """Return what is the same for all data, spread over all actuators."""
-    n = int(on.sum())
-    goodness = found.goodness
+    n, goodness = int(on.sum()), estimate.goodness
+    reading, systematic = estimate.reading_covariance, estimate.systematic_covariance
     return {
-        "method": found.method,
-        "scale": found.scale,
-        "alpha": spread(found.values[:n], on),
-        "reading_error": spread(np.sqrt(np.diag(found.reading_covariance)[:n]), on),
-        "systematic_error": spread(np.sqrt(np.diag(found.systematic_covariance)[:n]), on),
-        "covariance": _spread_square(found.reading_covariance + found.systematic_covariance, on),
-        "systematic_covariance": _spread_square(found.systematic_covariance, on),
-        "condition": found.condition,
-        "rank": found.rank,
-        "noise": found.noise,
+        "method": estimate.method,
+        "scale": estimate.scale.value,
+        "alpha": spread(estimate.values[:n], on),
+        "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
+        "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
+        "covariance": _spread_square(reading + systematic, on),
+        "systematic_covariance": _spread_square(systematic, on),
+        "condition": estimate.condition,
+        "rank": estimate.rank,
+        "noise": estimate.noise,
         "degrees_of_freedom": goodness.degrees_of_freedom if goodness else None,
-        "chi2": found.declared_chi2,
-        "diagnosis": found.diagnosis,
+        "chi2": estimate.declared_chi2,
+        "diagnosis": estimate.diagnosis,
         "goodness": goodness,
-        "scale_errors": found.scale_errors,
+        "scale_errors": estimate.scale_errors,
     }
 
 
@@ -199,21 +225,15 @@ def _implausible(alpha: Array) -> tuple[Fault, ...]:
 
 def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
     """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
-    if on.all():
-        values.setflags(write=False)  # so that the calibration need not copy it
-        return values
-    rest = len(values) - int(on.sum())
-    kept = np.concatenate([on, np.ones(rest, dtype=bool)])
-    out = np.full((kept.size, kept.size), np.nan)
-    out[np.ix_(kept, kept)] = values
+    rest = np.ones(len(values) - int(on.sum()), dtype=bool)
+    out = spread_square(values, np.concatenate([on, rest]))
+    out.setflags(write=False)  # so that the calibration need not copy it
     return out
 
 
 def _times(campaign: Campaign) -> tuple[datetime.datetime, datetime.datetime, float]:
     """Return when the rows used begin and end, and their mean temperature."""
-    used = [(c, c.time[c.valid]) for c in campaign.cycles if c.valid.any()]
-    start = min(c.date for c, _ in used)
-    end = max(c.date + datetime.timedelta(seconds=float(time.max())) for c, time in used)
-    temperatures = [c.temperature[c.valid] for c, _ in used if c.temperature is not None]
-    mean = float(np.concatenate(temperatures).mean()) if temperatures else float("nan")
-    return start, end, mean
+    cycles = campaign.cycles
+    start = min(c.date for c in cycles)
+    end = max(c.date + datetime.timedelta(seconds=float(c.time[c.valid].max())) for c in cycles)
+    return start, end, mean_temperature(cycles)

@@ -1,20 +1,21 @@
-"""The result of a calibration, and its file (docs/files.md)."""
+"""The result of a calibration."""
 
 from __future__ import annotations
 
 import datetime
 import os
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from truenewton.arrays import Array, frozen_array
 from truenewton.errors import FormatError
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
-from truenewton.files.fits import Sheet, ascii_text, write_fits
-from truenewton.records.file import iso
-from truenewton.records.source import UsedSource, sources_sheet
+from truenewton.estimation.unknowns import Unknowns
+from truenewton.files.fits import write_fits
+from truenewton.files.format import columns_of
+from truenewton.records.source import UsedSource
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
@@ -136,13 +137,14 @@ class Calibration:
     @property
     def bias_force_error(self) -> float:
         """Standard uncertainty of B [N]."""
-        n = self.layout.n
-        return float(np.sqrt(self.covariance[n, n])) if self.loads else float("nan")
+        bias = Unknowns(self.layout.n, len(self.loads)).bias
+        return float(np.sqrt(self.covariance[bias, bias])) if self.loads else float("nan")
 
     @property
     def torque_errors(self) -> Array:
         """(L, 2) standard uncertainties of M_y and M_x [N m]."""
-        variances = np.diag(self.covariance)[self.layout.n + 1 :]
+        unknowns = Unknowns(self.layout.n, len(self.loads))
+        variances = np.diag(self.covariance)[unknowns.torques]
         return np.asarray(np.sqrt(variances).reshape(-1, 2))
 
     @property
@@ -151,25 +153,17 @@ class Calibration:
         import astropy.units as u
         from astropy.table import QTable
 
+        from truenewton.calibration.file import ACTUATORS
+
         table = QTable()
-        for name, form, unit, values in self._columns():
-            table[name] = np.array(values) if form == "J" else u.Quantity(values, unit or "")
-            if form != "J":
+        for name, form, unit, values in columns_of(self, ACTUATORS):
+            if form == "J":
+                table[name] = np.array(values)
+            elif name != "NZ":
+                table[name] = u.Quantity(values, unit or "")
                 table[name].info.format = ".5g"
         table.meta = {"INSTRUME": self.instrument, "METHOD": self.method, "SCALE": self.scale}
         return table
-
-    def _columns(self) -> tuple[tuple[str, str, str | None, Any], ...]:
-        return (
-            ("ID", "J", None, self.layout.id),
-            ("X", "D", "m", self.layout.x),
-            ("Y", "D", "m", self.layout.y),
-            ("ALPHA", "D", None, self.alpha),
-            ("E_ALPHA", "D", None, self.error),
-            ("E_STAT", "D", None, self.reading_error),
-            ("E_SYST", "D", None, self.systematic_error),
-            ("E_CYCLE", "D", None, self.cycle_error),
-        )
 
     def plot_actuators(self, ax: Axes | None = None) -> Axes:
         """Draw alpha per actuator with error bars (paper, fig. 5); return the axes."""
@@ -184,56 +178,12 @@ class Calibration:
         return plot_map(self.layout, self.alpha, ax)
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the calibration file.
+        """Write the calibration file (docs/files.md).
 
         Raises
         ------
         OutputExists, OutputFailed
         """
-        errors = self.torque_errors
-        names = [ascii_text(load.name) for load in self.loads]
-        tools = [ascii_text(load.tool or "") for load in self.loads]
-        loads = Sheet(
-            "LOADS",
-            columns=(
-                ("LOAD", f"{max(map(len, names), default=1)}A", None, names),
-                ("ADDED", "D", "N", [load.added for load in self.loads]),
-                ("E_ADDED", "D", "N", [load.added_error for load in self.loads]),
-                ("TILT", "D", "deg", [load.tilt for load in self.loads]),
-                ("MY", "D", "N m", self.torque_y),
-                ("E_MY", "D", "N m", errors[:, 0]),
-                ("MX", "D", "N m", self.torque_x),
-                ("E_MX", "D", "N m", errors[:, 1]),
-                ("TOOL", f"{max([1, *map(len, tools)])}A", None, tools),
-            ),
-        )
-        sheets = [
-            Sheet("CALIBRATION", columns=(*self._columns(), ("NZ", "D", None, self.layout.nz))),
-            loads,
-            Sheet("COVARIANCE", data=self.covariance),
-            Sheet("SYSTEMATIC", data=self.systematic_covariance),
-            sources_sheet(self.sources),
-        ]
-        write_fits(path, self._header(), sheets, overwrite=overwrite)
+        from truenewton.calibration.file import CALIBRATION
 
-    def _header(self) -> dict[str, tuple[Any, str]]:
-        return {
-            "INSTRUME": (self.instrument, "mirror"),
-            "DATE-OBS": (iso(self.date), "UTC, start of the data"),
-            "DATE-END": (iso(self.date_end), "UTC, end of the data"),
-            "TEMPERAT": (self.temperature, "[deg_C] mean over the rows used"),
-            "WEIGHT": (self.weight, "[N] weight of the mirror, P"),
-            "E_WEIGHT": (self.weight_error, "[N] standard uncertainty of WEIGHT"),
-            "BIAS": (self.bias_force, "[N] total force of the bias magnets, B"),
-            "E_BIAS": (self.bias_force_error, "[N] standard uncertainty of BIAS"),
-            "METHOD": (self.method, "estimator"),
-            "SCALE": (self.scale, "what fixes the common scale"),
-            "NSHAPES": (self.shapes_used, "rows used"),
-            "NREJECT": (self.rejected, "rows rejected as outliers"),
-            "NINVALID": (self.invalid, "rows marked as not valid"),
-            "CONDITIO": (self.condition, "condition of E, coordinates in units of RMS"),
-            "RANK": (self.rank, "directions held above noise"),
-            "NOISE": (self.noise, "[N] standard deviation of one force reading"),
-            "DOF": (self.degrees_of_freedom, "degrees of freedom"),
-            "CHI2": (self.chi2, "against FORCERR"),
-        }
+        write_fits(path, CALIBRATION, self, overwrite=overwrite)

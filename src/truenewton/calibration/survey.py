@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from truenewton.calibration.methods import calibrate
-from truenewton.calibration.words import rejected_lines, rejected_values
+from truenewton.calibration.words import rejected_lines, rejected_values, warning_lines
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
-from truenewton.estimation.outliers import against_repeats
+from truenewton.estimation.sifted import sift
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, modal_stiffness
 from truenewton.records.fault import Fault
 from truenewton.rounding import with_error
@@ -23,15 +23,12 @@ if TYPE_CHECKING:
 
 def survey_campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str]]:
     """Return what a campaign holds, for scripts and for people."""
-    moments, sound, strange = against_repeats(campaign)
-    diagnosis = diagnose(sound, moments)
+    sifted = sift(campaign)
+    moments, strange = sifted.moments, sifted.rejected
+    diagnosis = diagnose(sifted.sound, moments)
     loads = []
-    for place, (load, weight) in enumerate(
-        zip(campaign.loads, campaign.effective_weights.tolist(), strict=True)
-    ):
-        cycles = [
-            c for c, at in zip(campaign.cycles, campaign.load_index, strict=True) if at == place
-        ]
+    for load, weight in zip(campaign.loads, campaign.effective_weights.tolist(), strict=True):
+        cycles = [c for c in campaign.cycles if c.load.key == load.key]
         loads.append(
             {
                 "load": load.name,
@@ -115,10 +112,9 @@ def survey_stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]
 
 
 def _verdict(diagnosis: Diagnosis) -> list[str]:
-    warnings = [f"  WARNING: {fault}; {remedy}" for fault, remedy in diagnosis.warnings]
     if not diagnosis.faults:
         return [
             f"  enough for alpha, which stands apart by {diagnosis.separation:.3g}",
-            *warnings,
+            *warning_lines(diagnosis.warnings),
         ]
     return [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in diagnosis.faults]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from truenewton.estimation.diagnosis import ErrorKind
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
@@ -17,19 +19,31 @@ if TYPE_CHECKING:
     from truenewton.estimation.stiffness_svd import Imbalance
     from truenewton.records.campaign import Campaign
 
+WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 
-def print_summary(calibration: Calibration) -> None:
-    """Print what was found, how sure it is, and what limits it."""
+
+def summary_lines(calibration: Calibration) -> Iterator[str]:
+    """Yield what was found, how sure it is, and what limits it."""
     c = calibration
-    print(headline(c))
+    yield headline(c)
     for name, value, note in summary_rows(c):
-        print(f"  {name:<24}{value:<36}{note}".rstrip())
+        yield row(name, value, note)
     limit = scale_limit(c)
     if limit is not None:
         fault, remedy = limit
-        print(f"  {fault[0].upper()}{fault[1:]}{': ' if remedy else ''}{remedy}.")
-    for fault, remedy in c.diagnosis.warnings if c.diagnosis else ():
-        print(f"  WARNING: {fault}; {remedy}")
+        yield f"  {fault[0].upper()}{fault[1:]}{': ' if remedy else ''}{remedy}."
+    yield from warning_lines(c.diagnosis.warnings if c.diagnosis else ())
+
+
+def row(name: str, value: str, note: str = "") -> str:
+    """Return a line of a table: name, value and note."""
+    return f"  {name:<24}{value:<36}{note}".rstrip()
+
+
+def warning_lines(warnings: Iterable[Fault]) -> Iterator[str]:
+    """Yield a line for each warning."""
+    for fault, remedy in warnings:
+        yield f"  WARNING: {fault}; {remedy}"
 
 
 def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:
@@ -93,7 +107,7 @@ def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -
             "probability": c.goodness.probability,
         },
         "scale_errors": [
-            {"source": line.source, "relative": line.relative} for line in c.scale_errors
+            {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
         "imbalance": [
@@ -126,7 +140,7 @@ def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
          + f", lowest actuator {ids[low]}, highest {ids[high]}"),
         ("typical error of alpha", percent(float(np.median(relative))), "E_ALPHA, one sigma"),
     ]  # fmt: skip
-    if c.scale != "mean 1":
+    if c.scale != Scale.MEAN_ONE:
         rows += _budget(c)
         rows += [
             ("bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""),
@@ -193,7 +207,7 @@ def scale_limit(c: Calibration) -> Fault | None:
     fault = f"the common scale is known to {percent(total)}, {share} from the {largest.source}"
     remedies = []
     heaviest = max(c.loads, key=lambda load: load.added_error)
-    if largest.source.startswith(("weight of", "added weight")) and heaviest.added_error:
+    if largest.source.kind in WEIGHED and heaviest.added_error:
         better = np.sqrt(total**2 - 0.99 * largest.relative**2)
         finer = 1e3 * heaviest.added_error / 10
         remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")

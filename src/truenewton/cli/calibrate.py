@@ -31,11 +31,11 @@ def run(
     from truenewton.calibration.methods import calibrate, held_out
     from truenewton.calibration.words import (
         imbalance_lines,
-        print_summary,
         rejected_lines,
+        summary_lines,
         summary_values,
     )
-    from truenewton.cli.terminal import print_json
+    from truenewton.cli.terminal import print_json, print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
     from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -52,10 +52,7 @@ def run(
     if json:
         print_json(summary_values(calibration, judged))
         return
-    print_summary(calibration)
+    lines = [*summary_lines(calibration), *imbalance_lines(judged)]
     if not isinstance(data, StiffnessMatrix):
-        for line in rejected_lines(data, calibration.rejected_rows):
-            print(line)
-    for line in imbalance_lines(judged):
-        print(line)
-    print(f"written: {output}" if output is not None else "not written; -o FILE keeps it")
+        lines += rejected_lines(data, calibration.rejected_rows)
+    print_result(lines, [output] if output else [], saved=output is not None)

@@ -22,7 +22,7 @@ def run(
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.calibration.figures import write_figures
     from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.words import print_summary
+    from truenewton.calibration.words import summary_lines
     from truenewton.files.outputs import new_folder, refuse_existing
     from truenewton.mirrors.known import p45
     from truenewton.reading import read_data
@@ -43,9 +43,12 @@ def run(
 
     print("2. The calibration, by maximum likelihood")
     data = read_data(campaign)
-    calibration = calibrate(data)
+    findings = investigate(data)  # reads the rows once for all that is told of them
+    calibration = findings.calibration
+    if calibration is None:
+        raise AssertionError("a sound campaign gives a calibration")
     calibration.write(output / "alpha.fits", overwrite=overwrite)
-    print_summary(calibration)
+    print(*summary_lines(calibration), sep="\n")
     print(f"   {output / 'alpha.fits'}\n")
 
     print("3. The truth beside it, since this is a simulation")
@@ -72,7 +75,7 @@ def run(
     print("4. The report and the figures of the paper")
     page = output / "report.html"
     command = shlex.join(["truenewton", "report", str(campaign), "-o", str(page)])
-    write_report(page, investigate(data), command=command, overwrite=overwrite)
+    write_report(page, findings, command=command, overwrite=overwrite)
     print(f"   {page}: opens in any browser")
     written = write_figures(calibration, output / "figures", overwrite=overwrite)
     print(f"   {output / 'figures'}: " + ", ".join(p.stem for p in written[::2]) + " (PDF, PNG)")

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from truenewton.cli import options
-
-if TYPE_CHECKING:
-    pass
 
 
 def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
     """Say what files hold, and whether alpha can be had from them."""
     from truenewton.calibration.result import Calibration
     from truenewton.calibration.survey import survey_campaign, survey_stiffness
-    from truenewton.calibration.words import print_summary, summary_values
+    from truenewton.calibration.words import summary_lines, summary_values
     from truenewton.cli.terminal import print_json
     from truenewton.reading import read
     from truenewton.records.campaign import Campaign
@@ -26,11 +22,10 @@ def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
             print_json({"holds": "calibration", **summary_values(data)})
         else:
             print(f"a calibration, method {data.method}, scale {data.scale}")
-            print_summary(data)
+            print(*summary_lines(data), sep="\n")
         return
     values, lines = survey_campaign(data) if isinstance(data, Campaign) else survey_stiffness(data)
     if json:
         print_json(values)
         return
-    for line in lines:
-        print(line)
+    print(*lines, sep="\n")

@@ -45,10 +45,11 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
-    from truenewton.cli.terminal import busy, print_json
+    from truenewton.cli.terminal import busy, print_json, print_result
+    from truenewton.figures.writing import write_drawn
     from truenewton.files.outputs import refuse_existing
     from truenewton.modal.dissipation import Budget
-    from truenewton.modal.figures import write_modes_figures
+    from truenewton.modal.figures import modes_figures
     from truenewton.modal.file import modes_paths, write_modes
     from truenewton.modal.findings import find_modes
     from truenewton.modal.turbulence import Atmosphere
@@ -61,30 +62,25 @@ def run(
     atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
     for target in (*(modes_paths(output) if output else ()), *((figures,) if figures else ())):
         refuse_existing(target, overwrite=overwrite)
-    floats = options.ids(off, "--off") if off else ()
-    follow = options.ids(slaved, "--slaved") if slaved else ()
+    floating = options.ids(off, "--off") if off else ()
+    following = options.ids(slaved, "--slaved") if slaved else ()
     written: list[Path] = []
     with busy("finding modes"):
-        found = find_modes(
+        modes = find_modes(
             read_data(*paths),
             None if calibration is None else read_calibration(calibration),
             atmosphere,
             diameter=diameter,
             radius=radius,
             efficiency=efficiency,
-            off=floats,
-            slaved=follow,
+            off=floating,
+            slaved=following,
         )
         if output is not None:
-            written += write_modes(found, output, limits, overwrite=overwrite)
+            written += write_modes(modes, output, limits, overwrite=overwrite)
         if figures is not None:
-            written += write_modes_figures(found, figures, limits, overwrite=overwrite)
+            written += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
     if json:
-        print_json(values(found, limits))
-        return
-    for line in lines(found, limits):
-        print(line)
-    for path in written:
-        print(f"written: {path}")
-    if output is None:
-        print("not written; -o FILE keeps it")
+        print_json(values(modes, limits))
+    else:
+        print_result(lines(modes, limits), written, saved=output is not None)

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
-
-if TYPE_CHECKING:
-    pass
 
 
 def run(
@@ -26,8 +22,7 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
-    from truenewton.calibration.words import print_summary
-    from truenewton.cli.terminal import print_json
+    from truenewton.cli.terminal import print_json, print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
@@ -47,8 +42,5 @@ def run(
         made.calibration.write(output, overwrite=overwrite)
     if json:
         print_json(values(made))
-        return
-    print_summary(made.calibration)
-    for line in lines(made):
-        print(line)
-    print(f"written: {output}" if output is not None else "not written; -o FILE keeps it")
+    else:
+        print_result(lines(made), [output] if output else [], saved=output is not None)

@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
@@ -27,6 +28,16 @@ def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def print_result(lines: Iterable[str], written: Iterable[Path], *, saved: bool) -> None:
+    """Print what was found, and the files that hold it, or how to have one."""
+    for line in lines:
+        print(line)
+    for path in written:
+        print(f"written: {path}")
+    if not saved:
+        print("not written; -o FILE keeps it")
 
 
 def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:

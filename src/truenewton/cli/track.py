@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
-
-if TYPE_CHECKING:
-    pass
 
 
 def run(
@@ -26,12 +22,13 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find how alpha varies with temperature and time, from calibrations of different days."""
-    from truenewton.cli.terminal import print_json
+    from truenewton.cli.terminal import print_json, print_result
     from truenewton.errors import FormatError
+    from truenewton.figures.writing import write_drawn
     from truenewton.files.outputs import refuse_existing
-    from truenewton.tracking.figures import write_tracking_figures
+    from truenewton.tracking.figures import tracking_figures
     from truenewton.tracking.fit import track
-    from truenewton.tracking.validity import serves
+    from truenewton.tracking.validity import validity_of
     from truenewton.tracking.words import lines, values
 
     if accuracy is not None and not accuracy > 0:
@@ -40,19 +37,14 @@ def run(
         if target is not None:
             refuse_existing(target, overwrite=overwrite)
     tracking = track(*paths)
-    validity = None if accuracy is None else serves(tracking, accuracy)
+    validity = None if accuracy is None else validity_of(tracking, accuracy)
     written: list[Path] = []
     if output is not None:
         tracking.write(output, overwrite=overwrite)
         written.append(output)
     if figures is not None:
-        written += write_tracking_figures(tracking, figures, overwrite=overwrite)
+        written += write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
     if json:
         print_json(values(tracking, validity))
-        return
-    for line in lines(tracking, validity):
-        print(line)
-    for path in written:
-        print(f"written: {path}")
-    if output is None:
-        print("not written; -o FILE keeps it")
+    else:
+        print_result(lines(tracking, validity), written, saved=output is not None)

@@ -1,25 +1,33 @@
 """The method: from commanded forces to alpha, B and torques, with their covariance.
 
-Where the equations of the paper (Ricci, Riccardi and Zanotti 2008) stand:
+Where the paper (Ricci, Riccardi and Zanotti 2008) stands in the code; D has no number there, it is
+the system that follows eq. 3:
 
-    eq. 1   sum f + W + B = 0, the torques       `statics.arms`: `arms`, `external_load`
-    eq. 2   D alpha = q, one bare load           `systems`: `system_d`
-    eq. 3   C alpha = p, B and torques known     `systems`: `system_c`
-    eq. 4   E alpha' = r, all loads              `systems`: `system_e`
-    sec. 4  solution by SVD                      `cycles_svd`: `find`
-    sec. 4  the proof code                       `studies.proof`
-    sec. 5  the error over the cycles, E_CYCLE   `cycle_errors`: `cycle_errors`
+    eq. 1   sum f = -(P + B), and the torques    `statics.arms`: `arms`, `external_load`
+    eq. 2   f = alpha c                          `systems`: `balance_rows`, which puts it into eq. 1
+    eq. 3   C alpha = p, the bare mirror         `systems`: `system_c`
+    sec. 3  D alpha = q, with added weight Q     `systems`: `system_d`
+    eq. 4   E alpha' = r, B and torques unknown  `systems`: `system_e`; `unknowns`: `Unknowns`
+    sec. 4  solution by SVD                      `cycles_svd`: `solve`; of a campaign, `find`
+    sec. 4  the proof code                       `studies.proof`: `prove`
+    sec. 5  error over the cycles, E_CYCLE       `cycle_errors`: `CycleErrors`
 
-Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md). The files, in the
-order in which data pass through them:
+Beyond the paper: maximum likelihood, the noise where it is (docs/likelihood.md): `likelihood`. The
+files, in the order in which data pass through them:
 
+    unknowns         the order of the unknowns
     systems          the linear systems C, D, E
     cycles_svd       the paper's method: E alpha' = r by singular value decomposition
     cycle_errors     the paper's error: each cycle solved alone
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
-    moments          repeats put together: number, mean, scatter; they merge
+    row_readers      one walk through the rows, for all who want to see them
+    repeats          rows by the group that they repeat, in one reading
+    sifted           rows far from their repeats left out; what the reading leaves behind
+    moments          repeats put together: number, mean, scatter
     shape_sums       sums over shapes: what the likelihood needs of the means
+    imbalance        what a reading is out of balance by, in terms of its noise
     outliers         rows that do not belong
+    multiple_tests   what chance alone does to one of many
     noise            of one reading: from repeats, as declared, or left to the fit
     weights          errors of the weights, and the budget of the common scale
     problem          what the likelihood is asked: data, noise, unknowns, priors
@@ -28,7 +36,7 @@ order in which data pass through them:
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix
-    undetermined     patterns of alpha that drown in noise
+    undetermined     patterns of alpha that noise decides
     identifiability  what the data can and cannot fix
     diagnosis        how well alpha is determined and how well the data fit, in records
     estimate         what every method hands over

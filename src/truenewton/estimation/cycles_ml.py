@@ -12,9 +12,9 @@ from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
-from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow
+from truenewton.estimation.diagnosis import Diagnosis, Goodness, NoiseSource, RejectedRow
 from truenewton.estimation.displaced_rows import is_displaced
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import (
     diagnose,
     in_words,
@@ -24,28 +24,25 @@ from truenewton.estimation.identifiability import (
 )
 from truenewton.estimation.likelihood import chi2_at, gram_of_e
 from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import WEIGHED_NOISE, Moments, chosen_groups
+from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import Noise, reading_noise
-from truenewton.estimation.outliers import (
-    against_balance,
-    against_repeats,
-    refuse_too_many,
-    rows_of,
-)
+from truenewton.estimation.outliers import against_balance, refuse_too_many, rows_of
 from truenewton.estimation.problem import (
     Problem,
     load_data,
-    posed,
+    problem_of,
     roughly_scaled,
     with_noise_from_minimum,
     with_share_in_balance,
 )
+from truenewton.estimation.repeats import WEIGHED_NOISE
+from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_ml import population_spread
 from truenewton.estimation.undetermined import (
-    drowned_patterns,
-    held_even,
     tolerable,
-    with_unknown_patterns,
+    undetermined_patterns,
+    with_patterns_held,
+    with_undetermined_patterns,
 )
 from truenewton.estimation.weights import scale_errors
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
@@ -54,12 +51,12 @@ from truenewton.records.fault import Fault
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
 
-def find(campaign: Campaign, population: bool = False) -> Estimate:
-    """Find the likeliest alpha of a campaign, outliers left out.
+def find(sifted: Sifted, population: bool = False) -> Estimate:
+    """Find the likeliest alpha of a campaign, outliers left out; no row is read.
 
     Parameters
     ----------
-    campaign
+    sifted
         Cycles under two loads at least, and a stiffness matrix if there is one.
     population
         Whether alpha is taken for a sample of one normal population, whose spread the data give.
@@ -68,36 +65,37 @@ def find(campaign: Campaign, population: bool = False) -> Estimate:
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
+    campaign, sound, moments = sifted.campaign, sifted.sound, sifted.moments
+    rejected = sifted.rejected
     rows = sum(int(c.valid.sum()) for c in campaign.cycles)
-    moments, sound, rejected = against_repeats(campaign)
-    refuse(Diagnosis((), 0, structural_faults(sound, moments)))
+    refuse(structural_faults(sound, moments))
     refuse_too_many(len(rejected), rows)
-    free = posed(campaign, reading_noise(sound, moments))
-    kept, distance, (problem, estimate), patterns = _fitted(free, sound, moments)
-    free = with_share_in_balance(free, sound, moments, estimate.values[: free.n])
+    free = problem_of(campaign, reading_noise(sound, moments))
+    belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    free = with_share_in_balance(free, sifted, minimum.values[: free.n])
     if free.noise.share != 1.0:
-        kept, distance, (problem, estimate), patterns = _fitted(free, sound, moments)
-    if not kept.all():
-        actuator = problem.standing_out(estimate.values, moments)
-        rejected += tuple(rows_of(sound, moments, ~kept, distance, actuator))
+        belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    if not belongs.all():
+        actuator = problem.standing_out(minimum.values, moments)
+        rejected += tuple(rows_of(sound, ~belongs, distance, actuator))
         refuse_too_many(len(rejected), rows)
-        moments = chosen_groups(moments, kept)
-    problem, estimate = with_noise_from_minimum(problem, moments, estimate)
+        moments = chosen_groups(moments, belongs)
+    problem, minimum = with_noise_from_minimum(problem, moments, minimum)
     if patterns.size:
-        estimate = with_unknown_patterns(estimate, patterns)
+        minimum = with_undetermined_patterns(minimum, patterns)
     method = "ml"
     if population:
-        covariance = estimate.reading_covariance[: problem.n, : problem.n]
-        spread = population_spread(estimate.values[: problem.n], covariance)
+        covariance = minimum.reading_covariance[: problem.n, : problem.n]
+        spread = population_spread(minimum.values[: problem.n], covariance)
         problem = replace(problem, prior=free.prior).with_population(spread)
-        estimate = problem.fitted(moments, estimate.values)
+        minimum = problem.fitted(moments, minimum.values)
         method = f"ml, population {spread:.2g}"
-    found = found_of(method, problem, moments, estimate, rejected, patterns.shape[1])
-    if found.diagnosis.undetermined:
+    estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1])
+    if estimate.diagnosis.undetermined:
         judged = diagnose(sound, moments)
         if 3 * judged.span < problem.n - 1:  # not even without noise
-            refuse(judged)
-    return found
+            refuse(judged.faults, judged.undetermined)
+    return estimate
 
 
 Fitted = tuple[Problem, Minimum]
@@ -116,12 +114,12 @@ def _fitted(
     except (RankDeficient, NotConverged, TooManyOutliers):
         judged = diagnose(campaign, moments)  # which knows better what is missing
         if not judged.undetermined or not tolerable(judged, problem.n):
-            refuse(judged)
+            refuse(judged.faults, judged.undetermined)
             raise
     for count in range(judged.undetermined, 2 * judged.undetermined + 2):
-        patterns = drowned_patterns(problem, moments, count)
+        patterns = undetermined_patterns(problem, moments, count)
         try:
-            return *fitted_groups(held_even(problem, patterns), moments), patterns
+            return *fitted_groups(with_patterns_held(problem, patterns), moments), patterns
         except (RankDeficient, NotConverged):
             continue
     fault, remedy = judged.faults[0]
@@ -136,53 +134,53 @@ def fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_]
         return scaled, scaled.fitted(groups)
 
     def distances(fitted: Fitted) -> Array:
-        scaled, estimate = fitted
-        return scaled.distances(estimate.values, moments)
+        scaled, minimum = fitted
+        return scaled.distances(minimum.values, moments)
 
-    known = problem.noise.source != "minimum"
+    known = problem.noise.source != NoiseSource.MINIMUM
     return against_balance(moments, fit, distances, noise_known=known)
 
 
-def found_of(
+def estimate_of(
     method: str,
     problem: Problem,
     moments: Moments,
-    estimate: Minimum,
+    minimum: Minimum,
     rejected: tuple[RejectedRow, ...],
     held: int,
 ) -> Estimate:
-    """Put the estimate into the form that all methods share."""
+    """Put the minimum into the form that all methods share."""
     campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
-    chi2, freedom = estimate.chi2, problem.degrees_of_freedom(moments)
+    chi2, freedom = minimum.chi2, problem.degrees_of_freedom(moments)
     size = chi2 / freedom if freedom > 0 else float("nan")
-    tested = problem.noise.source != "minimum" and freedom > 0
+    tested = problem.noise.source != NoiseSource.MINIMUM and freedom > 0
     probability = _probability(chi2, freedom, problem.noise) if tested else float("nan")
     declared = float("nan")
     if all(c.force_error for c in campaign.cycles):
         same = np.full(n, WEIGHED_NOISE**2)
         at_declared = load_data(campaign, moments, same, problem.errors)
-        declared = chi2_at(problem.a, [at_declared], estimate.values)
-    diagnosis = _diagnosis(problem, moments, estimate, held)
-    warnings = weights_warning(estimate.values[unknowns:], len(campaign.loads))
+        declared = chi2_at(problem.a, [at_declared], minimum.values)
+    diagnosis = _diagnosis(problem, moments, minimum, held)
+    warnings = weights_warning(minimum.values[unknowns.weights], len(campaign.loads))
     warnings += zeros_warning(campaign, moments)
     diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
-    e_condition = condition(campaign, moments, estimate.reading_covariance)  # while there is room
+    e_condition = condition(campaign, moments, minimum.reading_covariance)  # while there is room
     return Estimate(
         method=method,
-        scale="weights",
-        values=estimate.values[:unknowns],
-        reading_covariance=estimate.reading_covariance,
-        systematic_covariance=estimate.changes @ estimate.changes.T,
+        scale=Scale.WEIGHTS,
+        values=minimum.values[: unknowns.count],
+        reading_covariance=minimum.reading_covariance,
+        systematic_covariance=minimum.changes @ minimum.changes.T,
         noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
         condition=e_condition,
-        rank=unknowns - diagnosis.undetermined,
+        rank=unknowns.count - diagnosis.undetermined,
         diagnosis=diagnosis,
         goodness=Goodness(chi2, freedom, problem.noise.source, probability),
         declared_chi2=declared,
         scale_errors=scale_errors(
-            estimate.values[:n],
-            estimate.reading_covariance[:n, :n],
-            estimate.changes[:n].T,
+            minimum.values[:n],
+            minimum.reading_covariance[:n, :n],
+            minimum.changes[:n].T,
             problem.errors,
         ),
         rejected=rejected,
@@ -231,14 +229,14 @@ def zeros_warning(campaign: Campaign, moments: Moments) -> tuple[Fault, ...]:
     )
 
 
-def _diagnosis(problem: Problem, moments: Moments, estimate: Minimum, held: int) -> Diagnosis:
+def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) -> Diagnosis:
     """Judge alpha by what its information stands above what noise feigns, and name what is weak.
 
     So many patterns as are held even drown for sure.
     """
     n, layout = problem.n, problem.campaign.layout
-    covariance = estimate.reading_covariance[:n, :n]
-    free = held + patterns_near_noise(estimate, moments.groups)
+    covariance = minimum.reading_covariance[:n, :n]
+    free = held + patterns_near_noise(minimum, moments.groups)
     value, vector = largest_eigenvalue(covariance)
     weakest = in_words(vector, layout)
     warnings: tuple[Fault, ...] = ()
@@ -267,22 +265,22 @@ def _diagnosis(problem: Problem, moments: Moments, estimate: Minimum, held: int)
         warnings=warnings,
         weakest=weakest,
         weakest_share=value / float(np.trace(covariance)),
-        leverage=tuple(leverage(problem.a * estimate.values[:n], problem.noise.variance).tolist()),
+        leverage=tuple(leverage(problem.a * minimum.values[:n], problem.noise.variance).tolist()),
     )
 
 
-def patterns_near_noise(estimate: Minimum, shapes: int) -> int:
+def patterns_near_noise(minimum: Minimum, shapes: int) -> int:
     """Count the patterns of alpha in which M reaches less than what noise alone may.
 
     What noise alone feigns, D, spreads by (1 +- root(n / 3 N))^2; so count the negative eigenvalues
     of M - reach D, B and the torques eliminated. There is none if all of D together is too small,
     as mostly, or if there is a Cholesky factor.
     """
-    n = len(estimate.noise_information.diagonal)
+    n = len(minimum.noise_information.diagonal)
     reach = 1.1 * (1 + np.sqrt(n / (3 * shapes))) ** 2
-    if (reach - 1.0) * estimate.noise_share < 0.9:
+    if (reach - 1.0) * minimum.noise_share < 0.9:
         return 0
-    less = estimate.noise_information.taken_from(estimate.information, reach - 1.0)  # M = H + D
+    less = minimum.noise_information.taken_from(minimum.information, reach - 1.0)  # M = H + D
     if dpotrf(less, lower=True, clean=False)[1] == 0:
         return 0
     less = mirrored(less.T)

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import diagnose, refuse
-from truenewton.estimation.moments import campaign_moments
-from truenewton.estimation.systems import load_force, system_e
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.repeats import row_groups
+from truenewton.estimation.systems import system_e
 from truenewton.estimation.weights import WeightError, scale_errors, weight_errors
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.campaign import Campaign
@@ -77,12 +77,12 @@ def solve(matrix: Array, right_side: Array) -> SingularSolution:
         )
     triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
     left, values, right = singular_values_and_vectors(triangle[:, :-1])
-    found = SingularSolution(np.empty(0), values, np.empty((0, 0)))
-    if found.rank < unknowns:
+    rank = SingularSolution(np.empty(0), values, np.empty((0, 0))).rank
+    if rank < unknowns:
         raise RankDeficient(
-            f"the system has rank {found.rank} of {unknowns}",
+            f"the system has rank {rank} of {unknowns}",
             remedy="apply more independent shapes, or a load that differs",
-            got=found.rank,
+            got=rank,
             want=unknowns,
         )
     pseudo_inverse = right.T / values
@@ -101,7 +101,7 @@ class Fit:
     ----------
     e, r
         The system.
-    found
+    solved
         Its solution.
     blocks
         Of each load, its first equation and its number of rows.
@@ -109,7 +109,7 @@ class Fit:
 
     e: Array
     r: Array
-    found: SingularSolution
+    solved: SingularSolution
     blocks: tuple[tuple[int, int], ...]
 
 
@@ -121,7 +121,8 @@ def fit(campaign: Campaign) -> Fit:
     RankDeficient
     """
     e, r = system_e(campaign, enabled_arms(campaign.layout))
-    rows = [len(load_force(campaign, place)) for place in range(len(campaign.loads))]
+    counts = [np.count_nonzero(cycle.valid) for cycle in campaign.cycles]
+    rows = np.bincount(campaign.load_index, counts).astype(int).tolist()
     starts = 3 * np.cumsum([0, *rows])[:-1]
     return Fit(e, r, solve(e, r), tuple(zip(starts.tolist(), rows, strict=True)))
 
@@ -134,7 +135,7 @@ def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
     repeats, whatever the form of the noise (the sandwich of Huber and White); a row without a
     repeat counts with all of its pull.
     """
-    residual = fit.r - fit.e @ fit.found.solution
+    residual = fit.r - fit.e @ fit.solved.solution
     pull = np.concatenate(
         [
             np.einsum(
@@ -145,34 +146,23 @@ def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
             for start, rows in fit.blocks
         ]
     )
-    member = row_groups(campaign)
+    member = np.concatenate(row_groups(campaign)[2])  # campaigns stand in the order of E
     count = np.bincount(member)
     mean = np.zeros((len(count), pull.shape[1]))
     np.add.at(mean, member, pull)
     mean /= count[:, None]
     pull -= np.where((count > 1)[:, None], mean, 0.0)[member]
     pull *= np.sqrt(count / np.maximum(count - 1, 1))[member, None]
-    return np.asarray(fit.found.inverse @ (pull.T @ pull) @ fit.found.inverse)
-
-
-def row_groups(campaign: Campaign) -> NDArray[np.int64]:
-    """Return (rows,) the group (load, shape, sign) of each row, in the order of E."""
-    labels = [
-        np.stack([np.full(int(c.valid.sum()), place), c.shape[c.valid], c.sign[c.valid]], axis=1)
-        for place in range(len(campaign.loads))
-        for c, at in zip(campaign.cycles, campaign.load_index, strict=True)
-        if at == place
-    ]
-    return np.unique(np.concatenate(labels), axis=0, return_inverse=True)[1].ravel()
+    return np.asarray(fit.solved.inverse @ (pull.T @ pull) @ fit.solved.inverse)
 
 
 def weight_changes(fit: Fit, errors: Sequence[WeightError]) -> Array:
     """Return (errors, unknowns) the change of the solution by each error of the weights."""
     by_load = np.stack(  # d solution / d W of each load
-        [fit.found.inverse @ fit.e[start : start + rows].sum(axis=0) for start, rows in fit.blocks]
+        [fit.solved.inverse @ fit.e[start : start + rows].sum(axis=0) for start, rows in fit.blocks]
     )
     changes = [error.change @ by_load for error in errors]
-    return np.array(changes).reshape(-1, len(fit.found.solution))
+    return np.array(changes).reshape(-1, len(fit.solved.solution))
 
 
 def condition_in_units_of_rms(campaign: Campaign) -> float:
@@ -192,7 +182,7 @@ def bias(campaign: Campaign, fit: Fit, variance: Array) -> Array:
     n = a.shape[1]
     rows = sum(rows for _, rows in fit.blocks)
     d = rows * variance * np.sum(a**2, axis=0)
-    return np.asarray(-fit.found.inverse[:, :n] @ (d * fit.found.solution[:n]))
+    return np.asarray(-fit.solved.inverse[:, :n] @ (d * fit.solved.solution[:n]))
 
 
 def bias_warning(biased: Array, scatter: Array) -> tuple[Fault, ...]:
@@ -209,18 +199,17 @@ def bias_warning(biased: Array, scatter: Array) -> tuple[Fault, ...]:
     )
 
 
-def find(campaign: Campaign) -> Estimate:
-    """Solve E alpha' = r of a campaign, as the paper does.
+def find(campaign: Campaign, moments: Moments) -> Estimate:
+    """Solve E alpha' = r of a campaign, as the paper does; its moments say what it can fix.
 
     Raises
     ------
     RankDeficient
     """
-    moments = campaign_moments(campaign)
     diagnosis = diagnose(campaign, moments)
-    refuse(diagnosis)
+    refuse(diagnosis.faults, diagnosis.undetermined)
     fitted, errors = fit(campaign), weight_errors(campaign)
-    solution = fitted.found.solution
+    solution = fitted.solved.solution
     n = int(campaign.layout.enabled.sum())
     reading_covariance = scatter_covariance(campaign, fitted)
     changes = weight_changes(fitted, errors)
@@ -230,7 +219,7 @@ def find(campaign: Campaign) -> Estimate:
         diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
     return Estimate(
         method="svd",
-        scale="weights",
+        scale=Scale.WEIGHTS,
         values=solution,
         reading_covariance=reading_covariance,
         systematic_covariance=changes.T @ changes,

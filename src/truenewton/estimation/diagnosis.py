@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum, StrEnum
 
 import numpy as np
 
 from truenewton.records.fault import Fault
+
+
+class NoiseSource(StrEnum):
+    """Where the noise of a reading is from."""
+
+    REPEATS = "repeats"
+    DECLARED = "FORCERR"
+    MINIMUM = "minimum"  # only its shape is known: it fits by definition
 
 
 @dataclass(frozen=True)
@@ -64,14 +73,14 @@ class Goodness:
     chi2, degrees_of_freedom
         Sum of squared imbalance in terms of its noise; equations less unknowns.
     against
-        Where the noise comes from: 'repeats', 'FORCERR', or 'minimum' when it fits by definition.
+        Where the noise comes from.
     probability
         Of a larger chi2 by chance; NaN against 'minimum'.
     """
 
     chi2: float
     degrees_of_freedom: int
-    against: str
+    against: NoiseSource
     probability: float
 
     @property
@@ -80,19 +89,42 @@ class Goodness:
         return self.chi2 / self.degrees_of_freedom if self.degrees_of_freedom else float("nan")
 
 
+class ErrorKind(Enum):
+    """What an error of the common scale comes from; in words, with the name of tool or load."""
+
+    READINGS = "noise of the readings"
+    MIRROR = "weight of the mirror"
+    TOOL = "weight of '{}'"
+    ADDED = "added weight of load '{}'"
+    TILT = "tilt of load '{}'"
+    EARLIER = "earlier calibration"
+    TEMPERATURE = "temperature since then"
+
+
+@dataclass(frozen=True)
+class ErrorSource:
+    """An independent source of error: its kind, and of which tool or load it is."""
+
+    kind: ErrorKind
+    name: str = ""
+
+    def __str__(self) -> str:
+        return self.kind.value.format(self.name)
+
+
 @dataclass(frozen=True)
 class ScaleError:
-    """One source of error of the common scale of alpha.
+    """What one source of error does to the common scale of alpha.
 
     Attributes
     ----------
     source
-        In words.
+        Reads as words.
     relative
         Its part of the relative standard uncertainty of the common scale.
     """
 
-    source: str
+    source: ErrorSource
     relative: float
 
 

@@ -3,9 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
+
+
+class Scale(StrEnum):
+    """What fixes the common scale of alpha."""
+
+    WEIGHTS = "weights"
+    GIVEN = "given"  # by an earlier calibration
+    MEAN_ONE = "mean 1"  # nothing does: alpha is relative
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,7 +24,7 @@ class Estimate:
     Attributes
     ----------
     method, scale
-        As they stand in the calibration file.
+        As they stand in the calibration file; what fixes the common scale.
     values
         (n + 1 + 2 L,) alpha, B, then M_y, M_x of each load; (n,) from a stiffness matrix alone.
     reading_covariance, systematic_covariance
@@ -35,7 +44,7 @@ class Estimate:
     """
 
     method: str
-    scale: str
+    scale: Scale
     values: Array
     reading_covariance: Array
     systematic_covariance: Array

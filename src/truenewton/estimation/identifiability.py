@@ -14,12 +14,15 @@ does not stand apart from it is a direction that only noise decides (docs/method
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.imbalance import imbalance_covariance
 from truenewton.estimation.moments import Moments
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -96,7 +99,7 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
     centred /= np.sqrt(variance)  # in place: it is as large as all means
     span = _span(centred, float(np.sqrt(eigenvalues[: free + 1].mean())))
     if free:
-        faults += (_drowned(span, free, n),)
+        faults += (_undetermined_fault(span, free, n),)
     return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span)
 
 
@@ -128,8 +131,8 @@ def centred_means(moments: Moments) -> Array:
     counted = moments.rows > 0
     centred, load = moments.mean[counted], moments.labels[counted, 0]
     root = np.sqrt(moments.weight[counted])
-    for place in np.unique(load):
-        first, end = np.searchsorted(load, [place, place + 1])
+    for load_index in np.unique(load):
+        first, end = np.searchsorted(load, [load_index, load_index + 1])
         some, weight = centred[first:end], root[first:end] ** 2
         some -= weight @ some / weight.sum()
     centred *= root[:, None]
@@ -149,7 +152,7 @@ def _span(centred: Array, noise: float) -> int:
 
 
 def geometry_faults(a: Array) -> tuple[Fault, ...]:
-    """Name what no shape could make good: too few actuators, or all on one line or conic."""
+    """Name what no shape could mend in (3, n) arms: too few, or all on one line or conic."""
     n = a.shape[1]
     if n < 4:
         return (
@@ -213,7 +216,7 @@ def load_faults(campaign: Campaign) -> tuple[Fault, ...]:
     return ()
 
 
-def _drowned(span: int, free: int, n: int) -> Fault:
+def _undetermined_fault(span: int, free: int, n: int) -> Fault:
     """Say how many patterns the noise decides, and in how many directions shapes stand above it."""
     return Fault(
         f"the shapes stand above the noise in {span} of the {n - 3} elastic directions, too few"
@@ -222,25 +225,25 @@ def _drowned(span: int, free: int, n: int) -> Fault:
     )
 
 
-def refuse(diagnosis: Diagnosis) -> None:
+def refuse(faults: Sequence[Fault], undetermined: int = 0) -> None:
     """Raise RankDeficient with the first fault, where there is one."""
-    if diagnosis.faults:
-        fault, remedy = diagnosis.faults[0]
-        raise RankDeficient(fault, remedy=remedy, got=diagnosis.undetermined, want=0)
+    if faults:
+        fault, remedy = faults[0]
+        raise RankDeficient(fault, remedy=remedy, got=undetermined, want=0)
 
 
-def leverage(arms: Array, variance: Array) -> Array:
+def leverage(scaled_arms: Array, variance: Array) -> Array:
     """Return (n,) the share of each actuator in the noise of the imbalance; they sum to 3.
 
     Parameters
     ----------
-    arms
+    scaled_arms
         (3, n) A diag(alpha).
     variance
         (n,) of one reading.
     """
-    s = (arms * variance) @ arms.T
-    return np.asarray(np.einsum("kn,kn->n", arms, np.linalg.solve(s, arms)) * variance)
+    solved = np.linalg.solve(imbalance_covariance(scaled_arms, variance), scaled_arms)
+    return np.asarray(np.einsum("kn,kn->n", scaled_arms, solved) * variance)
 
 
 _SMOOTH = (
@@ -254,7 +257,7 @@ _SMOOTH = (
 
 
 def in_words(pattern: Array, layout: Layout) -> str:
-    """Describe a pattern over the enabled actuators as a person would.
+    """Describe an (n,) pattern over the enabled actuators as a person would.
 
     One actuator if it holds more than half of the square; else the first smooth shape that, with
     those before it taken out, holds more than half; else how many actuators share it.

@@ -14,8 +14,8 @@ V = Sigma - Sigma diag(alpha) A' S^-1 A diag(alpha) Sigma, which feigns, for eac
 
 H = M - D is the information, and H^-1 M H^-1 the covariance. Noise need not be independent: motion
 of the mirror itself balances, so that less of Sigma reaches rho and P; V has all of it. Everything
-is written in sums over shapes (`moments.ShapeSums`), so that an iteration costs O(n^3) whatever the
-number of shapes.
+is written in sums over shapes (`shape_sums.ShapeSums`), so that an iteration costs O(n^3) whatever
+the number of shapes.
 """
 
 from __future__ import annotations
@@ -59,24 +59,25 @@ class _Terms:
 
 
 def chi2_at(a: Array, data: Sequence[DataSet], values: Array) -> float:
-    """Return the sum of r rho' S^-1 rho."""
+    """Return the sum of r rho' S^-1 rho, for (3, n) arms and (u,) values of the unknowns."""
     n = a.shape[1]
     total = 0.0
     for part in data:
-        arms = a * values[:n]
-        _, _, rho_rho = _imbalance(part.sums, arms, part.external(values[n:]))
-        total += float(np.trace(np.linalg.solve((arms * part.variance) @ arms.T, rho_rho)))
+        scaled_arms = a * values[:n]
+        _, _, rho_rho = _imbalance(part.sums, scaled_arms, part.external(values[n:]))
+        s = (scaled_arms * part.variance) @ scaled_arms.T
+        total += float(np.trace(np.linalg.solve(s, rho_rho)))
     return max(total, 0.0)
 
 
-def _imbalance(sums: ShapeSums, arms: Array, k: Array) -> tuple[Array, Array, Array]:
+def _imbalance(sums: ShapeSums, scaled_arms: Array, k: Array) -> tuple[Array, Array, Array]:
     """Return the sums of r rho (L, 3) by load, and r rho c' (3, n) and r rho rho' (3, 3) of all."""
-    product = arms @ sums.square
-    cross = arms @ sums.known_force.T
-    mean = sums.force @ arms.T + sums.known
+    product = scaled_arms @ sums.square
+    cross = scaled_arms @ sums.known_force.T
+    mean = sums.force @ scaled_arms.T + sums.known
     rho_c = product + sums.known_force + k.T @ sums.force
     rho_rho = (
-        product @ arms.T + cross + cross.T + sums.known_square
+        product @ scaled_arms.T + cross + cross.T + sums.known_square
         + mean.T @ k + k.T @ mean + (k.T * sums.weight) @ k
     )  # fmt: skip
     return mean + sums.weight[:, None] * k, rho_c, rho_rho
@@ -86,14 +87,14 @@ def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
     """Evaluate objective, gradient, H and D at a point."""
     n, u = a.shape[1], len(values)
     alpha, psi = values[:n], values[n:]
-    arms = a * alpha
+    scaled_arms = a * alpha
     chi2, gradient, h = 0.0, np.zeros(u), np.zeros((u, u))
     diagonal, roots = np.zeros(n), []
     for part in data:
         sums = part.sums
-        rho, rho_c, rho_rho = _imbalance(sums, arms, part.external(psi))
-        noisy = arms * part.variance  # A diag(alpha) Sigma
-        s_inverse = np.asarray(np.linalg.inv(noisy @ arms.T), dtype=np.float64)
+        rho, rho_c, rho_rho = _imbalance(sums, scaled_arms, part.external(psi))
+        noisy = scaled_arms * part.variance  # A diag(alpha) Sigma
+        s_inverse = np.asarray(np.linalg.inv(noisy @ scaled_arms.T), dtype=np.float64)
         root = np.linalg.cholesky(s_inverse).T  # S^-1 = root' root
         white, taken = (
             root @ a,
@@ -169,7 +170,7 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> M
         step, decrement, factor = _step(terms, prior, terms.gradient + pull)
         # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.
         if decrement < SMALL or (decrement < NEAR and decrement > 0.25 * before):
-            return _estimate(terms, prior, values, factor, iteration)
+            return _minimum(terms, prior, values, factor, iteration)
         before = decrement
         if decrement >= NEAR:
             objective = float(terms.chi2 + (values - prior.mean) @ pull)
@@ -205,7 +206,7 @@ def expected(a: Array, data: Sequence[DataSet], prior: Prior, values: Array) -> 
     terms = _terms(a, data, values)
     terms = replace(terms, h=terms.m)
     factor = _step(terms, prior, terms.gradient)[2]
-    return _estimate(terms, prior, values, factor, 0)
+    return _minimum(terms, prior, values, factor, 0)
 
 
 def _shortening(
@@ -239,7 +240,7 @@ def _step(terms: _Terms, prior: Prior, gradient: Array) -> tuple[Array, float, A
     return step, float(gradient @ step), None if failed else factor
 
 
-def _estimate(
+def _minimum(
     terms: _Terms, prior: Prior, values: Array, factor: Array | None, iterations: int
 ) -> Minimum:
     """Return the minimum with its covariance, H^-1 M H^-1, from readings and weights apart.
@@ -290,7 +291,7 @@ def _not_negative(matrix: Array) -> Array:
 
 
 def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
-    """Return weighted least squares, the noise taken out: alpha = 1 in S, linear in the rest."""
+    """Return (u,) weighted least squares, noise taken out: alpha = 1 in S, linear in the rest."""
     n = a.shape[1]
     u = len(prior.mean)
     matrix, right = prior.added_to(np.zeros((u, u))), -prior.pull(np.zeros(u))
@@ -306,19 +307,19 @@ def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
         right[n:] -= _add_nuisance(matrix, part, s_inverse, a, sums.force, rho)
         right[:n] -= np.sum(weighed * (part.load.T @ sums.force + sums.known_force), axis=0)
     # Errors of the weights stay 0 for a start: against little noise they are all but degenerate.
-    found, free = prior.mean.copy(), len(right) - prior.measured
-    some, right = matrix[:free, :free], right[:free] - matrix[:free, free:] @ found[free:]
-    factor, failed = dpotrf(some.T, lower=True, clean=False)
+    values, free = prior.mean.copy(), len(right) - prior.measured
+    inner, right = matrix[:free, :free], right[:free] - matrix[:free, free:] @ values[free:]
+    factor, failed = dpotrf(inner.T, lower=True, clean=False)
     if not failed:
-        found[:free] = scipy.linalg.cho_solve((factor, True), right, check_finite=False)
-        return found
+        values[:free] = scipy.linalg.cho_solve((factor, True), right, check_finite=False)
+        return values
     with warnings.catch_warnings():
         warnings.simplefilter("error", scipy.linalg.LinAlgWarning)
         try:
-            found[:free] = scipy.linalg.solve(some, right, assume_a="sym")
+            values[:free] = scipy.linalg.solve(inner, right, assume_a="sym")
         except (scipy.linalg.LinAlgWarning, np.linalg.LinAlgError):
             raise _no_more_than_noise() from None
-    return found
+    return values
 
 
 def _no_more_than_noise() -> RankDeficient:
@@ -329,7 +330,7 @@ def _no_more_than_noise() -> RankDeficient:
 
 
 def gram_of_e(a: Array, part: DataSet) -> Array:
-    """Return E' E of the paper's eq. 4 from the sums, with arms a."""
+    """Return (u, u) E' E of the paper's eq. 4 from the sums, with (3, n) arms a."""
     n = a.shape[1]
     gram = np.zeros((n + part.nuisance.shape[2],) * 2)
     for start in range(0, n, ROWS_AT_ONCE):

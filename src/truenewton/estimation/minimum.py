@@ -63,7 +63,7 @@ class Prior:
     held: bool = False
 
     def added_to(self, matrix: Array) -> Array:
-        """Add all of the information to a matrix of the first unknowns, in place; return it."""
+        """Add all of it to a (k, k) matrix of the first k unknowns, in place; return the matrix."""
         k, last = len(self.information), np.arange(len(self.mean) - self.measured, len(matrix))
         matrix[:k, :k] += self.information
         matrix[last, last] += 1.0

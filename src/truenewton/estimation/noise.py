@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.identifiability import ENOUGH_REPEATS
-from truenewton.estimation.moments import WEIGHED_NOISE, Moments
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.repeats import WEIGHED_NOISE
 from truenewton.records.campaign import Campaign
-
-SHARE_ROWS = 1000  # which tell the share to 3 %
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,8 @@ class Noise:
     variance
         (n,) [N^2].
     source
-        'repeats', 'FORCERR', or 'minimum' where only its shape is known and the fit gives its size.
+        Where it is from; where from the minimum, only its shape is known, and the fit gives its
+        size.
     share
         How much of it reaches the balance, in terms of independent actuators: less than 1 where the
         mirror's own motion makes part of it, more where something pushes many actuators at once.
@@ -32,7 +33,7 @@ class Noise:
     """
 
     variance: Array
-    source: str
+    source: NoiseSource
     share: float = 1.0
     share_freedom: float = np.inf
 
@@ -49,10 +50,10 @@ def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
         each = moments.scatter / moments.repeats
         if moments.repeats < ENOUGH_REPEATS:
             each = np.full(n, each.mean())
-        return Noise(np.maximum(each, least_variance(moments)), "repeats")
+        return Noise(np.maximum(each, least_variance(moments)), NoiseSource.REPEATS)
     if all(c.force_error for c in campaign.cycles):
-        return Noise(np.full(n, WEIGHED_NOISE**2), "FORCERR")
-    return Noise(np.full(n, least_variance(moments)), "minimum")
+        return Noise(np.full(n, WEIGHED_NOISE**2), NoiseSource.DECLARED)
+    return Noise(np.full(n, least_variance(moments)), NoiseSource.MINIMUM)
 
 
 def least_variance(moments: Moments) -> float:

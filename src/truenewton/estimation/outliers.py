@@ -1,21 +1,15 @@
-"""Rows that do not belong: found against their repeats, then against the balance.
+"""Shapes that do not balance with the rest, left out.
 
-Against repeats: a row whose reading of one actuator lies far from the mean of the others of its
-group. The worst row of each group goes first, the scatter is taken anew, until none is left; where
-only two rows disagree neither can be trusted and both go.
-
-Against the balance: shapes whose squared Mahalanobis distance r rho' S^-1 rho (three degrees of
-freedom) is larger than chance allows, from a start on the three quarters of the shapes that fit
-best, which outliers in a tenth of them cannot drag; the very first of them agree with their
-opposites.
-
-Both thresholds let a sound campaign lose a row once in a hundred campaigns.
+They are those whose squared Mahalanobis distance r rho' S^-1 rho (three degrees of freedom) is
+larger than chance allows, from a start on the three quarters of the shapes that fit best, which
+outliers in a tenth of them cannot drag; the very first of them agree with their opposites. The
+threshold lets a sound campaign lose a shape once in a hundred campaigns.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -25,135 +19,18 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.displaced_rows import BalancedRows
-from truenewton.estimation.moments import (
-    Moments,
-    campaign_moments,
-    chosen_groups,
-    groups_of,
-    row_weights,
-)
+from truenewton.estimation.moments import Moments, chosen_groups
+from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.repeats import row_groups
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
-from truenewton.statics.arms import enabled_arms
 
 Fit = TypeVar("Fit")
-FALSE_ALARM = 0.01  # for the whole campaign
 MOST = 0.3  # of the rows; beyond this the campaign is refused
-MEDIAN_ROWS = 200
-QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 MEDIAN_CHI2 = scipy.stats.chi2.median(3)
 CORE = 0.75  # of the shapes that make the robust start
 STRANGE = 10.0  # median deviations, 6.7 sigma: for a start only
 MOST_PASSES = 20  # until the groups that belong are settled
-
-
-def against_repeats(campaign: Campaign) -> tuple[Moments, Campaign, tuple[RejectedRow, ...]]:
-    """Leave out rows that lie far from their repeats; return moments, campaign and those rows."""
-    rejected: list[RejectedRow] = []
-    while True:
-        moments = campaign_moments(campaign)
-        found = _worst_rows(campaign, moments) if moments.repeats >= 2 else []
-        if not found:
-            return moments, campaign, tuple(rejected)
-        rejected += found
-        campaign = without(campaign, found)
-        del moments  # there is no room for two where the mirror is large
-
-
-@dataclass(frozen=True, eq=False)
-class _Part:
-    """The rows that count of one cycle, beside the groups that they repeat.
-
-    Attributes
-    ----------
-    place
-        Of the cycle in the campaign.
-    row, group
-        (N,) row of MEASUREMENTS and group of each.
-    weight
-        Of a row.
-    rows
-        As they balance.
-    """
-
-    place: int
-    row: NDArray[np.int64]
-    group: NDArray[np.int64]
-    weight: float
-    rows: BalancedRows
-
-    def deviations(self, moments: Moments, some: slice | NDArray[np.int64]) -> Array:
-        """Return (m, n) deviations of some rows from the others of their groups, at weight 1 [N].
-
-        The mean holds the row itself: seen from the others it lies further out, so that these have
-        the variance of a reading of weight 1. 0 for a row without others.
-        """
-        group = self.group[some]
-        alone, total = moments.rows[group] < 2, moments.weight[group]
-        further = np.sqrt(total * self.weight / np.where(alone, np.inf, total - self.weight))
-        apart = moments.mean[group]
-        np.subtract(self.rows.at(some)[0], apart, out=apart)
-        apart *= further[:, None]
-        return apart
-
-
-def _parts(campaign: Campaign, moments: Moments) -> Iterator[_Part]:
-    """Walk through the cycles."""
-    a, weights = enabled_arms(campaign.layout), row_weights(campaign)
-    for k, (cycle, place) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
-        row, group = np.flatnonzero(cycle.valid), groups_of(cycle, place, moments)
-        yield _Part(k, row, group, weights[k], BalancedRows(cycle, a, moments.reference))
-
-
-def _worst_rows(campaign: Campaign, moments: Moments) -> list[RejectedRow]:
-    """Return the worst row of each group that has one too far out; both rows of a pair."""
-    ids = campaign.layout.id[campaign.layout.enabled]
-    noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(campaign, moments)
-    # The median is less sure than the scatter: it counts where spikes have swollen that.
-    noise = np.where(noise > 1.5 * robust, robust, noise)
-    tests = moments.rows.sum() * len(ids)
-    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / tests, max(moments.repeats - 1, 1))
-    if (moments.furthest <= limit * noise).all():
-        return []
-    noise = np.maximum(noise, 1e-12 * max(moments.mean.max(), -moments.mean.min()))  # of rounding
-    worst: dict[int, RejectedRow] = {}
-    pairs: list[RejectedRow] = []
-    for part in _parts(campaign, moments):
-        for some in part.rows.cycle.used_blocks():
-            sigmas = part.deviations(moments, some)
-            np.abs(sigmas, out=sigmas)
-            sigmas /= noise
-            for at in np.flatnonzero(sigmas.max(axis=1) > limit).tolist():
-                row, i = some.start + at, int(sigmas[at].argmax())
-                g, far = int(part.group[row]), float(sigmas[at, i])
-                found = RejectedRow(part.place, int(part.row[row]), int(ids[i]), far, "repeats")
-                if moments.rows[g] == 2:
-                    pairs.append(found)
-                elif g not in worst or worst[g].sigmas < far:
-                    worst[g] = found
-    return [*worst.values(), *pairs]
-
-
-def _robust(campaign: Campaign, moments: Moments) -> Array:
-    """Return (n,) noise of a reading that an actuator's spikes cannot swell: from the median.
-
-    Of some 200 repeated rows, which tells it to 8 per cent.
-    """
-    by_row = np.concatenate(list(repeat_deviations(campaign, moments, MEDIAN_ROWS)))
-    ordered = np.sort(np.abs(by_row).T)  # faster than np.median
-    middle = slice((len(by_row) - 1) // 2, len(by_row) // 2 + 1)
-    return np.asarray(ordered[:, middle].mean(axis=1) / QUARTILE)
-
-
-def repeat_deviations(campaign: Campaign, moments: Moments, count: int) -> Iterator[Array]:
-    """Yield (m, n) deviations of repeated rows of each cycle from their groups, at weight 1 [N].
-
-    Of some ``count`` in all, which stand evenly among all repeated rows.
-    """
-    stride = max(1, moments.rows.sum() // count)
-    for part in _parts(campaign, moments):
-        yield part.deviations(moments, np.flatnonzero(moments.rows[part.group] > 1)[::stride])
 
 
 def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
@@ -173,18 +50,6 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
             raise _too_many(lost, lost, f" in {cycles[k]!r}")
         cycles[k] = replace(cycles[k], valid=valid)
     return Campaign(tuple(cycles))
-
-
-def squared_distances(rho: Array, weight: Array, s: Array) -> Array:
-    """Return (g,) r rho' S^-1 rho of (g, 3) imbalances with (g,) weights r."""
-    return np.asarray(weight * np.einsum("gk,gk->g", rho, np.linalg.solve(s, rho.T).T))
-
-
-def standing_out(rho: Array, arms: Array, s: Array) -> NDArray[np.int64]:
-    """Return (g,) the actuator whose reading alone would best explain each imbalance."""
-    weighed = np.linalg.solve(s, arms)
-    pull = (rho @ weighed) ** 2 / np.einsum("kn,kn->n", arms, weighed)
-    return np.asarray(pull.argmax(axis=1))
 
 
 def against_balance(
@@ -219,11 +84,11 @@ def against_balance(
     limit = scipy.stats.chi2.isf(FALSE_ALARM / len(moments.rows), 3)
     kept = np.ones(len(moments.rows), dtype=bool)
     try:
-        found = fit(moments)
-        distance = _scaled(distances(found), noise_known)
+        fitted = fit(moments)
+        distance = _scaled(distances(fitted), noise_known)
         if distance.max() <= limit:
-            return kept, distance, found
-        del found  # an estimate holds matrices of all unknowns; the next one needs their room
+            return kept, distance, fitted
+        del fitted  # an estimate holds matrices of all unknowns; the next one needs their room
         core = alike_opposites(moments)
     except (RankDeficient, NotConverged):
         core = alike_opposites(moments)
@@ -235,12 +100,12 @@ def against_balance(
     kept, passes = distance <= limit, 1
     while True:
         refuse_too_many(int(np.count_nonzero(~kept)), len(kept))
-        found = fit(chosen_groups(moments, kept))
-        distance = _scaled(distances(found), noise_known)
+        fitted = fit(chosen_groups(moments, kept))
+        distance = _scaled(distances(fitted), noise_known)
         if passes == MOST_PASSES or np.array_equal(distance <= limit, kept):
-            return kept, distance, found
+            return kept, distance, fitted
         kept, passes = distance <= limit, passes + 1
-        del found
+        del fitted
 
 
 def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
@@ -252,8 +117,8 @@ def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
     labels, alike = moments.labels, np.ones(len(moments.labels), dtype=bool)
     first = np.flatnonzero((labels[1:, :2] == labels[:-1, :2]).all(axis=1))
     rounding = 1e-9 * max(moments.mean.max(), -moments.mean.min())
-    for place in np.unique(labels[first, 0]):
-        pair = first[labels[first, 0] == place]
+    for load_index in np.unique(labels[first, 0]):
+        pair = first[labels[first, 0] == load_index]
         furthest = np.zeros(len(pair))
         for start in range(0, moments.mean.shape[1], ROWS_AT_ONCE):
             some = slice(start, start + ROWS_AT_ONCE)
@@ -279,19 +144,18 @@ def _scaled(distance: Array, noise_known: bool) -> Array:
 
 def rows_of(
     campaign: Campaign,
-    moments: Moments,
     lost: NDArray[np.bool_],
     distance: Array,
     actuator: NDArray[np.int64],
 ) -> list[RejectedRow]:
     """Return the rows of the groups that are lost, with the ID that stands out in each."""
     return [
-        RejectedRow(
-            part.place, int(part.row[at]), int(actuator[g]), float(np.sqrt(distance[g])), "balance"
+        RejectedRow(k, int(row), int(actuator[g]), float(np.sqrt(distance[g])), "balance")
+        for k, (cycle, group) in enumerate(
+            zip(campaign.cycles, row_groups(campaign)[2], strict=True)
         )
-        for part in _parts(campaign, moments)
-        for at in np.flatnonzero(lost[part.group])
-        for g in [part.group[at]]
+        for row, g in zip(np.flatnonzero(cycle.valid), group, strict=True)
+        if lost[g]
     ]
 
 

@@ -18,9 +18,9 @@ from truenewton.estimation.identifiability import in_words, load_faults, refuse,
 from truenewton.estimation.likelihood import expected
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.problem import Problem, posed
+from truenewton.estimation.problem import Problem, problem_of
 from truenewton.estimation.shape_sums import ShapeSums
-from truenewton.estimation.undetermined import held_even, tolerable
+from truenewton.estimation.undetermined import tolerable, with_patterns_held
 from truenewton.estimation.weights import scale_errors
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign
@@ -42,13 +42,8 @@ class Prediction:
         (n, n) covariance of alpha from the readings and from the weights.
     scale_errors
         Budget of the common scale, largest first; empty where the scale is free.
-    weakest, weakest_share
-        The pattern of alpha that the readings will hold least, in words, and its share of the
-        variance E_STAT^2 summed over actuators.
-    undetermined
-        Number of patterns that will stand hardly above noise.
-    warnings
-        What will be weak, each with its remedy.
+    diagnosis
+        What will be weak; its undetermined patterns are those that will stand hardly above noise.
     """
 
     layout: Layout
@@ -56,10 +51,7 @@ class Prediction:
     reading_covariance: Array
     systematic_covariance: Array
     scale_errors: tuple[ScaleError, ...]
-    weakest: str
-    weakest_share: float
-    undetermined: int
-    warnings: tuple[Fault, ...]
+    diagnosis: Diagnosis
 
     @property
     def scale_is_free(self) -> bool:
@@ -90,7 +82,7 @@ class Prediction:
 
 
 def typical(error: Array, alpha: Array) -> float:
-    """Return the median over actuators of an error relative to alpha."""
+    """Return the median over actuators of an (n,) error relative to alpha."""
     return float(np.median(error / np.abs(alpha)))
 
 
@@ -117,19 +109,18 @@ def predict(
         The shapes or the actuators cannot fix alpha, whatever the noise.
     """
     free = load_faults(campaign)
-    faults = [fault for fault in structural_faults(campaign, moments) if fault not in free]
-    refuse(Diagnosis((), 0, tuple(faults)))
-    problem = posed(campaign, reading_noise(campaign, moments))
+    refuse([fault for fault in structural_faults(campaign, moments) if fault not in free])
+    problem = problem_of(campaign, reading_noise(campaign, moments))
     n = problem.n
     alpha = np.ones(n) if alpha is None else alpha
     values = _true_values(problem, moments, alpha)
     if free:
-        problem = held_even(problem, alpha[:, None] / np.linalg.norm(alpha))
+        problem = with_patterns_held(problem, alpha[:, None] / np.linalg.norm(alpha))
     of_loads, *elastic = problem.data(moments)
     data = [replace(of_loads, sums=_repeated(of_loads.sums, cycles)), *elastic]
-    estimate = expected(problem.a, data, problem.prior, values)
-    reading_covariance, changes = estimate.reading_covariance[:n, :n], estimate.changes[:n]
-    undetermined = patterns_near_noise(estimate, of_loads.sums.shapes)
+    minimum = expected(problem.a, data, problem.prior, values)
+    reading_covariance, changes = minimum.reading_covariance[:n, :n], minimum.changes[:n]
+    undetermined = patterns_near_noise(minimum, of_loads.sums.shapes)
     value, vector = largest_eigenvalue(reading_covariance)
     return Prediction(
         layout=campaign.layout,
@@ -139,10 +130,14 @@ def predict(
         scale_errors=()
         if free
         else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
-        weakest=in_words(vector, campaign.layout),
-        weakest_share=value / float(np.trace(reading_covariance)),
-        undetermined=undetermined,
-        warnings=free + _warn_of_undetermined(undetermined, n),
+        diagnosis=Diagnosis(
+            eigenvalues=(),
+            undetermined=undetermined,
+            faults=(),
+            warnings=free + _warn_of_undetermined(undetermined, n),
+            weakest=in_words(vector, campaign.layout),
+            weakest_share=value / float(np.trace(reading_covariance)),
+        ),
     )
 
 
@@ -151,26 +146,22 @@ def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
     sums = moments.sums
     mean = sums.force / sums.weight[:, None]
     k = -(mean * alpha) @ problem.a.T  # (W + B, M_y, -M_x) of each load
-    bias = np.mean(k[:, 0] - problem.campaign.effective_weights)
-    torques = (k[:, 1:] * [1.0, -1.0]).ravel()
-    return np.concatenate([alpha, [bias], torques, np.zeros(len(problem.errors))])
+    unknowns = problem.unknowns
+    values = np.zeros(unknowns.total)
+    values[unknowns.alpha] = alpha
+    values[unknowns.bias] = np.mean(k[:, 0] - problem.campaign.effective_weights)
+    values[unknowns.torques] = (k[:, 1:] * [1.0, -1.0]).ravel()
+    return values
 
 
 def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
     """Return the sums over the same shapes, each read so many times."""
-    return replace(
-        sums,
-        weight=cycles * sums.weight,
-        force=cycles * sums.force,
-        square=cycles * sums.square,
-        known=cycles * sums.known,
-        known_force=cycles * sums.known_force,
-        known_square=cycles * sums.known_square,
-    )
+    names = ("weight", "force", "square", "known", "known_force", "known_square")
+    return replace(sums, **{name: cycles * getattr(sums, name) for name in names})
 
 
 def _warn_of_undetermined(undetermined: int, n: int) -> tuple[Fault, ...]:
-    """Warn of patterns that will drown, and of a campaign that will be refused for it."""
+    """Warn of patterns that noise will decide, and of a campaign that will be refused for it."""
     if not undetermined:
         return ()
     patterns = "pattern of alpha stands" if undetermined == 1 else "patterns of alpha stand"

@@ -2,45 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.likelihood import minimise, start_values
-from truenewton.estimation.minimum import DataSet, Minimum, Prior
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import SHARE_ROWS, Noise, least_variance
-from truenewton.estimation.outliers import (
-    MEDIAN_CHI2,
-    repeat_deviations,
+from truenewton.estimation.diagnosis import NoiseSource
+from truenewton.estimation.imbalance import (
+    imbalance_covariance,
     squared_distances,
     standing_out,
 )
+from truenewton.estimation.likelihood import minimise, start_values
+from truenewton.estimation.minimum import DataSet, Minimum, Prior
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.noise import Noise, least_variance
+from truenewton.estimation.outliers import MEDIAN_CHI2
+from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_ml import likeliest, mode_data, population_prior
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError, weight_errors
 from truenewton.records.campaign import Campaign
-from truenewton.statics.arms import enabled_arms
+from truenewton.statics.arms import enabled_arms, external_load
 
 
 def load_data(
     campaign: Campaign, moments: Moments, variance: Array, errors: Sequence[WeightError]
 ) -> DataSet:
-    """Return the shapes of all loads with their weights and the unknowns beside alpha."""
-    loads = len(campaign.loads)
-    place = np.arange(loads)
-    nuisance = np.zeros((loads, 3, 1 + 2 * loads + len(errors)))
-    nuisance[:, 0, 0] = 1.0  # B
-    nuisance[place, 1, 1 + 2 * place] = 1.0  # M_y
-    nuisance[place, 2, 2 + 2 * place] = -1.0  # M_x
-    for at, error in enumerate(errors):
-        nuisance[:, 0, 1 + 2 * loads + at] = error.change
-    weight = np.zeros((loads, 3))
-    weight[:, 0] = campaign.effective_weights
-    return DataSet(moments.sums, variance, weight, nuisance)
+    """Return the shapes of all loads, whose readings have the (n,) variance [N^2], with weights."""
+    unknowns = Unknowns(len(variance), len(campaign.loads), len(errors))
+    nuisance = unknowns.external_load_derivative([error.change for error in errors])
+    known = external_load(campaign.effective_weights, 0.0, 0.0, 0.0)
+    return DataSet(moments.sums, variance, known, nuisance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +70,14 @@ class Problem:
         return int(self.a.shape[1])
 
     @property
-    def unknowns(self) -> int:
-        """Number of alphas, B and torques: all but the errors of the weights."""
-        return self.n + 1 + 2 * len(self.campaign.loads)
+    def unknowns(self) -> Unknowns:
+        """The order of the unknowns, errors of the weights among them."""
+        return Unknowns(self.n, len(self.campaign.loads), len(self.errors))
 
     def degrees_of_freedom(self, moments: Moments) -> int:
         """Return equations less unknowns; errors of the weights are measured, so neither."""
         shapes = moments.groups + sum(part.sums.shapes for part in self.elastic)
-        return 3 * shapes - self.unknowns
+        return 3 * shapes - self.unknowns.count
 
     def data(self, moments: Moments) -> list[DataSet]:
         """Return the shapes of each load, with its weight and unknowns, and the elastic ones."""
@@ -89,18 +85,18 @@ class Problem:
         return [replace(of_loads, excess=1.0 / self.noise.share), *self.elastic]
 
     def fitted(self, moments: Moments, start: Array | None = None) -> Minimum:
-        """Return the likeliest values."""
+        """Return the likeliest values, from a (u,) start where there is a better one than usual."""
         data = self.data(moments)
         begin = start_values(self.a, data, self.prior) if start is None else start
         return minimise(self.a, data, self.prior, begin)
 
     def imbalance(self, values: Array, moments: Moments) -> tuple[Array, Array]:
         """Return (g, 3) rho of the groups, and S."""
-        arms = self.a * values[: self.n]
+        scaled_arms = self.a * values[: self.n]
         of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
         k = of_loads.external(values[self.n :])
-        rho = (arms @ moments.mean.T).T + moments.known + k[moments.labels[:, 0]]
-        return rho, (arms * self.noise.in_balance) @ arms.T
+        rho = (scaled_arms @ moments.mean.T).T + moments.known + k[moments.labels[:, 0]]
+        return rho, imbalance_covariance(scaled_arms, self.noise.in_balance)
 
     def distances(self, values: Array, moments: Moments) -> Array:
         """Return (g,) squared Mahalanobis distances of the groups."""
@@ -119,51 +115,44 @@ class Problem:
         return replace(self, prior=self.prior.with_more(of_population))
 
 
-def posed(campaign: Campaign, noise: Noise) -> Problem:
+def problem_of(campaign: Campaign, noise: Noise) -> Problem:
     """Pose the problem of a campaign."""
     errors = weight_errors(campaign)
     a = enabled_arms(campaign.layout)
-    count = a.shape[1] + 1 + 2 * len(campaign.loads) + len(errors)
+    unknowns = Unknowns(a.shape[1], len(campaign.loads), len(errors))
     elastic: tuple[DataSet, ...] = ()
     if campaign.stiffness is not None:
         modes = elastic_modes(campaign.stiffness)
         data = mode_data(modes, likeliest(modes, comparable_arms(campaign.stiffness)).variance)
-        elastic = (replace(data, nuisance=np.zeros((1, 3, count - a.shape[1]))),)
-    return Problem(
-        campaign,
-        a,
-        errors,
-        noise,
-        Prior(np.zeros(count), np.zeros((0, 0)), len(errors), held=len(campaign.loads) < 3),
-        elastic,
-    )
+        elastic = (replace(data, nuisance=np.zeros((1, 3, unknowns.total - a.shape[1]))),)
+    mean, nothing = np.zeros(unknowns.total), np.zeros((0, 0))
+    prior = Prior(mean, nothing, len(errors), held=len(campaign.loads) < 3)
+    return Problem(campaign, a, errors, noise, prior, elastic)
 
 
 def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
     """Give an unknown noise a first size, from the imbalance that least squares leave."""
-    if problem.noise.source != "minimum":
+    if problem.noise.source != NoiseSource.MINIMUM:
         return problem
     start = start_values(problem.a, problem.data(moments), problem.prior)
     # From the median, and rather too small: bad rows shall not swell it, lest D outgrow M.
     distance = problem.distances(start, moments)[moments.rows > 0]
     size = 0.25 * float(np.median(distance)) / MEDIAN_CHI2
-    return replace(problem, noise=Noise(problem.noise.variance * max(size, 1.0), "minimum"))
+    variance = problem.noise.variance * max(size, 1.0)
+    return replace(problem, noise=Noise(variance, NoiseSource.MINIMUM))
 
 
-def with_share_in_balance(
-    problem: Problem, campaign: Campaign, moments: Moments, alpha: Array
-) -> Problem:
+def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Problem:
     """Return the problem with the share of the repeats' scatter that reaches the balance.
 
     From the imbalance of deviations from the mean, A diag(alpha) (c - c_mean), of some repeated
     rows; 1 unless they say otherwise by more than four standard errors.
     """
-    if problem.noise.source != "repeats":
+    if problem.noise.source != NoiseSource.REPEATS:
         return problem
-    arms = problem.a * alpha
-    deviations = repeat_deviations(campaign, moments, SHARE_ROWS)
-    rho = np.concatenate([arms @ apart.T for apart in deviations], axis=1).T
-    s = (arms * problem.noise.variance) @ arms.T
+    scaled_arms, moments = problem.a * alpha, sifted.moments
+    rho = np.concatenate([sample @ scaled_arms.T for sample in sifted.samples])
+    s = imbalance_covariance(scaled_arms, problem.noise.variance)
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
     share = max(share, least_variance(moments) / problem.noise.variance.mean())
     repeats = moments.rows[moments.rows > 1]
@@ -174,17 +163,23 @@ def with_share_in_balance(
 
 
 def with_noise_from_minimum(
-    problem: Problem, moments: Moments, estimate: Minimum
+    problem: Problem,
+    moments: Moments,
+    minimum: Minimum,
+    freedom: Callable[[Problem, Minimum], float] | None = None,
 ) -> tuple[Problem, Minimum]:
-    """Give the noise its size from the minimum, where nothing else does; with it D."""
-    freedom = max(problem.degrees_of_freedom(moments), 1)
+    """Give the noise its size from the minimum, where nothing else does; with it D.
+
+    Degrees of freedom are those of the problem, unless a function gives those of a minimum.
+    """
     for _ in range(20):
-        size = estimate.chi2 / freedom
-        if problem.noise.source != "minimum" or abs(size - 1.0) < 1e-6:
+        if problem.noise.source != NoiseSource.MINIMUM:
             break
+        degrees = freedom(problem, minimum) if freedom else problem.degrees_of_freedom(moments)
+        size = minimum.chi2 / max(degrees, 1.0)
         variance = np.maximum(problem.noise.variance * size, least_variance(moments))
-        if np.array_equal(variance, problem.noise.variance):
+        if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
             break
-        problem = replace(problem, noise=Noise(variance, "minimum"))
-        estimate = problem.fitted(moments, estimate.values)
-    return problem, estimate
+        problem = replace(problem, noise=Noise(variance, NoiseSource.MINIMUM))
+        minimum = problem.fitted(moments, minimum.values)
+    return problem, minimum

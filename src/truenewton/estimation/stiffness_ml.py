@@ -8,19 +8,17 @@ import numpy as np
 import scipy.optimize
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import geometry_faults, refuse
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Prior
 from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.stiffness_svd import (
-    ElasticSolution,
     balance_modes,
     comparable_arms,
     elastic_modes,
-    found_from,
     mode_covariance,
+    relative_estimate,
 )
 from truenewton.estimation.systems import balance_rows
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -28,7 +26,7 @@ from truenewton.statics.arms import enabled_arms
 
 
 def mode_data(modes: Array, variance: float) -> DataSet:
-    """Return elastic modes as shapes without any external load, for the likelihood."""
+    """Return (m, n) elastic modes as shapes without any external load, for the likelihood."""
     m, n = modes.shape
     sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.zeros(m, dtype=np.int64))
     return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))
@@ -46,15 +44,15 @@ class ElasticFit:
         Of the noise of one element of a mode, from the minimum.
     spread
         Of the population that alpha was taken from; infinite for none.
-    start
-        The singular vector from which it began.
+    singular_values
+        (n,) of the balance of the modes, ascending; the first belongs to alpha.
     """
 
     alpha: Array
     covariance: Array
     variance: float
     spread: float
-    start: ElasticSolution
+    singular_values: Array
 
 
 def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit:
@@ -71,31 +69,35 @@ def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit
     ------
     RankDeficient, NotConverged
     """
-    start = balance_modes(modes, a)
-    found = _at_spread(modes, a, np.inf, start)
+    start, singular_values = balance_modes(modes, a)
+    fit = _at_spread(modes, a, np.inf, start, singular_values)
     if not population:
-        return found
-    return _at_spread(modes, a, population_spread(found.alpha, found.covariance), start)
+        return fit
+    spread = population_spread(fit.alpha, fit.covariance)
+    return _at_spread(modes, a, spread, start, singular_values)
 
 
-def _at_spread(modes: Array, a: Array, spread: float, start: ElasticSolution) -> ElasticFit:
+def _at_spread(
+    modes: Array, a: Array, spread: float, start: Array, singular_values: Array
+) -> ElasticFit:
     n, freedom = a.shape[1], 3 * len(modes) - a.shape[1] + 1
-    s = (a * start.alpha**2) @ a.T
-    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a) @ start.alpha
+    s = (a * start**2) @ a.T
+    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a) @ start
     least = 1e-18 / n  # rounding of a mode's element
-    variance, values = max(float(rows @ rows) / freedom, least), start.alpha
+    variance, values = max(float(rows @ rows) / freedom, least), start
     for _ in range(20):
         # Elastic forces leave the scale free, so nothing but this holds the mean at 1.
-        scale = float(np.sum(start.singular_values**2)) / variance
+        scale = float(np.sum(singular_values**2)) / variance
         prior = population_prior(n, spread, scale)
-        estimate = minimise(a, [mode_data(modes, variance)], prior, values)
-        size, values = estimate.chi2 / freedom, estimate.values / estimate.values.mean()
+        minimum = minimise(a, [mode_data(modes, variance)], prior, values)
+        size, values = minimum.chi2 / freedom, minimum.values / minimum.values.mean()
         if abs(size - 1.0) < 1e-6 or variance * size < least:
             break
         variance *= size
     s = (a * values**2) @ a.T
     pull = population_prior(n, spread).information * variance
-    return ElasticFit(values, mode_covariance(modes, a, values, s, pull), variance, spread, start)
+    covariance = mode_covariance(modes, a, values, s, pull)
+    return ElasticFit(values, covariance, variance, spread, singular_values)
 
 
 def population_prior(n: int, spread: float, scale: float = 0.0) -> Prior:
@@ -126,10 +128,10 @@ def population_spread(alpha: Array, covariance: Array) -> float:
         total = np.exp(2 * log_spread) + np.maximum(values, 0.0)
         return float(0.5 * np.sum(np.log(total) + projected / total))
 
-    found = scipy.optimize.minimize_scalar(
+    likeliest_log = scipy.optimize.minimize_scalar(
         minus_log_likelihood, bounds=(np.log(1e-5), np.log(1.0)), method="bounded"
-    )
-    return float(np.exp(found.x))
+    ).x
+    return float(np.exp(likeliest_log))
 
 
 def find(matrix: StiffnessMatrix, population: bool) -> Estimate:
@@ -139,7 +141,7 @@ def find(matrix: StiffnessMatrix, population: bool) -> Estimate:
     ------
     RankDeficient, NotConverged
     """
-    refuse(Diagnosis((), 0, geometry_faults(enabled_arms(matrix.layout))))
+    refuse(geometry_faults(enabled_arms(matrix.layout)))
     fit = likeliest(elastic_modes(matrix), comparable_arms(matrix), population=population)
     method = f"ml, population {fit.spread:.2g}" if population else "ml"
-    return found_from(matrix, method, fit.alpha, fit.covariance, fit.start.singular_values)
+    return relative_estimate(matrix, method, fit.alpha, fit.covariance, fit.singular_values)

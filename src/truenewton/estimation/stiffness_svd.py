@@ -16,7 +16,7 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import geometry_faults, refuse
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
@@ -26,22 +26,6 @@ from truenewton.statics.arms import enabled_arms
 
 # Softer modes mix with the rigid motions through the bias magnets' gradient [N/m].
 SOFTEST = 1e3
-
-
-@dataclass(frozen=True, eq=False)
-class ElasticSolution:
-    """Alpha that balances elastic modes.
-
-    Attributes
-    ----------
-    alpha
-        (n,) with mean 1.
-    singular_values
-        (n,) of the stacked system, ascending; the first belongs to alpha.
-    """
-
-    alpha: Array
-    singular_values: Array
 
 
 @dataclass(frozen=True)
@@ -55,21 +39,18 @@ class Imbalance:
 
 def elastic_modes(matrix: StiffnessMatrix) -> Array:
     """Return (m, n_enabled) force patterns of unit length, softest left out, stiffest first."""
-    on = matrix.layout.enabled
-    left, values, _ = singular_values_and_vectors(matrix.stiffness[np.ix_(on, on)])
+    left, values, _ = singular_values_and_vectors(matrix.used_stiffness)
     return np.asarray(left[:, values > SOFTEST].T)
 
 
 def modal_stiffness(matrix: StiffnessMatrix) -> Array:
     """Return (n_enabled,) singular values, stiffest first [N/m]."""
-    on = matrix.layout.enabled
-    return singular_values_and_vectors(matrix.stiffness[np.ix_(on, on)])[1]
+    return singular_values_and_vectors(matrix.used_stiffness)[1]
 
 
 def asymmetry(matrix: StiffnessMatrix) -> float:
     """Return |K - K'| / |K + K'|; 0 for calibrated actuators and sensors (Maxwell and Betti)."""
-    on = matrix.layout.enabled
-    k = matrix.stiffness[np.ix_(on, on)]
+    k = matrix.used_stiffness
     return float(np.linalg.norm(k - k.T) / np.linalg.norm(k + k.T))
 
 
@@ -80,8 +61,10 @@ def comparable_arms(matrix: StiffnessMatrix) -> Array:
     return np.asarray(a / np.array([[1.0], [length], [length]]))
 
 
-def balance_modes(modes: Array, a: Array) -> ElasticSolution:
-    """Return the alpha that balances the modes best: the smallest singular vector, its mean 1.
+def balance_modes(modes: Array, a: Array) -> tuple[Array, Array]:
+    """Return (n,) alpha of mean 1 that balances (m, n) modes best, and (n,) singular values.
+
+    Alpha is the smallest singular vector; the values, of the stacked system, ascend.
 
     Raises
     ------
@@ -114,7 +97,7 @@ def balance_modes(modes: Array, a: Array) -> ElasticSolution:
             "the alpha that balances the modes is not positive for every actuator",
             remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
         )
-    return ElasticSolution(alpha, values)
+    return alpha, values
 
 
 def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array) -> Array:
@@ -158,21 +141,21 @@ def find(matrix: StiffnessMatrix) -> Estimate:
     ------
     RankDeficient
     """
-    refuse(Diagnosis((), 0, geometry_faults(enabled_arms(matrix.layout))))
+    refuse(geometry_faults(enabled_arms(matrix.layout)))
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
-    solved, n = balance_modes(modes, a), a.shape[1]
-    covariance = mode_covariance(modes, a, solved.alpha, np.eye(3), np.zeros((n, n)))
-    return found_from(matrix, "svd", solved.alpha, covariance, solved.singular_values)
+    (alpha, singular_values), n = balance_modes(modes, a), a.shape[1]
+    covariance = mode_covariance(modes, a, alpha, np.eye(3), np.zeros((n, n)))
+    return relative_estimate(matrix, "svd", alpha, covariance, singular_values)
 
 
-def found_from(
+def relative_estimate(
     matrix: StiffnessMatrix, method: str, alpha: Array, covariance: Array, singular_values: Array
 ) -> Estimate:
-    """Put a relative alpha into the form that all methods share."""
+    """Put (n,) relative alpha, its (n, n) covariance and values into what all methods share."""
     n = len(alpha)
     return Estimate(
         method=method,
-        scale="mean 1",
+        scale=Scale.MEAN_ONE,
         values=alpha,
         reading_covariance=covariance,
         systematic_covariance=np.zeros((n, n)),
@@ -191,8 +174,7 @@ def orientation_warning(matrix: StiffnessMatrix) -> tuple[Fault, ...]:
     K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
     {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
     """
-    on = matrix.layout.enabled
-    k, rigid = matrix.stiffness[np.ix_(on, on)], np.linalg.qr(enabled_arms(matrix.layout).T)[0]
+    k, rigid = matrix.used_stiffness, np.linalg.qr(enabled_arms(matrix.layout).T)[0]
     if np.linalg.norm(rigid.T @ k) >= 0.5 * np.linalg.norm(k @ rigid):
         return ()
     return (
@@ -221,18 +203,16 @@ def imbalances(
     matrix
         The stiffness.
     fit
-        Returns alpha from modes and arms.
+        Returns (n,) alpha from (m, n) modes and (3, n) arms.
     """
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
-    ones = np.ones(a.shape[1])
-
-    def judged(name: str, fitted: Array, judge: Array) -> Imbalance:
-        after = rms_imbalance(judge, fit(fitted, a), a)
-        return Imbalance(name, rms_imbalance(judge, ones, a), after)
-
-    even, odd = modes[0::2], modes[1::2]
-    return (
-        judged("all modes, fitted", modes, modes),
-        judged("odd modes, fitted on the even", even, odd),
-        judged("even modes, fitted on the odd", odd, even),
+    ones, even, odd = np.ones(a.shape[1]), modes[0::2], modes[1::2]
+    tests = (
+        ("all modes, fitted", modes, modes),
+        ("odd modes, fitted on the even", even, odd),
+        ("even modes, fitted on the odd", odd, even),
+    )
+    return tuple(
+        Imbalance(name, rms_imbalance(judged, ones, a), rms_imbalance(judged, fit(fitted, a), a))
+        for name, fitted, judged in tests
     )

@@ -1,8 +1,8 @@
-"""Patterns of alpha that drown in noise: which they are, and how badly.
+"""Undetermined patterns of alpha, which noise decides: which they are, and their error.
 
-Where noise alone feigns as much imbalance as a pattern of alpha would make, the data say nothing of
-that pattern (docs/likelihood.md). It is left even over the mirror, and taken to be as large, root
-mean square over the actuators, as all that alpha is seen to vary by: an error that claims little.
+Where noise alone makes as much imbalance as a pattern of alpha would, the data say nothing of that
+pattern (docs/likelihood.md). It is held at zero, so that alpha stays even over the mirror, and its
+error is taken to be, root mean square over the actuators, all that alpha is seen to vary by.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
 
-STIFF = 1e10  # information on a pattern held even: it is known to 1e-5, for the time being
+HELD = 1e10  # information on a pattern held at zero: it is known to 1e-5, for the time being
 
 
-def drowned_patterns(problem: Problem, moments: Moments, count: int) -> Array:
+def undetermined_patterns(problem: Problem, moments: Moments, count: int) -> Array:
     """Return (n, count) patterns of alpha, orthonormal and of mean 0, that the data hold least.
 
     One pattern more than ``count`` cannot be told from alpha; of all that these make up together,
@@ -35,7 +35,7 @@ def drowned_patterns(problem: Problem, moments: Moments, count: int) -> Array:
     moments
         All groups.
     count
-        How many drown.
+        How many are undetermined.
     """
     centred = centred_means(moments)
     _, patterns = balance_patterns(centred, problem.a, problem.noise.variance, count + 1)
@@ -43,24 +43,24 @@ def drowned_patterns(problem: Problem, moments: Moments, count: int) -> Array:
     return np.asarray(np.linalg.qr(patterns @ without_mean)[0])
 
 
-def held_even(problem: Problem, patterns: Array) -> Problem:
-    """Return the problem with (n, k) patterns held at nothing."""
-    return replace(problem, prior=problem.prior.with_more(STIFF * patterns @ patterns.T))
+def with_patterns_held(problem: Problem, patterns: Array) -> Problem:
+    """Return the problem with (n, k) orthonormal patterns of alpha held at zero."""
+    return replace(problem, prior=problem.prior.with_more(HELD * patterns @ patterns.T))
 
 
-def with_unknown_patterns(estimate: Minimum, patterns: Array) -> Minimum:
-    """Return the estimate with what is not known of (n, k) patterns in its covariance."""
-    n, t = len(patterns), len(estimate.reading_covariance)
+def with_undetermined_patterns(minimum: Minimum, patterns: Array) -> Minimum:
+    """Return the minimum with the error of (n, k) patterns held at zero in its covariance."""
+    n, t = len(patterns), len(minimum.reading_covariance)
     pulled = np.zeros((t, patterns.shape[1]))
-    pulled[:n] = STIFF * patterns
-    spread = float(estimate.values[:n].std())
-    answer = scipy.linalg.solve(estimate.information[:t, :t], pulled, assume_a="pos")
+    pulled[:n] = HELD * patterns
+    spread = float(minimum.values[:n].std())
+    answer = scipy.linalg.solve(minimum.information[:t, :t], pulled, assume_a="pos")
     answer *= spread * np.sqrt(n)  # of length 1: RMS over actuators 1 / root n
-    return replace(estimate, reading_covariance=estimate.reading_covariance + answer @ answer.T)
+    return replace(minimum, reading_covariance=minimum.reading_covariance + answer @ answer.T)
 
 
 def tolerable(judged: Diagnosis, n: int) -> bool:
-    """Tell whether an answer is worth having though some patterns drown.
+    """Tell whether an answer is worth having though some patterns are undetermined.
 
     Not where the shapes would be too few even without noise, nor where a tenth of the patterns go.
     """

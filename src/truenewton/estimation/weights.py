@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import ScaleError
+from truenewton.estimation.diagnosis import ErrorKind, ErrorSource, ScaleError
 from truenewton.records.campaign import Campaign
+from truenewton.statics.load import Load
 
-READINGS = "noise of the readings"
+READINGS = ErrorSource(ErrorKind.READINGS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,12 +21,12 @@ class WeightError:
     Attributes
     ----------
     source
-        E_WEIGHT, E_ADDED of a tool, or E_TILT of a load, in words.
+        E_WEIGHT, E_ADDED of a tool, or E_TILT of a load.
     change
         (L,) change of W of each load by one standard uncertainty [N].
     """
 
-    source: str
+    source: ErrorSource
     change: Array
 
 
@@ -38,20 +39,25 @@ def weight_errors(campaign: Campaign) -> tuple[WeightError, ...]:
     loads = campaign.loads
     cosine = np.cos(np.radians([load.tilt for load in loads]))
     sine = np.sin(np.radians([load.tilt for load in loads]))
-    sources = [WeightError("weight of the mirror", campaign.weight_error * cosine)]
-    tools = {load.tool or f"'{load.name}'": load.tool for load in loads if load.added_error > 0}
-    for name, tool in tools.items():
-        shared = [(load.tool or f"'{load.name}'") == name for load in loads]
+    errors = [WeightError(ErrorSource(ErrorKind.MIRROR), campaign.weight_error * cosine)]
+    for source in dict.fromkeys(added_source(load) for load in loads if load.added_error > 0):
+        shared = [added_source(load) == source for load in loads]
         change = np.where(shared, [load.added_error for load in loads], 0.0) * cosine
-        words = f"weight of '{tool}'" if tool else f"added weight of load {name}"
-        sources.append(WeightError(words, change))
-    for place, load in enumerate(loads):
+        errors.append(WeightError(source, change))
+    for load_index, load in enumerate(loads):
         if load.tilt_error > 0:
             change = np.zeros(len(loads))
             total = campaign.weight + load.added
-            change[place] = -total * sine[place] * np.radians(load.tilt_error)
-            sources.append(WeightError(f"tilt of load '{load.name}'", change))
-    return tuple(source for source in sources if np.any(source.change))
+            change[load_index] = -total * sine[load_index] * np.radians(load.tilt_error)
+            errors.append(WeightError(ErrorSource(ErrorKind.TILT, load.name), change))
+    return tuple(error for error in errors if np.any(error.change))
+
+
+def added_source(load: Load) -> ErrorSource:
+    """Return the source of the error of an added weight: its tool, or the load if none is named."""
+    if load.tool:
+        return ErrorSource(ErrorKind.TOOL, load.tool)
+    return ErrorSource(ErrorKind.ADDED, load.name)
 
 
 def scale_errors(
@@ -69,13 +75,18 @@ def scale_errors(
         The errors of the weights.
     """
     direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
-    readings = float(np.sqrt(direction @ reading_covariance @ direction))
-    lines = [ScaleError(READINGS, readings)]
+    lines = [scale_error_from_readings(alpha, reading_covariance)]
     lines += [
         ScaleError(source.source, abs(float(direction @ change)))
         for source, change in zip(sources, changes, strict=True)
     ]
     return tuple(sorted(lines, key=lambda line: -line.relative))
+
+
+def scale_error_from_readings(alpha: Array, reading_covariance: Array) -> ScaleError:
+    """Return the part of the readings, from (n,) alpha and its (n, n) covariance from them."""
+    direction = alpha / (alpha @ alpha)
+    return ScaleError(READINGS, float(np.sqrt(direction @ reading_covariance @ direction)))
 
 
 def scale_total(lines: tuple[ScaleError, ...]) -> float:
@@ -86,17 +97,7 @@ def scale_total(lines: tuple[ScaleError, ...]) -> float:
 def tilt_as_load(weight: float, weight_error: float, tilt: float, tilt_error: float) -> float:
     """Return the relative error of the scale if the mirror's own tilt were the second load.
 
-    The change of weight is P (1 - cos tilt).
-
-    Parameters
-    ----------
-    weight, weight_error
-        P and its standard uncertainty [N].
-    tilt, tilt_error
-        Angle and its standard uncertainty [deg].
+    The change of weight is P (1 - cos tilt); P in N, the tilt in degrees.
     """
-    angle = np.radians(tilt)
-    change = weight * (1 - np.cos(angle))
-    from_weight = weight_error * (1 - np.cos(angle))
-    from_angle = weight * np.sin(angle) * np.radians(tilt_error)
-    return float(np.hypot(from_weight, from_angle) / abs(change))
+    from_angle = np.radians(tilt_error) / np.tan(np.radians(tilt) / 2)
+    return float(np.hypot(weight_error / weight, from_angle))

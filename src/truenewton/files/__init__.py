@@ -1,7 +1,9 @@
 """FITS and TOML on disk, whatever they mean; outputs that are complete or not there.
 
+format         what a file of some kind holds, declared once for writing and reading
 fits           FITS in and out, safely: the only importer of astropy.io.fits
-content        what a FITS file held, asked for by name, type and unit
+content        what a FITS file held, asked for by what a format declares
+checksums      CHECKSUM and DATASUM, held against the bytes
 stored_rows    rows of a table that stay in their file, for campaigns larger than memory
 stored_tables  where such tables stand in their file
 outputs        outputs written beside their target, then renamed

@@ -5,35 +5,28 @@ from __future__ import annotations
 import datetime
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any, NamedTuple, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 import astropy.units as u
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.errors import FormatError, TrueNewtonError
+from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.files.format import REQUIRED, STORED, Column, FileFormat, Keyword, TableFormat
 from truenewton.files.stored_rows import StoredRows
 
-Kind = Literal["float", "int", "bool", "str"]
-_KINDS: dict[str, tuple[str, Any, str]] = {
-    "float": ("fiu", np.float64, "a number"),
-    "int": ("iu", np.int64, "an integer"),
-    "bool": ("b", np.bool_, "a logical"),
-    "str": ("SU", np.str_, "text"),
-}
+Record = TypeVar("Record")
+Extension = TypeVar("Extension", "Table", "Image")
 
 
-@dataclass(frozen=True, eq=False)
-class Table:
+class Table(NamedTuple):
     """A binary table as it was read.
 
     Attributes
     ----------
-    path, name
-        The file and EXTNAME, for messages.
     rows
         Number of rows.
     columns
@@ -41,84 +34,15 @@ class Table:
         name.
     """
 
-    path: str
-    name: str
     rows: int
     columns: Mapping[str, tuple[NDArray[Any] | StoredRows, str | None]]
 
-    def has(self, name: str) -> bool:
-        """Tell whether there is such a column."""
-        return name in self.columns
 
-    def column(
-        self, name: str, kind: Kind = "float", unit: str | None = None, width: int | None = None
-    ) -> Any:
-        """Return a column, (rows,) or (rows, width), converted to ``unit``.
+class Image(NamedTuple):
+    """An image as it was read: pixels in numpy order, and BUNIT."""
 
-        Raises
-        ------
-        FormatError
-            The column is missing, of another type or width, or its unit is absent or foreign.
-        """
-        if name not in self.columns:
-            raise FormatError(
-                f"{self.name} has no column {name}", remedy="add it (docs/files.md)", path=self.path
-            )
-        values, has_unit = self.columns[name]
-        what = f"column {name} of {self.name}"
-        kinds, dtype, wanted = _KINDS[kind]
-        if values.dtype.kind not in kinds:
-            raise FormatError(
-                f"{what} holds {values.dtype}",
-                remedy=f"store {wanted}",
-                path=self.path,
-                got=str(values.dtype),
-            )
-        if not isinstance(values, StoredRows):
-            try:
-                values = values.astype(dtype, copy=False)
-            except UnicodeDecodeError:
-                raise FormatError(
-                    f"{what} holds bytes that are not ASCII",
-                    remedy="store plain text",
-                    path=self.path,
-                ) from None
-            if width == 1 and values.ndim == 1:
-                values = values[:, None]
-        want = (self.rows,) if width is None else (self.rows, width)
-        if values.shape != want:
-            size = math.prod(values.shape[1:]) if self.rows else 0
-            raise FormatError(
-                f"{what} has {size} values a row instead of {width or 1}",
-                remedy="store one for each actuator" if width else "store one",
-                path=self.path,
-                got=values.shape,
-                want=want,
-            )
-        if unit is None:
-            return values
-        in_unit = partial(convert, has=has_unit, want=unit, what=what, path=self.path)
-        if isinstance(values, StoredRows):
-            in_unit(np.empty(0))  # refuses a unit before any use
-            return replace(values, in_unit=in_unit)
-        return in_unit(values)
-
-
-@dataclass(frozen=True, eq=False)
-class Image:
-    """An image as it was read."""
-
-    path: str
-    name: str
     data: NDArray[Any]
     unit: str | None
-
-    def values(self, unit: str | None = None) -> NDArray[np.float64]:
-        """Return the pixels in numpy order as float64, converted to ``unit``."""
-        if self.data.dtype.kind not in "fiu":
-            raise FormatError(f"{self.name} is not numeric", remedy="store D", path=self.path)
-        values = self.data.astype(np.float64, copy=False)
-        return values if unit is None else convert(values, self.unit, unit, self.name, self.path)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,98 +55,202 @@ class FitsFile:
         Where, and the digest of its bytes.
     header
         The primary header.
-    tables, images
-        By upper-case EXTNAME.
-    unsound
-        By upper-case EXTNAME, what is wrong with an extension; raised when it is asked for.
+    extensions
+        Tables and images by upper-case EXTNAME; or what is wrong with one, raised when it is asked
+        for.
     """
 
     path: str
     sha256: str
     header: Mapping[str, Any]
-    tables: Mapping[str, Table]
-    images: Mapping[str, Image]
-    unsound: Mapping[str, TrueNewtonError]
+    extensions: Mapping[str, Table | Image | TrueNewtonError]
 
     def holds(self, name: str) -> bool:
         """Tell whether there is such an extension, sound or not."""
-        return name in self.tables or name in self.images or name in self.unsound
+        return name in self.extensions
 
-    def table(self, name: str) -> Table:
-        """Return a table, or raise FormatError."""
-        self._refuse_unsound(name)
-        if name not in self.tables:
-            raise FormatError(
-                f"there is no table {name}", remedy="add it (docs/files.md)", path=self.path
+    def record(self, kind: type[Record], form: FileFormat, **known: Any) -> Record:
+        """Return the record in the file; ``known`` are fields that are no part of the format.
+
+        Raises
+        ------
+        FormatError
+            The file breaks its contract.
+        TrueNewtonError
+            What the record itself refuses.
+        """
+        return self.filled(kind, self.values(form) | known)
+
+    def filled(self, kind: type[Record], values: dict[str, Any]) -> Record:
+        """Return a record filled from `values`; what it refuses names the file."""
+        try:
+            made: Record = _filled(kind, values)
+        except TrueNewtonError as error:
+            raise located(error, self.path) from None
+        return made
+
+    def values(self, form: FileFormat) -> dict[str, Any]:
+        """Return what the file holds by attribute: a dictionary for each record inside.
+
+        Raises
+        ------
+        FormatError
+            The file breaks its contract.
+        """
+        values: dict[str, Any] = {}
+
+        def put(attribute: Any, value: Any) -> None:
+            *way, last = attribute.split(".")
+            inside = values
+            for name in way:
+                inside = inside.setdefault(name, {})
+            inside[last] = value
+
+        for keyword in form.keywords:
+            if not callable(keyword.attribute):
+                put(keyword.attribute, self._keyword(keyword))
+        for extension in form.extensions:
+            if isinstance(extension, TableFormat):
+                for column in extension.columns:
+                    if not callable(column.attribute):
+                        name = f"{extension.of}.{column.attribute}".lstrip(".")
+                        put(name, self._column(extension.name, column))
+            elif not callable(extension.attribute):
+                put(extension.attribute, self.pixels(extension.name, extension.unit))
+        return values
+
+    def _keyword(self, keyword: Keyword) -> Any:
+        key, value, stored = keyword.name, self.header.get(keyword.name), STORED[keyword.kind]
+        if value is None:
+            if keyword.absent is REQUIRED:
+                self._refuse(f"the primary header has no {key}", "add it (docs/files.md)")
+            return keyword.absent
+        number = keyword.kind == "float"
+        if type(value) not in stored.types or (number and not math.isfinite(value)):
+            self._refuse(f"{key} is {value!r}", f"store {stored.words}", got=value)
+        if stored.dtype is np.str_:
+            return self._text(value, keyword, key)
+        return float(value) if number else value
+
+    def _column(self, table: str, column: Column) -> Any:
+        """Return a column, (rows,) or (rows, width), in its unit; of texts and dates a tuple."""
+        rows, columns = self._extension(table, Table)
+        if column.name not in columns:
+            if column.absent is REQUIRED:
+                self._refuse(f"{table} has no column {column.name}", "add it (docs/files.md)")
+            if column.kind == "str":
+                return (column.absent,) * rows
+            return None if column.absent is None else np.full(rows, column.absent)
+        values, has_unit = columns[column.name]
+        what, stored = f"column {column.name} of {table}", STORED[column.kind]
+        if values.dtype.kind not in stored.kinds:
+            self._refuse(
+                f"{what} holds {values.dtype}", f"store {stored.words}", got=str(values.dtype)
             )
-        return self.tables[name]
-
-    def image(self, name: str) -> Image:
-        """Return an image, or raise FormatError."""
-        self._refuse_unsound(name)
-        if name not in self.images:
-            raise FormatError(
-                f"there is no image {name}", remedy="add it (docs/files.md)", path=self.path
+        width = self._extension(column.each, Table).rows if column.each else None
+        if not isinstance(values, StoredRows):
+            try:
+                values = values.astype(stored.dtype, copy=False)
+            except UnicodeDecodeError:
+                self._refuse(f"{what} holds bytes that are not ASCII", "store plain text")
+            if width == 1 and values.ndim == 1:
+                values = values[:, None]
+        want = (rows,) if width is None else (rows, width)
+        if values.shape != want:
+            size = math.prod(values.shape[1:]) if rows else 0
+            self._refuse(
+                f"{what} has {size} values a row instead of {width or 1}",
+                "store one for each actuator" if width else "store one",
+                got=values.shape,
+                want=want,
             )
-        return self.images[name]
-
-    def text(self, key: str) -> str:
-        """Return a keyword that holds text."""
-        return str(self._keyword(key, lambda v: isinstance(v, str), "text").strip())
-
-    def integer(self, key: str) -> int:
-        """Return a keyword that holds an integer."""
-        return int(self._keyword(key, lambda v: isinstance(v, int), "an integer"))
-
-    def number(self, key: str) -> float:
-        """Return a keyword that holds a finite number."""
-        return float(
-            self._keyword(
-                key, lambda v: isinstance(v, int | float) and math.isfinite(v), "a number"
+        if stored.dtype is np.str_:
+            return tuple(
+                self._text(text, column, f"{column.name} in {table}") for text in np.asarray(values)
             )
-        )
+        if column.unit is None:
+            return values
+        in_unit = partial(convert, has=has_unit, want=column.unit, what=what, path=self.path)
+        if isinstance(values, StoredRows):
+            in_unit(np.empty(0))  # refuses a unit before any use
+            return replace(values, in_unit=in_unit)
+        return in_unit(values)
 
-    def optional_number(self, key: str) -> float | None:
-        """Return a keyword that holds a number, or None where it is absent."""
-        return self.number(key) if self.header.get(key) is not None else None
-
-    def optional_text(self, key: str) -> str | None:
-        """Return a keyword that holds text, or None where it is absent."""
-        return self.text(key) if self.header.get(key) is not None else None
-
-    def date(self, key: str) -> datetime.datetime:
-        """Return a keyword that holds an ISO 8601 date and time, UTC."""
-        text = self.text(key)
+    def _text(self, value: str, declared: Keyword | Column, what: str) -> Any:
+        """Return a text, or the date in it; what is blank counts as absent."""
+        text = str(value).strip()
+        if declared.kind == "str":
+            return text if text or declared.absent is REQUIRED else declared.absent
         try:
             date = datetime.datetime.fromisoformat(text)
             if not 1950 <= date.year < 2200:  # arithmetic with dates stays far from its ends
                 raise ValueError(text)
         except ValueError:
-            raise FormatError(
-                f"{key} is '{text}'",
-                remedy="write ISO 8601, as 2026-11-21T09:30:00",
-                path=self.path,
-            ) from None
+            self._refuse(f"{what} is '{text}'", "write ISO 8601, as 2026-11-21T09:30:00")
         if date.tzinfo is None:
             return date.replace(tzinfo=datetime.UTC)
         return date.astimezone(datetime.UTC)
 
-    def _refuse_unsound(self, name: str) -> None:
-        if name in self.unsound:
-            raise self.unsound[name]
+    def pixels(self, name: str, unit: str | None = None) -> NDArray[np.float64]:
+        """Return the pixels of an image in numpy order as float64, converted to ``unit``.
 
-    def _keyword(self, key: str, sound: Callable[[Any], bool], wanted: str) -> Any:
-        value = self.header.get(key)
-        if value is None:
-            raise FormatError(
-                f"the primary header has no {key}", remedy="add it (docs/files.md)", path=self.path
-            )
-        # Python counts True as an integer; a logical is neither number nor text here.
-        if isinstance(value, bool) or not sound(value):
-            raise FormatError(
-                f"{key} is {value!r}", remedy=f"store {wanted}", path=self.path, got=value
-            )
+        Raises
+        ------
+        FormatError
+            It is missing, is not numeric, or its unit is absent or foreign.
+        """
+        data, has_unit = self._extension(name, Image)
+        if data.dtype.kind not in "fiu":
+            self._refuse(f"{name} is not numeric", "store D")
+        values: NDArray[np.float64] = data.astype(np.float64, copy=False)
+        return values if unit is None else convert(values, has_unit, unit, name, self.path)
+
+    def require_squares(self, names: tuple[str, ...], side: int, meaning: str) -> None:
+        """Refuse images that are not square, with a side that has a meaning."""
+        for name in names:
+            shape = self.pixels(name).shape
+            if shape != (side, side):
+                self._refuse(
+                    f"{name} has the shape {shape}",
+                    f"it is square, of {side}: {meaning}",
+                    got=shape,
+                    want=(side, side),
+                )
+
+    def _extension(self, name: str, kind: type[Extension]) -> Extension:
+        extension = self.extensions.get(name)
+        if isinstance(extension, TrueNewtonError):
+            raise extension
+        if not isinstance(extension, kind):
+            self._refuse(f"there is no {kind.__name__.lower()} {name}", "add it (docs/files.md)")
+        return extension
+
+    def _refuse(self, fault: str, remedy: str, got: Any = None, want: Any = None) -> NoReturn:
+        raise FormatError(fault, remedy=remedy, path=self.path, got=got, want=want) from None
+
+
+def _filled(kind: Any, value: Any) -> Any:
+    """Fill a record, a tuple of records or a plain tuple: the types of its fields tell which."""
+    if not isinstance(value, dict):
         return value
+    if get_origin(kind) is not tuple:
+        hints = get_type_hints(kind)
+        return kind(**{name: _filled(hints[name], part) for name, part in value.items()})
+    inner = get_args(kind)
+    if inner[-1] is not ...:
+        return tuple(value.values())
+    return tuple(_filled(inner[0], row) for row in _rows(value))
+
+
+def _rows(columns: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of columns, in Python's own numbers."""
+    cells = [
+        _rows(part) if isinstance(part, dict)
+        else part.tolist() if isinstance(part, np.ndarray) and part.ndim == 1
+        else part
+        for part in columns.values()
+    ]  # fmt: skip
+    return [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=True)]
 
 
 def convert(

@@ -13,25 +13,31 @@ import io
 import os
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from io import BufferedIOBase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.files.checksums import verify_checksums
 from truenewton.files.content import FitsFile, Image, Table
+from truenewton.files.format import (
+    Attribute,
+    FileFormat,
+    ImageFormat,
+    TableFormat,
+    columns_of,
+    header_of,
+    value_of,
+)
 from truenewton.files.outputs import file_beside
-from truenewton.files.stored_rows import StoredRows, blocks, state_of
+from truenewton.files.stored_rows import StoredRows, state_of
 from truenewton.files.stored_tables import long_rows, without_columns
-
-if TYPE_CHECKING:
-    pass
-
 
 GZIP, START = b"\x1f\x8b", b"SIMPLE"
 
@@ -76,7 +82,7 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
                 hdus.readall()
                 _refuse_damage(caught, path)
                 for hdu in hdus:
-                    _verify(stream, hdu, path)
+                    verify_checksums(stream, hdu, path)
                 return _take(_Opened(path, digest.hexdigest(), stream, state), hdus)
     except (UnreadableFile, FormatError):
         raise
@@ -99,80 +105,41 @@ class _Opened:
 
 def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
     """Refuse a file of which astropy only warns that its length is wrong."""
-    said = " ".join(str(warning.message) for warning in caught)
-    if "truncated" in said:
+    warned = " ".join(str(warning.message) for warning in caught)
+    if "truncated" in warned:
         raise UnreadableFile("is truncated", remedy="fetch it again", path=path)
-    if "corrupted" in said:
+    if "corrupted" in warned:
         raise UnreadableFile(
             "is damaged, or bytes follow its end", remedy="fetch it again", path=path
         )
 
 
-def _verify(stream: BufferedIOBase, hdu: Any, path: str) -> None:
-    """Compare CHECKSUM and DATASUM, where they stand, with the bytes as they are on disk.
-
-    Astropy sums what it would write itself, and so misses damage to the padding.
-    """
-    whole, wanted = hdu.header.get("CHECKSUM"), hdu.header.get("DATASUM")
-    if not (whole or wanted):
-        return
-    at = hdu.fileinfo()
-    of_data = _sum32(stream, at["datLoc"], at["datSpan"])
-    total = _folded(_sum32(stream, at["hdrLoc"], at["datLoc"] - at["hdrLoc"]) + of_data)
-    if (whole and total != 0xFFFFFFFF) or (wanted and str(of_data) != str(wanted).strip()):
-        raise UnreadableFile(
-            "a CHECKSUM or DATASUM does not match",
-            remedy="the file was changed or damaged: fetch it again",
-            path=path,
-        )
-
-
-def _sum32(stream: BufferedIOBase, start: int, length: int) -> int:
-    """Return the sum of 32-bit words in ones' complement (FITS standard, appendix J)."""
-    stream.seek(start)
-    total = 0
-    for some in blocks(length // 4, 4):  # of whole words
-        words = np.frombuffer(stream.read(4 * (some.stop - some.start)), dtype=">u4")
-        total += int(words.sum(dtype=np.uint64))
-    return _folded(total)
-
-
-def _folded(total: int) -> int:
-    """Return a sum in ones' complement of 32 bits: what overflows comes in again below."""
-    while total >> 32:
-        total = (total & 0xFFFFFFFF) + (total >> 32)
-    return total
-
-
 def _take(opened: _Opened, hdus: Any) -> FitsFile:
     """Copy everything out of open HDUs; what is wrong with an extension waits until asked for."""
     path = opened.path
-    tables: dict[str, Table] = {}
-    images: dict[str, Image] = {}
-    unsound: dict[str, TrueNewtonError] = {}
+    extensions: dict[str, Table | Image | TrueNewtonError] = {}
     for hdu in hdus[1:]:
         name = str(hdu.name).upper()
-        if name in tables or name in images:
-            unsound[name] = FormatError(f"there are two {name}", remedy="keep one", path=path)
+        if name in extensions:
+            extensions[name] = FormatError(f"there are two {name}", remedy="keep one", path=path)
             continue
         try:
             _refuse_doubles(hdu.header.keys(), "keywords", path)
             if isinstance(hdu, fits.BinTableHDU):
-                tables[name] = _table(opened, hdu, name)
+                extensions[name] = _table(opened, hdu, name)
             elif isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
                 unit = hdu.header.get("BUNIT")
-                data = _native(hdu.data)
-                images[name] = Image(path, name, data, None if unit is None else str(unit))
+                extensions[name] = Image(_native(hdu.data), None if unit is None else str(unit))
         except TrueNewtonError as error:
-            unsound[name] = error
+            extensions[name] = error
         except Exception:
-            unsound[name] = UnreadableFile(
+            extensions[name] = UnreadableFile(
                 f"{name} is damaged", remedy="fetch the file again", path=path
             )
     header = hdus[0].header
     _refuse_doubles(header.keys(), "keywords", path)
     plain = {k: v for k, v in header.items() if not isinstance(v, fits.card.Undefined)}
-    return FitsFile(path, opened.digest, plain, tables, images, unsound)
+    return FitsFile(path, opened.digest, plain, extensions)
 
 
 def _refuse_doubles(names: Iterable[str], what: str, path: str) -> None:
@@ -198,7 +165,7 @@ def _table(opened: _Opened, hdu: Any, name: str) -> Table:
             values = _native(np.asarray(hdu.data[column.name]))
         unit = None if column.unit is None else str(column.unit)
         columns[str(column.name).upper()] = values, unit
-    return Table(path, name, len(hdu.data), columns)
+    return Table(len(hdu.data), columns)
 
 
 def _native(values: NDArray[Any]) -> NDArray[Any]:
@@ -206,43 +173,17 @@ def _native(values: NDArray[Any]) -> NDArray[Any]:
     return np.array(values, dtype=values.dtype.newbyteorder("="), order="C")
 
 
-@dataclass(frozen=True, eq=False)
-class Sheet:
-    """An extension to be written: columns make a table, ``data`` an image.
-
-    Attributes
-    ----------
-    name
-        EXTNAME.
-    columns
-        (name, FITS format, unit or None, values) of a table.
-    data, unit
-        Pixels of an image and BUNIT.
-    """
-
-    name: str
-    columns: tuple[tuple[str, str, str | None, Any], ...] = ()
-    data: NDArray[Any] | None = None
-    unit: str | None = None
-
-
 def write_fits(
-    path: str | os.PathLike[str],
-    header: Mapping[str, tuple[Any, str]],
-    sheets: list[Sheet],
-    *,
-    overwrite: bool = False,
+    path: str | os.PathLike[str], form: FileFormat, record: Any, *, overwrite: bool = False
 ) -> None:
-    """Write a FITS file with checksums, beside its target and then renamed.
+    """Write a record in a format, with checksums, beside its target and then renamed.
 
     Parameters
     ----------
     path
         The target; gzipped where it ends in .gz.
-    header
-        Primary keywords with value and comment; None and NaN are left out (docs/files.md).
-    sheets
-        The extensions, in order.
+    form, record
+        What holds the attributes that the format names.
 
     Raises
     ------
@@ -250,49 +191,18 @@ def write_fits(
     FormatError
         A keyword holds what no FITS header can.
     """
-    primary = fits.PrimaryHDU()
-    _fill(primary.header, header, path)
-    _write_whole(path, [primary, *map(_hdu, sheets)], overwrite=overwrite)
-
-
-def write_matrix(
-    path: str | os.PathLike[str],
-    header: Mapping[str, tuple[Any, str]],
-    matrix: NDArray[Any],
-    *,
-    overwrite: bool = False,
-) -> None:
-    """Write a FITS file that holds one matrix and nothing else, as other programs read it.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    FormatError
-        A keyword holds what no FITS header can.
-    """
-    primary = fits.PrimaryHDU(np.asarray(matrix, dtype=">f8"))
-    _fill(primary.header, header, path)
-    _write_whole(path, [primary], overwrite=overwrite)
-
-
-def _fill(
-    made: fits.Header, header: Mapping[str, tuple[Any, str]], path: str | os.PathLike[str]
-) -> None:
-    for key, (value, comment) in header.items():
-        if value is not None and not (isinstance(value, float) and np.isnan(value)):
-            try:
-                made.append(_card(key, value, comment), end=True)
-            except ValueError:
-                raise FormatError(
-                    f"{key} is {value!r}",
-                    remedy="a FITS header holds finite numbers and ASCII text",
-                    path=path,
-                    got=value,
-                ) from None
-
-
-def _write_whole(path: str | os.PathLike[str], parts: list[Any], *, overwrite: bool) -> None:
-    hdus = fits.HDUList(parts)
+    matrix = None if form.matrix is None else _pixels(record, form.matrix)
+    hdus = fits.HDUList([fits.PrimaryHDU(matrix), *(_hdu(record, e) for e in form.extensions)])
+    for key, value, comment in header_of(record, form):
+        try:
+            hdus[0].header.append(_card(key, value, comment), end=True)
+        except ValueError:
+            raise FormatError(
+                f"{key} is {value!r}",
+                remedy="a FITS header holds finite numbers and ASCII text",
+                path=path,
+                got=value,
+            ) from None
     for hdu in hdus:
         # astropy would note the time of writing: the same data shall give the same bytes.
         hdu.add_checksum(when="data unit checksum")
@@ -336,17 +246,21 @@ def _card(key: str, value: Any, comment: str) -> Any:
     return fits.Card(key, value, comment)
 
 
-def _hdu(sheet: Sheet) -> Any:
-    if sheet.data is None:
+def _hdu(record: Any, extension: TableFormat | ImageFormat) -> Any:
+    if isinstance(extension, TableFormat):
         columns = [
             fits.Column(name=name, format=_wide(form, values), unit=unit, array=values)
-            for name, form, unit, values in sheet.columns
+            for name, form, unit, values in columns_of(record, extension)
         ]
-        return fits.BinTableHDU.from_columns(columns, name=sheet.name)
-    hdu = fits.ImageHDU(np.asarray(sheet.data, dtype=">f8"), name=sheet.name)
-    if sheet.unit:
-        hdu.header["BUNIT"] = sheet.unit
+        return fits.BinTableHDU.from_columns(columns, name=extension.name)
+    hdu = fits.ImageHDU(_pixels(record, extension.attribute), name=extension.name)
+    if extension.unit:
+        hdu.header["BUNIT"] = extension.unit
     return hdu
+
+
+def _pixels(record: Any, attribute: Attribute) -> NDArray[Any]:
+    return np.asarray(value_of(record, attribute), dtype=">f8")
 
 
 def _wide(form: str, values: Any) -> str:
@@ -354,8 +268,3 @@ def _wide(form: str, values: Any) -> str:
     if form == "J" and np.abs(np.asarray(values, dtype=np.int64)).max(initial=0) > 2**31 - 1:
         return "K"
     return form
-
-
-def ascii_text(text: str) -> str:
-    """FITS holds ASCII only; a file name may hold anything."""
-    return text.encode("ascii", "backslashreplace").decode()

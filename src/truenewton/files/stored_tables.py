@@ -26,12 +26,12 @@ def long_rows(hdu: Any, path: str, state: tuple[int, int]) -> dict[str, StoredRo
     rows, stride, record = hdu.header["NAXIS2"], hdu.header["NAXIS1"], hdu.columns.dtype
     if hdu.header.get("PCOUNT", 0) or record.itemsize != stride:
         return {}
-    found = {}
+    vectors = {}
     for column in hdu.columns:
         values, offset = record.fields[column.name][:2]
         plain = column.bscale is None and column.bzero is None and column.dim is None
         if plain and values.base.kind == "f" and values.shape and values.shape[0] > 1:
-            found[column.name] = StoredRows(
+            vectors[column.name] = StoredRows(
                 path,
                 state,
                 hdu.fileinfo()["datLoc"] + offset,
@@ -39,7 +39,7 @@ def long_rows(hdu: Any, path: str, state: tuple[int, int]) -> dict[str, StoredRo
                 (rows, *values.shape),
                 values.base.newbyteorder(">"),
             )
-    return found
+    return vectors
 
 
 def without_columns(stream: BufferedIOBase, hdu: Any, left: Mapping[str, StoredRows]) -> Any:

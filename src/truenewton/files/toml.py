@@ -58,11 +58,11 @@ def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: st
         What the dataclass itself refuses.
     """
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    place = f"[{where}] " if where else ""
+    prefix = f"[{where}] " if where else ""
     for key in table:
         if key not in fields:
             raise FormatError(
-                f"{place}knows no '{key}'", remedy=f"the keys are {', '.join(fields)}", path=path,
+                f"{prefix}knows no '{key}'", remedy=f"the keys are {', '.join(fields)}", path=path,
                 got=key, want=tuple(fields),
             )  # fmt: skip
     hints, values = get_type_hints(kind), {}
@@ -71,12 +71,12 @@ def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: st
             inside = f"{where}.{name}" if where else name
             values[name] = _value(hints[name], table[name], path, inside)
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
-            raise FormatError(f"{place}lacks '{name}'", remedy="add it", path=path, want=name)
+            raise FormatError(f"{prefix}lacks '{name}'", remedy="add it", path=path, want=name)
     try:
         return kind(**values)
     except TrueNewtonError as error:
         raise type(error)(
-            f"{place}{error.fault}", remedy=error.remedy, path=path, got=error.got, want=error.want
+            f"{prefix}{error.fault}", remedy=error.remedy, path=path, got=error.got, want=error.want
         ) from None
 
 

@@ -3,42 +3,23 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile
 from truenewton.files.toml import filled, read_toml
-from truenewton.mirrors.glass import Annulus, Shell
-from truenewton.mirrors.known import KNOWN, Mirror, mirror
+from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.statics.layout import Layout, layout
 
 
-@dataclass(frozen=True)
-class _Written:
-    """A mirror as its file gives it; lengths in metres, forces in Newton.
+@dataclass(frozen=True, kw_only=True)
+class _Written(MirrorNumbers):
+    """A mirror as its file gives it, with the file of its actuators."""
 
-    The attributes are those of `mirrors.Mirror`, but for ``actuators``, the file of its layout.
-    """
-
-    name: str
     actuators: str
-    shell: Shell
-    weight: float
-    weight_error: float
-    added_weight: float
-    added_weight_error: float
-    bias_force: float = 0.0
-    magnet_mass: float = 2.75e-3
-    alpha_range: tuple[float, float] = (0.9, 1.1)
-    gap: float = 65e-6
-    puck_radius: float = 5e-3
-    sensor: Annulus = field(default_factory=Annulus)
-    coil_gradient: float = 0.0
-    bias_gradient: float = 0.0
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
@@ -84,12 +65,8 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
             remedy="give the lowest and highest alpha, positive",
             path=path,
         )
-    values: dict[str, Any] = {
-        part.name: getattr(written, part.name)
-        for part in fields(_Written)
-        if part.name != "actuators"
-    }
-    made = Mirror(layout=read_actuators(Path(path).parent / written.actuators), **values)
+    numbers = {part.name: getattr(written, part.name) for part in fields(MirrorNumbers)}
+    made = Mirror(layout=read_actuators(Path(path).parent / written.actuators), **numbers)
     try:
         check_glass(made)
     except GeometryError as error:

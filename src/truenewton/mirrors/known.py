@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -21,16 +22,23 @@ GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
 MOST_ACTUATORS = 5352
 
 
-@dataclass(frozen=True)
-class Mirror:
-    """What is known of a mirror before it is measured.
+# Magnets and coils of the LBT [conf], which others are made after.
+LBT: dict[str, Any] = {
+    "bias_force": 0.097,
+    "magnet_mass": 2.75e-3,
+    "coil_gradient": 600.0,
+    "bias_gradient": 31.0,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class MirrorNumbers:
+    """What is known of a mirror before it is measured, beside where its actuators stand.
 
     Attributes
     ----------
     name
         As in INSTRUME.
-    layout
-        The actuators.
     shell
         The glass.
     weight, weight_error
@@ -46,31 +54,36 @@ class Mirror:
     gap
         Nominal distance from the reference plate [m].
     puck_radius
-        Of the circle on which a magnet's puck pushes the glass [m]; 5 mm [guess].
+        Of the circle on which a magnet's puck pushes the glass [m].
     sensor
         Over which a reading is the mean displacement.
     coil_gradient
-        COILGRAD, relative change of a coil's force per displacement along +z [1/m]; 600 [conf].
+        COILGRAD, relative change of a coil's force per displacement along +z [1/m].
     bias_gradient
-        BIASGRAD, change of one bias force per displacement along +z [N/m]; 31 [conf] where there
-        are bias magnets.
+        BIASGRAD, change of one bias force per displacement along +z [N/m].
     """
 
     name: str
-    layout: Layout
     shell: Shell
     weight: float
     weight_error: float
     added_weight: float
     added_weight_error: float
-    bias_force: float
-    magnet_mass: float
-    alpha_range: tuple[float, float]
-    gap: float
-    puck_radius: float = 5e-3
+    bias_force: float = 0.0
+    magnet_mass: float = 2.75e-3
+    alpha_range: tuple[float, float] = (0.9, 1.1)
+    gap: float = 65e-6
+    puck_radius: float = 5e-3  # [guess]
     sensor: Annulus = field(default_factory=Annulus)
-    coil_gradient: float = 600.0
-    bias_gradient: float = 31.0
+    coil_gradient: float = 0.0
+    bias_gradient: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mirror(MirrorNumbers):
+    """What is known of a mirror before it is measured: its numbers and its actuators."""
+
+    layout: Layout
 
 
 def p45() -> Mirror:
@@ -89,8 +102,7 @@ def p45() -> Mirror:
         weight_error=0.005,
         added_weight=-0.289,
         added_weight_error=0.005,
-        bias_force=0.097,
-        magnet_mass=2.75e-3,
+        **LBT,
         alpha_range=(0.70, 1.10),
         gap=68e-6,
     )
@@ -118,8 +130,7 @@ def lbt672() -> Mirror:
         weight_error=0.02,
         added_weight=-0.5,
         added_weight_error=0.005,
-        bias_force=0.097,
-        magnet_mass=2.75e-3,
+        **LBT,
         alpha_range=(0.90, 1.10),
         gap=65e-6,
     )
@@ -142,8 +153,7 @@ def mag585() -> Mirror:
         weight_error=0.02,
         added_weight=-0.5,
         added_weight_error=0.005,
-        bias_force=0.097,
-        magnet_mass=2.75e-3,
+        **LBT,
         alpha_range=(0.95, 1.05),
         gap=60e-6,
     )
@@ -172,13 +182,11 @@ def mmt336() -> Mirror:
         weight_error=0.02,
         added_weight=-0.5,
         added_weight_error=0.005,
-        bias_force=0.0,
-        magnet_mass=2.75e-3,
         alpha_range=(0.915, 1.085),
         gap=40e-6,
         puck_radius=3e-3,
         sensor=Annulus(3.5e-3, 6e-3),
-        bias_gradient=0.0,
+        coil_gradient=600.0,
     )
 
 
@@ -224,8 +232,7 @@ def ring(actuators: int) -> Mirror:
         weight_error=round(-weight * 5e-4, 4),
         added_weight=round(max(-0.5, 0.1 * weight), 4),
         added_weight_error=0.005,
-        bias_force=0.097,
-        magnet_mass=2.75e-3,
+        **LBT,
         alpha_range=(0.90, 1.10),
         gap=65e-6,
     )

@@ -2,6 +2,7 @@
 
 measured_stiffness  commanded force per reading, by regression over the rows of a campaign
 shape_products      the sums over shapes that it needs
+actuator_roles      who is commanded, off or slaved; alpha and gains matched to them
 true_stiffness      true Newtons per true displacement, statics put to use
 static_force        what turbulence does not change: weight, bias, what holds the mirror flat
 turbulence          the wavefront that the atmosphere sends

@@ -37,24 +37,24 @@ def zernike_modes(x: Array, y: Array) -> Array:
         The first 8 n Zernikes do not span the actuators: two of them (nearly) coincide.
     """
     n = len(x)
-    modes, found = np.empty((n, n)), 0
+    modes, count = np.empty((n, n)), 0
     for lot in range(LOTS):
         candidates = zernike((lot + 1) * n, x, y)[:, lot * n :]
         for start in range(0, n, BLOCK):
-            block = _less(candidates[:, start : start + BLOCK], modes[:, :found])
-            first = found
+            block = _less(candidates[:, start : start + BLOCK], modes[:, :count])
+            first = count
             for candidate in block.T:
-                new = _less(candidate, modes[:, first:found])
+                new = _less(candidate, modes[:, first:count])
                 length = np.linalg.norm(new)
                 if length > NEWNESS * np.sqrt(n):
-                    modes[:, found] = new / length
-                    found += 1
-                    if found == n:
+                    modes[:, count] = new / length
+                    count += 1
+                    if count == n:
                         return modes
     raise GeometryError(
-        f"Zernikes span only {found} of {n} actuators",
+        f"Zernikes span only {count} of {n} actuators",
         remedy="give each actuator a place of its own, in units of the pupil's radius",
-        got=found,
+        got=count,
         want=n,
     )
 

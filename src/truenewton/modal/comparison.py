@@ -84,30 +84,29 @@ def compare_modes(one: Array, other: Array, stiffness: Array | None = None) -> M
     beyond[:, :-1] = np.cumsum(square[:, :0:-1], axis=1)[:, ::-1]
     # Leak of the first N: of each v in them, what w N+1 .. k take; and what no w reaches.
     later = np.cumsum(beyond, axis=0)
-    order = np.arange(1, k + 1)
+    number = np.arange(1, k + 1)
     leak = np.cumsum(outside) + np.diagonal(later)
-    sine = np.sqrt(np.clip(leak / order, 0.0, 1.0))
+    sine = np.sqrt(np.clip(leak / number, 0.0, 1.0))
     cuts = np.zeros(k, dtype=bool)
     if stiffness is not None:
         size = np.maximum(np.abs(stiffness[1:]), np.abs(stiffness[:-1]))
         cuts[:-1] = (
             np.abs(np.diff(stiffness)) <= NEAR_EQUAL * size + ROUNDING * np.abs(stiffness).max()
         )
-    told = order[~cuts & (order < n)]
-    some = told
-    if k > MOST_ORDERS:
-        wanted = np.geomspace(1, told[-1], MOST_ORDERS) if told.size else np.empty(0)
-        some = told[np.unique(np.abs(told[:, None] - wanted).argmin(axis=0))] if told.size else told
-    angles = [_largest_angle(v, w, c, int(each)) for each in some]
+    uncut = number[~cuts & (number < n)]
+    orders = uncut
+    if k > MOST_ORDERS and uncut.size:
+        wanted = np.geomspace(1, uncut[-1], MOST_ORDERS)
+        orders = uncut[np.unique(np.abs(uncut[:, None] - wanted).argmin(axis=0))]
     norms = np.linalg.norm(one, axis=0) * np.linalg.norm(other, axis=0)
     return ModesComparison(
         overlap=1.0 - sine**2,
         rms_angle=sine,
-        orders=some,
-        largest_angle=np.array(angles),
+        orders=orders,
+        largest_angle=np.array([_largest_angle(v, w, c, int(order)) for order in orders]),
         same_mode=np.abs(np.sum(one * other, axis=0)) / norms,
         cuts=cuts,
-        distance=float(np.sqrt(np.mean(sine[told - 1] ** 2))) if told.size else float("nan"),
+        distance=float(np.sqrt(np.mean(sine[uncut - 1] ** 2))) if uncut.size else float("nan"),
     )
 
 

@@ -60,11 +60,6 @@ class Budget:
                     got=limit,
                 )
 
-    @property
-    def any(self) -> bool:
-        """Whether there is a limit at all."""
-        return bool(np.isfinite([self.power, self.total, self.force]).any())
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Dissipation:

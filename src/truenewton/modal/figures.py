@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import matplotlib as mpl
@@ -24,11 +22,10 @@ from truenewton.figures.style import (
     STYLE,
     new_axes,
 )
-from truenewton.figures.writing import write_drawn
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
-from truenewton.modal.words import chosen_modes, least_power, stiffness_text
+from truenewton.modal.words import stiffness_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +34,14 @@ if TYPE_CHECKING:
 NANOMETRE = 1e-9
 ACROSS = 4  # maps of modes beside each other
 LINES = ("-", "--", "-.")  # of the bases, which may lie upon each other
+FAINTEST = 1e-5  # of the largest power; below it, a piston that costs nothing takes up all the axis
 WIDE, HIGH = 2.3, 2.6  # from map to map, in units of a map's radius
+
+
+def chosen_modes(count: int) -> list[int]:
+    """Return which modes are drawn: the softest eight, and four more up to the stiffest."""
+    more = np.geomspace(8, count, 5)[1:] - 1
+    return sorted({*range(min(8, count)), *(round(k) for k in more if count > 8)})
 
 
 def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
@@ -95,12 +99,14 @@ def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
     """Draw the power of the worst coil and the mean, static force included, against modes."""
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.7)
-        for cost, colour in zip(base.costs, CURVES, strict=False):
-            number = np.arange(1, cost.residual.size + 1)
-            power = cost.power
-            ax.semilogy(number, power.max(axis=0), color=colour, label=cost.base)
+        number = np.arange(1, base.modes.stiffness.size + 1)
+        powers = {cost.base: cost.power for cost in base.costs}
+        for (name, power), colour in zip(powers.items(), CURVES, strict=False):
+            ax.semilogy(number, power.max(axis=0), color=colour, label=name)
             ax.semilogy(number, power.mean(axis=0), color=colour, linestyle=":")
-        ax.set_ylim(bottom=least_power(base))
+        least = min(power.mean(axis=0).min() for power in powers.values())
+        most = max(power.max() for power in powers.values())
+        ax.set_ylim(bottom=max(0.8 * least, FAINTEST * most))
         if np.isfinite(limits.power):
             ax.axhline(limits.power, color=FAINT, linewidth=0.6, linestyle="--")
         ax.set_xlabel("number of modes")
@@ -116,8 +122,8 @@ def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.7)
         number = np.arange(1, c.rms_angle.size)
-        whole = ~c.cuts[:-1]
-        ax.semilogy(number[whole], np.degrees(c.rms_angle[:-1][whole]), "o", color=CURVES[0],
+        uncut = ~c.cuts[:-1]
+        ax.semilogy(number[uncut], np.degrees(c.rms_angle[:-1][uncut]), "o", color=CURVES[0],
                     markersize=1.8, label="rms of the N")  # fmt: skip
         ax.semilogy(c.orders, np.degrees(c.largest_angle), "s", color=CURVES[1], markersize=1.8,
                     markerfacecolor="none", label="largest of the N")  # fmt: skip
@@ -136,19 +142,3 @@ def modes_figures(modes: ModalFindings, limits: Budget) -> dict[str, Callable[..
         "modes-power": partial(plot_power, modes.after, limits),
         "modes-comparison": partial(plot_comparison, modes),
     }
-
-
-def write_modes_figures(
-    modes: ModalFindings,
-    folder: str | os.PathLike[str],
-    limits: Budget,
-    *,
-    overwrite: bool = False,
-) -> list[Path]:
-    """Write the figures as PDF and PNG into a folder; return the paths.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
-    return write_drawn(modes_figures(modes, limits), folder, overwrite=overwrite)

@@ -3,23 +3,166 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.files.fits import Sheet, write_fits, write_matrix
+from truenewton.calibration.result import Calibration
+from truenewton.files.fits import write_fits
+from truenewton.files.format import Attribute, Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import files_together
 from truenewton.modal.dissipation import Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
+from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import ModalBase
-from truenewton.records.file import actuators_sheet, iso, write_stiffness
-from truenewton.records.source import sources_sheet
+from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
+from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
-BESIDE = ("true", "commanded", "ff_v_matrix", "ff_matrix", "ff_matrix_true")
+
+@dataclass(frozen=True, eq=False)
+class _Written:
+    """What goes into the files; (N, N) true and commanded forces per true displacement [N/m]."""
+
+    measured: MeasuredStiffness | None
+    calibration: Calibration
+    sources: tuple[UsedSource, ...]
+    base: ModalBase
+    limits: Budget
+    true: Array
+    commanded: Array
+
+    @property
+    def cost(self) -> Dissipation:
+        """Of the stiffness modes."""
+        return self.base.costs[0]
+
+
+def _over_actuators(quantity: str, cost: int = 0) -> Callable[[_Written], Array]:
+    """Return what the modes of a base make at each actuator."""
+
+    def values(written: _Written) -> Array:
+        base = written.base
+        return base.on_all_actuators(getattr(base.stiffness, quantity) @ base.costs[cost].modes)
+
+    return values
+
+
+def _states(base: ModalBase) -> list[str]:
+    """Return what the optics make of each actuator."""
+    stiffness, names = base.stiffness, base.layout.id
+    known = (
+        (stiffness.layout.id, "commanded"),
+        (stiffness.enabled.id[~stiffness.acts], "off"),
+        (stiffness.enabled.id, "slaved"),
+    )
+    return [next((word for ids, word in known if name in ids), "disabled") for name in names]
+
+
+def _budget(name: str, cost: int, *more: Column) -> TableFormat:
+    """Return the table of the first N modes of a base, a row for each N."""
+
+    def of(values: Callable[[Dissipation], Any]) -> Callable[[_Written], Any]:
+        return lambda written: values(written.base.costs[cost])
+
+    return TableFormat(
+        name,
+        (
+            Column("N", of(lambda c: np.arange(1, c.residual.size + 1)), kind="int"),
+            *more,
+            Column("RESIDUAL", of(lambda c: c.residual), "m"),
+            Column("FORCE_RMS", of(lambda c: np.sqrt(np.mean(c.force**2, axis=0))), "N"),
+            Column("FORCE_WORST", of(lambda c: c.force.max(axis=0)), "N"),
+            Column("REACH", of(lambda c: c.reach.max(axis=0)), "N"),
+            Column("POWER_MEAN", of(lambda c: c.power.mean(axis=0)), "W"),
+            Column("POWER_WORST", of(lambda c: c.power.max(axis=0)), "W"),
+        ),
+    )
+
+
+def _plain(axis: str, meaning: str, unit: str | None, matrix: Attribute) -> FileFormat:
+    """Return the format of a matrix in the primary HDU, with nothing else."""
+    return FileFormat(
+        (
+            INSTRUMENT,
+            Keyword("DATE-OBS", "base.matrix.date", "UTC", kind="date"),
+            Keyword("CTYPE1", lambda _: axis, f"columns: {meaning}", kind="str"),
+            Keyword("CTYPE2", lambda _: "ACTUATOR", "rows, axis 0 in numpy", kind="str"),
+            Keyword("BUNIT", lambda _: unit, "of the matrix", kind="str"),
+        ),
+        matrix=matrix,
+    )
+
+
+INSTRUMENT = Keyword("INSTRUME", "base.matrix.instrument", "mirror", kind="str")
+STATE = Column("STATE", _states, kind="str", width=9)
+MODES = FileFormat(
+    (
+        INSTRUMENT,
+        Keyword("DATE-OBS", "base.matrix.date", "UTC, of the stiffness", kind="date"),
+        Keyword("MISFIT", "measured.misfit", "variance of shapes over repeats"),
+        Keyword("RELERR", "measured.relative_error", "of the stiffness, by noise"),
+        Keyword("RIGID", "measured.rigid_assumed", "motions taken to cost nothing", kind="int"),
+        Keyword("METHOD", "calibration.method", "estimator of alpha", kind="str"),
+        Keyword("SCALE", "calibration.scale", "what fixes the common scale of alpha", kind="str"),
+        Keyword("SEEING", "base.seen.atmosphere.seeing", "at 500 nm", "arcsec"),
+        Keyword("R0", "base.seen.atmosphere.fried_parameter", "at 500 nm", "m"),
+        Keyword(
+            "L0",
+            "base.seen.atmosphere.outer_scale",
+            "outer scale; absent if infinite",
+            "m",
+            absent=np.inf,
+        ),
+        Keyword("DIAMETER", "base.seen.pupil.diameter", "entrance pupil", "m"),
+        Keyword("RADIUS", "base.seen.pupil.radius", "of the mirror that fills it", "m"),
+        Keyword("FITTING", "base.seen.fitting_error", "rms wavefront between actuators", "m"),
+        Keyword("EFFICIEN", "cost.efficiency", "commanded force per root of power", "N/W^1/2"),
+        Keyword("MAXPOWER", "limits.power", "most that a coil may dissipate", "W", absent=np.inf),
+        Keyword(
+            "MAXTOTAL", "limits.total", "most that all coils may dissipate", "W", absent=np.inf
+        ),
+        Keyword(
+            "MAXFORCE", "limits.force", "most true force, static and 3 sigma", "N", absent=np.inf
+        ),
+        Keyword(
+            "NMODES",
+            lambda w: w.cost.modes_within(w.limits),
+            "stiffness modes within these limits",
+            kind="int",
+        ),
+    ),
+    (
+        replace(ACTUATORS, columns=(*ACTUATORS.columns, STATE), of="base"),
+        ImageFormat("MODES", _over_actuators("shapes")),
+        ImageFormat("FORCE", _over_actuators("forces"), "N/m"),
+        ImageFormat("COMMANDED", _over_actuators("feed_forward_commanded"), "N/m"),
+        TableFormat(
+            "STATIC",
+            (
+                Column("ID", "base.stiffness.enabled.id", kind="int"),
+                Column("FORCE", "cost.static", "N"),
+            ),
+        ),
+        _budget("BUDGET", 0, Column("STIFFNESS", "base.modes.stiffness", "N/m")),
+        replace(SOURCES, of="calibration.sources"),
+        replace(SOURCES, name="STIFFNESS_SOURCES"),
+        ImageFormat("ZERNIKE", _over_actuators("shapes", 1)),
+        _budget("BUDGET_ZERNIKE", 1),
+        ImageFormat("KL", _over_actuators("shapes", 2)),
+        _budget("BUDGET_KL", 2),
+    ),
+)
+PLAIN = {
+    "ff_v_matrix": _plain("MODE", "displacement per mode", None, _over_actuators("shapes")),
+    "ff_matrix": _plain("SENSOR", "commanded N per true m", "N/m", "commanded"),
+    "ff_matrix_true": _plain("SENSOR", "true N per true m", "N/m", "true"),
+}
+BESIDE = ("true", "commanded", *PLAIN)
 
 
 def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
@@ -30,7 +173,7 @@ def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
 
 
 def write_modes(
-    found: ModalFindings,
+    findings: ModalFindings,
     path: str | os.PathLike[str],
     limits: Budget | None = None,
     *,
@@ -53,126 +196,29 @@ def write_modes(
     """
     paths = modes_paths(path)
     with files_together(paths, overwrite=overwrite) as folder:
-        _write_all(found, [folder / target.name for target in paths], limits or Budget())
+        _write_all(findings, [folder / target.name for target in paths], limits or Budget())
     return list(paths)
 
 
-def _write_all(found: ModalFindings, paths: list[Path], limits: Budget) -> None:
-    base = found.after
-    stiffness, modes = base.stiffness, base.modes.modes
-    write_fits(paths[0], _header(found, limits), _sheets(found))
-    true = _square(base, stiffness.whole)
-    commanded = _square(base, stiffness.whole / stiffness.enabled_alpha[:, None])
-    layout = replace(
-        base.layout, enabled=np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
+def _write_all(findings: ModalFindings, paths: list[Path], limits: Budget) -> None:
+    base, stiffness = findings.after, findings.after.stiffness
+    true = _square(base, stiffness.acting_stiffness)
+    commanded = _square(base, stiffness.acting_stiffness / stiffness.enabled_alpha[:, None])
+    written = _Written(
+        findings.measured, findings.calibration, findings.sources, base, limits, true, commanded
     )
+    acting = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
+    layout = replace(base.layout, enabled=acting)
     for target, forces in zip(paths[1:3], (true, commanded), strict=True):
-        record = StiffnessMatrix(base.instrument, base.date, layout, forces)
+        record = StiffnessMatrix(base.matrix.instrument, base.matrix.date, layout, forces)
         write_stiffness(record, target)
-    plain = (
-        (base.on_all_actuators(stiffness.shapes @ modes), "MODE", None, "displacement per mode"),
-        (commanded, "SENSOR", "N/m", "commanded N per true m"),
-        (true, "SENSOR", "N/m", "true N per true m"),
-    )
-    for target, (matrix, columns, unit, comment) in zip(paths[3:], plain, strict=True):
-        header = {
-            "INSTRUME": (base.instrument, "mirror"),
-            "DATE-OBS": (iso(base.date), "UTC"),
-            "CTYPE1": (columns, f"columns: {comment}"),
-            "CTYPE2": ("ACTUATOR", "rows, axis 0 in numpy"),
-            "BUNIT": (unit, "of the matrix"),
-        }
-        write_matrix(target, header, matrix)
+    for target, form in zip((paths[0], *paths[3:]), (MODES, *PLAIN.values()), strict=True):
+        write_fits(target, form, written)
 
 
 def _square(base: ModalBase, forces: Array) -> Array:
     """Return (N, N) forces per displacement over all actuators from (n, n) over the enabled."""
-    square = np.zeros((base.layout.n, base.layout.n))
-    square[:, np.isin(base.layout.id, base.stiffness.enabled.id)] = base.on_all_actuators(forces)
+    on = base.layout.enabled
+    square = np.zeros((on.size, on.size))
+    square[:, on] = base.on_all_actuators(forces)
     return square
-
-
-def _header(found: ModalFindings, limits: Budget) -> dict[str, tuple[Any, str]]:
-    base, measured = found.after, found.measured
-    atmosphere, cost = base.seen.atmosphere, base.costs[0]
-    return {
-        "INSTRUME": (base.instrument, "mirror"),
-        "DATE-OBS": (iso(base.date), "UTC, of the stiffness"),
-        "MISFIT": (measured.misfit if measured else None, "variance of shapes over repeats"),
-        "RELERR": (measured.relative_error if measured else None, "of the stiffness, by noise"),
-        "RIGID": (measured.rigid_assumed if measured else None, "motions taken to cost nothing"),
-        "METHOD": (found.calibration.method, "estimator of alpha"),
-        "SCALE": (found.calibration.scale, "what fixes the common scale of alpha"),
-        "SEEING": (atmosphere.seeing, "[arcsec] at 500 nm"),
-        "R0": (atmosphere.fried_parameter, "[m] at 500 nm"),
-        "L0": (_finite(atmosphere.outer_scale), "[m] outer scale; absent if infinite"),
-        "DIAMETER": (base.seen.pupil.diameter, "[m] entrance pupil"),
-        "RADIUS": (base.seen.pupil.radius, "[m] of the mirror that fills it"),
-        "FITTING": (base.seen.fitting_error, "[m] rms wavefront between actuators"),
-        "EFFICIEN": (cost.efficiency, "[N/W^1/2] commanded force per root of power"),
-        "MAXPOWER": (_finite(limits.power), "[W] most that a coil may dissipate"),
-        "MAXTOTAL": (_finite(limits.total), "[W] most that all coils may dissipate"),
-        "MAXFORCE": (_finite(limits.force), "[N] most true force, static and 3 sigma"),
-        "NMODES": (cost.modes_within(limits), "stiffness modes within these limits"),
-    }
-
-
-def _states(base: ModalBase) -> list[str]:
-    """Return what the optics make of each actuator."""
-    stiffness, names = base.stiffness, base.layout.id
-    known = (
-        (stiffness.layout.id, "commanded"),
-        (stiffness.enabled.id[~stiffness.acts], "off"),
-        (stiffness.enabled.id, "slaved"),
-    )
-    return [next((word for ids, word in known if name in ids), "disabled") for name in names]
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-def _sheets(found: ModalFindings) -> list[Sheet]:
-    base, c = found.after, found.calibration
-    stiffness, modes = base.stiffness, base.modes
-    actuators = actuators_sheet(base.layout)
-    states = ("STATE", "9A", None, _states(base))
-    sheets = [
-        replace(actuators, columns=(*actuators.columns, states)),
-        Sheet("MODES", data=base.on_all_actuators(stiffness.shapes @ modes.modes)),
-        Sheet("FORCE", data=base.on_all_actuators(stiffness.forces @ modes.modes), unit="N/m"),
-        Sheet(
-            "COMMANDED",
-            data=base.on_all_actuators(stiffness.feed_forward_commanded @ modes.modes),
-            unit="N/m",
-        ),
-        Sheet("STATIC", columns=(("ID", "J", None, stiffness.enabled.id),
-                                 ("FORCE", "D", "N", base.costs[0].static))),
-        _budget(base.costs[0], "BUDGET", modes.stiffness),
-    ]  # fmt: skip
-    sheets.append(sources_sheet(c.sources))
-    sheets.append(sources_sheet(found.sources, "STIFFNESS_SOURCES"))
-    for cost, name in zip(base.costs[1:], ("ZERNIKE", "KL"), strict=True):
-        sheets.append(Sheet(name, data=base.on_all_actuators(stiffness.shapes @ cost.modes)))
-        sheets.append(_budget(cost, f"BUDGET_{name}"))
-    return sheets
-
-
-def _budget(cost: Dissipation, name: str, stiffness: Array | None = None) -> Sheet:
-    """Return a table of the first N modes of a base, a row for each N."""
-    columns: list[tuple[str, str, str | None, Any]] = [
-        ("N", "J", None, np.arange(1, cost.residual.size + 1))
-    ]
-    if stiffness is not None:
-        columns.append(("STIFFNESS", "D", "N/m", stiffness))
-    power = cost.power
-    figures = (
-        ("RESIDUAL", "m", cost.residual),
-        ("FORCE_RMS", "N", np.sqrt(np.mean(cost.force**2, axis=0))),
-        ("FORCE_WORST", "N", cost.force.max(axis=0)),
-        ("REACH", "N", cost.reach.max(axis=0)),
-        ("POWER_MEAN", "W", power.mean(axis=0)),
-        ("POWER_WORST", "W", power.max(axis=0)),
-    )
-    columns += [(what, "D", unit, values) for what, unit, values in figures]
-    return Sheet(name, columns=tuple(columns))

@@ -9,19 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.calibration.methods import calibrate
+from truenewton.calibration.methods import calibrate, calibration_of
 from truenewton.calibration.result import Calibration
+from truenewton.estimation import cycles_ml
+from truenewton.estimation.row_readers import read_rows
+from truenewton.estimation.sifted import Sifted, sift
+from truenewton.modal.actuator_roles import indices_of
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
-from truenewton.modal.measured_stiffness import (
-    MeasuredStiffness,
-    measured_stiffness,
-    with_positions,
-)
+from truenewton.modal.measured_stiffness import MeasuredStiffness, motion_reader, stiffness_of
 from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.pupil import pupil_of, seen_turbulence
-from truenewton.modal.static_force import force_at_rest, static_force
-from truenewton.modal.true_stiffness import places, true_stiffness
+from truenewton.modal.shape_products import MotionReader
+from truenewton.modal.static_force import static_force
+from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -57,16 +58,15 @@ class ModalFindings:
     sources: tuple[UsedSource, ...]
 
     def __repr__(self) -> str:
-        return (
-            f"<ModalFindings of {self.after.instrument}: {self.after.modes.stiffness.size} modes>"
-        )
+        base = self.after
+        return f"<ModalFindings of {base.matrix.instrument}: {base.modes.stiffness.size} modes>"
 
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
-        told: tuple[Fault, ...] = ()
+        warnings: tuple[Fault, ...] = ()
         if self.measured is not None and self.measured.misfit > MISFIT:
-            told += (
+            warnings += (
                 Fault(
                     "shapes leave forces that no stiffness explains,"
                     f" {np.sqrt(self.measured.misfit):.2g} times what repeats scatter",
@@ -75,18 +75,18 @@ class ModalFindings:
             )
         before, after = self.before.stiffness, self.after.stiffness
         if after.asymmetry > before.asymmetry and after.imbalance > before.imbalance:
-            told += (
+            warnings += (
                 Fault(
                     "with alpha the stiffness is less symmetric and less balanced than without",
                     "give alpha of this very mirror, and its stiffness in commanded Newtons",
                 ),
             )
-        return told
+        return warnings
 
     def modes_between(self, cost: Dissipation, limits: Budget) -> tuple[int, int]:
         """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""
         c = self.calibration
-        at = places(c.layout, self.after.stiffness.enabled.id)
+        at = indices_of(c.layout, self.after.stiffness.enabled.id)
         error: Array = c.error[at] / np.abs(c.alpha[at])
         fewest, most = (cost.modes_within(limits, alpha_error=e) for e in (error, -error))
         return fewest, most
@@ -103,6 +103,7 @@ def find_modes(
     sensor_gain: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
+    reader: MotionReader | None = None,
 ) -> ModalFindings:
     """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
 
@@ -120,6 +121,8 @@ def find_modes(
         Commanded force per root of power [N/W^1/2].
     sensor_gain, off, slaved
         As in `true_stiffness`.
+    reader
+        What has read the cycles already, see `modes_reader`; they are read where None.
 
     Raises
     ------
@@ -132,14 +135,16 @@ def find_modes(
     UnknownName
         An ID that no enabled actuator has, or that is both off and slaved.
     """
-    measured, at_rest = None, None
-    if isinstance(data, StiffnessMatrix):
-        matrix = data
-    elif data.stiffness is not None:
-        matrix, at_rest = data.stiffness, force_at_rest(data)
-    else:
-        measured, at_rest = measured_stiffness(data), force_at_rest(data)
-        matrix = measured.matrix
+    if isinstance(data, Campaign) and reader is None:
+        sifted = sift(data)
+        reader = modes_reader(sifted)
+        if calibration is None:
+            calibration = calibration_of(data, cycles_ml.find(sifted), (reader,))
+        else:
+            read_rows(data, (reader,))
+    measured = stiffness_of(reader) if reader is not None and reader.positioned else None
+    at_rest = None if reader is None else reader.force_at_rest
+    matrix = measured.matrix if measured is not None else _given_matrix(data)
     calibration = calibration or calibrate(data)
     stiffnesses = [
         true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)
@@ -156,20 +161,38 @@ def find_modes(
         for one in stiffnesses
     )
     comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
-    sources = _sources(data, measured, matrix)
+    sources = _sources(reader, matrix)
     return ModalFindings(measured, calibration, before, after, comparison, sources)
 
 
-def _sources(
-    data: Campaign | StiffnessMatrix, measured: MeasuredStiffness | None, matrix: StiffnessMatrix
-) -> tuple[UsedSource, ...]:
+def modes_reader(sifted: Sifted) -> MotionReader:
+    """Return who reads what modes need of cycles: the stiffness, unless it stands among them.
+
+    Raises
+    ------
+    RankDeficient, TooManyOutliers
+        The cycles tell no stiffness.
+    """
+    if sifted.campaign.stiffness is not None:
+        return MotionReader(sifted.campaign, sifted.sound)
+    return motion_reader(sifted)
+
+
+def _given_matrix(data: Campaign | StiffnessMatrix) -> StiffnessMatrix:
+    matrix = data.stiffness if isinstance(data, Campaign) else data
+    if matrix is None:
+        raise ValueError("neither a stiffness nor cycles with POSITION")
+    return matrix
+
+
+def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[UsedSource, ...]:
     """Return the files of a stiffness: its own, or those of the cycles that hold POSITION."""
-    if measured is None or isinstance(data, StiffnessMatrix):
+    if reader is None or not reader.positioned:
         source = matrix.source
         return (UsedSource(source.file, source.sha256, matrix.layout.n, 0),) if source else ()
-    lost = Counter(row.cycle for row in measured.rejected)
+    lost = Counter(row.cycle for row in reader.rejected)
     return tuple(
-        UsedSource(c.source.file, c.source.sha256, int(c.valid.sum()) - lost[k], lost[k])
-        for k, c in enumerate(with_positions(data).cycles)
+        UsedSource(c.source.file, c.source.sha256, int(c.valid.sum()), lost[k])
+        for k, c in enumerate(reader.positioned)
         if c.source
     )

@@ -23,9 +23,10 @@ import numpy as np
 from truenewton.arrays import Array, frozen_array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.outliers import against_repeats
+from truenewton.estimation.row_readers import read_rows
+from truenewton.estimation.sifted import Sifted, sift
 from truenewton.files.stored_rows import Rows, StoredRows, largest_in_rows
-from truenewton.modal.shape_products import shape_products
+from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -83,17 +84,7 @@ class MeasuredStiffness:
 def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     """Find commanded force per reading from the cycles that hold POSITION.
 
-    Rigid motions that the shapes leave out are taken to cost no force, K_c r = 0, which the
-    magnets' gradient (tens of N/m) and the scatter of sensor gains break; the result counts them.
-
-    The standard error is that of the regression, from its residuals, in which noise of force and
-    of position meet: of element i, j s_i (S^-1)_jj^1/2 with S = sum z z', and s_i^2 the larger of
-    what repeats scatter and what distinct shapes leave.
-
-    Parameters
-    ----------
-    campaign
-        Cycles without POSITION take no part.
+    Others take no part.
 
     Raises
     ------
@@ -102,8 +93,78 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     TooManyOutliers
         So many rows stand off from their repeats that the rest cannot be trusted.
     """
-    sound, rejected = _sound(with_positions(campaign))
-    layout, sums = campaign.layout, shape_products(sound)
+    reader = motion_reader(sift(campaign))
+    read_rows(campaign, (reader,))
+    return stiffness_of(reader)
+
+
+def motion_reader(sifted: Sifted) -> MotionReader:
+    """Return who reads force and displacement of all rows that stand off in neither.
+
+    Raises
+    ------
+    RankDeficient
+        No cycle holds POSITION.
+    TooManyOutliers
+        So many rows stand off from their repeats that the rest cannot be trusted.
+    """
+    campaign = sifted.campaign
+    positioned = positioned_cycles(campaign)
+    if len(positioned) < len(campaign.cycles):  # others tell nothing of these
+        by_force = sift(Campaign(tuple(campaign.cycles[k] for k in positioned)))
+    else:
+        by_force = sifted
+    displaced = tuple(
+        replace(cycle, force=_displacements(cycle), position=None, force_error=None)
+        for cycle in by_force.sound.cycles
+    )
+    by_position = sift(Campaign(displaced))
+    cycles = list(sifted.sound.cycles)
+    for k, cycle, other in zip(
+        positioned, by_force.sound.cycles, by_position.sound.cycles, strict=True
+    ):
+        cycles[k] = cycle if cycle.valid is other.valid else replace(cycle, valid=other.valid)
+    rejected = by_force.rejected + by_position.rejected
+    return MotionReader(campaign, Campaign(tuple(cycles)), positioned, rejected)
+
+
+def positioned_cycles(campaign: Campaign) -> tuple[int, ...]:
+    """Return which cycles hold POSITION, and not zeros in its place.
+
+    Raises
+    ------
+    RankDeficient
+        None does.
+    """
+    on = campaign.layout.enabled
+    positioned = tuple(
+        k
+        for k, cycle in enumerate(campaign.cycles)
+        if cycle.position is not None and largest_in_rows(cycle.position, on)[cycle.valid].any()
+    )
+    if not positioned:
+        raise RankDeficient(
+            "no cycle holds POSITION, so nothing tells the stiffness",
+            remedy="record the sensors' readings, or give a measured stiffness file",
+            got=0,
+        )
+    return positioned
+
+
+def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
+    """Return commanded force per reading, all rows having been read.
+
+    The standard error is that of the regression, from its residuals, in which noise of force and
+    of position meet: of element i, j s_i (S^-1)_jj^1/2 with S = sum z z', and s_i^2 the larger of
+    what repeats scatter and what distinct shapes leave.
+
+    Raises
+    ------
+    RankDeficient
+        Elastic motions that no shape holds.
+    """
+    cycles, sums = reader.positioned, reader.products()
+    layout = reader.sound.layout
     n = int(layout.enabled.sum())
     # Of the noise of G shapes the fit of n columns takes n + 1 parts up: z'z - (G - n - 1) of it
     # leaves no bias to second order, z'z - G of it would make K_c too stiff.
@@ -114,7 +175,7 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     noise = sums.position_variance * (np.sqrt(sums.shapes) + np.sqrt(n)) ** 2
     least = UNTOLD if np.isnan(noise) else ROUNDING
     held = values > max(HELD**2 * np.nan_to_num(noise), least**2 * values[-1])
-    along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in sound.cycles))
+    along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in cycles))
     # (S^-1) on what is held, seen along the rigid motions that are not.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))
     inverse = half @ half.T
@@ -130,9 +191,9 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     on = np.ix_(layout.enabled, layout.enabled)
     whole, whole_error = np.zeros((2, layout.n, layout.n))
     whole[on], whole_error[on] = k, error
-    first = min(sound.cycles, key=lambda cycle: cycle.date)
+    first = min(cycles, key=lambda cycle: cycle.date)
     return MeasuredStiffness(
-        matrix=StiffnessMatrix(campaign.instrument, first.date, layout, whole),
+        matrix=StiffnessMatrix(first.instrument, first.date, layout, whole),
         shapes=sums.shapes,
         rows=sums.rows,
         residual=float(np.sqrt(variance.mean() * sums.rows / sums.weight)),
@@ -140,40 +201,8 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
         error=whole_error,
         relative_error=float(np.linalg.norm(error) / np.linalg.norm(k)),
         rigid_assumed=int((~held).sum()),
-        rejected=rejected,
+        rejected=reader.rejected,
     )
-
-
-def with_positions(campaign: Campaign) -> Campaign:
-    """Return the cycles that hold POSITION, and not zeros in its place."""
-    on = campaign.layout.enabled
-    cycles = tuple(
-        cycle
-        for cycle in campaign.cycles
-        if cycle.position is not None and largest_in_rows(cycle.position, on)[cycle.valid].any()
-    )
-    if not cycles:
-        raise RankDeficient(
-            "no cycle holds POSITION, so nothing tells the stiffness",
-            remedy="record the sensors' readings, or give a measured stiffness file",
-            got=0,
-        )
-    return Campaign(cycles)
-
-
-def _sound(campaign: Campaign) -> tuple[Campaign, tuple[RejectedRow, ...]]:
-    """Leave out rows whose force or displacement stands off from their repeats."""
-    _, kept, by_force = against_repeats(campaign)
-    displaced = tuple(
-        replace(cycle, force=_displacements(cycle), position=None, force_error=None)
-        for cycle in kept.cycles
-    )
-    _, judged, by_position = against_repeats(Campaign(displaced))
-    cycles = [
-        replace(cycle, valid=other.valid)
-        for cycle, other in zip(kept.cycles, judged.cycles, strict=True)
-    ]
-    return Campaign(tuple(cycles)), by_force + by_position
 
 
 def _displacements(cycle: Cycle) -> Rows:

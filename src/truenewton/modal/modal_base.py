@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,12 +21,10 @@ class ModalBase:
 
     Attributes
     ----------
-    instrument, date
-        The mirror; when its stiffness was measured (UTC).
-    layout
-        All N actuators that the stiffness was given for, disabled ones and those off included.
+    matrix
+        The stiffness as measured, of all N actuators, disabled ones and those off included.
     stiffness
-        The true stiffness, or what was measured where nothing is calibrated.
+        What `true_stiffness` made of it, with alpha or as if it were 1.
     modes
         Its eigenmodes, softest first.
     seen
@@ -36,22 +33,26 @@ class ModalBase:
         Of the stiffness modes, Zernike's and those of Karhunen and Loeve.
     """
 
-    instrument: str
-    date: datetime.datetime
-    layout: Layout
+    matrix: StiffnessMatrix
     stiffness: TrueStiffness
     modes: StiffnessModes
     seen: SeenTurbulence
     costs: tuple[Dissipation, Dissipation, Dissipation]
 
     def __repr__(self) -> str:
-        return f"<ModalBase of {self.instrument}: {self.modes.stiffness.size} modes>"
+        return f"<ModalBase of {self.matrix.instrument}: {self.modes.stiffness.size} modes>"
+
+    @property
+    def layout(self) -> Layout:
+        """All N actuators that the stiffness was given for."""
+        return self.matrix.layout
 
     def on_all_actuators(self, values: Array) -> Array:
         """Return (N, k) values over all actuators from (n, k) over the enabled; 0 elsewhere."""
-        whole = np.zeros((self.layout.n, values.shape[1]))
-        whole[np.isin(self.layout.id, self.stiffness.enabled.id)] = values
-        return whole
+        on = self.layout.enabled
+        everywhere = np.zeros((on.size, values.shape[1]))
+        everywhere[on] = values
+        return everywhere
 
 
 def modal_base(
@@ -65,12 +66,8 @@ def modal_base(
 
     Parameters
     ----------
-    matrix
-        What was measured.
-    stiffness
-        What `true_stiffness` made of it, with alpha or as if it were 1.
-    seen
-        The turbulence at the actuators that are commanded.
+    matrix, stiffness, seen
+        As in `ModalBase`.
     static
         (n,) true static force of the enabled actuators [N], see `static_force`.
     efficiency
@@ -90,12 +87,4 @@ def modal_base(
     costs = tuple(
         dissipation(name, vectors, stiffness, seen, static, efficiency) for name, vectors in bases
     )
-    return ModalBase(
-        matrix.instrument,
-        matrix.date,
-        matrix.layout,
-        stiffness,
-        modes,
-        seen,
-        (costs[0], costs[1], costs[2]),
-    )
+    return ModalBase(matrix, stiffness, modes, seen, (costs[0], costs[1], costs[2]))

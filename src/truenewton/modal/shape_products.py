@@ -7,17 +7,18 @@ in common (the coils' and the sensors' laws, no stiffness) drops out.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.moments import row_weights
-from truenewton.files.stored_rows import BLOCK_BYTES, blocks
+from truenewton.estimation.diagnosis import RejectedRow
+from truenewton.estimation.repeats import distinct, row_groups, row_weights
+from truenewton.estimation.row_readers import RowBlock
+from truenewton.files.stored_rows import blocks
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
 
 
 @dataclass(eq=False)
@@ -27,6 +28,11 @@ class Products:
     cc: Array
     cz: Array
     zz: Array
+
+    @classmethod
+    def zeros(cls, n: int) -> Products:
+        """Return sums over no row."""
+        return cls(np.zeros(n), *np.zeros((2, n, n)))
 
     def add(self, c: Array, z: Array) -> None:
         """Count (m, n) rows in."""
@@ -66,94 +72,139 @@ class ShapeProducts:
     position_variance: float
 
 
-def shape_products(campaign: Campaign) -> ShapeProducts:
-    """Walk through the rows, some shapes at a time, and sum."""
-    n = int(campaign.layout.enabled.sum())
-    between, within = (Products(np.zeros(n), *np.zeros((2, n, n))) for _ in range(2))
-    groups, shapes = 0, 0
-    uneven, weight, rows = 0.0, 0.0, 0
-    for c, z, w, label in _blocks(campaign):
-        # Rows stand in the order of their labels: first load and SHAPE, then SIGN.
-        edge = np.flatnonzero(np.append(True, (label[1:] != label[:-1]).any(axis=1)))
-        shape_edge = np.flatnonzero(
-            np.append(True, (label[edge][1:, :2] != label[edge][:-1, :2]).any(axis=1))
-        )
-        count, heavy = np.diff(np.append(edge, len(w))), np.add.reduceat(w, edge)
-        mean_c, mean_z = (np.add.reduceat(w[:, None] * v, edge) / heavy[:, None] for v in (c, z))
-        root = np.sqrt(w)[:, None]
-        within.add(
-            root * (c - np.repeat(mean_c, count, axis=0)),
-            root * (z - np.repeat(mean_z, count, axis=0)),
-        )
-        signed = label[edge, 2] * heavy
-        total = np.add.reduceat(heavy, shape_edge)
-        odd_c, odd_z = (
-            np.add.reduceat(signed[:, None] * v, shape_edge) / np.sqrt(total)[:, None]
-            for v in (mean_c, mean_z)
-        )
-        between.add(odd_c, odd_z)
-        uneven += float(heavy @ np.sum(mean_z**2, axis=1) - np.sum(odd_z**2))
-        groups, shapes = groups + len(edge), shapes + len(shape_edge)
-        weight, rows = weight + float(w.sum()), rows + len(w)
-    alike = rows - shapes
-    return ShapeProducts(
-        between=between,
-        within=within,
-        shapes=shapes,
-        rows=rows,
-        spare=rows - groups - (len(campaign.cycles) - len(campaign.loads)),
-        weight=weight,
-        position_variance=(float(np.trace(within.zz)) + uneven) / (n * alike) if alike else np.nan,
-    )
+class MotionReader:
+    """Sums up force and displacement of the rows of a campaign, from rest, while they are read.
 
+    Each row moves the means of its group; what it adds to the sums about them is exact. Rest is the
+    mean of c (1 + COILGRAD z) over the rows that have their opposite, known once a cycle is over:
+    until then rows count from that of its first rows, and then the sums are set right.
 
-def _blocks(campaign: Campaign) -> Iterator[tuple[Array, Array, Array, NDArray[np.int64]]]:
-    """Yield force, position (m, n), weight (m,) and label (m, 3) of rows, all of some shapes.
-
-    Counted from rest, and in the order of their labels: load, SHAPE, SIGN.
+    Parameters
+    ----------
+    campaign, sound
+        What is going to be read; the same, rows that take no part marked as not valid.
+    positioned
+        Which of its cycles hold POSITION; if none does, there is nothing but ``force_at_rest``.
+    rejected
+        Rows left out of these; their cycles count among them.
     """
-    cycles = campaign.cycles
-    labels = [
-        np.column_stack([np.full(int(c.valid.sum()), place), c.shape[c.valid], c.sign[c.valid]])
-        for c, place in zip(cycles, campaign.load_index, strict=True)
-    ]
-    rest = [rest_force(cycle) for cycle in cycles]
-    weights = row_weights(campaign)
-    label = np.concatenate(labels)
-    order = np.lexsort(label.T[::-1])
-    at = np.concatenate([np.arange(len(some)) for some in labels])[order]
-    owner = np.repeat(np.arange(len(cycles)), [len(some) for some in labels])[order]
-    label = label[order]
-    starts = np.flatnonzero(np.append(True, (label[1:, :2] != label[:-1, :2]).any(axis=1)))
-    ends = np.append(starts[1:], len(label))
-    n = rest[0].size
-    together = max(1, int(BLOCK_BYTES // (8 * n * (ends - starts).max())))
-    for first in range(0, len(starts), together):
-        some = slice(starts[first], ends[min(first + together, len(ends)) - 1])
-        c, z = np.empty((2, some.stop - some.start, n))
-        w = np.empty(len(c))
-        for k in np.unique(owner[some]).tolist():
-            own = np.flatnonzero(owner[some] == k)
-            own = own[np.argsort(at[some][own])]  # in the order of the file
-            c[own], z[own] = _from_rest(cycles[k], at[some][own])
-            c[own] -= rest[k]
-            w[own] = weights[k]
-        yield c, z, w, label[some]
 
+    def __init__(
+        self,
+        campaign: Campaign,
+        sound: Campaign,
+        positioned: Sequence[int] = (),
+        rejected: tuple[RejectedRow, ...] = (),
+    ) -> None:
+        self.sound, self.rejected = sound, rejected
+        self.positioned = tuple(sound.cycles[k] for k in positioned)
+        self._counts = [
+            cycle.valid[given.valid]
+            for cycle, given in zip(sound.cycles, campaign.cycles, strict=True)
+        ]
+        n = int(campaign.layout.enabled.sum())
+        self._rest = np.zeros((len(sound.cycles), n))
+        self._groups: dict[int, NDArray[np.int64]] = {}
+        if positioned:
+            of_these = Campaign(self.positioned)
+            self._labels, _, groups = row_groups(of_these)
+            self._groups = dict(zip(positioned, groups, strict=True))
+            self._weights = dict(zip(positioned, row_weights(of_these), strict=True))
+            self._force, self._position = np.zeros((2, len(self._labels), n))  # means
+            self._weight, self._number = np.zeros(len(self._labels)), 0
+            self._within = Products.zeros(n)
+        self._begin_cycle()
 
-def _from_rest(cycle: Cycle, rows: slice | NDArray[np.int64]) -> tuple[Array, Array]:
-    """Return c (1 + COILGRAD z) [N] and z [m], counted from rest, of some rows."""
-    assert cycle.position is not None
-    z = cycle.used(cycle.position, rows) - cycle.rest_position
-    return cycle.used(cycle.force, rows) * (1.0 + (cycle.coil_gradient or 0.0) * z), z
+    def _begin_cycle(self) -> None:
+        n = self._rest.shape[1]
+        self._row = 0  # of those that take part
+        self._near_rest: Array | None = None
+        if self.positioned:
+            self._unshifted = np.ones(len(self._labels))  # how little of its rest each mean holds
+            self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
 
+    def take(self, block: RowBlock) -> None:
+        """Take the next rows in."""
+        k, cycle = block.cycle_index, self.sound.cycles[block.cycle_index]
+        counts = self._counts[k][block.rows]
+        own = slice(self._row, self._row + int(np.count_nonzero(counts)))
+        self._row, force = own.stop, block.force[counts]
+        if cycle.position is not None:
+            z = block.position[counts] - cycle.rest_position
+            force *= 1.0 + (cycle.coil_gradient or 0.0) * z
+        at_rest = force[cycle.rest_rows[own]]
+        self._rest[k] += at_rest.sum(axis=0)
+        if k in self._groups and len(force):
+            if self._near_rest is None:
+                self._near_rest = (at_rest if len(at_rest) else force).mean(axis=0)
+            force -= self._near_rest
+            group = self._groups[k][own]
+            for rows in distinct(group):
+                self._add(force[rows], z[rows], group[rows], self._weights[k])
 
-def rest_force(cycle: Cycle) -> Array:
-    """Return (n,) the mean of c (1 + COILGRAD z) over ``rest_rows``; of c without POSITION [N]."""
-    counted = cycle.rest_rows
-    total = np.zeros(int(cycle.layout.enabled.sum()))
-    for some in blocks(len(counted), 16 * cycle.layout.n):
-        known = cycle.position is not None
-        force = _from_rest(cycle, some)[0] if known else cycle.used(cycle.force, some)
-        total += force[counted[some]].sum(axis=0)
-    return total / np.count_nonzero(counted)
+    def _add(self, force: Array, position: Array, group: NDArray[np.int64], weight: float) -> None:
+        """Add (m, n) rows of one cycle, no group twice."""
+        share = weight / (self._weight[group] + weight)
+        force, position = force - self._force[group], position - self._position[group]
+        self._force[group] += share[:, None] * force
+        self._position[group] += share[:, None] * position
+        size, missing = self._weight[group] * share, self._unshifted[group]
+        root = np.sqrt(size)[:, None]
+        self._within.add(root * force, root * position)
+        self._sum_force += (size * missing) @ force
+        self._sum_position += (size * missing) @ position
+        self._sum += float(size @ missing**2)
+        self._unshifted[group] = missing * (1.0 - share)
+        self._weight[group] += weight
+        self._number += len(group)
+
+    def end_cycle(self, cycle_index: int) -> None:
+        """Count the rows of the cycle from its own rest."""
+        rest = self._rest[cycle_index]
+        rest /= np.count_nonzero(self.sound.cycles[cycle_index].rest_rows)
+        if self._near_rest is not None:
+            shift = rest - self._near_rest
+            self._within.cz -= np.outer(shift, self._sum_position)
+            self._within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
+            self._force -= np.outer(1.0 - self._unshifted, shift)
+        self._begin_cycle()
+
+    @property
+    def force_at_rest(self) -> Array:
+        """(n,) commanded force at rest under the first load, the bare one [N].
+
+        The mean over its cycles: it carries the mirror, and holds it flat.
+        """
+        return np.asarray(self._rest[np.equal(self.sound.load_index, 0)].mean(axis=0))
+
+    def products(self) -> ShapeProducts:
+        """Return what the regression needs, all rows having come."""
+        label, heavy, n = self._labels, self._weight, self._rest.shape[1]
+        edge = np.flatnonzero(np.append(True, (label[1:, :2] != label[:-1, :2]).any(axis=1)))
+        ends = np.append(edge, len(label))
+        signed, total = label[:, 2] * heavy, np.add.reduceat(heavy, edge)
+        between, uneven = Products.zeros(n), 0.0
+        for some in blocks(len(edge), 4 * 8 * n):
+            rows = slice(ends[some.start], ends[some.stop])
+            force, position = self._force[rows], self._position[rows]
+            uneven += float(heavy[rows] @ np.sum(position**2, axis=1))
+            c, z = (
+                np.add.reduceat(signed[rows, None] * mean, edge[some] - rows.start)
+                / np.sqrt(total[some])[:, None]
+                for mean in (force, position)
+            )
+            between.add(c, z)
+            uneven -= float(np.sum(z**2))
+        alike, within = self._number - len(edge), self._within
+        loads = {cycle.load.key for cycle in self.positioned}
+        return ShapeProducts(
+            between=between,
+            within=within,
+            shapes=len(edge),
+            rows=self._number,
+            spare=self._number - len(label) - (len(self.positioned) - len(loads)),
+            weight=float(heavy.sum()),
+            position_variance=(
+                (float(np.trace(within.zz)) + uneven) / (n * alike) if alike else np.nan
+            ),
+        )

@@ -6,31 +6,8 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.estimation.outliers import against_repeats
-from truenewton.modal.shape_products import rest_force
 from truenewton.modal.true_stiffness import TrueStiffness
-from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import arms, effective_weight, external_load
-
-
-def force_at_rest(campaign: Campaign) -> Array:
-    """Return (n_enabled,) the commanded force at rest under the first load, the bare one [N].
-
-    The mean over its cycles of the rows that have their opposite, but for those that stand off from
-    their repeats: it carries the mirror, and holds it flat.
-
-    Raises
-    ------
-    TooManyOutliers
-        So many rows stand off that the rest cannot be trusted.
-    """
-    _, sound, _ = against_repeats(campaign)
-    at_rest = [
-        rest_force(cycle)
-        for cycle, load in zip(sound.cycles, sound.load_index, strict=True)
-        if load == 0
-    ]
-    return np.asarray(np.mean(at_rest, axis=0))
 
 
 def static_force(
@@ -47,7 +24,8 @@ def static_force(
     calibration
         Its weight and bias count where nobody knows the forces at rest; without it they are 0.
     at_rest
-        (n,) commanded force of the enabled actuators at rest [N], see `force_at_rest`.
+        (n,) commanded force of the enabled actuators at rest [N], see
+        `MotionReader.force_at_rest`.
     """
     layout, on = stiffness.enabled, stiffness.acts
     A = arms(layout)

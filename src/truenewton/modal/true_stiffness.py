@@ -28,14 +28,12 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, frozen_array
 from truenewton.calibration.result import Calibration
-from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
+from truenewton.errors import RankDeficient
+from truenewton.modal.actuator_roles import checked_gain, matched_alpha, off_and_slaved
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms, arms_in_units_of_rms
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import StiffnessModes, stiffness_modes
-
-FEWEST = 4  # actuators that leave a motion that bends the glass
-SAME_PLACE = 1e-9  # [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,20 +47,18 @@ class TrueStiffness:
     stiffness
         (m, m) symmetric: z'Kz / 2 is the energy of their displacements z, with the others following
         as ``shapes`` says [true N / true m].
-    alpha
-        (m,) true Newton / commanded Newton; 1 where there is no calibration.
     calibrated
-        Whether there is.
+        Whether alpha is known.
     enabled, acts
         The n enabled actuators; (n,) false where one is off.
     shapes, forces
         (n, m) displacements and true forces [N/m] of all enabled actuators per displacement of each
         commanded one; forces of those that are off are 0.
-    whole
+    acting_stiffness
         (n, n) true force per displacement, were those commanded too that are slaved: the
         feed-forward of all that act; 0 for those that are off [N/m].
     enabled_alpha
-        (n,) as ``alpha``, of all enabled actuators.
+        (n,) true Newton / commanded Newton of the enabled; 1 where there is no calibration.
     asymmetry
         |K - K'| / |K + K'| of the whole matrix, before it was made symmetric.
     actuator_asymmetry
@@ -75,13 +71,12 @@ class TrueStiffness:
 
     layout: Layout
     stiffness: Array
-    alpha: Array
     calibrated: bool
     enabled: Layout
     acts: NDArray[np.bool_]
     shapes: Array
     forces: Array
-    whole: Array
+    acting_stiffness: Array
     enabled_alpha: Array
     asymmetry: float
     actuator_asymmetry: Array
@@ -89,7 +84,7 @@ class TrueStiffness:
     rigid_stiffness: Array
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "alpha", "shapes", "forces", "whole", "enabled_alpha",
+        for name in ("stiffness", "shapes", "forces", "acting_stiffness", "enabled_alpha",
                      "actuator_asymmetry", "rigid_stiffness"):  # fmt: skip
             object.__setattr__(self, name, frozen_array(getattr(self, name)))
 
@@ -154,27 +149,11 @@ def true_stiffness(
         Sensor gains that cannot be.
     """
     on = matrix.layout.enabled
-    layout = _of(matrix.layout, on)
-    alpha = _matched_alpha(layout, matrix.instrument, calibration)
-    gain = _checked_gain(sensor_gain, on)
-    floats, follows = (
-        _which(layout, ids, what) for ids, what in ((off, "off"), (slaved, "slaved"))
-    )
-    if (floats & follows).any():
-        both = int(layout.id[floats & follows][0])
-        raise UnknownName(
-            f"actuator {both} is both off and slaved", remedy="name it once", got=both
-        )
-    leads = ~(floats | follows)
-    if np.count_nonzero(leads) < FEWEST:
-        raise RankDeficient(
-            f"{np.count_nonzero(leads)} of {layout.n} actuators are left to command",
-            remedy=f"leave {FEWEST} at least",
-            got=int(np.count_nonzero(leads)),
-            want=FEWEST,
-        )
-
-    k = alpha[:, None] * matrix.stiffness[np.ix_(on, on)] / gain
+    layout = _some(matrix.layout, on)
+    alpha = matched_alpha(layout, matrix.instrument, calibration)
+    gain = checked_gain(sensor_gain, on)
+    floats, follows = off_and_slaved(layout, off, slaved)
+    k = alpha[:, None] * matrix.used_stiffness / gain
     apart, together = k - k.T, k + k.T
     symmetric = 0.5 * together
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
@@ -182,19 +161,18 @@ def true_stiffness(
     coupling = symmetric @ rigid - rigid @ own  # Q K R
     if calibration is not None:
         symmetric = symmetric - coupling @ rigid.T - rigid @ coupling.T
-    shapes, forces, whole = _following(symmetric, floats, follows)
+    shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
     stiffness = shapes.T @ forces
     values = np.linalg.eigvalsh(own)
     return TrueStiffness(
-        layout=_of(layout, leads),
+        layout=_some(layout, ~(floats | follows)),
         stiffness=0.5 * (stiffness + stiffness.T),
-        alpha=alpha[leads],
         calibrated=calibration is not None,
         enabled=layout,
         acts=~floats,
         shapes=shapes,
         forces=forces,
-        whole=whole,
+        acting_stiffness=acting_stiffness,
         enabled_alpha=alpha,
         asymmetry=float(np.linalg.norm(apart) / np.linalg.norm(together)),
         actuator_asymmetry=np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1),
@@ -228,92 +206,20 @@ def _following(
         shapes[floats] = -scipy.linalg.cho_solve(held, k[np.ix_(floats, active)])
     forces = k @ shapes
     forces[floats] = 0.0  # but for rounding
-    whole = np.zeros_like(k)
-    whole[:, active] = forces
+    acting_stiffness = np.zeros_like(k)
+    acting_stiffness[:, active] = forces
     slaves = follows[active]
     if not slaves.any():
-        return shapes, forces, whole
+        return shapes, forces, acting_stiffness
     answer = np.linalg.lstsq(forces[:, slaves], -forces[:, ~slaves], rcond=None)[0]
     return (
         shapes[:, ~slaves] + shapes[:, slaves] @ answer,
         forces[:, ~slaves] + forces[:, slaves] @ answer,
-        whole,
+        acting_stiffness,
     )
 
 
-def _of(layout: Layout, kept: NDArray[np.bool_]) -> Layout:
-    """Return some actuators of a layout."""
+def _some(layout: Layout, chosen: NDArray[np.bool_]) -> Layout:
+    """Return the actuators of a layout that are chosen, (n,)."""
     names = ("id", "x", "y", "nz", "enabled")
-    return Layout(**{name: getattr(layout, name)[kept] for name in names})
-
-
-def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | None) -> Array:
-    """Return (n,) alpha of the actuators, matched by their IDs."""
-    if calibration is None:
-        return np.ones(layout.n)
-    remedy = "give the calibration of the same mirror"
-    if calibration.instrument != instrument:
-        raise CampaignMismatch(
-            f"the stiffness is of {instrument}, the calibration of {calibration.instrument}",
-            remedy=remedy,
-        )
-    theirs = calibration.layout
-    at = places(theirs, layout.id)
-    unknown = (theirs.id[at] != layout.id) | ~np.isfinite(calibration.alpha[at])
-    if unknown.any():
-        raise CampaignMismatch(
-            f"the calibration has no alpha for actuator {layout.id[unknown][0]}",
-            remedy="calibrate all actuators that the stiffness has enabled",
-            got=int(layout.id[unknown][0]),
-        )
-    for name in ("x", "y", "nz"):
-        far = np.abs(getattr(theirs, name)[at] - getattr(layout, name)) > SAME_PLACE
-        if far.any():
-            raise CampaignMismatch(
-                f"stiffness and calibration disagree on {name.upper()} of actuator"
-                f" {layout.id[far][0]}",
-                remedy=remedy,
-                got=int(layout.id[far][0]),
-            )
-    return np.asarray(calibration.alpha[at])
-
-
-def places(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where in a layout the named actuators stand; anywhere for one that it has not."""
-    order = np.argsort(layout.id)
-    at = np.searchsorted(layout.id, names, sorter=order)
-    return np.asarray(order[np.minimum(at, layout.n - 1)])
-
-
-def _checked_gain(sensor_gain: Array | None, on: NDArray[np.bool_]) -> Array:
-    if sensor_gain is None:
-        return np.ones(int(on.sum()))
-    gain = np.asarray(sensor_gain, dtype=float)
-    if gain.shape != on.shape:
-        raise FormatError(
-            f"sensor_gain has shape {gain.shape}",
-            remedy=f"give one number for each of the {on.size} actuators",
-            got=gain.shape,
-            want=on.shape,
-        )
-    if not (np.isfinite(gain[on]).all() and (gain[on] > 0).all()):
-        raise FormatError(
-            "sensor_gain holds numbers that are not positive", remedy="they are about 1"
-        )
-    return gain[on]
-
-
-def _which(layout: Layout, ids: Sequence[int], what: str) -> NDArray[np.bool_]:
-    """Return (n,) which actuators are named."""
-    if not all(isinstance(name, int | np.integer) for name in ids):
-        raise UnknownName(
-            f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]", got=ids
-        )
-    unknown = np.setdiff1d(np.asarray(ids, dtype=np.int64), layout.id)
-    if unknown.size:
-        raise UnknownName(
-            f"no enabled actuator has the ID {unknown[0]} that is to be {what}",
-            remedy=f"IDs go from {layout.id.min()} to {layout.id.max()}",
-            got=int(unknown[0]),
-        )
-    return np.isin(layout.id, ids)
+    return Layout(**{name: getattr(layout, name)[chosen] for name in names})

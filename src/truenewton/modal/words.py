@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from truenewton.calibration.words import row, warning_lines
 from truenewton.modal.comparison import ModesComparison
 from truenewton.modal.dissipation import Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
@@ -16,13 +18,7 @@ from truenewton.rounding import percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns
 NUMBERS = 8  # of modes, in the table
-FAINTEST = 1e-5  # of the largest power; below it, a piston that costs nothing takes up all the axis
-
-
-def chosen_modes(count: int) -> list[int]:
-    """Return which modes are drawn: the softest eight, and four more up to the stiffest."""
-    more = np.geomspace(8, count, 5)[1:] - 1
-    return sorted({*range(min(8, count)), *(round(k) for k in more if count > 8)})
+NEGATIVE = "bias magnets, or errors of the measurement"  # why a stiffness may be
 
 
 def stiffness_text(value: float) -> str:
@@ -31,12 +27,6 @@ def stiffness_text(value: float) -> str:
         if abs(value) >= 0.995 * size:
             return f"{significant(value / size)} {unit}"
     return f"{significant(value)} N/m"
-
-
-def negative_text(base: ModalBase) -> str:
-    """Say how many elastic modes are of negative stiffness, and why; nothing where none is."""
-    count = int(np.count_nonzero(base.modes.stiffness[3:] < 0))
-    return f"{count} negative: bias magnets, or errors of the measurement" if count else ""
 
 
 def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
@@ -59,13 +49,6 @@ def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
     return rows
 
 
-def least_power(base: ModalBase) -> float:
-    """Return where a logarithmic axis of the power of a coil begins [W]."""
-    means = np.concatenate([cost.power.mean(axis=0) for cost in base.costs])
-    most = max(float(cost.power.max()) for cost in base.costs)
-    return max(0.8 * float(means.min()), FAINTEST * most)
-
-
 def measured_text(measured: MeasuredStiffness) -> str:
     """Say of how many shapes and rows a stiffness is, and how well it is known."""
     m = measured
@@ -84,7 +67,7 @@ def rigid_text(measured: MeasuredStiffness) -> str:
     return f"no shape holds {measured.rigid_assumed} of 3 rigid motions: taken to cost nothing"
 
 
-def apart(comparison: ModesComparison) -> str:
+def comparison_text(comparison: ModesComparison) -> str:
     """Say how far the modes taken with alpha = 1 lie from the calibrated."""
     c = comparison
     if not c.orders.size:
@@ -97,7 +80,7 @@ def apart(comparison: ModesComparison) -> str:
     )
 
 
-def turbulence(base: ModalBase) -> str:
+def turbulence_text(base: ModalBase) -> str:
     """Say which turbulence meets how large a mirror."""
     a, pupil = base.seen.atmosphere, base.seen.pupil
     return (
@@ -107,7 +90,7 @@ def turbulence(base: ModalBase) -> str:
     )
 
 
-def between_actuators(base: ModalBase) -> str:
+def fitting_error_text(base: ModalBase) -> str:
     """Say what no number of modes takes away."""
     return (
         f"{1e9 * base.seen.fitting_error:.3g} nm of wavefront more, in quadrature, whatever the"
@@ -115,7 +98,7 @@ def between_actuators(base: ModalBase) -> str:
     )
 
 
-def static_force(cost: Dissipation) -> str:
+def static_force_text(cost: Dissipation) -> str:
     """Say between which limits the static forces lie."""
     force = 1e3 * cost.static
     if not force.any():
@@ -123,36 +106,34 @@ def static_force(cost: Dissipation) -> str:
     return f"{force.min():.3g} .. {force.max():.3g} mN"
 
 
-def lines(found: ModalFindings, limits: Budget) -> list[str]:
+def lines(findings: ModalFindings, limits: Budget) -> list[str]:
     """Return what was found, for people."""
-    before, after = found.before.stiffness, found.after.stiffness
-    base, c = found.after, found.calibration
-    count = base.modes.stiffness.size
-    told = [
-        f"{base.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
-    ]
-    if (m := found.measured) is not None:
-        told.append(f"  {'measured stiffness':<24}{measured_text(m)}")
-        if m.rigid_assumed:
-            told.append(f"  {'':<24}{rigid_text(m)}")
+    base, measured, c = findings.after, findings.measured, findings.calibration
+    before, after = findings.before.stiffness, base.stiffness
+    count, elastic = base.modes.stiffness.size, base.modes.stiffness[3:]
     rigid = ", ".join(f"{value:.3g}" for value in after.rigid_stiffness)
-    elastic = base.modes.stiffness[3:]
-    told += [
-        f"  {'':<24}{'alpha = 1':<12}calibrated",
-        f"  {'asymmetry of it':<24}{percent(before.asymmetry):<12}{percent(after.asymmetry)}",
-        f"  {'imbalance of it':<24}{percent(before.imbalance):<12}{percent(after.imbalance)}",
-        f"  {'rigid motions':<24}{'':<12}{rigid} N/m",
-        f"  {'elastic modes':<24}{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
-        + (f"; {negative}" if (negative := negative_text(base)) else ""),
-        f"  {'modes by alpha = 1':<24}{apart(found.comparison)}",
-        f"  {'turbulence':<24}{turbulence(base)}",
-        f"  {'between actuators':<24}{between_actuators(base)}",
-        f"  {'static force':<24}{static_force(base.costs[0])}",
-    ]
-    told += _table(base) + _within(found, limits)
-    warnings = c.diagnosis.warnings if c.diagnosis else ()
-    return told + [
-        f"  WARNING: {fault}; {remedy}" for fault, remedy in (*warnings, *found.warnings)
+    negative = int(np.count_nonzero(elastic < 0))
+    rows = [
+        ("measured stiffness", measured_text(measured) if measured else ""),
+        ("", rigid_text(measured) if measured else ""),
+        ("", f"{'alpha = 1':<12}calibrated"),
+        ("asymmetry of it", f"{percent(before.asymmetry):<12}{percent(after.asymmetry)}"),
+        ("imbalance of it", f"{percent(before.imbalance):<12}{percent(after.imbalance)}"),
+        ("rigid motions", f"{'':<12}{rigid} N/m"),
+        ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
+         + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
+        ("modes by alpha = 1", comparison_text(findings.comparison)),
+        ("turbulence", turbulence_text(base)),
+        ("between actuators", fitting_error_text(base)),
+        ("static force", static_force_text(base.costs[0])),
+    ]  # fmt: skip
+    warnings = (*(c.diagnosis.warnings if c.diagnosis else ()), *findings.warnings)
+    return [
+        f"{base.matrix.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
+        *(row(name, text) for name, text in rows if text),
+        *_table(base),
+        *_within(findings, limits),
+        *warning_lines(warnings),
     ]
 
 
@@ -164,23 +145,26 @@ def _table(base: ModalBase) -> list[str]:
         "stiffness modes: force [mN], power [W]",
         f"  {'modes':<8}{names}rms     worst   mean     worst    total",
     ]
-    for row in cost_rows(base):
-        cells = (f"{cell:<{width}}" for cell, width in zip(row, WIDTHS, strict=True))
-        lines.append(f"  {''.join(cells)}")
+    for cells in cost_rows(base):
+        text = "".join(f"{cell:<{width}}" for cell, width in zip(cells, WIDTHS, strict=True))
+        lines.append(f"  {text}")
     return lines
 
 
-def _within(found: ModalFindings, limits: Budget) -> list[str]:
+def _within(findings: ModalFindings, limits: Budget) -> list[str]:
     """Return how many modes the limits allow, and what alpha has to do with it."""
-    if not limits.any:
+    asked = (
+        (limits.power, "W in the worst coil"),
+        (limits.total, "W in all"),
+        (limits.force, "N on any actuator"),
+    )
+    words = " and ".join(f"{limit:g} {what}" for limit, what in asked if math.isfinite(limit))
+    if not words:
         return ["  --power, --total-power or --force asks how many modes they allow"]
-    asked = [f"{limits.power:g} W in the worst coil"] if math.isfinite(limits.power) else []
-    asked += [f"{limits.total:g} W in all"] if math.isfinite(limits.total) else []
-    asked += [f"{limits.force:g} N on any actuator"] if math.isfinite(limits.force) else []
-    lines = [f"  within {' and '.join(asked)}, piston and tilts counted:"]
-    for cost, uncalibrated in zip(found.after.costs, found.before.costs, strict=True):
+    lines = [f"  within {words}, piston and tilts counted:"]
+    for cost, uncalibrated in zip(findings.after.costs, findings.before.costs, strict=True):
         number = cost.modes_within(limits)
-        fewest, most = found.modes_between(cost, limits)
+        fewest, most = findings.modes_between(cost, limits)
         words = "none" if number == 0 else f"{number} of {cost.residual.size}"
         if number:
             words += f", {1e9 * cost.residual[number - 1]:.3g} nm left"
@@ -191,14 +175,14 @@ def _within(found: ModalFindings, limits: Budget) -> list[str]:
     return lines
 
 
-def values(found: ModalFindings, limits: Budget) -> dict[str, Any]:
+def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
     """Return the same figures for a script."""
-    base, m, c = found.after, found.measured, found.comparison
-    told: dict[str, Any] = {
-        "instrument": base.instrument,
-        "date": base.date.isoformat(),
-        "method": found.calibration.method,
-        "scale": found.calibration.scale,
+    base, measured, c = findings.after, findings.measured, findings.comparison
+    values: dict[str, Any] = {
+        "instrument": base.matrix.instrument,
+        "date": base.matrix.date.isoformat(),
+        "method": findings.calibration.method,
+        "scale": findings.calibration.scale,
         "seeing": base.seen.atmosphere.seeing,
         "fried_parameter": base.seen.atmosphere.fried_parameter,
         "outer_scale": base.seen.atmosphere.outer_scale,
@@ -208,17 +192,14 @@ def values(found: ModalFindings, limits: Budget) -> dict[str, Any]:
         "fitting_error": base.seen.fitting_error,
         "static_force": base.costs[0].static,
         "stiffness": base.modes.stiffness,
-        "asymmetry": [x.stiffness.asymmetry for x in (found.before, base)],
-        "imbalance": [x.stiffness.imbalance for x in (found.before, base)],
+        "asymmetry": [x.stiffness.asymmetry for x in (findings.before, base)],
+        "imbalance": [x.stiffness.imbalance for x in (findings.before, base)],
         "rigid_stiffness": base.stiffness.rigid_stiffness,
         "uncalibrated_modes": {
-            "distance": c.distance,
-            "overlap": c.overlap,
-            "orders": c.orders,
-            "largest_angle": c.largest_angle,
+            name: getattr(c, name) for name in ("distance", "overlap", "orders", "largest_angle")
         },
-        "limits": {"power": limits.power, "total": limits.total, "force": limits.force},
-        "warnings": [list(warning) for warning in found.warnings],
+        "limits": asdict(limits),
+        "warnings": [list(warning) for warning in findings.warnings],
         "bases": [
             {
                 "base": cost.base,
@@ -229,16 +210,14 @@ def values(found: ModalFindings, limits: Budget) -> dict[str, Any]:
                 "power_mean": cost.power.mean(axis=0),
                 "power_worst": cost.power.max(axis=0),
                 "modes_within": cost.modes_within(limits),
-                "modes_between": found.modes_between(cost, limits),
+                "modes_between": findings.modes_between(cost, limits),
                 "modes_within_uncalibrated": uncalibrated.modes_within(limits),
             }
-            for cost, uncalibrated in zip(base.costs, found.before.costs, strict=True)
+            for cost, uncalibrated in zip(base.costs, findings.before.costs, strict=True)
         ],
     }
-    if m is not None:
-        told["measured"] = {
-            "shapes": m.shapes, "rows": m.rows, "residual": m.residual, "misfit": m.misfit,
-            "relative_error": m.relative_error, "rigid_assumed": m.rigid_assumed,
-            "rejected": len(m.rejected),
-        }  # fmt: skip
-    return told
+    if measured is not None:
+        names = ("shapes", "rows", "residual", "misfit", "relative_error", "rigid_assumed")
+        values["measured"] = {name: getattr(measured, name) for name in names}
+        values["measured"]["rejected"] = len(measured.rejected)
+    return values

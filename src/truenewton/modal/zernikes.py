@@ -14,9 +14,9 @@ def noll_orders(count: int) -> tuple[Integers, Integers]:
     """Return the radial order n and the azimuthal order m of Noll's j = 1 .. count."""
     j = np.arange(1, count + 1)
     n = (np.sqrt(8 * j - 7).astype(np.int64) - 1) // 2
-    place = j - 1 - n * (n + 1) // 2  # within the radial order
+    within = j - 1 - n * (n + 1) // 2  # the radial order
     odd = n % 2
-    return n, 2 * ((place + 1 - odd) // 2) + odd
+    return n, 2 * ((within + 1 - odd) // 2) + odd
 
 
 def zernike(count: int, x: Array, y: Array) -> Array:

@@ -116,7 +116,7 @@ def outlook(ready: Prepared) -> Outlook:
     LimitExceeded, RankDeficient, FormatError
     """
     borne, prediction = strain(ready), predicted(ready)
-    warnings = prediction.warnings
+    warnings = prediction.diagnosis.warnings
     limit = ready.plan.limits.force
     if borne.force_at_worst > limit:
         warnings += (

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from truenewton.calibration.words import warning_lines
 from truenewton.estimation.prediction import typical
 from truenewton.planning.outlook import reading_time
 from truenewton.rounding import percent
@@ -47,8 +48,8 @@ def lines(outlook: Outlook) -> Iterator[str]:
     rows += [
         ("  reading noise", percent(typical(found.reading_error, found.alpha)),
          f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
-        ("least known", found.weakest,
-         f"{percent(found.weakest_share)} of the variance E_STAT^2"),
+        ("least known", found.diagnosis.weakest,
+         f"{percent(found.diagnosis.weakest_share)} of the variance E_STAT^2"),
         ("duration", _time(outlook.duration),
          f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(plan.loads) - 1} x"
          f" {_time(plan.pause)} to change the load"),
@@ -68,8 +69,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
     yield from _table("added weights, times", outlook.against_weight, [
         f"{value:g}" for value in outlook.against_weight.values
     ])  # fmt: skip
-    for fault, remedy in outlook.warnings:
-        yield f"  WARNING: {fault}; {remedy}"
+    yield from warning_lines(outlook.warnings)
 
 
 def _table(name: str, curve: Curve, heads: Sequence[str]) -> Iterator[str]:
@@ -120,7 +120,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
         "typical_e_stat": typical(found.reading_error, found.alpha),
         "typical_e_syst": typical(found.systematic_error, found.alpha),
         "scale_errors": [
-            {"source": line.source, "relative": line.relative} for line in found.scale_errors
+            {"source": str(line.source), "relative": line.relative} for line in found.scale_errors
         ],
         "actuators": {
             "id": found.layout.id[found.layout.enabled],
@@ -129,8 +129,8 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
             "e_stat": found.reading_error,
             "e_syst": found.systematic_error,
         },
-        "weakest": found.weakest,
-        "undetermined": found.undetermined,
+        "weakest": found.diagnosis.weakest,
+        "undetermined": found.diagnosis.undetermined,
         "duration": outlook.duration,
         **{f"largest_{key}" if key in ("force", "stroke") else key: value
            for key, value in dataclasses.asdict(outlook.strain).items()},

@@ -20,37 +20,38 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.errors import FormatError, RankDeficient, UnknownName
-from truenewton.estimation.cycles_ml import found_of
-from truenewton.estimation.diagnosis import Goodness, RejectedRow, ScaleError
+from truenewton.estimation.cycles_ml import estimate_of
+from truenewton.estimation.diagnosis import Goodness, NoiseSource, RejectedRow, ScaleError
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import geometry_faults
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
-from truenewton.estimation.outliers import against_repeats
+from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.estimation.problem import Problem
-from truenewton.estimation.weights import READINGS
+from truenewton.estimation.sifted import sift
+from truenewton.estimation.unknowns import Unknowns
+from truenewton.estimation.weights import scale_error_from_readings
 from truenewton.reading import read
 from truenewton.recalibration.known import (
     EARLIER,
     EarlierCalibration,
     known_from,
-    run_temperature,
     shared_errors,
 )
 from truenewton.recalibration.short_run import (
     ShortRun,
+    balancing,
     degrees_of,
     inverse_of,
     pulls,
-    sifted,
     with_noise,
 )
-from truenewton.records.campaign import Campaign
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.law import Departure, Tracking
+from truenewton.tracking.law import Outlier, Tracking
 
-FALSE_ALARM = 0.01  # for the whole mirror
 ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
 MOST = 0.25  # of the actuators that may have moved
 
@@ -79,7 +80,7 @@ class Recalibration:
 
     calibration: Calibration
     asked: tuple[int, ...]
-    moved: tuple[Departure, ...]
+    moved: tuple[Outlier, ...]
     earlier: Array
     chi2: float
     degrees_of_freedom: int
@@ -121,24 +122,24 @@ def recalibrate(
     layout = campaign.layout
     on = layout.enabled
     new = _new(campaign, before, actuators)
-    moments, sound, rejected = against_repeats(campaign)
-    _refuse_too_little(sound, moments, int(new.sum()))
+    sifted = sift(campaign)
+    _refuse_too_little(sifted.sound, sifted.moments, int(new.sum()))
     errors, scale = shared_errors(before, campaign)
     alpha = np.where(np.isfinite(before.alpha), before.alpha, np.nanmean(before.alpha))[on]
-    run = ShortRun(before, sound, errors, alpha, before.covariance[np.ix_(on, on)])
-    problem, moments, estimate, lost = sifted(run, moments, new)
-    moved: list[Departure] = []
+    run = ShortRun(before, sifted.sound, errors, alpha, before.covariance[np.ix_(on, on)])
+    problem, moments, minimum, lost = balancing(run, sifted, new)
+    moved: list[Outlier] = []
     stay = ~new
     while True:
         problem = replace(problem, prior=run.problem(problem.noise, run.tight(stay)).prior)
-        estimate = problem.fitted(moments, estimate.values)
-        z, chi2, degrees = pulls(problem, estimate, stay)
+        minimum = problem.fitted(moments, minimum.values)
+        z, chi2, degrees = pulls(problem, minimum, stay)
         worst = int(np.abs(z).argmax())
         chance = float(2 * scipy.stats.norm.sf(abs(z[worst])))
-        mirror = float(-np.expm1(stay.sum() * np.log1p(-min(chance, 1 - 1e-16))))
+        mirror = chance_of_any(chance, int(stay.sum()))
         if mirror >= FALSE_ALARM:
             break
-        moved.append(Departure(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
+        moved.append(Outlier(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
         stay[worst] = False
         if len(moved) > MOST * len(stay):
             raise RankDeficient(
@@ -147,8 +148,9 @@ def recalibrate(
                 got=len(moved),
                 want=MOST * len(stay),
             )
-    problem, _, estimate = with_noise(problem, moments, estimate)
-    calibration = _calibration(run, problem, moments, estimate, (*rejected, *lost), scale, stay)
+    problem, minimum = with_noise(problem, moments, minimum)
+    rejected = (*sifted.rejected, *lost)
+    calibration = _calibration(run, problem, moments, minimum, rejected, scale, stay)
     probability = float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan")
     return Recalibration(
         calibration=calibration,
@@ -194,7 +196,7 @@ def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
     faults = geometry_faults(enabled_arms(campaign.layout))
     if faults:
         raise RankDeficient(faults[0][0], remedy=faults[0][1])
-    wanted = new + 1 + 2 * len(campaign.loads)
+    wanted = Unknowns(new, len(campaign.loads)).count
     if 3 * len(moments.rows) <= wanted:
         raise RankDeficient(
             f"there are too few shapes: {len(moments.rows)} for {new} new actuators, bias and"
@@ -209,41 +211,40 @@ def _calibration(
     run: ShortRun,
     problem: Problem,
     moments: Moments,
-    estimate: Minimum,
+    minimum: Minimum,
     rejected: tuple[RejectedRow, ...],
     scale: float,
     stay: NDArray[np.bool_],
 ) -> Calibration:
     """Return an ordinary calibration, the error of the earlier scale common to all."""
     known, campaign = run.known, run.campaign
-    n, count = problem.n, problem.unknowns
-    inverse = inverse_of(problem, estimate)
-    values = estimate.values[:count]
-    changes = estimate.changes.copy()
+    n, count = problem.n, problem.unknowns.count
+    inverse = inverse_of(problem, minimum)
+    values = minimum.values[:count]
+    changes = minimum.changes.copy()
     changes[:, 0] += scale * values
     # Uneven errors of the earlier weights come through the prior.
     uneven = (known.alpha[:, None] * known.uneven)[campaign.layout.enabled][stay]
     information = problem.prior.information[np.ix_(stay, stay)]
     through = inverse[:count, :n][:, stay] @ information @ uneven
-    reading_covariance = estimate.reading_covariance - through @ through.T
-    found = found_of("ml, recalibrated", problem, moments, estimate, rejected, 0)
+    reading_covariance = minimum.reading_covariance - through @ through.T
+    estimate = estimate_of("ml, recalibrated", problem, moments, minimum, rejected, 0)
     degrees = degrees_of(problem, moments, inverse)
-    tested = problem.noise.source != "minimum"
-    probability = float(scipy.stats.chi2.sf(estimate.chi2, degrees)) if tested else float("nan")
-    size = estimate.chi2 / degrees
-    direction = values[:n] / (values[:n] @ values[:n])
-    readings = float(np.sqrt(direction @ reading_covariance[:n, :n] @ direction))
-    budget = (ScaleError(READINGS, readings), ScaleError(EARLIER, known.scale))
-    found = replace(
-        found,
-        scale="given" if run.held else "weights",
+    tested = problem.noise.source != NoiseSource.MINIMUM
+    probability = float(scipy.stats.chi2.sf(minimum.chi2, degrees)) if tested else float("nan")
+    size = minimum.chi2 / degrees
+    by_readings = scale_error_from_readings(values[:n], reading_covariance[:n, :n])
+    budget = (by_readings, ScaleError(EARLIER, known.scale))
+    estimate = replace(
+        estimate,
+        scale=Scale.GIVEN if run.held else Scale.WEIGHTS,
         reading_covariance=reading_covariance,
         systematic_covariance=changes @ changes.T + through @ through.T,
         noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
-        goodness=Goodness(estimate.chi2, round(degrees), problem.noise.source, probability),
+        goodness=Goodness(minimum.chi2, round(degrees), problem.noise.source, probability),
         scale_errors=tuple(sorted(budget, key=lambda line: -line.relative)),
     )
-    made = calibration_of(campaign, found)
+    made = calibration_of(campaign, estimate)
     temperature = known.temperature if np.isfinite(known.temperature) else made.temperature
     return replace(made, temperature=temperature, sources=(*made.sources, *known.sources))
 
@@ -255,7 +256,7 @@ def _limits(run: ShortRun, probability: float) -> tuple[str, ...]:
             "all others together disagree with their earlier calibration, though none stands out:"
             " calibrate anew",
         )
-    then, now = run.known.temperature, run_temperature(run.campaign)
+    then, now = run.known.temperature, mean_temperature(run.campaign.cycles)
     if not (np.isfinite(then) and np.isfinite(now)):
         limits += ("the temperatures are not all known: others may seem to have moved",)
     elif abs(now - then) > SAME_TEMPERATURE:

@@ -3,37 +3,39 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import starmap
 
 import numpy as np
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
-from truenewton.estimation.weights import WeightError, weight_errors
+from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
+from truenewton.estimation.estimate import Scale
+from truenewton.estimation.weights import WeightError, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.reading import read
-from truenewton.records.campaign import Campaign
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.source import UsedSource
-from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.file import is_tracking_file, tracking_from
 from truenewton.tracking.law import Tracking
 
-EARLIER = "earlier calibration"
+EARLIER = ErrorSource(ErrorKind.EARLIER)
 MAGNETS = -1.1e-3  # [1/K] of NdFeB, the law of a mirror that nobody tracked [lit]
 
 
 @dataclass(frozen=True, eq=False)
 class EarlierCalibration:
-    """Alpha as it was, its errors told apart.
+    """Alpha as it was, its error by the weights parted into what is common to all and the rest.
 
     Attributes
     ----------
-    name, instrument, layout
-        The file; the mirror.
+    name
+        Of the file.
     alpha, covariance
         (n,) and (n, n); errors of the weights left out but for ``uneven``.
     scale
@@ -47,8 +49,6 @@ class EarlierCalibration:
     """
 
     name: str
-    instrument: str
-    layout: Layout
     alpha: Array
     covariance: Array
     scale: float
@@ -82,47 +82,43 @@ def known_from(
         name = os.fspath(given)
         file = read_fits(given)
         given = tracking_from(file) if is_tracking_file(file) else _calibration(name)
-    if given.instrument != campaign.instrument or not _same_actuators(
-        given.layout, campaign.layout
-    ):
+    same_instrument = given.instrument == campaign.instrument
+    if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(
-            f"is of {given.instrument}, the run of {campaign.instrument}"
-            if given.instrument != campaign.instrument
-            else "has other actuators than the run",
+            "has other actuators than the run"
+            if same_instrument
+            else f"is of {given.instrument}, the run of {campaign.instrument}",
             remedy="give the calibration of the same mirror",
             path=name,
         )
     n = given.layout.n
     if isinstance(given, Tracking):
-        temperature = run_temperature(campaign)
-        date = campaign.cycles[0].date
-        told = temperature if np.isfinite(temperature) else None
-        at = given.alpha_at(told, date)
-        alpha, whole, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
-        temperature = temperature if told is not None else given.temperature
+        temperature = mean_temperature(campaign.cycles)
+        recorded = bool(np.isfinite(temperature))
+        at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
+        alpha, covariance, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
+        temperature = temperature if recorded else given.temperature
     else:
-        if given.scale == "mean 1":
+        if given.scale == Scale.MEAN_ONE:
             raise FormatError(
                 "gives alpha relative to its mean, so it carries no scale",
                 remedy="give a calibration whose scale comes from weights",
                 path=name,
             )
         alpha, temperature = given.alpha, given.temperature
-        whole, systematic_covariance = given.covariance[:n, :n], given.systematic_covariance[:n, :n]
+        covariance = given.covariance[:n, :n]
+        systematic_covariance = given.systematic_covariance[:n, :n]
         loads, sources = given.loads, given.sources
     on = np.isfinite(alpha)
-    scale, uneven = _told_apart(alpha[on], systematic_covariance[np.ix_(on, on)])
-    full = np.full((n, uneven.shape[1]), np.nan)
-    full[on] = uneven
-    rest = alpha[:, None] * full
+    scale, uneven = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
+    uneven = spread(uneven, on)
+    rest = alpha[:, None] * uneven
     return EarlierCalibration(
         name=name,
-        instrument=given.instrument,
-        layout=given.layout,
         alpha=alpha,
-        covariance=whole - systematic_covariance + rest @ rest.T,
+        covariance=covariance - systematic_covariance + rest @ rest.T,
         scale=scale,
-        uneven=full,
+        uneven=uneven,
         temperature=temperature,
         loads=loads,
         sources=sources,
@@ -138,17 +134,7 @@ def _calibration(name: str) -> Calibration:
     return data
 
 
-def _same_actuators(one: Layout, other: Layout) -> bool:
-    return one.n == other.n and one.same_as(replace(other, enabled=one.enabled))
-
-
-def run_temperature(campaign: Campaign) -> float:
-    """Return the mean temperature of the rows that count [deg C]; NaN where none is recorded."""
-    held = [c.temperature[c.valid] for c in campaign.cycles if c.temperature is not None]
-    return float(np.concatenate(held).mean()) if held else float("nan")
-
-
-def _told_apart(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:
+def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:
     """Return the relative error that all share, and the rest as (n, m) relative changes."""
     factor = factor_of(systematic_covariance / np.outer(alpha, alpha))
     mean = factor.mean(axis=0)
@@ -158,8 +144,7 @@ def _told_apart(alpha: Array, systematic_covariance: Array) -> tuple[float, Arra
     turn = np.linalg.qr(np.column_stack([mean / scale, np.eye(len(mean))]))[0]
     turned = factor @ (turn * np.sign(mean @ turn[:, 0]))
     turned[:, 0] -= scale
-    kept = np.abs(turned).max(axis=0) > 1e-6 * scale
-    return scale, np.asarray(turned[:, kept])
+    return scale, np.asarray(turned[:, np.abs(turned).max(axis=0) > 1e-6 * scale])
 
 
 def shared_errors(
@@ -173,28 +158,26 @@ def shared_errors(
     takes up. The first of the sources is the earlier scale.
     """
     weights = campaign.effective_weights
-    sources = list(weight_errors(campaign))
-    tool = _shared_tool(known, campaign)
+    errors = {error.source: error.change for error in weight_errors(campaign)}
     scale, change = known.scale, -known.scale * weights
-    if tool is not None:
+    shared = _shared_source(known, campaign)
+    if shared is not None:
         # Alpha is in proportion to the added weight, which is negative.
-        place = next(k for k, source in enumerate(sources) if tool in source.source)
-        scale, change = -scale, sources.pop(place).change - change
-    first = WeightError(EARLIER, change)
-    away = run_temperature(campaign) - known.temperature
+        scale, change = -scale, errors.pop(shared) - change
+    away = mean_temperature(campaign.cycles) - known.temperature
     if abs(away) > SAME_TEMPERATURE:
         # All alphas have changed alike; the earlier scale holds at the earlier temperature.
-        sources.append(WeightError("temperature since then", MAGNETS * away * weights))
-    return (first, *sources), scale
+        errors[ErrorSource(ErrorKind.TEMPERATURE)] = MAGNETS * away * weights
+    return tuple(starmap(WeightError, ({EARLIER: change} | errors).items())), scale
 
 
-def _shared_tool(known: EarlierCalibration, campaign: Campaign) -> str | None:
-    """Return how the run's one source of error is named that made the earlier scale, if any did."""
+def _shared_source(known: EarlierCalibration, campaign: Campaign) -> ErrorSource | None:
+    """Return the run's one source of error that made the earlier scale too, if any did."""
     made = [load for load in known.loads if load.added_error > 0]
     if len(made) != 1 or any(load.tilt for load in known.loads):
         return None
     for load in campaign.loads:
         alike = (load.added, load.added_error) == (made[0].added, made[0].added_error)
         if alike and load.added_error > 0 and made[0].tool in (None, load.tool):
-            return f"'{load.tool or load.name}'"
+            return added_source(load)
     return None

@@ -11,7 +11,7 @@ and q_i over its standard deviation is standard normal unless actuator i has mov
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -23,9 +23,15 @@ from truenewton.estimation.cycles_ml import fitted_groups
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.minimum import Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
-from truenewton.estimation.noise import Noise, least_variance, reading_noise
+from truenewton.estimation.noise import Noise, reading_noise
 from truenewton.estimation.outliers import refuse_too_many, rows_of
-from truenewton.estimation.problem import Problem, with_share_in_balance
+from truenewton.estimation.problem import (
+    Problem,
+    with_noise_from_minimum,
+    with_share_in_balance,
+)
+from truenewton.estimation.sifted import Sifted
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
@@ -55,13 +61,13 @@ class ShortRun:
 
     def problem(self, noise: Noise, information: Array) -> Problem:
         """Pose the problem with (n, n) information on alpha."""
-        n, errors = len(self.alpha), len(self.errors)
-        count = n + 1 + 2 * len(self.campaign.loads) + errors
-        mean = np.zeros(count)
-        mean[:n] = self.alpha
+        errors = len(self.errors)
+        unknowns = Unknowns(len(self.alpha), len(self.campaign.loads), errors)
+        mean = np.zeros(unknowns.total)
+        mean[unknowns.alpha] = self.alpha
         prior = Prior(mean, information, errors, self.held)
-        arms = enabled_arms(self.campaign.layout)
-        return Problem(self.campaign, arms, self.errors, noise, prior, ())
+        a = enabled_arms(self.campaign.layout)
+        return Problem(self.campaign, a, self.errors, noise, prior, ())
 
     def tight(self, stay: NDArray[np.bool_]) -> Array:
         """Return the information of the earlier calibration on those who stay."""
@@ -77,38 +83,39 @@ class ShortRun:
         return np.asarray(np.diag(size**-2) + np.outer(stay, stay) / SCALE_HELD**2)
 
 
-def sifted(
-    run: ShortRun, moments: Moments, new: NDArray[np.bool_]
+def balancing(
+    run: ShortRun, sifted: Sifted, new: NDArray[np.bool_]
 ) -> tuple[Problem, Moments, Minimum, list[RejectedRow]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
     Held to its earlier calibration, one that was replaced would make good shapes look bad.
     """
+    moments = sifted.moments
     noise = reading_noise(run.campaign, moments)
     try:
         posed = run.problem(noise, run.loose(new))
-        kept, distance, (problem, estimate) = fitted_groups(posed, moments)
+        belongs, distance, (problem, minimum) = fitted_groups(posed, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
         posed = run.problem(noise, run.tight(~new))
-        kept, distance, (problem, estimate) = fitted_groups(posed, moments)
-    alpha = estimate.values[: problem.n]
-    shared = with_share_in_balance(posed, run.campaign, moments, alpha)
+        belongs, distance, (problem, minimum) = fitted_groups(posed, moments)
+    shared = with_share_in_balance(posed, sifted, minimum.values[: problem.n])
     if shared.noise.share != 1.0:
-        kept, distance, (problem, estimate) = fitted_groups(shared, moments)
+        belongs, distance, (problem, minimum) = fitted_groups(shared, moments)
     lost: list[RejectedRow] = []
-    if not kept.all():
-        actuator = problem.standing_out(estimate.values, moments)
-        lost = rows_of(run.campaign, moments, ~kept, distance, actuator)
+    if not belongs.all():
+        actuator = problem.standing_out(minimum.values, moments)
+        lost = rows_of(run.campaign, ~belongs, distance, actuator)
         refuse_too_many(len(lost), int(moments.rows.sum()))
-        moments = chosen_groups(moments, kept)
-    return *with_noise(problem, moments, estimate), lost
+        moments = chosen_groups(moments, belongs)
+    problem, minimum = with_noise(problem, moments, minimum)
+    return problem, moments, minimum, lost
 
 
-def inverse_of(problem: Problem, estimate: Minimum) -> Array:
+def inverse_of(problem: Problem, minimum: Minimum) -> Array:
     """Return H^-1 of the unknowns that are not held."""
     prior = problem.prior
-    free = len(estimate.values) - (prior.measured if prior.held else 0)
-    return np.asarray(scipy.linalg.inv(mirrored(estimate.information[:free, :free])))
+    free = len(minimum.values) - (prior.measured if prior.held else 0)
+    return np.asarray(scipy.linalg.inv(mirrored(minimum.information[:free, :free])))
 
 
 def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
@@ -118,34 +125,27 @@ def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
     return 3 * moments.groups - free + from_prior
 
 
-def with_noise(
-    problem: Problem, moments: Moments, estimate: Minimum
-) -> tuple[Problem, Moments, Minimum]:
+def with_noise(problem: Problem, moments: Moments, minimum: Minimum) -> tuple[Problem, Minimum]:
     """Give the noise its size from the minimum where nothing else does."""
-    for _ in range(20):
-        if problem.noise.source != "minimum":
-            break
-        size = estimate.chi2 / max(degrees_of(problem, moments, inverse_of(problem, estimate)), 1.0)
-        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
-        if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
-            break
-        problem = replace(problem, noise=Noise(variance, "minimum"))
-        estimate = problem.fitted(moments, estimate.values)
-    return problem, moments, estimate
+
+    def degrees(problem: Problem, minimum: Minimum) -> float:
+        return degrees_of(problem, moments, inverse_of(problem, minimum))
+
+    return with_noise_from_minimum(problem, moments, minimum, degrees)
 
 
-def pulls(problem: Problem, estimate: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:
+def pulls(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:
     """Return (n,) how far each who stays is pulled, in sigmas; chi2 of all together; degrees."""
     n = problem.n
     at = np.ix_(stay, stay)
     prior = problem.prior
     information = prior.information[at]
-    apart = (estimate.values - prior.mean)[:n][stay]
+    apart = (minimum.values - prior.mean)[:n][stay]
     root = scipy.linalg.cholesky(information, lower=True)
     # In units of the prior: variances 0 (the run says nothing) to 1 (it says all).
-    inverse = root.T @ inverse_of(problem, estimate)[:n, :n][at] @ root
-    by_weights = estimate.changes[:n][stay]
-    spread = root.T @ (estimate.reading_covariance[:n, :n][at] + by_weights @ by_weights.T) @ root
+    inverse = root.T @ inverse_of(problem, minimum)[:n, :n][at] @ root
+    by_weights = minimum.changes[:n][stay]
+    spread = root.T @ (minimum.reading_covariance[:n, :n][at] + by_weights @ by_weights.T) @ root
     variance = np.eye(len(apart)) - 2 * inverse + spread
     pull = root.T @ apart
     values, vectors = scipy.linalg.eigh(variance)

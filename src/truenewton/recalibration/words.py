@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from truenewton.calibration.words import summary_values
+from truenewton.calibration.words import summary_lines, summary_values
 from truenewton.rounding import by_chance, with_error
 
 if TYPE_CHECKING:
@@ -13,19 +13,22 @@ if TYPE_CHECKING:
 
 
 def lines(made: Recalibration) -> list[str]:
-    """Return what was found, for people."""
+    """Return what was found, for people: the calibration, and who was given anew."""
     c = made.calibration
     anew = [(name, "replaced") for name in made.asked]
     anew += [
         (one.actuator, f"MOVED: {abs(one.sigmas):.1f} sigma, {by_chance(one.probability)}")
         for one in made.moved
     ]
-    lines = [f"  {'given anew':<14}{'before':<12}{'now':<22}change"] if anew else []
+    lines = [*summary_lines(c)]
+    lines += [f"  {'given anew':<14}{'before':<12}{'now':<22}change"] if anew else []
     for name, words in anew:
-        at = int((c.layout.id == name).argmax())
-        before, now = float(made.earlier[at]), float(c.alpha[at])
+        actuator_index = int((c.layout.id == name).argmax())
+        before, now, error = (
+            float(values[actuator_index]) for values in (made.earlier, c.alpha, c.error)
+        )
         lines.append(
-            f"  {name:<14}{before:<12.4g}{with_error(now, float(c.error[at])):<22}"
+            f"  {name:<14}{before:<12.4g}{with_error(now, error):<22}"
             f"{100 * (now / before - 1):+.2f} %, {words}"
         )
     if not anew:

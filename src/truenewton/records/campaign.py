@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
@@ -101,7 +103,7 @@ class Campaign:
 
     @cached_property
     def load_index(self) -> tuple[int, ...]:
-        """For each cycle, the place of its load in ``loads``."""
+        """For each cycle, the index of its load in ``loads``."""
         keys = [load.key for load in self.loads]
         return tuple(keys.index(cycle.load.key) for cycle in self.cycles)
 
@@ -111,6 +113,12 @@ class Campaign:
         return effective_weight(
             self.weight, [load.added for load in self.loads], [load.tilt for load in self.loads]
         )
+
+
+def mean_temperature(cycles: Iterable[Cycle]) -> float:
+    """Return the mean over all rows that count [deg C]; NaN where none is recorded."""
+    recorded = [c.temperature[c.valid] for c in cycles if c.temperature is not None]
+    return float(np.concatenate(recorded).mean()) if recorded else float("nan")
 
 
 def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:

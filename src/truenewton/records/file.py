@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import datetime
 import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located
-from truenewton.files.content import FitsFile, Table
-from truenewton.files.fits import Sheet, read_fits, write_fits
+from truenewton.errors import FormatError, UnreadableFile
+from truenewton.files.content import FitsFile
+from truenewton.files.fits import read_fits, write_fits
+from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import folder_beside
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
@@ -23,6 +20,66 @@ from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 SUFFIXES = (".fits", ".fits.gz")
+
+INSTRUMENT = Keyword("INSTRUME", "instrument", "mirror", kind="str")
+ID = Column("ID", "layout.id", kind="int")
+X, Y = (Column(name, f"layout.{name.lower()}", "m") for name in "XY")
+NZ = Column("NZ", "layout.nz", absent=1.0)
+ENABLED = Column("ENABLED", "layout.enabled", kind="bool", absent=True)
+ACTUATORS = TableFormat("ACTUATORS", (ID, X, Y, NZ, ENABLED))
+
+CYCLE = FileFormat(
+    (
+        INSTRUMENT,
+        Keyword("DATE-OBS", "date", "UTC, start of the cycle", kind="date"),
+        Keyword("LOAD", "load.name", "name of the load", kind="str"),
+        Keyword("CYCLE", "number", "number of the cycle under this load", kind="int"),
+        Keyword("WEIGHT", "weight", "weight of the mirror along z at TILT 0, P", "N"),
+        Keyword("E_WEIGHT", "weight_error", "standard uncertainty of WEIGHT", "N"),
+        Keyword("ADDED", "load.added", "added weight, Q", "N"),
+        Keyword("E_ADDED", "load.added_error", "standard uncertainty of ADDED", "N"),
+        Keyword("TOOL", "load.tool", "name of the added weight", kind="str", absent=None),
+        Keyword("TILT", "load.tilt", "angle between axis and vertical", "deg", absent=0.0),
+        Keyword("E_TILT", "load.tilt_error", "standard uncertainty of TILT", "deg", absent=0.0),
+        Keyword(
+            "COILGRAD", "coil_gradient", "relative change of force along +z", "1/m", absent=None
+        ),
+        Keyword("BIASGRAD", "bias_gradient", "change of a bias force along +z", "N/m", absent=None),
+        Keyword("GAP", "gap", "nominal distance from the reference plate", "m", absent=None),
+        Keyword(
+            "FORCERR", "force_error", "standard deviation of one force reading", "N", absent=None
+        ),
+    ),
+    (
+        ACTUATORS,
+        TableFormat(
+            "MEASUREMENTS",
+            (
+                Column("TIME", "time", "s"),
+                Column("SHAPE", "shape", kind="int"),
+                Column("SIGN", "sign", kind="int"),
+                Column("TEMPERATURE", "temperature", "deg_C", absent=None),
+                Column("FORCE", "force", "N", each="ACTUATORS"),
+                Column("POSITION", "position", "m", absent=None, each="ACTUATORS"),
+                Column("VALID", "valid", kind="bool", absent=True),
+            ),
+        ),
+    ),
+)
+STIFFNESS = FileFormat(
+    (INSTRUMENT, Keyword("DATE-OBS", "date", "UTC", kind="date")),
+    (ACTUATORS, ImageFormat("STIFFNESS", "stiffness", "N/m")),
+)
+SOURCES = TableFormat(
+    "SOURCES",
+    (
+        Column("FILE", "file", kind="str"),
+        Column("SHA256", "sha256", kind="str", width=64),
+        Column("ROWS", "rows", kind="int"),
+        Column("REJECTED", "rejected", kind="int"),
+    ),
+    of="sources",
+)
 
 
 def is_cycle_file(file: FitsFile) -> bool:
@@ -37,17 +94,7 @@ def is_stiffness_file(file: FitsFile) -> bool:
 
 def layout_from(file: FitsFile) -> Layout:
     """Return the layout in a file's ACTUATORS table."""
-    table = file.table("ACTUATORS")
-    try:
-        return Layout(
-            id=table.column("ID", "int"),
-            x=table.column("X", unit="m"),
-            y=table.column("Y", unit="m"),
-            nz=table.column("NZ") if table.has("NZ") else np.ones(table.rows),
-            enabled=_flags(table, "ENABLED"),
-        )
-    except TrueNewtonError as error:
-        raise located(error, file.path) from None
+    return file.filled(Layout, file.values(FileFormat(extensions=(ACTUATORS,)))["layout"])
 
 
 def read_layout(path: str | os.PathLike[str]) -> Layout:
@@ -63,44 +110,8 @@ def cycle_from(file: FitsFile) -> Cycle:
     FormatError
         The file breaks the contract of a cycle file.
     """
-    layout = layout_from(file)
-    table = file.table("MEASUREMENTS")
-    valid = _flags(table, "VALID")
-
-    def per_row(name: str, unit: str, width: int | None = None) -> Any:
-        return table.column(name, unit=unit, width=width) if table.has(name) else None
-
-    try:
-        return Cycle(
-            instrument=file.text("INSTRUME"),
-            date=file.date("DATE-OBS"),
-            number=file.integer("CYCLE"),
-            load=Load(
-                name=file.text("LOAD"),
-                added=file.number("ADDED"),
-                added_error=file.number("E_ADDED"),
-                tool=file.optional_text("TOOL") or None,
-                tilt=file.optional_number("TILT") or 0.0,
-                tilt_error=file.optional_number("E_TILT") or 0.0,
-            ),
-            weight=file.number("WEIGHT"),
-            weight_error=file.number("E_WEIGHT"),
-            layout=layout,
-            time=table.column("TIME", unit="s"),
-            shape=table.column("SHAPE", "int"),
-            sign=table.column("SIGN", "int"),
-            force=table.column("FORCE", unit="N", width=layout.n),
-            valid=valid,
-            temperature=per_row("TEMPERATURE", "deg_C"),
-            position=per_row("POSITION", "m", layout.n),
-            coil_gradient=file.optional_number("COILGRAD"),
-            bias_gradient=file.optional_number("BIASGRAD"),
-            gap=file.optional_number("GAP"),
-            force_error=file.optional_number("FORCERR"),
-            source=Source(file.path, file.sha256),
-        )
-    except TrueNewtonError as error:
-        raise located(error, file.path) from None
+    layout = layout_from(file)  # what is wrong with it comes first: FORCE has its width
+    return file.record(Cycle, CYCLE, layout=layout, source=Source(file.path, file.sha256))
 
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
@@ -111,20 +122,7 @@ def stiffness_from(file: FitsFile) -> StiffnessMatrix:
     FormatError
         The file breaks the contract of a stiffness file.
     """
-    try:
-        return StiffnessMatrix(
-            instrument=file.text("INSTRUME"),
-            date=file.date("DATE-OBS"),
-            layout=layout_from(file),
-            stiffness=file.image("STIFFNESS").values("N/m"),
-            source=Source(file.path, file.sha256),
-        )
-    except TrueNewtonError as error:
-        raise located(error, file.path) from None
-
-
-def _flags(table: Table, name: str) -> Any:
-    return table.column(name, "bool") if table.has(name) else np.ones(table.rows, dtype=bool)
+    return file.record(StiffnessMatrix, STIFFNESS, source=Source(file.path, file.sha256))
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
@@ -135,62 +133,27 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     UnreadableFile
         A path does not exist, or a folder holds no FITS file.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for path in map(Path, paths):
         try:
-            if not path.is_dir():
-                found.append(path)
-                continue
-            inside = sorted(
-                p
-                for p in path.iterdir()
-                if p.name.endswith(SUFFIXES) and not p.name.startswith(".")
-            )
+            inside = sorted(path.iterdir()) if path.is_dir() else [path]
         except OSError as error:
             raise UnreadableFile(
                 f"cannot be read ({error.strerror})", remedy="check its permissions", path=path
             ) from error
+        if path.is_dir():
+            inside = [p for p in inside if p.name.endswith(SUFFIXES) and p.name[0] != "."]
         if not inside:
             raise UnreadableFile(
                 "holds no FITS files", remedy="give the folder of a campaign", path=path
             )
-        found += inside
-    return list({p.resolve(): p for p in found}.values())
+        files += inside
+    return list({p.resolve(): p for p in files}.values())
 
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write a cycle file."""
-    load, n = cycle.load, cycle.layout.n
-    header: dict[str, tuple[Any, str]] = {
-        "INSTRUME": (cycle.instrument, "mirror"),
-        "DATE-OBS": (iso(cycle.date), "UTC, start of the cycle"),
-        "LOAD": (load.name, "name of the load"),
-        "CYCLE": (cycle.number, "number of the cycle under this load"),
-        "WEIGHT": (cycle.weight, "[N] weight of the mirror along z at TILT 0, P"),
-        "E_WEIGHT": (cycle.weight_error, "[N] standard uncertainty of WEIGHT"),
-        "ADDED": (load.added, "[N] added weight, Q"),
-        "E_ADDED": (load.added_error, "[N] standard uncertainty of ADDED"),
-        "TOOL": (load.tool, "name of the added weight"),
-        "TILT": (load.tilt, "[deg] angle between axis and vertical"),
-        "E_TILT": (load.tilt_error, "[deg] standard uncertainty of TILT"),
-        "COILGRAD": (cycle.coil_gradient, "[1/m] relative change of force along +z"),
-        "BIASGRAD": (cycle.bias_gradient, "[N/m] change of a bias force along +z"),
-        "GAP": (cycle.gap, "[m] nominal distance from the reference plate"),
-        "FORCERR": (cycle.force_error, "[N] standard deviation of one force reading"),
-    }
-    columns: list[tuple[str, str, str | None, Any]] = [
-        ("TIME", "D", "s", cycle.time),
-        ("SHAPE", "J", None, cycle.shape),
-        ("SIGN", "J", None, cycle.sign),
-        ("FORCE", f"{n}D", "N", np.asarray(cycle.force)),
-        ("VALID", "L", None, cycle.valid),
-    ]
-    if cycle.temperature is not None:
-        columns.insert(3, ("TEMPERATURE", "D", "deg_C", cycle.temperature))
-    if cycle.position is not None:
-        columns.insert(-1, ("POSITION", f"{n}D", "m", np.asarray(cycle.position)))
-    sheets = [actuators_sheet(cycle.layout), Sheet("MEASUREMENTS", columns=tuple(columns))]
-    write_fits(path, header, sheets, overwrite=overwrite)
+    write_fits(path, CYCLE, cycle, overwrite=overwrite)
 
 
 def cycle_name(load: Load, number: int) -> str:
@@ -217,37 +180,7 @@ def write_stiffness(
     matrix: StiffnessMatrix, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Write a stiffness file."""
-    header = {
-        "INSTRUME": (matrix.instrument, "mirror"),
-        "DATE-OBS": (iso(matrix.date), "UTC"),
-    }
-    sheets = [
-        actuators_sheet(matrix.layout),
-        Sheet("STIFFNESS", data=matrix.stiffness, unit="N/m"),
-    ]
-    write_fits(path, header, sheets, overwrite=overwrite)
-
-
-def actuators_sheet(layout: Layout) -> Sheet:
-    """Return the ACTUATORS table of a layout."""
-    return Sheet(
-        "ACTUATORS",
-        columns=(
-            ("ID", "J", None, layout.id),
-            ("X", "D", "m", layout.x),
-            ("Y", "D", "m", layout.y),
-            ("NZ", "D", None, layout.nz),
-            ("ENABLED", "L", None, layout.enabled),
-        ),
-    )
-
-
-def iso(date: datetime.datetime) -> str:
-    """Return a date as FITS writes it: ISO 8601, UTC, no zone, to the microsecond if need be."""
-    digits = "microseconds" if date.microsecond % 1000 else "milliseconds"
-    if date.tzinfo is not None:
-        date = date.astimezone(datetime.UTC).replace(tzinfo=None)
-    return date.isoformat(timespec=digits)
+    write_fits(path, STIFFNESS, matrix, overwrite=overwrite)
 
 
 def campaign_from(files: Iterable[FitsFile]) -> Campaign:

@@ -6,7 +6,6 @@ import datetime
 from dataclasses import dataclass
 
 from truenewton.errors import FormatError
-from truenewton.files.fits import Sheet, ascii_text
 
 
 @dataclass(frozen=True)
@@ -17,20 +16,6 @@ class UsedSource:
     sha256: str
     rows: int
     rejected: int
-
-
-def sources_sheet(sources: tuple[UsedSource, ...], name: str = "SOURCES") -> Sheet:
-    """Return the table of the files that went into a result."""
-    files = [ascii_text(source.file) for source in sources]
-    return Sheet(
-        name,
-        columns=(
-            ("FILE", f"{max(map(len, files), default=1)}A", None, files),
-            ("SHA256", "64A", None, [source.sha256 for source in sources]),
-            ("ROWS", "J", None, [source.rows for source in sources]),
-            ("REJECTED", "J", None, [source.rejected for source in sources]),
-        ),
-    )
 
 
 @dataclass(frozen=True)

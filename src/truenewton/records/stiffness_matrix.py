@@ -46,8 +46,7 @@ class StiffnessMatrix:
                 got=self.stiffness.shape,
                 want=(n, n),
             )
-        on = self.layout.enabled
-        counted = self.stiffness[np.ix_(on, on)]
+        counted = self.used_stiffness
         # 1e15 N/m: a slip of the unit, and squares must stay finite.
         if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > 1e15:
             raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
@@ -56,3 +55,9 @@ class StiffnessMatrix:
 
     def __repr__(self) -> str:
         return f"<StiffnessMatrix of {self.instrument}: {self.layout.n} actuators>"
+
+    @property
+    def used_stiffness(self) -> Array:
+        """(n_enabled, n_enabled) stiffness between the actuators that are enabled [N/m]."""
+        on = self.layout.enabled
+        return np.asarray(self.stiffness[np.ix_(on, on)])

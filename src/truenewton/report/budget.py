@@ -6,6 +6,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import scale_total
 
 NEGLIGIBLE = 1e-5  # sources of a relative error below it are not listed
@@ -13,7 +14,7 @@ NEGLIGIBLE = 1e-5  # sources of a relative error below it are not listed
 
 def error_budget(c: Calibration) -> dict[str, float]:
     """Return relative standard uncertainties of alpha by name; none where the scale is free."""
-    if c.scale == "mean 1":
+    if c.scale == Scale.MEAN_ONE:
         return {}
     parts = {
         "typical actuator, all": typical(c.error, c),

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch
+from truenewton.estimation.estimate import Scale
+from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.report.budget import typical
-
-FALSE_ALARM = 0.01  # for all actuators together
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ def change(one: Calibration, other: Calibration) -> Change:
     ratio = float(np.median(other.alpha[both] / one.alpha[both]))
     moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
     error = np.hypot(one.reading_error, other.reading_error / ratio)
-    scales = [typical(c.systematic_error, c) for c in (one, other) if c.scale != "mean 1"]
+    scales = [typical(c.systematic_error, c) for c in (one, other) if c.scale != Scale.MEAN_ONE]
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = moved / error
     return Change(

@@ -15,12 +15,17 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, spread
 from truenewton.calibration.methods import held_out
 from truenewton.calibration.result import Calibration
-from truenewton.estimation.displaced_rows import BalancedRows
+from truenewton.estimation.diagnosis import NoiseSource
+from truenewton.estimation.displaced_rows import BalancedRows, is_displaced
 from truenewton.estimation.identifiability import balance_spectrum, centred_means
-from truenewton.estimation.moments import campaign_moments, row_weights
+from truenewton.estimation.imbalance import imbalance_covariance, squared_distances
+from truenewton.estimation.moments import chosen_groups
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.outliers import without
-from truenewton.estimation.problem import posed, with_share_in_balance
+from truenewton.estimation.problem import problem_of, with_share_in_balance
+from truenewton.estimation.repeats import row_groups, row_weights
+from truenewton.estimation.row_readers import RowBlock
+from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes, modal_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -115,28 +120,72 @@ class Evidence:
     in_noise: bool
 
 
-def campaign_evidence(campaign: Campaign, calibration: Calibration) -> Evidence:
-    """Return the evidence that a campaign gives for its calibration."""
+class RowImbalance:
+    """Imbalance of the rows of a campaign, with alpha = 1 and with (n,) alpha, as they are read."""
+
+    def __init__(self, sifted: Sifted, alpha: Array) -> None:
+        campaign, a = sifted.campaign, enabled_arms(sifted.campaign.layout)
+        self._balanced = [BalancedRows(c, a, sifted.moments.reference) for c in campaign.cycles]
+        self._before: list[Array] = []
+        self._after: list[Array] = []
+        self._kinds = ((a, self._before), (a * alpha, self._after))
+
+    def take(self, block: RowBlock) -> None:
+        """Take the next rows in."""
+        position = block.position if is_displaced(block.cycle) else None
+        force, known = self._balanced[block.cycle_index].of(block.force, position)
+        for arms, parts in self._kinds:
+            parts.append(force @ arms.T + (0.0 if known is None else known))
+
+    def end_cycle(self, cycle_index: int) -> None:
+        """Nothing is concluded with a cycle."""
+
+    def before_and_after(
+        self, load: NDArray[np.int64], kept: NDArray[np.bool_]
+    ) -> tuple[Array, Array]:
+        """Return (N, 3) imbalances of all rows about the mean of those kept under their load.
+
+        The mean is what weight, B and torques take up.
+        """
+        before, after = np.concatenate(self._before), np.concatenate(self._after)
+        for index in np.unique(load[kept]):
+            for rho in (before, after):
+                rho[load == index] -= rho[kept & (load == index)].mean(axis=0)
+        return before, after
+
+
+def campaign_evidence(
+    sifted: Sifted, calibration: Calibration, imbalance: RowImbalance
+) -> Evidence:
+    """Return the evidence that a campaign gives for its calibration; no row is read."""
+    campaign = sifted.campaign
     a, on = enabled_arms(campaign.layout), campaign.layout.enabled
-    arms = a * calibration.alpha[on]
-    sound = without(campaign, list(calibration.rejected_rows))
-    moments = campaign_moments(sound)
-    noise = reading_noise(sound, moments)
+    scaled_arms = a * calibration.alpha[on]
     rows = [np.flatnonzero(cycle.valid) for cycle in campaign.cycles]
     cycle = np.repeat(np.arange(len(rows)), [len(some) for some in rows])
+    sound = without(campaign, list(calibration.rejected_rows))
     kept = np.concatenate(
         [sound.cycles[k].valid[some] for k, some in enumerate(rows)]  # what was rejected is not
     )
+    still = [
+        group[c.valid[before.valid]]
+        for group, c, before in zip(
+            row_groups(sifted.sound)[2], sound.cycles, sifted.sound.cycles, strict=True
+        )
+    ]
+    there = np.bincount(np.concatenate(still), minlength=len(sifted.moments.rows)) > 0
+    moments = chosen_groups(sifted.moments, there)
+    noise = reading_noise(sifted.sound, sifted.moments)
     weight, load = np.array(row_weights(campaign))[cycle], np.array(campaign.load_index)[cycle]
-    balanced = [BalancedRows(each, a, moments.reference) for each in campaign.cycles]
-    before, after = (_imbalance(balanced, some, load, kept) for some in (a, arms))
+    before, after = imbalance.before_and_after(load, kept)
     variance = noise.variance
-    if noise.source == "minimum":  # known in shape only: its size is what the residuals have
-        s = (arms * variance) @ arms.T
-        variance = variance * np.mean(_squares(after, weight, s)[kept]) / 3
-    posed_anew = posed(sound, replace(noise, variance=variance))
-    share = with_share_in_balance(posed_anew, sound, moments, calibration.alpha[on]).noise.share
-    s, s_before = share * (arms * variance) @ arms.T, share * (a * variance) @ a.T
+    if noise.source == NoiseSource.MINIMUM:
+        # Known in shape only: its size is what the residuals have.
+        s = imbalance_covariance(scaled_arms, variance)
+        variance = variance * np.mean(squared_distances(after, weight, s)[kept]) / 3
+    problem = problem_of(sifted.sound, replace(noise, variance=variance))
+    share = with_share_in_balance(problem, sifted, calibration.alpha[on]).noise.share
+    s, s_before = (share * imbalance_covariance(each, variance) for each in (scaled_arms, a))
     readings = np.sqrt(variance * moments.typical_variance)
     return Evidence(
         residuals=RowResiduals(
@@ -144,52 +193,30 @@ def campaign_evidence(campaign: Campaign, calibration: Calibration) -> Evidence:
             row=np.concatenate(rows),
             shape=np.concatenate([c.shape[c.valid] for c in campaign.cycles]),
             sign=np.concatenate([c.sign[c.valid] for c in campaign.cycles]),
-            before=np.sqrt(_squares(before, weight, s_before) / 3),
-            after=np.sqrt(_squares(after, weight, s) / 3),
+            before=np.sqrt(squared_distances(before, weight, s_before) / 3),
+            after=np.sqrt(squared_distances(after, weight, s) / 3),
             kept=kept,
         ),
         balance=_balance_lines(campaign, before, after, s, weight, load, kept),
-        actuator_residual=spread(_pull(after[kept], weight[kept], arms, s), on),
+        actuator_residual=spread(_pull(after[kept], weight[kept], scaled_arms, s), on),
         actuator_noise=spread(
-            readings if noise.source == "repeats" else np.full(readings.size, np.nan), on
+            readings if noise.source == NoiseSource.REPEATS else np.full(readings.size, np.nan), on
         ),
         singular_values=np.sqrt(balance_spectrum(centred_means(moments), a, variance)),
-        in_noise=noise.source != "minimum",
+        in_noise=noise.source != NoiseSource.MINIMUM,
     )
 
 
-def _imbalance(
-    balanced: list[BalancedRows], arms: Array, load: NDArray[np.int64], kept: NDArray[np.bool_]
-) -> Array:
-    """Return (N, 3) imbalance of all rows about the mean of their load.
-
-    The mean is what weight, B and torques take up.
-    """
-    parts = []
-    for rows in balanced:
-        for some in rows.cycle.used_blocks():
-            force, known = rows.at(some)
-            parts.append(force @ arms.T + (0.0 if known is None else known))
-    rho = np.concatenate(parts)
-    for place in np.unique(load[kept]):
-        rho[load == place] -= rho[kept & (load == place)].mean(axis=0)
-    return rho
-
-
-def _pull(rho: Array, weight: Array, arms: Array, s: Array) -> Array:
+def _pull(rho: Array, weight: Array, scaled_arms: Array, s: Array) -> Array:
     """Return (n,) rms over rows of (alpha_i a_i)' S^-1 rho, in terms of its noise.
 
     It is the correction of the reading of actuator i that rho asks for, over what noise asks.
     """
     solved = np.linalg.solve(s, rho.T)
     mean_square = (weight * solved) @ solved.T / len(rho)
-    asked = np.einsum("kn,kl,ln->n", arms, mean_square, arms)
-    return np.asarray(np.sqrt(asked / np.einsum("kn,kn->n", arms, np.linalg.solve(s, arms))))
-
-
-def _squares(rho: Array, weight: Array, s: Array) -> Array:
-    """Return (N,) squared distances w rho' S^-1 rho."""
-    return np.asarray(weight * np.einsum("nk,kn->n", rho, np.linalg.solve(s, rho.T)))
+    asked = np.einsum("kn,kl,ln->n", scaled_arms, mean_square, scaled_arms)
+    by_noise = np.einsum("kn,kn->n", scaled_arms, np.linalg.solve(s, scaled_arms))
+    return np.asarray(np.sqrt(asked / by_noise))
 
 
 def _balance_lines(
@@ -203,8 +230,8 @@ def _balance_lines(
 ) -> tuple[BalanceLine, ...]:
     """Return the rms imbalance of force and torques under each load, in mN and mN m."""
     lines = []
-    for place, name in enumerate(each.name for each in campaign.loads):
-        some = kept & (load == place)
+    for index, name in enumerate(each.name for each in campaign.loads):
+        some = kept & (load == index)
         if not some.any():
             continue
         rms_before, rms_after = (
@@ -228,9 +255,9 @@ def stiffness_evidence(
     a, on = comparable_arms(matrix), matrix.layout.enabled
     modes, alpha = elastic_modes(matrix), calibration.alpha[on]
     before, after = (modes * values @ a.T for values in (np.ones(len(alpha)), alpha))
-    arms, even = a * alpha, np.ones(len(modes))
-    s = arms @ arms.T
-    s *= np.mean(_squares(after, even, s)) / 3
+    scaled_arms, even = a * alpha, np.ones(len(modes))
+    s = scaled_arms @ scaled_arms.T
+    s *= np.mean(squared_distances(after, even, s)) / 3
     eigenvalues = calibration.diagnosis.eigenvalues if calibration.diagnosis else ()
     return Evidence(
         residuals=ModeResiduals(
@@ -241,7 +268,7 @@ def stiffness_evidence(
             BalanceLine(line.modes, "", line.before, line.after, float("nan"))
             for line in held_out(matrix, method, population=population)
         ),
-        actuator_residual=spread(_pull(after, even, arms, s), on),
+        actuator_residual=spread(_pull(after, even, scaled_arms, s), on),
         actuator_noise=np.full(on.size, np.nan),
         singular_values=np.sqrt(np.maximum(eigenvalues, 0.0)),
         in_noise=False,

@@ -6,7 +6,12 @@ from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 
-from truenewton.calibration.methods import calibrate
+from truenewton.calibration.methods import (
+    calibrate,
+    calibration_of,
+    find_alpha,
+    refuse_method,
+)
 from truenewton.calibration.result import Calibration
 from truenewton.errors import (
     NotConverged,
@@ -15,15 +20,20 @@ from truenewton.errors import (
     TrueNewtonError,
     UnknownName,
 )
-from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
-from truenewton.estimation.outliers import against_repeats
-from truenewton.modal.findings import ModalFindings, find_modes
+from truenewton.estimation.sifted import Sifted, sift
+from truenewton.modal.findings import ModalFindings, find_modes, modes_reader
+from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.report.evidence import Evidence, campaign_evidence, stiffness_evidence
+from truenewton.report.evidence import (
+    Evidence,
+    RowImbalance,
+    campaign_evidence,
+    stiffness_evidence,
+)
 
 MOST_MODES = 1500  # eigenmodes of thousands of actuators take minutes
 
@@ -114,41 +124,67 @@ def investigate(
     """
     if isinstance(data, Calibration):
         return Findings(None, data)
+    refuse_method(data, method, population=population)
+    sifted: Sifted | None = None
     try:
-        calibration = calibrate(data, method, population=population)
+        if isinstance(data, StiffnessMatrix):
+            return _of_stiffness(data, method, population=population)
+        sifted = sift(data)
+        return _of_campaign(sifted, method, population=population)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        return Findings(data, None, faults=_faults(data) or (Fault(error.fault, error.remedy),))
-    if isinstance(data, Campaign):
-        evidence = campaign_evidence(data, calibration)
-    else:
-        evidence = stiffness_evidence(data, calibration, method, population=population)
-    modes, no_modes = _modes(data, calibration)
-    return Findings(data, calibration, evidence, modes=modes, no_modes=no_modes)
+        # The estimator names the first fault only.
+        faults = diagnose(sifted.sound, sifted.moments).faults if sifted is not None else ()
+        return Findings(data, None, faults=faults or (Fault(error.fault, error.remedy),))
+
+
+def _of_stiffness(matrix: StiffnessMatrix, method: str, *, population: bool) -> Findings:
+    calibration = calibrate(matrix, method, population=population)
+    evidence = stiffness_evidence(matrix, calibration, method, population=population)
+    modes, no_modes = _modes(matrix, calibration)
+    return Findings(matrix, calibration, evidence, modes=modes, no_modes=no_modes)
+
+
+def _of_campaign(sifted: Sifted, method: str, *, population: bool) -> Findings:
+    """Calibrate a campaign; its rows are read once more, for all that is told of them."""
+    campaign = sifted.campaign
+    estimate = find_alpha(sifted, method, population=population)
+    imbalance = RowImbalance(sifted, estimate.values[: int(campaign.layout.enabled.sum())])
+    reader, no_modes = _modes_reader(sifted)
+    readers = (imbalance,) if reader is None else (imbalance, reader)
+    calibration = calibration_of(campaign, estimate, readers)
+    evidence = campaign_evidence(sifted, calibration, imbalance)
+    modes = None
+    if reader is not None:
+        modes, no_modes = _modes(campaign, calibration, reader)
+    return Findings(campaign, calibration, evidence, modes=modes, no_modes=no_modes)
+
+
+def _modes_reader(sifted: Sifted) -> tuple[MotionReader | None, str]:
+    """Return who reads what modes need, or why there are none."""
+    if sifted.campaign.layout.n > MOST_MODES:
+        return None, _too_many(sifted.campaign)
+    try:
+        return modes_reader(sifted), ""
+    except TrueNewtonError as error:
+        return None, _no_modes(error)
 
 
 def _modes(
-    data: Campaign | StiffnessMatrix, calibration: Calibration
+    data: Campaign | StiffnessMatrix, calibration: Calibration, reader: MotionReader | None = None
 ) -> tuple[ModalFindings | None, str]:
     """Return the modal base, or why there is none."""
     if data.layout.n > MOST_MODES:
-        return (
-            None,
-            f"Those of {data.layout.n} actuators take a while: truenewton modes finds them.",
-        )
+        return None, _too_many(data)
     try:
-        return find_modes(data, calibration), ""
+        return find_modes(data, calibration, reader=reader), ""
     except TrueNewtonError as error:
-        why = "; ".join(filter(None, (error.fault, error.remedy)))
-        return None, f"The data do not tell them: {why}."
+        return None, _no_modes(error)
 
 
-def _faults(data: Campaign | StiffnessMatrix) -> tuple[Fault, ...]:
-    """Return all that a campaign lacks; the estimator names the first only."""
-    if not isinstance(data, Campaign):
-        return ()
-    try:
-        moments, sound, _ = against_repeats(data)
-        diagnosis: Diagnosis = diagnose(sound, moments)
-    except (RankDeficient, TooManyOutliers):
-        return ()
-    return diagnosis.faults
+def _too_many(data: Campaign | StiffnessMatrix) -> str:
+    return f"Those of {data.layout.n} actuators take a while: truenewton modes finds them."
+
+
+def _no_modes(error: TrueNewtonError) -> str:
+    why = "; ".join(filter(None, (error.fault, error.remedy)))
+    return f"The data do not tell them: {why}."

@@ -8,6 +8,7 @@ import numpy as np
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import leverage
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
@@ -83,7 +84,7 @@ def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
         _plain("e_alpha", "error, all", "", c.error,
                "E_ALPHA: readings and weights together, one sigma."),
     ]  # fmt: skip
-    if c.scale != "mean 1":
+    if c.scale != Scale.MEAN_ONE:
         layers.append(
             _plain("e_syst", "error from weights", "", c.systematic_error,
                    "E_SYST: the errors of the weights, which move all alphas together.")

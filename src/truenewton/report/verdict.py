@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import rejected_sentence, rejected_values, scale_limit
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import scale_total
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -79,7 +80,7 @@ def verdict(findings: Findings) -> Verdict:
         return Verdict(*NONE, (sentence,), (), faults)
     limits, cares = list(_limits(findings, c)), list(_cares(c))
     level = CARE if cares else LIMITED if limits else SOUND
-    known = "Alpha" if c.scale != "mean 1" else "Relative alpha"
+    known = "Alpha" if c.scale != Scale.MEAN_ONE else "Relative alpha"
     sentence = f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c))}."
     return Verdict(*level, (sentence,), _numbers(c), tuple(cares + limits))
 
@@ -143,7 +144,7 @@ def _numbers(c: Calibration) -> tuple[Number, ...]:
     ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
     readings = percent(typical(c.reading_error, c))
     scale = Number("common scale", "free", "the mean of alpha is set to 1; weights would fix it")
-    if c.scale != "mean 1":
+    if c.scale != Scale.MEAN_ONE:
         part = scale_total(c.scale_errors) if c.scale_errors else typical(c.systematic_error, c)
         scale = Number("error of the common scale", percent(part), "one sigma, the same for all")
     return (
@@ -158,7 +159,7 @@ def _numbers(c: Calibration) -> tuple[Number, ...]:
 def _limits(findings: Findings, c: Calibration) -> Iterator[Fault]:
     """Yield what limits a calibration that is sound otherwise."""
     weights, readings = typical(c.systematic_error, c), typical(c.reading_error, c)
-    if c.scale != "mean 1" and weights > 2.0 * readings:
+    if c.scale != Scale.MEAN_ONE and weights > 2.0 * readings:
         fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
         yield Fault(fault, remedy or "better known weights would help, more cycles would not")
     if c.rejected_rows and isinstance(findings.data, Campaign):

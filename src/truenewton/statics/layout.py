@@ -102,14 +102,14 @@ class Layout:
         return int(np.size(self.id))
 
     def same_as(self, other: Layout) -> bool:
-        """Tell whether two layouts are one: same order, positions to 1e-9 m (docs/files.md)."""
-        return (
-            np.array_equal(self.id, other.id)
-            and np.array_equal(self.enabled, other.enabled)
-            and all(
-                np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=1e-9)
-                for name in ("x", "y", "nz")
-            )
+        """Tell whether the actuators are the same and the same ones are enabled."""
+        return self.same_actuators_as(other) and np.array_equal(self.enabled, other.enabled)
+
+    def same_actuators_as(self, other: Layout) -> bool:
+        """Tell whether the actuators are: same order, positions to 1e-9 m (docs/files.md)."""
+        return np.array_equal(self.id, other.id) and all(
+            np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=1e-9)
+            for name in ("x", "y", "nz")
         )
 
 

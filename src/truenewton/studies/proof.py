@@ -3,7 +3,8 @@
 A force pattern F_s is built whose first n - 3 columns are independent (the identity, or random
 numbers) and whose last three balance each row by eq. 1. Divided by random alpha_s it is what the
 electronics would record; solving C alpha = p and E alpha' = r must return alpha_s to machine
-precision, that is to a few units of eps times the condition number.
+precision, that is to a few units of eps times the condition number. D alpha = q differs from
+C alpha = p by the weight in q alone (`system_d`): what holds for C holds for D, as the paper says.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from truenewton.errors import GeometryError
 from truenewton.estimation.cycles_svd import SingularSolution, solve
 from truenewton.estimation.identifiability import geometry_faults
 from truenewton.estimation.systems import system_c, system_e
+from truenewton.estimation.unknowns import Unknowns
 from truenewton.mirrors.known import Mirror
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
@@ -135,12 +137,12 @@ def _proof_c(
 def _proof_e(
     mirror: Mirror, patterns: list[Array], a: Array, truth: Array, matrix: str, loaded: bool
 ) -> Proof:
-    n = a.shape[1]
-    bias, torques = truth[n], truth[n + 1 :].reshape(2, 2)
+    unknowns = Unknowns(a.shape[1], 2)
+    bias, torques = truth[unknowns.bias], truth[unknowns.torques].reshape(2, 2)
     cycles = []
     for added, torque, pattern in zip((0.0, mirror.added_weight), torques, patterns, strict=True):
         k = external_load(mirror.weight + added, bias, *torque)
-        c = balanced_forces(pattern, a, k) / truth[:n]
+        c = balanced_forces(pattern, a, k) / truth[unknowns.alpha]
         cycles.append(_cycle(mirror, added, c))
     found = solve(*system_e(Campaign(tuple(cycles)), a))
     return _proof("E", matrix, loaded, found, truth)

@@ -1,12 +1,12 @@
 """How alpha varies with time and temperature, from calibrations of different days.
 
-days      the calibrations, gathered, checked, put in order
-lines     the line of every actuator through its days, each alone
-family    one physics, each actuator its own deviation
-fit       from days to the law
-law       the result: alpha at any temperature and time
-validity  when to calibrate again
-file      the tracking file (docs/files.md)
-figures   alpha against temperature and time; the family
-words     in words and numbers: terminal, script
+days        the calibrations, gathered, checked, put in order
+linear_fit  the line of every actuator through its days, each alone
+family      one physics, each actuator its own deviation
+fit         from days to the law
+law         the result: alpha at any temperature and time
+validity    when to calibrate again
+file        the tracking file (docs/files.md)
+figures     alpha against temperature and time; the family
+words       in words and numbers: terminal, script
 """

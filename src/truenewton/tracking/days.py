@@ -14,9 +14,10 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
+from truenewton.estimation.estimate import Scale
 from truenewton.linalg import factor_of
 from truenewton.reading import read
-from truenewton.records.campaign import Campaign
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -26,8 +27,8 @@ YEAR = datetime.timedelta(days=365.25)
 
 
 @dataclass(frozen=True, eq=False)
-class Day:
-    """One calibration as tracking sees it.
+class DatedCalibration:
+    """A calibration with the middle of its data, at which its alpha holds.
 
     Attributes
     ----------
@@ -47,8 +48,8 @@ class Day:
         return c.date + (c.date_end - c.date) / 2
 
 
-def gathered(given: Iterable[Given]) -> tuple[Day, ...]:
-    """Read and calibrate what is given; return the days in the order of time.
+def gathered(given: Iterable[Given]) -> tuple[DatedCalibration, ...]:
+    """Read and calibrate what is given; return the calibrations in the order of time.
 
     Raises
     ------
@@ -56,14 +57,14 @@ def gathered(given: Iterable[Given]) -> tuple[Day, ...]:
         Files that cannot be tracked, or not together.
     """
     days = sorted(
-        (day for item in given for day in _days_of(item)),
+        (day for item in given for day in _dated(item)),
         key=lambda day: (day.date, day.calibration.temperature),
     )
     for day in days:
         _refuse_unfit(day)
-    for place, day in enumerate(days):
-        for other in days[:place]:
-            _refuse_strangers(other, day)
+    for day_index, day in enumerate(days):
+        for earlier in days[:day_index]:
+            _refuse_other_mirror(earlier, day)
     without = [day for day in days if not np.isfinite(day.calibration.temperature)]
     if without and len(without) < len(days):
         raise FormatError(
@@ -84,7 +85,7 @@ def gathered(given: Iterable[Given]) -> tuple[Day, ...]:
     return tuple(days)
 
 
-def _days_of(item: Given) -> list[Day]:
+def _dated(item: Given) -> list[DatedCalibration]:
     if isinstance(item, Campaign | Calibration):
         start = item.date if isinstance(item, Calibration) else item.cycles[0].date
         name, data = f"{item.instrument} of {start:%Y-%m-%d}", item
@@ -96,22 +97,23 @@ def _days_of(item: Given) -> list[Day]:
             )
         data = read_data
     if isinstance(data, Calibration):
-        return [Day(name, data)]
+        return [DatedCalibration(name, data)]
     parts = _by_temperature(data)
-    names = [name if len(parts) == 1 else f"{name} at {t:.1f} deg C" for t, _ in parts]
-    return [_calibrated(n, part) for n, (_, part) in zip(names, parts, strict=True)]
+    if len(parts) == 1:
+        return [_calibrated(name, data)]
+    return [_calibrated(f"{name} at {t:.1f} deg C", part) for t, part in parts]
 
 
-def _calibrated(name: str, campaign: Campaign) -> Day:
+def _calibrated(name: str, campaign: Campaign) -> DatedCalibration:
     try:
-        return Day(name, calibrate(campaign))
+        return DatedCalibration(name, calibrate(campaign))
     except TrueNewtonError as error:
         raise located(error, name) from None
 
 
 def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
     """Split a campaign whose cycles differ by more than 1 K into parts that do not."""
-    means = [_temperature(cycle) for cycle in campaign.cycles]
+    means = [mean_temperature([cycle]) for cycle in campaign.cycles]
     if not (np.isfinite(means).all() and np.ptp(means) > SAME_TEMPERATURE):
         return [(float(np.mean(means)), campaign)]
     parts: list[list[tuple[float, Cycle]]] = []
@@ -125,22 +127,15 @@ def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:
     ]
 
 
-def _temperature(cycle: Cycle) -> float:
-    """Return the mean temperature of the rows that count; NaN where there is none."""
-    if cycle.temperature is None:
-        return float("nan")
-    return float(cycle.temperature[cycle.valid].mean())
-
-
-def _refuse_unfit(day: Day) -> None:
+def _refuse_unfit(day: DatedCalibration) -> None:
     c = day.calibration
-    if c.scale == "mean 1":
+    if c.scale == Scale.MEAN_ONE:
         raise FormatError(
             "gives alpha relative to its mean, in which what is common to all is lost",
             remedy="give calibrations whose scale comes from weights",
             path=day.name,
         )
-    if c.scale == "given" or "recalibrated" in c.method:
+    if c.scale == Scale.GIVEN or "recalibrated" in c.method:
         raise FormatError(
             "was made with an earlier calibration, which it holds over again",
             remedy="give the campaigns themselves, or full calibrations",
@@ -150,7 +145,7 @@ def _refuse_unfit(day: Day) -> None:
         raise FormatError("COVARIANCE holds no numbers", remedy="calibrate again", path=day.name)
 
 
-def _refuse_strangers(one: Day, other: Day) -> None:
+def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None:
     a, b = one.calibration, other.calibration
     if a.instrument != b.instrument:
         raise CampaignMismatch(
@@ -160,8 +155,7 @@ def _refuse_strangers(one: Day, other: Day) -> None:
             got=b.instrument,
             want=a.instrument,
         )
-    same = replace(b.layout, enabled=a.layout.enabled) if a.layout.n == b.layout.n else b.layout
-    if not a.layout.same_as(same):
+    if not a.layout.same_actuators_as(b.layout):
         raise CampaignMismatch(
             f"has other actuators than {one.name}",
             remedy="track one mirror at a time",
@@ -176,45 +170,48 @@ def _refuse_strangers(one: Day, other: Day) -> None:
         )
 
 
-def tracked_actuators(days: Sequence[Day]) -> NDArray[np.bool_]:
+def tracked_actuators(days: Sequence[DatedCalibration]) -> NDArray[np.bool_]:
     """Return (n,) true for the actuators that every calibration gives."""
     return np.asarray(np.all([day.calibration.layout.enabled for day in days], axis=0))
 
 
-def covariances(day: Day, on: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return the (n, n) covariance of alpha from the readings, and the part from the weights."""
-    c, at = day.calibration, np.flatnonzero(on)
-    whole, systematic_covariance = (
-        matrix[np.ix_(at, at)] for matrix in (c.covariance, c.systematic_covariance)
-    )
-    return whole - systematic_covariance, systematic_covariance
+def covariances(calibration: Calibration, on: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return (m, m) covariances of alpha by the readings, and by the weights.
+
+    Parameters
+    ----------
+    calibration
+        Of n actuators.
+    on
+        (n,) the m actuators wanted.
+    """
+    at = np.ix_(np.flatnonzero(on), np.flatnonzero(on))
+    systematic_covariance = calibration.systematic_covariance[at]
+    return calibration.covariance[at] - systematic_covariance, systematic_covariance
 
 
-def groups(days: Sequence[Day]) -> list[list[int]]:
+def weight_groups(days: Sequence[DatedCalibration]) -> list[list[int]]:
     """Put together the days whose weights and declared errors agree: they share one error."""
-    found: list[list[int]] = []
-    for place, day in enumerate(days):
-        for group in found:
+    groups: list[list[int]] = []
+    for day_index, day in enumerate(days):
+        for group in groups:
             if all(_same_weights(days[k].calibration, day.calibration) for k in group):
-                group.append(place)
+                group.append(day_index)
                 break
         else:
-            found.append([place])
-    return found
+            groups.append([day_index])
+    return groups
 
 
 def _same_weights(a: Calibration, b: Calibration) -> bool:
-    def key(c: Calibration) -> list[tuple[float, float, float]]:
-        return sorted((load.added, load.added_error, load.tilt) for load in c.loads)
+    def weights(c: Calibration) -> tuple[float, float, list[tuple[float, float, float]]]:
+        return c.weight, c.weight_error, sorted((q.added, q.added_error, q.tilt) for q in c.loads)
 
-    def tools(c: Calibration) -> set[str]:
-        return {load.tool for load in c.loads if load.tool}
-
-    named = not (tools(a) and tools(b)) or tools(a) == tools(b)
-    return (a.weight, a.weight_error, key(a)) == (b.weight, b.weight_error, key(b)) and named
+    tools = [{load.tool for load in c.loads if load.tool} for c in (a, b)]
+    return weights(a) == weights(b) and (not all(tools) or tools[0] == tools[1])
 
 
-def relative_factor(days: Sequence[Day], on: NDArray[np.bool_]) -> Array:
+def relative_factor(days: Sequence[DatedCalibration], on: NDArray[np.bool_]) -> Array:
     """Return (n, m) relative change of alpha by each shared error of the weights: a mean of days.
 
     Taken relative, it does not carry the noise of the single days, and a common factor cancels
@@ -223,5 +220,5 @@ def relative_factor(days: Sequence[Day], on: NDArray[np.bool_]) -> Array:
     parts = []
     for day in days:
         alpha = day.calibration.alpha[on]
-        parts.append(covariances(day, on)[1] / np.outer(alpha, alpha))
+        parts.append(covariances(day.calibration, on)[1] / np.outer(alpha, alpha))
     return factor_of(np.mean(parts, axis=0))

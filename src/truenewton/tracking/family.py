@@ -89,7 +89,7 @@ def fitted_population(
     y, covariance
         (N,) effects and (N, N) covariance of their measurement.
     which
-        (N,) place of each one's effect, 0 .. q - 1.
+        (N,) index of each one's effect, 0 .. q - 1.
     start
         (q,) variances to begin with.
 
@@ -147,14 +147,16 @@ def _likelihood(
     return value, p, score, information
 
 
-def families(names: tuple[str, ...], population: Population, members: Array) -> tuple[Family, ...]:
-    """Return each effect's population with its intervals.
+def families_from(
+    names: tuple[str, ...], population: Population, members: Array
+) -> tuple[Family, ...]:
+    """Return each effect's population with its intervals; ``members``, (q,), are their numbers.
 
     The spread: (n - 1) t' / t is taken for chi-squared with n - 1 degrees of freedom, t the total
     variance that a single actuator scatters by, noise included, of which the estimate's variance
     2 t^2 / (n - 1) tells the size. The mean: Student's t, its degrees after Satterthwaite.
     """
-    found = []
+    families = []
     tail = (1 - TWO_SIDED) / 2
     for k, name in enumerate(names):
         n, variance = int(members[k]), float(population.variance[k])
@@ -167,7 +169,7 @@ def families(names: tuple[str, ...], population: Population, members: Array) -> 
         degrees = max(2 * error**4 * n**2 / of_variance, 1.0)
         reach = float(scipy.stats.t.isf(tail, degrees)) * error
         mean = float(population.mean[k])
-        found.append(
+        families.append(
             Family(
                 effect=name,
                 mean=mean,
@@ -178,22 +180,29 @@ def families(names: tuple[str, ...], population: Population, members: Array) -> 
                 members=n,
             )
         )
-    return tuple(found)
+    return tuple(families)
 
 
-def stranger(
+def most_outlying(
     y: Array, covariance: Array, which: NDArray[np.int64], population: Population
 ) -> tuple[int, float, float]:
-    """Return the effect that differs most from all others: its place, sigmas, two-sided chance.
+    """Return the effect that differs most from all others: its index, sigmas, two-sided chance.
 
     Neither may it hide behind the spread that it makes itself, nor is the spread of the others
     known: the chance is a mean over all variances, each weighed by its likelihood from the others.
     The restricted likelihood of all is that of the others times the normal density of the
     deviation, so that both come from one P.
+
+    Parameters
+    ----------
+    y, covariance, which
+        As in `fitted_population`.
+    population
+        Of all effects.
     """
     z = (population.projection @ y) / np.sqrt(np.diag(population.projection))
-    place = int(np.abs(z).argmax())
-    others, effect = np.arange(len(y)) != place, which[place]
+    index = int(np.abs(z).argmax())
+    others, effect = np.arange(len(y)) != index, which[index]
     rest = fitted_population(
         y[others], covariance[np.ix_(others, others)], which[others], population.variance
     )
@@ -207,10 +216,10 @@ def stranger(
         variance = rest.variance.copy()
         variance[effect] = spread**2
         value, p, _, _ = _likelihood(variance, y, covariance, x)
-        precision = p[place, place]
-        deviation[k] = (p @ y)[place] / np.sqrt(precision)
+        precision = p[index, index]
+        deviation[k] = (p @ y)[index] / np.sqrt(precision)
         likelihood[k] = value - 0.5 * np.log(precision) + 0.5 * deviation[k] ** 2
     weight = spreads * np.exp(likelihood - likelihood.max())  # even in the variance
     chance = float(weight @ (2 * scipy.stats.norm.sf(np.abs(deviation))) / weight.sum())
     sigmas = float(np.sign(deviation[0]) * scipy.stats.norm.isf(max(chance, 1e-300) / 2))
-    return place, sigmas, chance
+    return index, sigmas, chance

@@ -9,22 +9,27 @@ import numpy as np
 import scipy.stats
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread
+from truenewton.arrays import Array, spread, spread_square
 from truenewton.errors import CampaignMismatch, RankDeficient
+from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.tracking.days import (
     SAME_TEMPERATURE,
     YEAR,
-    Day,
+    DatedCalibration,
     Given,
     gathered,
-    groups,
     tracked_actuators,
+    weight_groups,
 )
-from truenewton.tracking.family import Family, families, fitted_population, stranger
-from truenewton.tracking.law import SAME_TIME, DayRecord, Departure, Tracking
-from truenewton.tracking.lines import Lines, fitted_lines, own_scatter
+from truenewton.tracking.family import (
+    Family,
+    families_from,
+    fitted_population,
+    most_outlying,
+)
+from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
+from truenewton.tracking.linear_fit import LinearFit, linear_fit, own_scatter
 
-FALSE_ALARM = 0.01  # for the whole mirror
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
 OTHER_UNIT = 0.03  # typical change of alpha beyond its error; 50 K make 0.3 % between actuators
 PATIENCE = 2  # looks behind an actuator that hides another
@@ -56,35 +61,33 @@ def track(*given: Given) -> Tracking:
             remedy="leave out the calibrations in which many are disabled",
         )
     _refuse_other_units(days, on)
-    settings, told, limits, temperature, date = _settings(days)
-    if len(groups(days)) > 1:
+    settings, effects, limits, temperature, date = _settings(days)
+    if len(weight_groups(days)) > 1:
         limits += ("weights or their errors differ between days: each set has errors of its own",)
     if not on.all():
         limits += (f"actuators not enabled on every day are left out: {np.count_nonzero(~on)}",)
     layout = days[0].calibration.layout
-    lines, departures = _off_their_lines(days, on, settings)
-    departures, members = _departures(lines, told, layout.id[on], departures)
-    values, whole, systematic_covariance, found = _pooled(lines, members, told)
-    places = ["alpha", *told]
-    wanted = [places.index(name) if name in told else -1 for name in ("temperature", "drift")]
-    three = _three(values, wanted)
-    chi2, degrees = lines.chi2, lines.degrees_of_freedom
+    fit, jumped = _off_their_lines(days, on, settings)
+    outliers, members = _outliers(fit, effects, layout.id[on], jumped)
+    values, covariance, systematic_covariance, families = _pooled(fit, members, effects)
+    law, derivatives = _law_from(values, effects)
     return Tracking(
         instrument=days[0].calibration.instrument,
         layout=layout,
         temperature=temperature,
         date=date,
-        alpha=spread(three[0], on),
-        coefficient=spread(three[1], on),
-        drift=spread(three[2], on),
-        covariance=_spread_three(whole, values, wanted, on),
-        systematic_covariance=_spread_three(systematic_covariance, values, wanted, on),
-        told=told,
-        families=found,
-        departures=departures,
-        chi2=chi2,
-        degrees_of_freedom=degrees,
-        probability=float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan"),
+        alpha=spread(law[0], on),
+        coefficient=spread(law[1], on),
+        drift=spread(law[2], on),
+        covariance=spread_square(derivatives @ covariance @ derivatives.T, np.tile(on, 3)),
+        systematic_covariance=spread_square(
+            derivatives @ systematic_covariance @ derivatives.T, np.tile(on, 3)
+        ),
+        effects=effects,
+        families=families,
+        outliers=outliers,
+        chi2=fit.chi2,
+        degrees_of_freedom=fit.degrees_of_freedom,
         limits=limits,
         days=tuple(
             DayRecord(day.name, day.date, c.temperature, c.alpha, c.reading_error)
@@ -93,7 +96,7 @@ def track(*given: Given) -> Tracking:
     )
 
 
-def _refuse_other_units(days: Sequence[Day], on: NDArray[np.bool_]) -> None:
+def _refuse_other_units(days: Sequence[DatedCalibration], on: NDArray[np.bool_]) -> None:
     """Refuse calibrations of two mirrors that share a name: alpha tells them apart.
 
     Raises
@@ -118,9 +121,12 @@ def _refuse_other_units(days: Sequence[Day], on: NDArray[np.bool_]) -> None:
 
 
 def _settings(
-    days: Sequence[Day],
+    days: Sequence[DatedCalibration],
 ) -> tuple[Array, tuple[str, ...], tuple[str, ...], float, datetime.datetime]:
-    """Return (J, q) temperature and time of the days from their middle, and which can be told."""
+    """Return (J, q) temperature and time of the days from their middle, as far as they determine q.
+
+    With them the names of these effects, what cannot be said, and T0 and t0.
+    """
     first = days[0].date
     seconds = [(day.date - first).total_seconds() for day in days]
     date = first + datetime.timedelta(seconds=round(float(np.mean(seconds))))
@@ -151,15 +157,14 @@ def _settings(
             remedy="add one of another day or temperature",
             path=days[-1].name,
         )
-    effects = (("temperature", away, warm), ("drift", time, late))
-    told = tuple(name for name, _, is_told in effects if is_told)
-    columns = [column for _, column, is_told in effects if is_told]
-    return np.stack(columns, axis=1), told, limits, temperature, date
+    settings = {"temperature": away} if warm else {}
+    settings |= {"drift": time} if late else {}
+    return np.stack([*settings.values()], axis=1), tuple(settings), limits, temperature, date
 
 
 def _off_their_lines(
-    days: Sequence[Day], on: NDArray[np.bool_], settings: Array
-) -> tuple[Lines, tuple[Departure, ...]]:
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
+) -> tuple[LinearFit, list[Outlier]]:
     """Fit the lines, and find who lies on none: the worst first, its scatter then allowed for.
 
     Readings of all actuators hang together, so one that jumped drags others off their lines.
@@ -167,103 +172,93 @@ def _off_their_lines(
     n = int(on.sum())
     ids = days[0].calibration.layout.id[on]
     own, scatter = own_scatter(days, on, settings), np.zeros(n)
-    found: list[Departure] = []
+    jumped: list[Outlier] = []
     while True:
-        lines = fitted_lines(days, on, settings, scatter)
-        if not lines.each_degrees or len(found) >= MOST * n:
-            return lines, tuple(found)
-        worst = int(lines.each.argmax())
-        chance = float(scipy.stats.chi2.sf(lines.each[worst], lines.each_degrees))
-        mirror = float(_of_mirror(chance, n * (1 + settings.shape[1])))
+        fit = linear_fit(days, on, settings, scatter)
+        if not fit.actuator_degrees or len(jumped) >= MOST * n:
+            return fit, jumped
+        worst = int(fit.actuator_chi2.argmax())
+        chance = float(scipy.stats.chi2.sf(fit.actuator_chi2[worst], fit.actuator_degrees))
+        mirror = chance_of_any(chance, n * (1 + settings.shape[1]))
         if mirror >= FALSE_ALARM or scatter[worst]:
-            return lines, tuple(found)
+            return fit, jumped
         scatter[worst] = own[worst]
-        sigmas = float(np.sqrt(lines.each[worst]))
-        found.append(Departure(int(ids[worst]), "line", sigmas, mirror))
+        sigmas = float(np.sqrt(fit.actuator_chi2[worst]))
+        jumped.append(Outlier(int(ids[worst]), "line", sigmas, mirror))
 
 
-def _of_mirror(chance: float, tests: int) -> float:
-    """Return the chance that any of so many tests comes out as rare (Sidak)."""
-    return float(-np.expm1(tests * np.log1p(-min(chance, 1 - 1e-16))))
-
-
-def _departures(
-    lines: Lines,
-    told: tuple[str, ...],
-    ids: NDArray[np.int64],
-    known: tuple[Departure, ...],
-) -> tuple[tuple[Departure, ...], NDArray[np.bool_]]:
-    """Find who leaves the family; return all departures and (q, n) who is a member by each effect.
+def _outliers(
+    fit: LinearFit, effects: tuple[str, ...], ids: NDArray[np.int64], jumped: list[Outlier]
+) -> tuple[tuple[Outlier, ...], NDArray[np.bool_]]:
+    """Find who leaves the family; return all outliers and (q, n) who is a member by each effect.
 
     The farthest is taken out and the next looked at, so that none hides behind another.
     """
-    q, n = lines.effects.shape
-    tests = n * (q + (lines.each_degrees > 0))
-    members = np.tile(~np.isin(ids, [one.actuator for one in known]), (q, 1))
-    looked: list[tuple[int, int, Departure]] = []
+    q, n = fit.effects.shape
+    tests = n * (q + (fit.actuator_degrees > 0))
+    members = np.tile(~np.isin(ids, [one.actuator for one in jumped]), (q, 1))
+    candidates: list[tuple[int, int, Outlier]] = []
     sure = 0
-    while len(looked) - sure < PATIENCE and members.sum(axis=1).min() > (1 - MOST) * n:
-        y, covariance, which = _effects_of(lines, members)
+    while len(candidates) - sure < PATIENCE and members.sum(axis=1).min() > (1 - MOST) * n:
+        y, covariance, which = _effects_of(fit, members)
         population = fitted_population(y, covariance, which)
-        at, sigmas, chance = stranger(y, covariance, which, population)
-        effect, place = (int(k[at]) for k in np.nonzero(members))
-        mirror = _of_mirror(chance, tests)
-        departure = Departure(int(ids[place]), told[effect], sigmas, mirror)
-        looked.append((effect, place, departure))
-        members[effect, place] = False
+        at, sigmas, chance = most_outlying(y, covariance, which, population)
+        effect, actuator = (int(k[at]) for k in np.nonzero(members))
+        mirror = chance_of_any(chance, tests)
+        outlier = Outlier(int(ids[actuator]), effects[effect], sigmas, mirror)
+        candidates.append((effect, actuator, outlier))
+        members[effect, actuator] = False
         if mirror < FALSE_ALARM:
-            sure = len(looked)
-    for effect, place, _ in looked[sure:]:
-        members[effect, place] = True
-    found = [*known, *(departure for _, _, departure in looked[:sure])]
-    return tuple(sorted(found, key=lambda one: one.probability)), members
+            sure = len(candidates)
+    for effect, actuator, _ in candidates[sure:]:
+        members[effect, actuator] = True
+    outliers = [*jumped, *(outlier for _, _, outlier in candidates[:sure])]
+    return tuple(sorted(outliers, key=lambda one: one.probability)), members
 
 
-def _effects_of(lines: Lines, members: NDArray[np.bool_]) -> tuple[Array, Array, NDArray[np.int64]]:
+def _effects_of(
+    fit: LinearFit, members: NDArray[np.bool_]
+) -> tuple[Array, Array, NDArray[np.int64]]:
     """Return the effects of the members, their covariance, and which effect each is."""
-    n = lines.alpha.size
-    root = lines.root[n:][members.ravel()]
-    return lines.effects[members], root @ root.T, np.nonzero(members)[0]
+    root = fit.root[fit.alpha.size :][members.ravel()]
+    return fit.effects[members], root @ root.T, np.nonzero(members)[0]
 
 
 def _pooled(
-    lines: Lines, members: NDArray[np.bool_], told: tuple[str, ...]
+    fit: LinearFit, members: NDArray[np.bool_], effects: tuple[str, ...]
 ) -> tuple[Array, Array, Array, tuple[Family, ...]]:
-    """Pull the members to their family: values, covariance, part from the weights, families."""
-    q, n = lines.effects.shape
-    y, covariance, which = _effects_of(lines, members)
+    """Pull the members to their family.
+
+    Returns (1 + q, n) alpha and effects, their covariance, its part from the weights, the families.
+    """
+    q, n = fit.effects.shape
+    y, covariance, which = _effects_of(fit, members)
     population = fitted_population(y, covariance, which)
     inside = n + np.flatnonzero(members.ravel())
-    values = np.concatenate([lines.alpha, lines.effects.ravel()])
-    whole = lines.root @ lines.root.T
-    gain = whole[:, inside] @ population.projection
+    values = np.concatenate([fit.alpha, fit.effects.ravel()])
+    covariance = fit.root @ fit.root.T
+    gain = covariance[:, inside] @ population.projection
     values = (values - gain @ y).reshape(1 + q, n)
-    of_weights = lines.root[:, (1 + q) * n :]
+    of_weights = fit.root[:, (1 + q) * n :]
     of_weights = of_weights - gain @ of_weights[inside]
-    whole = whole - gain @ whole[inside]
-    found = families(told, population, members.sum(axis=1))
-    return values, whole, of_weights @ of_weights.T, found
+    covariance = covariance - gain @ covariance[inside]
+    families = families_from(effects, population, members.sum(axis=1))
+    return values, covariance, of_weights @ of_weights.T, families
 
 
-def _three(values: Array, wanted: list[int]) -> Array:
-    """Return (3, n) alpha, k and d = alpha r; 0 where an effect is not told."""
-    alpha = values[0]
-    k, r = (values[place] if place > 0 else np.zeros_like(alpha) for place in wanted)
-    return np.stack([alpha, k, alpha * r])
+def _law_from(values: Array, effects: tuple[str, ...]) -> tuple[Array, Array]:
+    """Return (3, n) alpha, k and d = alpha r, and their (3 n, (1 + q) n) derivatives by ``values``.
 
-
-def _spread_three(matrix: Array, values: Array, wanted: list[int], on: NDArray[np.bool_]) -> Array:
-    """Turn a covariance of alpha and the effects told into one of alpha, k and d of all."""
+    Both are 0 for an effect that the days do not determine.
+    """
     n = values.shape[1]
-    j = np.zeros((3 * n, matrix.shape[0]))
     at = np.arange(n)
-    j[at, at] = 1.0
-    if wanted[0] > 0:
-        j[n + at, wanted[0] * n + at] = 1.0
-    if wanted[1] > 0:
-        j[2 * n + at, at] = values[wanted[1]]
-        j[2 * n + at, wanted[1] * n + at] = values[0]
-    kept = np.tile(on, 3)
-    out = np.full((kept.size, kept.size), np.nan)
-    out[np.ix_(kept, kept)] = j @ matrix @ j.T
-    return out
+    law, derivatives = np.zeros((3, n)), np.zeros((3, n, *values.shape))
+    law[0], derivatives[0, at, 0, at] = values[0], 1.0
+    for row, effect in enumerate(effects, start=1):
+        if effect == "temperature":
+            law[1], derivatives[1, at, row, at] = values[row], 1.0
+        else:
+            law[2] = values[0] * values[row]
+            derivatives[2, at, 0, at], derivatives[2, at, row, at] = values[row], values[0]
+    return law, derivatives.reshape(3 * n, -1)

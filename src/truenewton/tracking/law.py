@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import scipy.stats
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, frozen_array, spread_square
 from truenewton.errors import RankDeficient
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
@@ -42,15 +43,16 @@ class DayRecord:
 
 
 @dataclass(frozen=True)
-class Departure:
-    """An actuator that leaves the family.
+class Outlier:
+    """An actuator that does not belong to the population of the others.
 
     Attributes
     ----------
     actuator
         ID.
-    what
-        'temperature' or 'drift', its coefficient; 'line', its days lie on no line.
+    effect
+        'temperature' or 'drift', its coefficient; 'line', its days lie on no line; 'moved', it no
+        longer agrees with its earlier calibration.
     sigmas
         How far, in standard deviations; for 'line' the root of chi2.
     probability
@@ -58,7 +60,7 @@ class Departure:
     """
 
     actuator: int
-    what: str
+    effect: str
     sigmas: float
     probability: float
 
@@ -98,14 +100,14 @@ class Tracking:
         (n,) at T0 and t0; k [1/K]; d [1/yr], years of 365.25 days.
     covariance, systematic_covariance
         (3 n, 3 n) of alpha, k, d; all, and the part from the weights.
-    told
-        Which of 'temperature' and 'drift' the days tell.
+    effects
+        Which of 'temperature' and 'drift' the days determine.
     families
-        The population of each effect told.
-    departures
-        Actuators that leave it, the surest first.
-    chi2, degrees_of_freedom, probability
-        Of the days about the lines of the actuators; chance of a larger chi2.
+        The population of each of these.
+    outliers
+        Actuators that do not belong to it, the surest first.
+    chi2, degrees_of_freedom
+        Of the days about the lines of the actuators.
     limits
         What cannot be said, in words.
     days
@@ -121,12 +123,11 @@ class Tracking:
     drift: Array
     covariance: Array
     systematic_covariance: Array
-    told: tuple[str, ...]
+    effects: tuple[str, ...]
     families: tuple[Family, ...]
-    departures: tuple[Departure, ...]
+    outliers: tuple[Outlier, ...]
     chi2: float
     degrees_of_freedom: int
-    probability: float
     limits: tuple[str, ...]
     days: tuple[DayRecord, ...]
 
@@ -137,8 +138,14 @@ class Tracking:
     def __repr__(self) -> str:
         return (
             f"<Tracking of {self.instrument}: {len(self.days)} calibrations,"
-            f" {' and '.join(self.told)}>"
+            f" {' and '.join(self.effects)}>"
         )
+
+    @property
+    def probability(self) -> float:
+        """Chance of a larger chi2; NaN without degrees of freedom."""
+        degrees = self.degrees_of_freedom
+        return float(scipy.stats.chi2.sf(self.chi2, degrees)) if degrees else float("nan")
 
     @property
     def errors(self) -> Array:
@@ -185,15 +192,16 @@ class Tracking:
         eye = np.eye(n)
         j = np.hstack([eye * (1 + self.coefficient * away), eye * self.alpha * away, eye * years])
         on = np.isfinite(self.alpha)
-        kept = np.tile(on, 3)
-        parts = []
-        for whole in (self.covariance, self.systematic_covariance):
-            part = np.full((n, n), np.nan)
-            inner = j[np.ix_(on, kept)]
-            part[np.ix_(on, on)] = inner @ whole[np.ix_(kept, kept)] @ inner.T
-            parts.append(part)
+        of_law = np.tile(on, 3)
+        inner, known = j[np.ix_(on, of_law)], np.ix_(of_law, of_law)
+        covariance, systematic_covariance = (
+            spread_square(inner @ matrix[known] @ inner.T, on)
+            for matrix in (self.covariance, self.systematic_covariance)
+        )
         alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
-        return AlphaPrediction(alpha, np.sqrt(np.diag(parts[0])), parts[0], parts[1])
+        return AlphaPrediction(
+            alpha, np.sqrt(np.diag(covariance)), covariance, systematic_covariance
+        )
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the tracking file (docs/files.md).
@@ -210,22 +218,22 @@ class Tracking:
         if temperature is None:
             return 0.0
         away = float(temperature) - self.temperature
-        if "temperature" not in self.told and not abs(away) <= SAME_TEMPERATURE:
+        if "temperature" not in self.effects and not abs(away) <= SAME_TEMPERATURE:
             raise RankDeficient(
                 f"alpha at {temperature:g} deg C is not known: the days do not tell how it varies"
                 " with temperature",
                 remedy="add a calibration at another temperature",
             )
-        return away if "temperature" in self.told else 0.0
+        return away if "temperature" in self.effects else 0.0
 
     def _years(self, time: datetime.datetime | None) -> float:
         if time is None:
             return 0.0
         time = time if time.tzinfo else time.replace(tzinfo=datetime.UTC)
         first, last = self.days[0].date - SAME_TIME, self.days[-1].date + SAME_TIME
-        if "drift" not in self.told and not first <= time <= last:
+        if "drift" not in self.effects and not first <= time <= last:
             raise RankDeficient(
                 f"alpha on {time:%Y-%m-%d} is not known: the days do not tell how it drifts",
                 remedy="add a calibration of another time",
             )
-        return (time - self.date) / YEAR if "drift" in self.told else 0.0
+        return (time - self.date) / YEAR if "drift" in self.effects else 0.0

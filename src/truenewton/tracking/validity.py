@@ -1,4 +1,4 @@
-"""When to calibrate again: how far in temperature and time alpha serves a wanted accuracy."""
+"""When to calibrate again: how far in temperature and time alpha holds to a wanted accuracy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from truenewton.tracking.law import Tracking
 
 @dataclass(frozen=True)
 class Validity:
-    """How long alpha serves.
+    """How long alpha holds to a wanted accuracy.
 
     Errors of the weights are left out: a new calibration with the same weights would repeat them.
 
@@ -25,10 +25,10 @@ class Validity:
     now
         What the latest calibration has.
     temperatures
-        Between which the latest calibration serves as it is, on its day [deg C]; None where
-        temperature was not told.
+        Between which the latest calibration holds as it is, on its day [deg C]; None where its
+        effect is not known.
     until
-        When it ceases to serve at its temperature; None where drift was not told, and where it
+        When it ceases to hold at its temperature; None where drift is not known, and where it
         holds beyond the calendar.
     law_temperatures, law_until
         The same for `Tracking.alpha_at`, which takes temperature and time into account.
@@ -42,8 +42,8 @@ class Validity:
     law_until: datetime.datetime | None
 
 
-def serves(tracking: Tracking, accuracy: float) -> Validity:
-    """Return how far from its temperature and date the latest calibration serves.
+def validity_of(tracking: Tracking, accuracy: float) -> Validity:
+    """Return how far from its temperature and date the latest calibration holds.
 
     Used as it is, it is off by k (T - T_last) + d (t - t_last) beside its E_STAT; the mean over
     actuators of the square of all is a parabola in T - T_last and in t - t_last. So is that of
@@ -64,7 +64,7 @@ def serves(tracking: Tracking, accuracy: float) -> Validity:
     k = float(np.mean(t.coefficient[on] ** 2 + variance[1]))
     d = float(np.mean((t.drift[on] ** 2 + variance[2]) / alpha**2))
     spare = max(accuracy**2 - now, 0.0)
-    warm, late = "temperature" in t.told, "drift" in t.told
+    warm, late = "temperature" in t.effects, "drift" in t.effects
     reach = float(np.sqrt(spare / k)) if k > 0 else 0.0
     form = _law_variance(t)
     away = last.temperature - t.temperature if warm else 0.0

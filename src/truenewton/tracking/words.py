@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from truenewton.calibration.words import row
 from truenewton.rounding import by_chance, with_error
 
 if TYPE_CHECKING:
-    from truenewton.tracking.family import Family
     from truenewton.tracking.law import Tracking
     from truenewton.tracking.validity import Validity
+
+
+UNITS = {"temperature": "% per K", "drift": "% per year"}
+OUTLYING = {
+    "temperature": "by temperature",
+    "drift": "by its drift",
+    "line": "its days lie on no line",
+}
+MOST_ROWS, FIRST_ROWS = 60, 10  # of the table of actuators; of a longer one only the first
 
 
 def lines(tracking: Tracking, validity: Validity | None) -> list[str]:
@@ -26,25 +36,23 @@ def lines(tracking: Tracking, validity: Validity | None) -> list[str]:
         for day in t.days
     ]
     for family in t.families:
-        unit = _unit(family)
+        unit, (low, high) = UNITS[family.effect], family.spread_interval
+        mean = with_error(100 * family.mean, 100 * family.mean_error)
+        within = f"95 % within {100 * low:.2g} .. {100 * high:.2g}"
         lines += [
-            f"  {family.effect + ', mean':<24}"
-            f"{with_error(100 * family.mean, 100 * family.mean_error)} {unit}",
-            f"  {'  spread of actuators':<24}{100 * family.spread:.2g} {unit}, 95 % within"
-            f" {100 * family.spread_interval[0]:.2g} .. {100 * family.spread_interval[1]:.2g}",
+            row(f"{family.effect}, mean", f"{mean} {unit}"),
+            row("  spread of actuators", f"{100 * family.spread:.2g} {unit}, {within}"),
         ]
     if t.degrees_of_freedom:
-        lines.append(
-            f"  {'fit':<24}chi2/DOF = {t.chi2 / t.degrees_of_freedom:.3g}, DOF"
-            f" {t.degrees_of_freedom}, probability {t.probability:.2g}"
-        )
+        reduced = f"chi2/DOF = {t.chi2 / t.degrees_of_freedom:.3g}, DOF {t.degrees_of_freedom}"
+        lines.append(row("fit", f"{reduced}, probability {t.probability:.2g}"))
     lines += _table(t)
     lines += [
-        f"  LEFT THE FAMILY: actuator {one.actuator}, {_words(one.what)},"
+        f"  LEFT THE FAMILY: actuator {one.actuator}, {OUTLYING[one.effect]},"
         f" {abs(one.sigmas):.1f} sigma; {by_chance(one.probability)}"
-        for one in t.departures
+        for one in t.outliers
     ]
-    if not t.departures:
+    if not t.outliers:
         lines.append("  nobody leaves the family (false alarm on at most 1 % of mirrors)")
     if t.probability < 1e-3:
         lines.append(
@@ -52,7 +60,7 @@ def lines(tracking: Tracking, validity: Validity | None) -> list[str]:
             " and for what else changed between them"
         )
     lines += [f"  LIMIT: {limit}" for limit in t.limits]
-    return lines if validity is None else lines + _serves(validity)
+    return lines if validity is None else lines + _validity_lines(validity)
 
 
 def _table(t: Tracking) -> list[str]:
@@ -60,45 +68,42 @@ def _table(t: Tracking) -> list[str]:
     head = f"  {'actuator':<10}{'alpha':<20}{'k [%/K]':<20}drift [%/yr]"
     rows = [
         f"  {name!s:<10}{with_error(a, ea):<20}"
-        + (f"{with_error(100 * k, 100 * ek):<20}" if "temperature" in t.told else f"{'-':<20}")
-        + (with_error(100 * d / a, 100 * ed / a) if "drift" in t.told else "-")
+        + (f"{with_error(100 * k, 100 * ek):<20}" if "temperature" in t.effects else f"{'-':<20}")
+        + (with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-")
         for name, a, k, d, ea, ek, ed in zip(
             t.layout.id.tolist(), t.alpha.tolist(), t.coefficient.tolist(), t.drift.tolist(),
             *errors.tolist(), strict=True,
         )
     ]  # fmt: skip
-    shown = rows if len(rows) <= 60 else [*rows[:10], f"  and {len(rows) - 10} actuators more"]
-    return [head, *shown]
+    if len(rows) > MOST_ROWS:
+        rows[FIRST_ROWS:] = [f"  and {len(rows) - FIRST_ROWS} actuators more"]
+    return [head, *rows]
 
 
-def _serves(v: Validity) -> list[str]:
+def _validity_lines(v: Validity) -> list[str]:
     """Return the answer to: when is a new calibration due."""
     wanted = f"{100 * v.accuracy:.2g} %"
+    latest = f"  the latest calibration, as it is, serves {wanted} {_span(v.temperatures, v.until)}"
     if v.now > v.accuracy:
-        lines = [
+        latest = (
             f"  the latest calibration does not reach {wanted}: readings alone leave"
             f" {100 * v.now:.2g} %"
-        ]
-    else:
-        parts = []
-        if v.temperatures is not None:
-            parts.append(f"from {v.temperatures[0]:.1f} to {v.temperatures[1]:.1f} deg C")
-        if v.until is not None:
-            parts.append(f"until {v.until:%Y-%m-%d}")
-        lines = [
-            f"  the latest calibration, as it is, serves {wanted} {', and '.join(parts)}",
-        ]
+        )
+    law = _span(v.law_temperatures, v.law_until)
+    return [
+        latest,
+        f"  this law serves {wanted} {law}" if law else f"  this law does not reach {wanted}",
+        "  (errors of the weights left out: the same weights would repeat them)",
+    ]
+
+
+def _span(temperatures: tuple[float, float] | None, until: datetime.datetime | None) -> str:
     parts = []
-    if v.law_temperatures is not None:
-        low, high = v.law_temperatures
-        parts.append(f"from {low:.1f} to {high:.1f} deg C")
-    if v.law_until is not None:
-        parts.append(f"until {v.law_until:%Y-%m-%d}")
-    if parts:
-        lines.append(f"  this law serves {wanted} {', and '.join(parts)}")
-    else:
-        lines.append(f"  this law does not reach {wanted}")
-    return [*lines, "  (errors of the weights left out: the same weights would repeat them)"]
+    if temperatures is not None:
+        parts.append(f"from {temperatures[0]:.1f} to {temperatures[1]:.1f} deg C")
+    if until is not None:
+        parts.append(f"until {until:%Y-%m-%d}")
+    return ", and ".join(parts)
 
 
 def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
@@ -108,9 +113,9 @@ def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
         "instrument": t.instrument,
         "temperature": t.temperature,
         "date": t.date.isoformat(),
-        "told": list(t.told),
+        "effects": list(t.effects),
         "families": [asdict(family) for family in t.families],
-        "departures": [asdict(one) for one in t.departures],
+        "outliers": [asdict(one) for one in t.outliers],
         "chi2": t.chi2,
         "degrees_of_freedom": t.degrees_of_freedom,
         "probability": t.probability,
@@ -125,21 +130,11 @@ def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
         },
     }  # fmt: skip
     if validity is not None:
-        values["serves"] = {
-            key: value.isoformat() if hasattr(value, "isoformat") else value
+        values["validity"] = {
+            key: value.isoformat() if isinstance(value, datetime.datetime) else value
             for key, value in asdict(validity).items()
         }
     return values
-
-
-def _words(what: str) -> str:
-    return {"temperature": "by temperature", "drift": "by its drift"}.get(
-        what, "its days lie on no line"
-    )
-
-
-def _unit(family: Family) -> str:
-    return "% per K" if family.effect == "temperature" else "% per year"
 
 
 def _degrees(temperature: float) -> str:

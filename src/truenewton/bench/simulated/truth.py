@@ -6,11 +6,10 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from truenewton.arrays import Array
-from truenewton.files.fits import Sheet, read_fits, write_fits
-from truenewton.records.file import actuators_sheet, layout_from
+from truenewton.files.fits import read_fits, write_fits
+from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
+from truenewton.records.file import ACTUATORS, INSTRUMENT
 from truenewton.statics.layout import Layout
 
 
@@ -57,6 +56,31 @@ class Truth:
     seed: int
 
 
+TRUTH = FileFormat(
+    (
+        INSTRUMENT,
+        Keyword("WEIGHT", "weight", "true weight, P", "N"),
+        Keyword("BIAS", "bias_force", "true total force of the bias magnets, B", "N"),
+        Keyword("SEED", "seed", "of the simulation", kind="int"),
+    ),
+    (
+        ACTUATORS,
+        TableFormat("TRUTH", (Column("ALPHA", "alpha"), Column("SENSOR_GAIN", "sensor_gain"))),
+        TableFormat(
+            "LOADS",
+            (
+                Column("LOAD", "loads", kind="str"),
+                Column("ADDED", "added", "N"),
+                Column("TILT", "tilt", "deg"),
+                Column("MY", "torque_y", "N m"),
+                Column("MX", "torque_x", "N m"),
+            ),
+        ),
+        ImageFormat("TRUE_STIFFNESS", "stiffness", "N/m"),
+    ),
+)
+
+
 def truth_path(folder: str | os.PathLike[str]) -> Path:
     """Return where the truth of a campaign's folder is kept: DIR.truth.fits."""
     folder = Path(folder)
@@ -65,53 +89,9 @@ def truth_path(folder: str | os.PathLike[str]) -> Path:
 
 def write_truth(truth: Truth, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write the side file."""
-    header = {
-        "INSTRUME": (truth.instrument, "mirror"),
-        "WEIGHT": (truth.weight, "[N] true weight, P"),
-        "BIAS": (truth.bias_force, "[N] true total force of the bias magnets, B"),
-        "SEED": (truth.seed, "of the simulation"),
-    }
-    loads = Sheet(
-        "LOADS",
-        columns=(
-            ("LOAD", f"{max(map(len, truth.loads))}A", None, list(truth.loads)),
-            ("ADDED", "D", "N", truth.added),
-            ("TILT", "D", "deg", truth.tilt),
-            ("MY", "D", "N m", truth.torque_y),
-            ("MX", "D", "N m", truth.torque_x),
-        ),
-    )
-    sheets = [
-        actuators_sheet(truth.layout),
-        Sheet(
-            "TRUTH",
-            columns=(
-                ("ALPHA", "D", None, truth.alpha),
-                ("SENSOR_GAIN", "D", None, truth.sensor_gain),
-            ),
-        ),
-        loads,
-        Sheet("TRUE_STIFFNESS", data=truth.stiffness, unit="N/m"),
-    ]
-    write_fits(path, header, sheets, overwrite=overwrite)
+    write_fits(path, TRUTH, truth, overwrite=overwrite)
 
 
 def read_truth(path: str | os.PathLike[str]) -> Truth:
     """Read the side file."""
-    file = read_fits(path)
-    loads = file.table("LOADS")
-    return Truth(
-        instrument=file.text("INSTRUME"),
-        layout=layout_from(file),
-        alpha=file.table("TRUTH").column("ALPHA"),
-        sensor_gain=file.table("TRUTH").column("SENSOR_GAIN"),
-        stiffness=file.image("TRUE_STIFFNESS").values("N/m"),
-        weight=file.number("WEIGHT"),
-        added=loads.column("ADDED", unit="N"),
-        tilt=loads.column("TILT", unit="deg"),
-        loads=tuple(str(name).strip() for name in np.atleast_1d(loads.column("LOAD", "str"))),
-        bias_force=file.number("BIAS"),
-        torque_y=loads.column("MY", unit="N m"),
-        torque_x=loads.column("MX", unit="N m"),
-        seed=file.integer("SEED"),
-    )
+    return read_fits(path).record(Truth, TRUTH)

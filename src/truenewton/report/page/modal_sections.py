@@ -7,19 +7,18 @@ from collections.abc import Iterator
 import numpy as np
 
 from truenewton.modal.dissipation import Budget
-from truenewton.modal.figures import plot_modes, plot_power, plot_residual
+from truenewton.modal.figures import chosen_modes, plot_modes, plot_power, plot_residual
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.words import (
-    apart,
-    between_actuators,
-    chosen_modes,
+    comparison_text,
     cost_rows,
+    fitting_error_text,
     measured_text,
     rigid_text,
-    static_force,
+    static_force_text,
     stiffness_text,
-    turbulence,
+    turbulence_text,
 )
 from truenewton.report.investigate import Findings
 from truenewton.report.page.section import Section, TextTable
@@ -47,7 +46,7 @@ def _modes(modes: ModalFindings) -> Section:
         f"Of {values.size} modes the softest elastic one has {stiffness_text(softest)}, the"
         f" stiffest {stiffness_text(stiffest)}. Rigid motions bend nothing; bias magnets and errors"
         f" leave them {rigid}.",
-        f"Modes found with alpha = 1 lie {apart(modes.comparison)}.",
+        f"Modes found with alpha = 1 lie {comparison_text(modes.comparison)}.",
     ]
     if modes.measured is not None:
         texts = filter(None, (measured_text(modes.measured), rigid_text(modes.measured)))
@@ -76,7 +75,7 @@ def _turbulence(base: ModalBase) -> Section:
         "Rms wavefront that the first N modes of three bases leave on the actuators. After"
         f" {half} of {count}: {left}."
     )
-    words = (f"For {turbulence(base)}.", f"Between actuators: {between_actuators(base)}.")
+    words = (f"For {turbulence_text(base)}.", f"Between actuators: {fitting_error_text(base)}.")
     return Section("turbulence", "Turbulence", words, plot_residual(base), caption)
 
 
@@ -89,7 +88,7 @@ def _dissipation(base: ModalBase) -> Section:
         f" {cost.power[:, -1].mean():.2g} W."
     )
     words = (
-        f"Static force of the actuators: {static_force(cost)}.",
+        f"Static force of the actuators: {static_force_text(cost)}.",
         "truenewton modes --power W --force N tells how many modes a limit allows.",
     )
     head = ("N", *(f"{each.base} (nm)" for each in base.costs), "force rms (mN)",

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.linalg import LeastSquares, least_squares
-from truenewton.tracking.days import Day, covariances, groups, relative_factor
+from truenewton.tracking.days import DatedCalibration, covariances, relative_factor, weight_groups
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
-    """What the days say of each actuator before the family is asked.
+class LinearFit:
+    """What the days say of each actuator by itself, before the population is asked.
 
     Attributes
     ----------
@@ -39,8 +39,9 @@ class Lines:
         columns are the part from the readings, the others the errors of the weights.
     chi2, degrees_of_freedom
         Of the days about their lines.
-    each, each_degrees
-        (n,) the share of each actuator, chi-squared distributed given all others; its degrees.
+    actuator_chi2, actuator_degrees
+        (n,) the share of each actuator, chi-squared distributed given all others; its degrees of
+        freedom.
     """
 
     alpha: Array
@@ -48,11 +49,11 @@ class Lines:
     root: Array
     chi2: float
     degrees_of_freedom: int
-    each: Array
-    each_degrees: int
+    actuator_chi2: Array
+    actuator_degrees: int
 
 
-def own_scatter(days: Sequence[Day], on: NDArray[np.bool_], settings: Array) -> Array:
+def own_scatter(days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array) -> Array:
     """Return (n,) how far each actuator's days scatter about its line, relative to alpha."""
     alpha = np.array([day.calibration.alpha[on] for day in days])
     design = np.column_stack([np.ones(len(days)), settings])
@@ -61,10 +62,10 @@ def own_scatter(days: Sequence[Day], on: NDArray[np.bool_], settings: Array) -> 
     return np.asarray(np.sqrt(np.sum(left**2, axis=0) / max(len(left), 1)))
 
 
-def fitted_lines(
-    days: Sequence[Day], on: NDArray[np.bool_], settings: Array, scatter: Array
-) -> Lines:
-    """Fit the lines.
+def linear_fit(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array, scatter: Array
+) -> LinearFit:
+    """Fit the lines of all actuators at once.
 
     Parameters
     ----------
@@ -92,7 +93,9 @@ def fitted_lines(
     each_mean = np.outer(mean, mean)
     roots = np.array(
         [
-            _inverse_root(day, covariances(day, on)[0] / each_mean + np.diag(scatter**2))
+            _inverse_root(
+                day, covariances(day.calibration, on)[0] / each_mean + np.diag(scatter**2)
+            )
             for day in days
         ]
     )
@@ -100,7 +103,7 @@ def fitted_lines(
     # Errors of the weights multiply the law; taken from the readings they would carry noise.
     law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
     changes = [np.zeros((count, n, 0))]
-    for group in groups(days):
+    for group in weight_groups(days):
         factor = relative_factor([days[k] for k in group], on)
         changed = np.zeros((count, n, factor.shape[1]))
         changed[group] = law[group] * factor
@@ -112,25 +115,25 @@ def fitted_lines(
     matrix[: count * n, (1 + q) * n :] = (roots @ change).reshape(count * n, errors)
     matrix[count * n :, (1 + q) * n :] = np.eye(errors)
     right = np.concatenate([np.einsum("jab,jb->ja", roots, y).ravel(), np.zeros(errors)])
-    found = least_squares(matrix, right)
-    values = found.values[: (1 + q) * n].reshape(1 + q, n)
+    solution = least_squares(matrix, right)
+    values = solution.values[: (1 + q) * n].reshape(1 + q, n)
     a, effects = values[0], values[1:] / values[0]
-    root = found.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
+    root = solution.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
     root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
     root[0] *= mean[:, None]
-    each, each_degrees = _share(found, roots, design)
-    return Lines(
+    actuator_chi2, actuator_degrees = _share(solution, roots, design)
+    return LinearFit(
         alpha=a * mean,
         effects=effects,
         root=root.reshape((1 + q) * n, -1),
-        chi2=found.chi2,
+        chi2=solution.chi2,
         degrees_of_freedom=count * n - (1 + q) * n,
-        each=each,
-        each_degrees=each_degrees,
+        actuator_chi2=actuator_chi2,
+        actuator_degrees=actuator_degrees,
     )
 
 
-def _inverse_root(day: Day, covariance: Array) -> Array:
+def _inverse_root(day: DatedCalibration, covariance: Array) -> Array:
     """Return W with W' W the inverse of a covariance."""
     try:
         lower = scipy.linalg.cholesky(covariance, lower=True)
@@ -143,7 +146,7 @@ def _inverse_root(day: Day, covariance: Array) -> Array:
     return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
 
 
-def _share(found: LeastSquares, roots: Array, design: Array) -> tuple[Array, int]:
+def _share(solution: LeastSquares, roots: Array, design: Array) -> tuple[Array, int]:
     """Return (n,) chi2 of the days of one actuator given all others, and its degrees of freedom.
 
     Columns Z that shift each day of the actuator freely would lower chi2 by s' (Z' M Z)^+ s, with
@@ -154,8 +157,8 @@ def _share(found: LeastSquares, roots: Array, design: Array) -> tuple[Array, int
     degrees = count - design.shape[1]
     if degrees <= 0:
         return np.zeros(n), 0
-    residual = found.residual[: count * n].reshape(count, n)
-    basis = found.orthogonal[: count * n].reshape(count, n, -1)
+    residual = solution.residual[: count * n].reshape(count, n)
+    basis = solution.orthogonal[: count * n].reshape(count, n, -1)
     s = np.einsum("jab,ja->bj", roots, residual)
     shared = np.swapaxes(basis, 1, 2) @ roots
     m = -np.einsum("jpb,kpb->bjk", shared, shared)

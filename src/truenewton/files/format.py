@@ -1,0 +1,188 @@
+"""File formats: each declared once, then walked from a record to FITS and back.
+
+An attribute is a path from the record, as ``load.name`` or ``interval.0``; a tuple of records on
+the way stands for the rows of a table. Where it is a function of the record instead, what that
+returns is written, and nothing is read back.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+Attribute = str | Callable[[Any], Any]
+Kind = Literal["float", "int", "bool", "str", "date"]
+REQUIRED: Any = ...  # instead of what stands for something absent
+
+
+class Stored(NamedTuple):
+    """How a kind of value is stored: format and dtypes of a column, types of a keyword, words."""
+
+    form: str
+    kinds: str
+    dtype: Any
+    types: tuple[type, ...]
+    words: str
+
+
+STORED: dict[Kind, Stored] = {
+    "float": Stored("D", "fiu", np.float64, (int, float), "a number"),
+    "int": Stored("J", "iu", np.int64, (int,), "an integer"),
+    "bool": Stored("L", "b", np.bool_, (bool,), "a logical"),
+    "str": Stored("A", "SU", np.str_, (str,), "text"),
+    "date": Stored("A", "SU", np.str_, (str,), "text"),
+}
+
+
+@dataclass(frozen=True)
+class Keyword:
+    """A keyword of the primary header.
+
+    Left out where its value is None, NaN, or infinite if that is what absence says.
+
+    Attributes
+    ----------
+    name, attribute
+        What it holds.
+    comment, unit
+        Written behind it, the unit in brackets.
+    kind
+        Of its value.
+    absent
+        What stands for it where a file has none.
+    """
+
+    name: str
+    attribute: Attribute
+    comment: str
+    unit: str = ""
+    kind: Kind = "float"
+    absent: Any = REQUIRED
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table; left out where its values are None.
+
+    Attributes
+    ----------
+    name, attribute
+        What it holds.
+    unit
+        As written, and to which other units are converted; None for plain numbers.
+    kind
+        Of its values.
+    absent
+        What stands for each value where a file has no such column; None for no values at all.
+    each
+        For vectors: the table for each row of which they have a value.
+    width
+        Of text; 0 for that of the longest.
+    """
+
+    name: str
+    attribute: Attribute
+    unit: str | None = None
+    kind: Kind = "float"
+    absent: Any = REQUIRED
+    each: str = ""
+    width: int = 0
+
+
+@dataclass(frozen=True)
+class TableFormat:
+    """A binary table; the attributes of its columns are those of ``of``."""
+
+    name: str
+    columns: tuple[Column, ...]
+    of: str = ""
+
+
+@dataclass(frozen=True)
+class ImageFormat:
+    """An image, and the unit of its pixels."""
+
+    name: str
+    attribute: Attribute
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """A kind of file.
+
+    Attributes
+    ----------
+    keywords
+        Of its primary header, in order.
+    extensions
+        Its tables and images, in order.
+    matrix
+        Pixels of the primary HDU, where other programs look for a single matrix; or None.
+    """
+
+    keywords: tuple[Keyword, ...] = ()
+    extensions: tuple[TableFormat | ImageFormat, ...] = ()
+    matrix: Attribute | None = None
+
+
+def header_of(record: Any, form: FileFormat) -> Iterator[tuple[str, Any, str]]:
+    """Yield name, value and comment of each keyword that there is."""
+    for keyword in form.keywords:
+        value = value_of(record, keyword.attribute)
+        if value is None or value != value or value == np.inf == keyword.absent:
+            continue
+        unit = f"[{keyword.unit}] " if keyword.unit else ""
+        yield keyword.name, _iso(value) if keyword.kind == "date" else value, unit + keyword.comment
+
+
+def columns_of(record: Any, table: TableFormat) -> Iterator[tuple[str, str, str | None, Any]]:
+    """Yield name, FITS format, unit and values of each column that there is."""
+    rows = value_of(record, table.of)
+    for column in table.columns:
+        values = value_of(rows, column.attribute)
+        form, _, dtype, _, _ = STORED[column.kind]
+        if values is None:
+            continue
+        if dtype is np.str_:
+            dates = column.kind == "date"
+            values = [_iso(one) if dates else ascii_text(one or "") for one in values]
+            width = str(column.width or max([1, *map(len, values)]))
+        else:
+            values = np.asarray(values, dtype=dtype)
+            width = str(values.shape[1]) if column.each else ""
+        yield column.name, width + form, column.unit, values
+
+
+def value_of(record: Any, attribute: Attribute) -> Any:
+    """Return an attribute of a record, or a tuple of those of a tuple of records."""
+    parts = [attribute] if callable(attribute) else attribute.split(".") if attribute else []
+    for part in parts:
+        several = isinstance(record, tuple)
+        record = tuple(_part(one, part) for one in record) if several else _part(record, part)
+    return record
+
+
+def _part(record: Any, part: Attribute) -> Any:
+    if callable(part):
+        return part(record)
+    if record is None:
+        return None
+    return record[int(part)] if part.isdigit() else getattr(record, part)
+
+
+def _iso(date: datetime.datetime) -> str:
+    """Return a date as FITS writes it: ISO 8601, UTC, no zone, to the microsecond if need be."""
+    digits = "microseconds" if date.microsecond % 1000 else "milliseconds"
+    if date.tzinfo is not None:
+        date = date.astimezone(datetime.UTC).replace(tzinfo=None)
+    return date.isoformat(timespec=digits)
+
+
+def ascii_text(text: str) -> str:
+    """FITS holds ASCII only; a file name may hold anything."""
+    return text.encode("ascii", "backslashreplace").decode()

@@ -1,0 +1,129 @@
+"""Who is commanded, off or slaved; alpha and sensor gains, matched to the actuators of a mirror."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.calibration.result import Calibration
+from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
+from truenewton.statics.layout import Layout
+
+FEWEST = 4  # actuators that leave a motion that bends the glass
+SAME_PLACE = 1e-9  # [m]
+
+
+def off_and_slaved(
+    layout: Layout, off: Sequence[int], slaved: Sequence[int]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return (n,) which actuators are off, and (n,) which are slaved, by their IDs.
+
+    Raises
+    ------
+    UnknownName
+        An ID that no actuator has, or that is both.
+    RankDeficient
+        Too few are left to command.
+    """
+    floats, follows = _named(layout, off, "off"), _named(layout, slaved, "slaved")
+    if (floats & follows).any():
+        both = int(layout.id[floats & follows][0])
+        raise UnknownName(
+            f"actuator {both} is both off and slaved", remedy="name it once", got=both
+        )
+    commanded = int(np.count_nonzero(~(floats | follows)))
+    if commanded < FEWEST:
+        raise RankDeficient(
+            f"{commanded} of {layout.n} actuators are left to command",
+            remedy=f"leave {FEWEST} at least",
+            got=commanded,
+            want=FEWEST,
+        )
+    return floats, follows
+
+
+def _named(layout: Layout, ids: Sequence[int], what: str) -> NDArray[np.bool_]:
+    """Return (n,) which actuators are named."""
+    if not all(isinstance(name, int | np.integer) for name in ids):
+        raise UnknownName(
+            f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]", got=ids
+        )
+    unknown = np.setdiff1d(np.asarray(ids, dtype=np.int64), layout.id)
+    if unknown.size:
+        raise UnknownName(
+            f"no enabled actuator has the ID {unknown[0]} that is to be {what}",
+            remedy=f"IDs go from {layout.id.min()} to {layout.id.max()}",
+            got=int(unknown[0]),
+        )
+    return np.isin(layout.id, ids)
+
+
+def matched_alpha(layout: Layout, instrument: str, calibration: Calibration | None) -> Array:
+    """Return (n,) alpha of the actuators of a mirror, matched by their IDs; 1 without calibration.
+
+    Raises
+    ------
+    CampaignMismatch
+        The calibration is of another mirror, or lacks an actuator.
+    """
+    if calibration is None:
+        return np.ones(layout.n)
+    remedy = "give the calibration of the same mirror"
+    if calibration.instrument != instrument:
+        raise CampaignMismatch(
+            f"the stiffness is of {instrument}, the calibration of {calibration.instrument}",
+            remedy=remedy,
+        )
+    theirs = calibration.layout
+    at = indices_of(theirs, layout.id)
+    unknown = (theirs.id[at] != layout.id) | ~np.isfinite(calibration.alpha[at])
+    if unknown.any():
+        raise CampaignMismatch(
+            f"the calibration has no alpha for actuator {layout.id[unknown][0]}",
+            remedy="calibrate all actuators that the stiffness has enabled",
+            got=int(layout.id[unknown][0]),
+        )
+    for name in ("x", "y", "nz"):
+        far = np.abs(getattr(theirs, name)[at] - getattr(layout, name)) > SAME_PLACE
+        if far.any():
+            raise CampaignMismatch(
+                f"stiffness and calibration disagree on {name.upper()} of actuator"
+                f" {layout.id[far][0]}",
+                remedy=remedy,
+                got=int(layout.id[far][0]),
+            )
+    return np.asarray(calibration.alpha[at])
+
+
+def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return (k,) indices in a layout of actuators named by (k,) IDs; any for one it has not."""
+    order = np.argsort(layout.id)
+    at = np.searchsorted(layout.id, names, sorter=order)
+    return np.asarray(order[np.minimum(at, layout.n - 1)])
+
+
+def checked_gain(sensor_gain: Array | None, on: NDArray[np.bool_]) -> Array:
+    """Return true displacement / reading of those of (n,) actuators that are on; 1 without gains.
+
+    Raises
+    ------
+    FormatError
+    """
+    if sensor_gain is None:
+        return np.ones(int(on.sum()))
+    gain = np.asarray(sensor_gain, dtype=float)
+    if gain.shape != on.shape:
+        raise FormatError(
+            f"sensor_gain has shape {gain.shape}",
+            remedy=f"give one number for each of the {on.size} actuators",
+            got=gain.shape,
+            want=on.shape,
+        )
+    if not (np.isfinite(gain[on]).all() and (gain[on] > 0).all()):
+        raise FormatError(
+            "sensor_gain holds numbers that are not positive", remedy="they are about 1"
+        )
+    return gain[on]
