@@ -11,7 +11,14 @@ from matplotlib.axes import Axes
 
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
-from truenewton.figures.maps import ALPHA_LABEL, mark_rings, numbers_by_ring, plot_layout, plot_map
+from truenewton.figures.maps import (
+    ALPHA_LABEL,
+    mark_rings,
+    name_point,
+    numbers_by_ring,
+    plot_layout,
+    plot_map,
+)
 from truenewton.figures.style import ACCENT, INK, NAMED, styled_axes
 from truenewton.figures.writing import write_drawn
 
@@ -32,9 +39,7 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
         mark_rings(ax, layout)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         for extreme in (np.nanargmin(alpha), np.nanargmax(alpha)):
-            at = (numbers[extreme], alpha[extreme])
-            ax.annotate(str(layout.id[extreme]), at, xytext=(3, 0), textcoords="offset points",
-                        fontsize=6.0, va="center")  # fmt: skip
+            name_point(ax, layout.id[extreme], numbers[extreme], alpha[extreme])
         ax.set_ylabel(ALPHA_LABEL)
         ax.margins(y=0.12)
         note = "bars: 3σ, readings"

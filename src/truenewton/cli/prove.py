@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
+
 import typer
 
 from truenewton.cli import options
@@ -18,9 +21,15 @@ def run(
     Exit code 1 if a system has not full rank or errs by more than 20 eps cond.
     """
     from truenewton.cli.terminal import print_json, print_table, track
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.known import p45
+    from truenewton.records.file import SUFFIXES, read_layout
     from truenewton.studies.proof import LIMIT, prove
 
-    known = options.mirror_or_file(mirror)
+    if mirror.endswith(SUFFIXES) and Path(mirror).exists():  # P45's numbers on another layout
+        known = dataclasses.replace(p45(), name=Path(mirror).name, layout=read_layout(mirror))
+    else:
+        known = mirror_from(mirror)
     proofs = [(s, p) for s in track(range(seed, seed + seeds), "proving") for p in prove(known, s)]
     passed = all(p.passed for _, p in proofs)
     worst = max(p.ratio for _, p in proofs)

@@ -5,6 +5,8 @@ Drawn at the width of a journal's column. Every call takes axes or makes its own
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
@@ -39,6 +41,12 @@ def mark_rings(ax: Axes, layout: Layout) -> None:
     for edge in ring_edges(layout):
         ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
     ax.set_xlabel(ring_label(layout))
+
+
+def name_point(ax: Axes, name: object, x: float, y: float, points: int = 3, **looks: Any) -> None:
+    """Write a name so many points to the right of a mark."""
+    ax.annotate(str(name), (x, y), xytext=(points, 0), textcoords="offset points", fontsize=6.0,
+                va="center", **looks)  # fmt: skip
 
 
 def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:

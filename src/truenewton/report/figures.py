@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.figures.maps import mark_rings, numbers_by_ring, plot_map
+from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring, plot_map
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
@@ -90,9 +90,7 @@ def plot_change(change: Change, ax: Axes | None = None) -> Axes:
         ax.plot(numbers, change.sigmas, "o", color=ACCENT, markersize=2.0)
         mark_rings(ax, layout)
         for far in change.changed[:10]:
-            at = (numbers[far], change.sigmas[far])
-            ax.annotate(str(layout.id[far]), at, xytext=(3, 0), textcoords="offset points",
-                        fontsize=6.0, va="center")  # fmt: skip
+            name_point(ax, layout.id[far], numbers[far], change.sigmas[far])
         ax.set_ylabel("change (sigma)")
         ax.set_title("band: chance alone, 1 % for all")
     return ax

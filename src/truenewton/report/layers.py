@@ -26,10 +26,10 @@ class Layer:
         For programs; for people; '' where there is none.
     values
         (n,), NaN where unknown.
-    texts
-        (n,) as people read them.
     meaning
         One sentence.
+    errors
+        (n,) how far the values are to be read; None for two digits of each.
     signed
         Whether zero is the middle of its colours.
     reach
@@ -40,8 +40,8 @@ class Layer:
     name: str
     unit: str
     values: Array
-    texts: tuple[str, ...]
     meaning: str
+    errors: Array | None = None
     signed: bool = False
     reach: float = float("nan")
 
@@ -49,6 +49,15 @@ class Layer:
     def title(self) -> str:
         """Name and unit."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """(n,) as people read them."""
+        if self.errors is not None:
+            return tuple(map(with_error, self.values.tolist(), self.errors.tolist()))
+        sign = "+" if self.signed else ""
+        values = self.values.tolist()
+        return tuple((sign if value > 0 else "") + significant(value) for value in values)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -79,30 +88,30 @@ def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
         raise ValueError("there is no calibration")
     layers = [
         alpha_layer(c, "alpha", "alpha"),
-        _plain("e_stat", "error from readings", "", c.reading_error,
-               "E_STAT: what the noise of the readings gives alpha, one sigma."),
-        _plain("e_alpha", "error, all", "", c.error,
-               "E_ALPHA: readings and weights together, one sigma."),
+        Layer("e_stat", "error from readings", "", c.reading_error,
+              "E_STAT: what the noise of the readings gives alpha, one sigma."),
+        Layer("e_alpha", "error, all", "", c.error,
+              "E_ALPHA: readings and weights together, one sigma."),
     ]  # fmt: skip
     if c.scale != Scale.MEAN_ONE:
         layers.append(
-            _plain("e_syst", "error from weights", "", c.systematic_error,
-                   "E_SYST: the errors of the weights, which move all alphas together.")
+            Layer("e_syst", "error from weights", "", c.systematic_error,
+                  "E_SYST: the errors of the weights, which move all alphas together.")
         )  # fmt: skip
     layers += [
-        _plain("e_cycle", "error of the paper", "", c.cycle_error,
-               "E_CYCLE: from the scatter of the cycles, three sigma."),
-        _plain("leverage", "leverage", "", _leverage(c),
-               "Share of the actuator in the noise of the balance; all together make 3. Where it"
-               " is small, a fault of the actuator is hard to see."),
+        Layer("e_cycle", "error of the paper", "", c.cycle_error,
+              "E_CYCLE: from the scatter of the cycles, three sigma."),
+        Layer("leverage", "leverage", "", _leverage(c),
+              "Share of the actuator in the noise of the balance; all together make 3. Where it"
+              " is small, a fault of the actuator is hard to see."),
     ]  # fmt: skip
     if evidence is not None:
         layers += [
-            _plain("residual", "residual", "", evidence.actuator_residual,
-                   "How far the imbalance pulls the actuator's reading, rms over rows, in terms"
-                   " of its noise; noise alone gives 1."),
-            _plain("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
-                   "Standard deviation of one reading among repeats of its shape."),
+            Layer("residual", "residual", "", evidence.actuator_residual,
+                  "How far the imbalance pulls the actuator's reading, rms over rows, in terms"
+                  " of its noise; noise alone gives 1."),
+            Layer("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
+                  "Standard deviation of one reading among repeats of its shape."),
         ]  # fmt: skip
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
@@ -113,11 +122,11 @@ def change_layers(change: Change) -> tuple[Layer, ...]:
     # Noise shall not look like a change, nor one large change hide the others.
     reach = float(np.clip(largest, change.limit, 3 * change.limit))
     return (
-        _plain("sigmas", "change", "sigma", change.sigmas,
-               "Change of alpha beside the common ratio, in terms of the readings' errors.",
-               signed=True, reach=reach),
-        _plain("relative", "change", "%", 100 * change.relative,
-               "Change of alpha beside the common ratio.", signed=True),
+        Layer("sigmas", "change", "sigma", change.sigmas,
+              "Change of alpha beside the common ratio, in terms of the readings' errors.",
+              signed=True, reach=reach),
+        Layer("relative", "change", "%", 100 * change.relative,
+              "Change of alpha beside the common ratio.", signed=True),
         alpha_layer(change.one, "alpha_one", "alpha, first"),
         alpha_layer(change.other, "alpha_other", "alpha, second"),
     )  # fmt: skip
@@ -125,25 +134,9 @@ def change_layers(change: Change) -> tuple[Layer, ...]:
 
 def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:
     """Return alpha, as far as the errors of the readings go."""
-    alpha, error = calibration.alpha, calibration.reading_error
-    texts = tuple(map(with_error, alpha.tolist(), error.tolist()))
-    meaning = "True Newton per commanded Newton, with the error from the readings (E_STAT)."
-    return Layer(key, name, "true N / commanded N", alpha, texts, meaning)
-
-
-def _plain(
-    key: str,
-    name: str,
-    unit: str,
-    values: Array,
-    meaning: str,
-    *,
-    signed: bool = False,
-    reach: float = float("nan"),
-) -> Layer:
-    sign = "+" if signed else ""
-    texts = tuple((sign if value > 0 else "") + significant(value) for value in values.tolist())
-    return Layer(key, name, unit, values, texts, meaning, signed, reach)
+    return Layer(key, name, "true N / commanded N", calibration.alpha,
+                 "True Newton per commanded Newton, with the error from the readings (E_STAT).",
+                 calibration.reading_error)  # fmt: skip
 
 
 def _leverage(c: Calibration) -> Array:

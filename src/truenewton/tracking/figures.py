@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from truenewton.figures.maps import mark_rings, numbers_by_ring
+from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
 from truenewton.figures.style import ACCENT, FAINT, INK, NAMED, styled_axes
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
@@ -70,10 +70,11 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
         ax.set_xlim(first, last + 0.06 * (last - first))  # room for names
         order = np.argsort(x)
         for one in np.flatnonzero(outlying):
-            ax.plot(shown_ends, PERCENT * slope[one] * ends, color=OUTLYING, linewidth=0.6)
+            line = PERCENT * slope[one] * ends
+            ax.plot(shown_ends, line, color=OUTLYING, linewidth=0.6)
             ax.errorbar(shown_x[order], y[order, one], yerr=error[order, one], fmt="o",
                         color=OUTLYING, markersize=2.0, elinewidth=0.6, capsize=1.5)  # fmt: skip
-            _name(ax, t.layout.id[one], shown_ends[1], PERCENT * slope[one] * ends[1], 2)
+            name_point(ax, t.layout.id[one], last, line[-1], 2, color=OUTLYING)
         ax.set_xlabel(label)
         ax.set_ylabel(r"change of $\alpha$ (%)")
         ax.set_title("band: family, mean ± 2 spreads")
@@ -112,7 +113,7 @@ def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes
                         capsize=1.2 if few else 0.0)  # fmt: skip
         mark_rings(ax, layout)
         for k in np.flatnonzero(outlying):
-            _name(ax, layout.id[k], numbers[k], PERCENT * values[k], 3)
+            name_point(ax, layout.id[k], numbers[k], PERCENT * values[k], 3, color=OUTLYING)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         ax.margins(y=0.12)
         ax.set_ylabel(LABEL[effect])
@@ -134,9 +135,3 @@ def _outlying(tracking: Tracking, effect: str) -> NDArray[np.bool_]:
     """Return (n,) who left the family by its effect, or lies on no line."""
     left = [one.actuator for one in tracking.outliers if one.effect in (effect, "line")]
     return np.isin(tracking.layout.id, left)
-
-
-def _name(ax: Axes, actuator: int, x: float, y: float, points: int) -> None:
-    """Write an actuator's ID so many points to the right of its mark."""
-    ax.annotate(str(actuator), (x, y), xytext=(points, 0), textcoords="offset points",
-                fontsize=6.0, va="center", color=OUTLYING)  # fmt: skip

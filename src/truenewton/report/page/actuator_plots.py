@@ -161,4 +161,3 @@ def _add_actuator_tools(plot: Plot, dots: Any, layers: tuple[Layer, ...]) -> Non
         BoxSelectTool(renderers=[dots]),
         LassoSelectTool(renderers=[dots]),
     )
-    plot.toolbar.active_drag = None
