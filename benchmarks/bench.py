@@ -27,8 +27,9 @@ from truenewton.bench.simulated.loop_campaign import rest_displacement, run_loop
 from truenewton.bench.simulated.static import StaticBench, run_cycles, static_bench
 from truenewton.figures.style import CURVES, INK, STYLE, new_axes
 from truenewton.mirrors.known import lbt672, mmt336, p45, ring
-from truenewton.mirrors.shell import fourier
-from truenewton.mirrors.shell.finite_elements import stiffness
+from truenewton.mirrors.shell.finite_elements.meshed_shell import meshed_shell
+from truenewton.mirrors.shell.fourier import RoundShell
+from truenewton.mirrors.shell.free_shell import stiffness
 
 TWO_SIGMA = 1.959964
 
@@ -48,10 +49,10 @@ def costs() -> None:
     at = mirror.shell.along(mirror.layout.x, mirror.layout.y)
     print("LBT672, stiffness between 672 actuators read by annulus sensors")
     shell, sensor = mirror.shell, mirror.sensor
-    series = timed("semi-analytic", lambda: fourier.stiffness(shell, *at, sensor=sensor))
+    series = timed("semi-analytic", lambda: stiffness(RoundShell(shell), at, sensor=sensor))
     mesh = timed(
         "finite elements of 15 mm",
-        lambda: stiffness.stiffness(shell, *at, mesh_size=15e-3, sensor=sensor),
+        lambda: stiffness(meshed_shell(shell, *at, mesh_size=15e-3), at, sensor=sensor),
     )
     one, other = (np.linalg.svd(k, compute_uv=False)[:-3] for k in (series, mesh))
     print(f"  their singular values agree to {np.abs(other / one - 1).max():.1e}")
@@ -206,9 +207,9 @@ def glass(path: str) -> None:
     measured = np.linalg.svd(matrix.stiffness, compute_uv=False)[::-1]
     flat = replace(mirror.shell, radius_of_curvature=np.inf)
     models = {
-        "model, curved, sensors": fourier.stiffness(mirror.shell, *at, sensor=mirror.sensor),
-        "model, curved, points": fourier.stiffness(mirror.shell, *at),
-        "model, flat, sensors": fourier.stiffness(flat, *at, sensor=mirror.sensor),
+        "model, curved, sensors": stiffness(RoundShell(mirror.shell), at, sensor=mirror.sensor),
+        "model, curved, points": stiffness(RoundShell(mirror.shell), at),
+        "model, flat, sensors": stiffness(RoundShell(flat), at, sensor=mirror.sensor),
     }
     ax = new_axes(0.8)
     with mpl.rc_context(STYLE):

@@ -4,11 +4,11 @@ import datetime
 import zlib
 
 import numpy as np
+from shells import stiffness
 
 from truenewton.bench.protocol import Reading, Status
 from truenewton.errors import BenchFault
 from truenewton.mirrors.known import ring
-from truenewton.mirrors.shell.fourier import stiffness
 
 START = datetime.datetime(2026, 5, 4, 9, 30, tzinfo=datetime.UTC)
 SMALL = ring(8)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stub_bench import SMALL, StubBench
 
 import truenewton as tn
-from truenewton.acquisition.limits import check_command
+from truenewton.acquisition.limits import Guard
 from truenewton.acquisition.plan import MirrorLimits, PlannedShapes
 from truenewton.bench.protocol import Shape
 from truenewton.errors import BenchFault, FormatError, LimitExceeded
@@ -116,7 +116,7 @@ def test_a_shape_beyond_a_limit_is_never_commanded(tmp_path, where, value, said)
     # Alone, whatever was checked before; off actuators have glass too.
     off = dataclasses.replace(SMALL.layout, enabled=np.arange(8) != where)
     with pytest.raises(LimitExceeded, match=f"{said}.*shape 2 . of cycle 1"):
-        check_command(MirrorLimits(), off, GAP, Shape(LOADS[0], 1, 2, 1, position), None)
+        Guard(MirrorLimits(), off, GAP).check_command(Shape(LOADS[0], 1, 2, 1, position), None)
     image = np.stack([np.full(8, 1e-7), position])
     write_shapes(tmp_path / "shapes.fits", image)
     bench, plan = StubBench(), small_plan(shapes=PlannedShapes(source="shapes.fits"))

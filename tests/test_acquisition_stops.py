@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,9 +22,9 @@ from stub_bench import StubBench
 
 import truenewton as tn
 from truenewton.acquisition.clock import SteadyClock, instant_of
-from truenewton.acquisition.folder import locked
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal
+from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import PlannedShapes
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.protocol import Shape
@@ -285,7 +286,7 @@ def test_two_runs_do_not_share_a_folder(tmp_path, whole):
 
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
     code = (
-        "import os, sys; from truenewton.acquisition.folder import locked\n"
+        "import os, sys; from truenewton.acquisition.lock import locked\n"
         "with locked(sys.argv[1]): print(os.getpid(), flush=True); os.kill(os.getpid(), 9)"
     )
     done = subprocess.run(
@@ -296,6 +297,27 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
     assert f"process {done.stdout.strip()} on" in (tmp_path / "c" / ".lock").read_text()
     with locked(tmp_path / "c"):
         assert f"process {os.getpid()} on" in (tmp_path / "c" / ".lock").read_text()
+
+
+def test_without_fcntl_the_lock_is_that_of_windows(tmp_path, monkeypatch):
+    """A byte that msvcrt locks, beyond those that say who holds it; feigned by flock."""
+    import fcntl
+
+    def locking(handle, mode, size):
+        assert (mode, size, os.lseek(handle, 0, os.SEEK_CUR) > 200) == (2, 1, True)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise PermissionError(13, "Permission denied") from error
+
+    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(locking=locking, LK_NBLCK=2))
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with locked(tmp_path / "c") as folder:
+        assert f"process {os.getpid()} on" in (folder / ".lock").read_text()
+        with pytest.raises(OutputFailed, match=f"another run writes here .process {os.getpid()}"):
+            locked(folder).__enter__()
+    with locked(folder):
+        pass
 
 
 def test_a_finished_campaign_is_left_alone(tmp_path, whole):

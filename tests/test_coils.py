@@ -1,20 +1,11 @@
-"""Coils and magnets: forces, their signs, steps and limits; currents and powers."""
+"""Coils and magnets: forces, their signs, steps and limits."""
 
 import numpy as np
 import pytest
 
-from truenewton.bench.simulated.coils import (
-    Coils,
-    bias_force,
-    current,
-    dac,
-    gain,
-    power,
-    saturated,
-    true_force,
-)
+from truenewton.bench.simulated.coils import Coils, dac, gain, saturated, true_force
 
-COILS = Coils(alpha=np.array([0.7, 0.9, 1.1]), bias_force=np.array([0.095, 0.097, 0.1]))
+COILS = Coils(alpha=np.array([0.7, 0.9, 1.1]))
 
 
 def test_true_force_is_alpha_times_command_on_the_flat_mirror_at_20_degrees():
@@ -23,15 +14,11 @@ def test_true_force_is_alpha_times_command_on_the_flat_mirror_at_20_degrees():
     assert true_force(COILS, command, np.zeros((3, 2))) == pytest.approx(np.array(expected))
 
 
-def test_a_wider_gap_weakens_the_coil_and_the_bias_magnet():
-    """-0.6 % for 10 um and -31 N/m of gap; the plate is above, so that +z narrows the gap."""
+def test_a_wider_gap_weakens_the_coil():
+    """-0.6 % for 10 um of gap; the plate is above, so that +z narrows the gap."""
     command, lower = np.full((3, 1), 0.4), np.full((3, 1), -10e-6)
     flat = true_force(COILS, command, 0 * lower)
     assert true_force(COILS, command, lower) == pytest.approx(0.994 * flat, rel=1e-12)
-    assert bias_force(COILS, lower) - bias_force(COILS, 0 * lower) == pytest.approx(
-        np.full((3, 1), -310e-6), rel=1e-9
-    )
-    assert bias_force(COILS, 0 * lower)[:, 0] == pytest.approx(COILS.bias_force)
 
 
 def test_magnets_lose_force_with_temperature_column_by_column():
@@ -60,19 +47,3 @@ def test_more_than_0_8_newton_is_flagged_and_clipped_either_sign():
     told = dac(COILS, wanted)
     assert told[:2, 1] == pytest.approx([0.8, -0.8], abs=41.6e-6)
     assert np.nanmax(np.abs(told)) <= 0.8
-
-
-def test_current_and_power():
-    force = np.array([[1.405], [0.51], [-0.51]])
-    assert current(COILS, force)[:, 0] == pytest.approx([1.0, 0.51 / 1.405, -0.51 / 1.405])
-    assert power(COILS, force)[1:, 0] == pytest.approx([1.0, 1.0])
-    assert power(COILS, force, 30.0)[1:, 0] == pytest.approx([1.039, 1.039])
-    # I^2 R of the bare coil, 6.63 Ohm, is less than what the drivers give.
-    ohmic = 6.63 * current(COILS, force) ** 2
-    assert np.all(ohmic < power(COILS, force))
-    assert np.all(ohmic > 0.8 * power(COILS, force))
-
-
-def test_power_takes_a_temperature_a_column():
-    force = np.full((3, 2), 0.51)
-    assert power(COILS, force, [20.0, 120.0])[0] == pytest.approx([1.0, 1.39])

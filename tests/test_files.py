@@ -560,3 +560,15 @@ def test_a_folder_comes_back_where_its_replacement_fails(tiny, tmp_path, monkeyp
         write_campaign(tiny.cycles[:1], tmp_path / "c", overwrite=True)
     assert same(read(tmp_path / "c"), Campaign(tiny.cycles))
     assert list(tmp_path.iterdir()) == [tmp_path / "c"]
+
+
+def test_degrees_of_freedom_may_be_a_float(tiny, tmp_path):
+    """As another program may have written them."""
+    path = tmp_path / "alpha.fits"
+    calibrate(Campaign(tiny.cycles)).write(path)
+    with fits.open(path, mode="update") as hdus:
+        dof = hdus[0].header["DOF"]
+        hdus[0].header["DOF"] = float(dof)
+    for name in ("CHECKSUM", "DATASUM"):
+        fits.delval(path, name)
+    assert read(path).degrees_of_freedom == dof

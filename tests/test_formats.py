@@ -13,7 +13,14 @@ from truenewton.records.file import CYCLE, STIFFNESS
 from truenewton.tracking.file import TRACKING
 
 DOCS = Path(__file__).parents[1] / "docs" / "files.md"
-KINDS = {"str": "text", "date": "date", "int": "integer", "bool": "logical", "float": "number"}
+KINDS = {
+    "str": "text",
+    "date": "date",
+    "int": "integer",
+    "count": "integer",
+    "bool": "logical",
+    "float": "number",
+}
 FORMATS = {
     "The cycle file": CYCLE,
     "The stiffness file": STIFFNESS,

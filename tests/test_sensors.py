@@ -5,7 +5,6 @@ import pytest
 
 from truenewton.bench.simulated.sensors import (
     Sensors,
-    count_step,
     counts,
     draw_sensors,
     out_of_range,
@@ -21,6 +20,11 @@ def law(count):
     return 65e-6 / (2 * count / 65536 - 0.1364)
 
 
+def count_step(distance):
+    """Change of distance that one count means [m]: the slope of the law."""
+    return distance**2 * 2 / (65e-6 * 65536)
+
+
 def test_the_law_gives_back_the_distance_within_half_a_count():
     distance = np.linspace(36e-6, 120e-6, 5001)[None, :]
     counted = counts(IDEAL, GAP - distance)
@@ -28,14 +32,14 @@ def test_the_law_gives_back_the_distance_within_half_a_count():
     assert law(counted) == pytest.approx(GAP - reading(IDEAL, counted), rel=1e-12)
     error = np.abs(law(counted) - distance)
     assert np.all(error <= 0.501 * distance**2 * 2 / (65e-6 * 65536))
-    assert error.max() > 0.4 * count_step(IDEAL, 120e-6)
+    assert error.max() > 0.4 * count_step(120e-6)
 
 
 def test_one_count_is_2_2_nanometres_at_68_micrometres():
     near = counts(IDEAL, np.zeros((1, 1)))
     step = (reading(IDEAL, near + 1) - reading(IDEAL, near)).item()
     assert step == pytest.approx(2.17e-9, abs=0.01e-9)  # up, toward the plate: more counts
-    assert count_step(IDEAL, GAP) == pytest.approx(step, rel=1e-4)
+    assert count_step(GAP) == pytest.approx(step, rel=1e-4)
 
 
 def test_true_displacement_is_gain_times_what_the_reading_changes_by():
@@ -49,7 +53,7 @@ def test_true_displacement_is_gain_times_what_the_reading_changes_by():
 def test_a_sample_scatters_by_noise_and_rounding():
     noise = np.random.default_rng(2).standard_normal((1, 100_000))
     read = reading(IDEAL, counts(IDEAL, np.zeros((1, 100_000)), noise))
-    expected = np.hypot(3e-9, count_step(IDEAL, GAP) / np.sqrt(12))
+    expected = np.hypot(3e-9, count_step(GAP) / np.sqrt(12))
     assert read.std() == pytest.approx(expected, rel=0.01)
     assert abs(read.mean()) < 4 * expected / np.sqrt(100_000)
 

@@ -7,13 +7,15 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import iv, ivp, jv, jvp
+from shells import influence, stiffness, uniform_influence
 
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.condensation import condense
-from truenewton.mirrors.shell.fourier import influence, stiffness, uniform_influence
-from truenewton.mirrors.shell.moving_mass import condensed_mass, influence_functions
-from truenewton.statics.layout import rings
+from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.shell.moving_mass import moving_mass
+from truenewton.statics.layout import layout, rings
 
 FLAT = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
 GLASS = replace(FLAT, radius_of_curvature=2.0)
@@ -109,34 +111,32 @@ def test_stiffness_by_readings_is_that_by_displacements_read():
 # --- shapes and mass -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sensor", [None, ELECTRODE])
-def test_influence_functions_read_one_and_nought(sensor):
-    shapes = influence_functions(GLASS, X, Y, (X, Y), sensor=sensor)
-    at = (np.array([20e-3, 60e-3, -125e-3]), np.array([0.0, 33e-3, 0.0]))
-    beside = influence_functions(GLASS, X, Y, at, sensor=sensor)
-    if sensor is None:
-        assert shapes == pytest.approx(np.eye(LAYOUT.n), abs=1e-9)
-    else:
-        round_first = around((X[0], Y[0]), 0.01025)
-        reads = influence_functions(GLASS, X, Y, round_first, sensor=Annulus(0.01025, 0.01025))
-        assert reads.mean(axis=0) == pytest.approx(np.eye(LAYOUT.n)[0], abs=1e-9)
-    assert beside.sum(axis=1) == pytest.approx(1, abs=1e-11)
-    assert beside @ TILTS[1:].T == pytest.approx(np.array(at).T, abs=1e-12)
-    assert influence_functions(GLASS, X, Y, (np.zeros(0), np.zeros(0))).shape == (0, LAYOUT.n)
+def moved(shell, at, sensor, puck, magnet_mass):
+    """Return stiffness, mass and motion of the pucks of a mirror with its actuators along it."""
+    shorter = np.sinc(np.hypot(at.x, at.y) / shell.radius_of_curvature / np.pi)
+    at = layout(shorter * at.x, shorter * at.y)
+    glass = held_glass(
+        replace(
+            ring(4), layout=at, shell=shell, sensor=sensor, puck_radius=puck,
+            magnet_mass=magnet_mass,
+        )
+    )  # fmt: skip
+    return glass.stiffness, *moving_mass(glass)
 
 
 @pytest.mark.parametrize(("sensor", "puck"), [(None, 0.0), (ELECTRODE, 0.0), (ELECTRODE, 5e-3)])
 def test_mass_of_rigid_motions_is_that_of_glass_and_magnets(sensor, puck):
-    M = condensed_mass(GLASS, X, Y, 2.75e-3, sensor=sensor, puck_radius=puck)
+    _, M, S = moved(GLASS, LAYOUT, sensor, puck, 2.75e-3)
     a, b = GLASS.inner_radius, GLASS.outer_radius
     glass = GLASS.mass * np.diag([1.0, (a**2 + b**2) / 4, (a**2 + b**2) / 4])
     assert pytest.approx(glass + 2.75e-3 * TILTS @ TILTS.T, abs=1e-12) == TILTS @ M @ TILTS.T
     assert np.array_equal(M, M.T)
     assert np.linalg.eigvalsh(M).min() > 0
+    assert pytest.approx(TILTS.T, abs=1e-12) == S @ TILTS.T
 
 
 def test_magnets_stand_on_the_diagonal_where_points_are_read():
-    with_magnets, without = (condensed_mass(FLAT, X, Y, m) for m in (3e-3, 0.0))
+    with_magnets, without = (moved(FLAT, LAYOUT, None, 0.0, m)[1] for m in (3e-3, 0.0))
     assert with_magnets - without == pytest.approx(3e-3 * np.eye(LAYOUT.n), abs=1e-15)
 
 
@@ -162,7 +162,8 @@ def test_frequencies_of_a_free_disc():
     """K and M against the closed form, from above as Rayleigh and Ritz want it."""
     disc = Shell(inner_radius=1e-4, outer_radius=0.12, thickness=1.6e-3, poisson_ratio=0.33)
     many = rings(list(np.linspace(0.008, 0.1185, 8)), list(6 * np.arange(1, 9)))
-    K, M = stiffness(disc, many.x, many.y), condensed_mass(disc, many.x, many.y, 0.0)
+    K, M, _ = moved(disc, many, None, 0.0, 0.0)
+    K = 0.5 * (K + K.T)
     per_mass = disc.density * disc.thickness / disc.bending_stiffness
     got = np.sqrt(eigh(K, M, eigvals_only=True)[3:8] * per_mass) * disc.outer_radius**2
     between = {2: (2.0, 2.6), 0: (2.6, 3.3), 3: (3.2, 3.8)}

@@ -6,29 +6,28 @@ import hashlib
 import os
 import platform
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 
-from truenewton.acquisition.clock import SteadyClock
 from truenewton.acquisition.folder import (
     PLAN,
     begin_or_resume,
+    cycle_names,
     finished_cycles,
-    locked,
     refuse_shared_names,
 )
 from truenewton.acquisition.interruption import Interruption
-from truenewton.acquisition.limits import check_shapes
+from truenewton.acquisition.limits import Guard
+from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
 from truenewton.acquisition.progress import Nobody, Onlooker
-from truenewton.acquisition.run import Run, take_all
-from truenewton.acquisition.run_log import run_log
-from truenewton.acquisition.shapes import planned_shapes
+from truenewton.acquisition.run import Count, Run, Written, take_all
+from truenewton.acquisition.run_log import RunLog
+from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.acquisition.taker import Taker
 from truenewton.bench.protocol import Bench, Operator
 from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
 from truenewton.mirrors.known import Mirror
-from truenewton.records.file import cycle_name
 
 
 def acquire(
@@ -81,35 +80,30 @@ def acquire(
     mirror = planned_mirror(plan, beside)
     refuse_shared_names(plan)
     _check_agreement(bench, mirror)
-    who = operator or (bench if isinstance(bench, Operator) else None)
-    if who is None:
+    operator = operator or (bench if isinstance(bench, Operator) else None)
+    if operator is None:
         raise BenchFault("nobody puts the loads on", remedy="give an operator")
-    seen = onlooker or Nobody()
-    with Interruption() as interruption, locked(folder) as place:
-        shapes = begin_or_resume(place, plan, beside, lambda: planned_shapes(plan, mirror, beside))
-        check_shapes(plan, mirror.layout, bench.gap, shapes)
-        complete = finished_cycles(place, plan, mirror, 2 * len(shapes))
-        files = tuple(
-            place / cycle_name(load, k + 1) for load in plan.loads for k in range(plan.cycles)
+    with Interruption() as interruption, locked(folder) as folder:
+        shapes = begin_or_resume(
+            folder, plan, beside, lambda: shapes_and_forces(plan, mirror, beside)[0]
         )
+        Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
+        rows = 2 * len(shapes)
+        complete = finished_cycles(folder, plan, mirror, rows)
+        files = tuple(folder / name for name in cycle_names(plan))
         if len(complete) == len(files):
             return files
-        with run_log(place) as log:
+        with closing(RunLog(folder)) as log:
+            taker = Taker(bench, plan, log, onlooker or Nobody(), interruption)
             run = Run(
-                bench=bench,
                 plan=plan,
                 mirror=mirror,
                 shapes=shapes,
-                folder=place,
-                operator=who,
-                onlooker=seen,
-                interruption=interruption,
-                log=log,
-                taker=Taker(bench, plan, log, seen, interruption),
-                clock=SteadyClock(max((each.end for each in complete.values()), default=None)),
-                complete=complete,
-                known={key: each.total for (key, _), each in complete.items()},
-                done=len(complete) * 2 * len(shapes),
+                folder=folder,
+                operator=operator,
+                taker=taker,
+                count=Count(done=len(complete) * rows),
+                written=Written(complete),
             )
             _note_start(run)
             with _at_rest_in_the_end(run):
@@ -134,21 +128,21 @@ def _note_start(run: Run) -> None:
     from importlib.metadata import version
 
     plan = (run.folder / PLAN).read_bytes()
-    run.log.note(
+    run.taker.log.note(
         "start",
         truenewton=version("truenewton"),
         python=platform.python_version(),
         host=platform.node(),
         process=os.getpid(),
-        bench=type(run.bench).__name__,
+        bench=type(run.taker.bench).__name__,
         kind=run.plan.bench.kind,
         address=run.plan.bench.address,
-        instrument=run.bench.instrument,
-        actuators=run.bench.layout.n,
-        gap=run.bench.gap,
+        instrument=run.taker.bench.instrument,
+        actuators=run.taker.bench.layout.n,
+        gap=run.taker.bench.gap,
         plan=hashlib.sha256(plan).hexdigest(),
         shapes=hashlib.sha256(run.shapes.tobytes()).hexdigest(),
-        complete=len(run.complete),
+        complete=len(run.written.cycles),
     )
 
 
@@ -159,26 +153,26 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
         yield
         run.taker.rest()
     except BaseException as error:
-        run.log.last_words("stop", error=type(error).__name__, why=str(error))
+        run.taker.log.last_words("stop", error=type(error).__name__, why=str(error))
         try:
-            run.bench.rest()
+            run.taker.bench.rest()
         except BenchFault as fault:
-            run.log.last_words("not at rest", fault=fault.fault)
+            run.taker.log.last_words("not at rest", fault=fault.fault)
             raise BenchFault(
                 f"the mirror may not be at rest ({fault.fault}), after: {error}",
                 remedy="see to the bench; the same command goes on with the campaign",
                 path=run.folder,
             ) from error
-        run.log.last_words("rest")
+        run.taker.log.last_words("rest")
         if isinstance(error, TrueNewtonError):
             raise _with_way_on(error, run.folder) from error
         raise
-    run.log.note("complete", invalid=run.invalid)
+    run.taker.log.note("complete", invalid=run.count.invalid)
 
 
 def _with_way_on(error: TrueNewtonError, folder: Path) -> TrueNewtonError:
     """Return an error that also says what became of mirror and data, and how to go on."""
     then = "the mirror is at rest, what was taken is kept; the same command goes on"
-    told = f"{error.remedy}; {then}" if error.remedy else then
-    again = type(error)(error.fault, remedy=told, path=error.path, got=error.got, want=error.want)
+    remedy = f"{error.remedy}; {then}" if error.remedy else then
+    again = type(error)(error.fault, remedy=remedy, path=error.path, got=error.got, want=error.want)
     return located(again, folder)

@@ -1,14 +1,11 @@
-"""A campaign's folder: one run at a time, one plan for good, and what is complete already."""
+"""A campaign's folder: one plan for good, and what is complete already."""
 
 from __future__ import annotations
 
-import contextlib
 import difflib
-import fcntl
 import hashlib
 import os
-import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,17 +22,16 @@ from truenewton.errors import (
     CampaignMismatch,
     FormatError,
     OutputExists,
-    OutputFailed,
     UnreadableFile,
 )
 from truenewton.files.fits import read_fits
-from truenewton.files.outputs import file_beside, in_one_line, new_folder, to_disk
+from truenewton.files.outputs import file_beside, in_one_line, to_disk
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
 
-PLAN, SHAPES, LOCK = "plan.toml", ".shapes.npy", ".lock"
+PLAN, SHAPES = "plan.toml", ".shapes.npy"
 SHOWN = 8  # lines of a difference
 
 
@@ -49,45 +45,10 @@ class Finished:
         Its last instant [us since 1970, UTC].
     total
         Mean over its shapes of the sum of the forces [N]: the elastic ones cancel.
-    invalid
-        Number of rows that are not valid.
     """
 
     end: int
     total: float
-    invalid: int
-
-
-@contextlib.contextmanager
-def locked(folder: str | os.PathLike[str]) -> Iterator[Path]:
-    """Make a campaign's folder where it is not there yet, and keep it for this run alone.
-
-    The lock is the system's: it goes with the process that holds it, however that ends.
-
-    Raises
-    ------
-    OutputFailed
-        It cannot be written, or another run is at it.
-    """
-    folder = Path(folder)
-    new_folder(folder)
-    path = folder / LOCK
-    with in_one_line(folder):
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = os.read(handle, 200).decode(errors="replace").strip() or "another process"
-            raise OutputFailed(
-                f"another run writes here ({holder})", remedy="let it end first", path=folder
-            ) from None
-        with in_one_line(folder):
-            os.ftruncate(handle, 0)
-            os.pwrite(handle, f"process {os.getpid()} on {socket.gethostname()}\n".encode(), 0)
-        yield folder
-    finally:
-        os.close(handle)
 
 
 def plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
@@ -106,7 +67,8 @@ def begin_or_resume(
 ) -> Array:
     """Keep plan and shapes in a folder that has none; else return the shapes that it has.
 
-    Shapes are never made twice: modes of one stiffness may come out turned on another machine.
+    They are (shapes, n) displacements [m], and never made twice: modes of one stiffness may come
+    out turned on another machine.
 
     Raises
     ------
@@ -145,10 +107,10 @@ def refuse_other_plan(folder: str | os.PathLike[str], text: str) -> None:
     path = Path(folder) / PLAN
     plan = toml_text(read_plan(path))  # as this version writes it, defaults included
     notes = [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
-    kept = "\n".join([*notes, plan])
-    if kept == text:
+    begun = "\n".join([*notes, plan])
+    if begun == text:
         return
-    lines = list(difflib.unified_diff(kept.splitlines(), text.splitlines(), n=0, lineterm=""))
+    lines = list(difflib.unified_diff(begun.splitlines(), text.splitlines(), n=0, lineterm=""))
     changed = [line for line in lines[2:] if not line.startswith("@@") and line[1:].strip()]
     more = f" and {len(changed) - SHOWN} lines more" if len(changed) > SHOWN else ""
     raise CampaignMismatch(
@@ -172,8 +134,7 @@ def _read_shapes(path: Path) -> Array:
 
 def _sweep(folder: Path, plan: CampaignPlan) -> None:
     """Remove what a killed run left half-written."""
-    names = [PLAN, SHAPES]
-    names += [cycle_name(load, k + 1) for load in plan.loads for k in range(plan.cycles)]
+    names = [PLAN, SHAPES, *cycle_names(plan)]
     with in_one_line(folder):
         left = {path.name: path for path in folder.iterdir() if path.name.startswith(".")}
         for name in names:
@@ -184,8 +145,12 @@ def _sweep(folder: Path, plan: CampaignPlan) -> None:
 
 def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:
     """Tell whether a folder that was begun with a plan holds all its cycles."""
-    names = [cycle_name(load, k + 1) for load in plan.loads for k in range(plan.cycles)]
-    return all((Path(folder) / name).exists() for name in (PLAN, *names))
+    return all((Path(folder) / name).exists() for name in (PLAN, *cycle_names(plan)))
+
+
+def cycle_names(plan: CampaignPlan) -> list[str]:
+    """Return the names of the cycle files of a plan, in its order."""
+    return [cycle_name(load, k + 1) for load in plan.loads for k in range(plan.cycles)]
 
 
 def finished_cycles(
@@ -202,7 +167,7 @@ def finished_cycles(
     CampaignMismatch
         It is of another campaign.
     """
-    found = {}
+    complete = {}
     for load in plan.loads:
         for number in range(1, plan.cycles + 1):
             path = folder / cycle_name(load, number)
@@ -222,8 +187,8 @@ def finished_cycles(
                 )
             with in_one_line(folder):  # that of a run which was killed before it could do so
                 journal_path(folder, load, number).unlink(missing_ok=True)
-            found[load.key, number] = finished(cycle)
-    return found
+            complete[load.key, number] = finished(cycle)
+    return complete
 
 
 def finished(cycle: Cycle) -> Finished:
@@ -232,7 +197,7 @@ def finished(cycle: Cycle) -> Finished:
     total = sum_at_rest(
         cycle.layout, static_force(np.asarray(cycle.force), cycle.sign, cycle.valid)
     )
-    return Finished(end, total, int((~cycle.valid).sum()))
+    return Finished(end, total)
 
 
 def static_force(force: Array, sign: NDArray[Any], valid: NDArray[Any]) -> Array:

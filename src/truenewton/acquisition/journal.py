@@ -71,7 +71,8 @@ class Journal:
         self.load, self.number, self.form = load, number, record_type(n)
         self._head = f"truenewton journal {VERSION}: {load.key!r}, cycle {number}, {n}\n".encode()
         with in_one_line(self.path):
-            self._handle = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            binary = getattr(os, "O_BINARY", 0)  # Windows would write every \n as two bytes
+            self._handle = os.open(self.path, os.O_RDWR | os.O_CREAT | binary, 0o666)
             try:
                 self.count, self.dropped = self._sound()
             except BaseException:
@@ -127,7 +128,7 @@ class Journal:
         self.count += 1
 
     def rows(self) -> NDArray[Any]:
-        """Return the records so far, as they lie on the disk."""
+        """Return the (count,) records so far, as they lie on the disk; see `record_type`."""
         if not self.count:
             return np.zeros(0, dtype=self.form)
         offset = len(self._head)
@@ -135,7 +136,7 @@ class Journal:
             return np.memmap(self.path, self.form, "r", offset=offset, shape=(self.count,))
 
     def check_order(self, shape: NDArray[np.int64], sign: NDArray[np.int64]) -> None:
-        """Refuse records that are not the first of those planned.
+        """Refuse records that are not the first of the (N,) shapes and signs planned.
 
         Raises
         ------

@@ -56,7 +56,7 @@ def judge(
     weight: float,
     loads: Iterable[Load],
     load: Load,
-    known: Mapping[str, float],
+    rest_sums: Mapping[str, float],
     total: float,
     error: float = 0.0,
 ) -> LoadVerdict:
@@ -70,7 +70,7 @@ def judge(
         All loads of the plan.
     load
         The one that should be on.
-    known
+    rest_sums
         Sums at rest under the loads that were on before [N], by key, with this one's own if it was.
     total, error
         The sum now, and its standard deviation [N].
@@ -88,11 +88,11 @@ def judge(
         return LoadVerdict(
             None, f"the loads differ by {smallest:.3g} N, too little to tell them apart"
         )
-    told = [key for key in known if key == load.key or step[key]]
-    if not told:
+    compared = [key for key in rest_sums if key == load.key or step[key]]
+    if not compared:
         return LoadVerdict(None, "no other load to compare with yet: taken on trust")
-    for key in told:
-        change, name = total - known[key], by_key[key].name
+    for key in compared:
+        change, name = total - rest_sums[key], by_key[key].name
         if key == load.key:
             if abs(change) > SAME * smallest:
                 return LoadVerdict(
@@ -106,5 +106,5 @@ def judge(
                 f"the sum of the forces changed by {change:.4g} N from '{name}', where"
                 f" {step[key]:.4g} N are due ({low:.0f} to {high:.0f} % of it)",
             )
-    names = ", ".join(f"'{by_key[key].name}'" for key in told)
+    names = ", ".join(f"'{by_key[key].name}'" for key in compared)
     return LoadVerdict(True, f"the sum of the forces is {total:.4g} N, as due beside {names}")

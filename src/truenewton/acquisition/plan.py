@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.resources
 import os
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,11 @@ from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.known import Mirror
 from truenewton.statics.load import Load, check_load
+
+POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "limits.displacement",
+            "limits.saturation")  # fmt: skip
+NOT_NEGATIVE = ("settling", "pause", "limits.gap", "shapes.count", "bench.seed",
+                "bench.force_noise")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -107,20 +113,11 @@ class CampaignPlan:
             if not low <= getattr(self, name) <= high:
                 raise _wrong(name, getattr(self, name), f"give {low} to {high}")
         shapes, limits, bench = self.shapes, self.limits, self.bench
-        for name, value in (
-            ("force_noise", self.force_noise), ("shapes.stroke", shapes.stroke),
-            ("shapes.force", shapes.force), ("limits.force", limits.force),
-            ("limits.displacement", limits.displacement), ("limits.saturation", limits.saturation),
-        ):  # fmt: skip
-            if not 0 < value < np.inf:
-                raise _wrong(name, value, "give a positive number")
-        for name, value in (
-            ("settling", self.settling), ("pause", self.pause), ("limits.gap", limits.gap),
-            ("shapes.count", shapes.count), ("bench.seed", bench.seed),
-            ("bench.force_noise", bench.force_noise),
-        ):  # fmt: skip
-            if not 0 <= value < np.inf:
-                raise _wrong(name, value, "give zero or more")
+        for name in (*POSITIVE, *NOT_NEGATIVE):
+            value = attrgetter(name)(self)
+            if not 0 <= value < np.inf or (value == 0 and name in POSITIVE):
+                remedy = "give a positive number" if name in POSITIVE else "give zero or more"
+                raise _wrong(name, value, remedy)
         if not limits.temperature[0] < limits.temperature[1]:
             raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
         if bench.kind not in KINDS:

@@ -9,7 +9,6 @@ import math
 import os
 import re
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +32,9 @@ class RunLog:
     def __init__(self, folder: Path) -> None:
         with in_one_line(folder):
             numbers = [
-                int(found[1])
+                int(name[1])
                 for path in folder.iterdir()
-                if (found := re.fullmatch(r"run-(\d+)\.jsonl", path.name))
+                if (name := re.fullmatch(r"run-(\d+)\.jsonl", path.name))
             ]
             self.path = folder / f"run-{max(numbers, default=0) + 1:03d}.jsonl"
             flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND
@@ -64,16 +63,6 @@ class RunLog:
     def close(self) -> None:
         """Close the file."""
         os.close(self._handle)
-
-
-@contextlib.contextmanager
-def run_log(folder: Path) -> Iterator[RunLog]:
-    """Open the log of a run."""
-    log = RunLog(folder)
-    try:
-        yield log
-    finally:
-        log.close()
 
 
 def _plain(value: Any) -> Any:

@@ -9,51 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.acquisition.plan import CampaignPlan, PlannedShapes
+from truenewton.acquisition.plan import CampaignPlan
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.shapes import scaled_modes
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.records.file import is_stiffness_file, stiffness_from
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import stiffness_modes
-
-
-def scaled_shapes(modes: Array, stiffness: Array, shapes: PlannedShapes) -> Array:
-    """Return modes as large as stroke and force allow.
-
-    Parameters
-    ----------
-    modes
-        (m, n) displacements, softest first.
-    stiffness
-        (n, n) force per displacement [N/m].
-    shapes
-        The limits.
-
-    Returns
-    -------
-    numpy.ndarray
-        (count, n) [m].
-    """
-    chosen = modes[: shapes.count or None]
-    force = np.abs(chosen @ stiffness.T).max(axis=1)
-    stroke = np.abs(chosen).max(axis=1)
-    limit = np.minimum(shapes.stroke / stroke, shapes.force / np.maximum(force, 1e-300))
-    return np.asarray(chosen * limit[:, None])
-
-
-def planned_shapes(
-    plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str] = "."
-) -> Array:
-    """Return the (shapes, n) displacements of a plan [m], each to be taken with both signs.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
-    return shapes_and_forces(plan, mirror, folder)[0]
 
 
 def expected_alpha(mirror: Mirror) -> float:
@@ -85,8 +50,7 @@ def shapes_and_forces(
     if plan.shapes.source == "modes":
         true = model_stiffness(mirror)
         modes = stiffness_modes(true).modes.T
-        scaled = scaled_shapes(modes, true, plan.shapes)
-        return _spread(scaled, true / expected_alpha(mirror), on)
+        return _spread(_scaled(modes, true, plan), true / expected_alpha(mirror), on)
     file = read_fits(path)
     if is_stiffness_file(file):
         matrix = stiffness_from(file)
@@ -98,7 +62,7 @@ def shapes_and_forces(
             )
         measured = matrix.used_stiffness
         modes = np.linalg.svd(measured)[2][::-1]
-        return _spread(scaled_shapes(modes, measured, plan.shapes), measured, on)
+        return _spread(_scaled(modes, measured, plan), measured, on)
     shapes = file.pixels("SHAPES", "m")
     if shapes.ndim != 2 or shapes.shape[1] != on.size or not len(shapes):
         raise FormatError(
@@ -108,6 +72,12 @@ def shapes_and_forces(
     if not np.isfinite(chosen).all():
         raise FormatError("SHAPES holds NaN or inf", remedy="correct it", path=path)
     return _spread(chosen, model_stiffness(mirror) / expected_alpha(mirror), on)
+
+
+def _scaled(modes: Array, stiffness: Array, plan: CampaignPlan) -> Array:
+    """Return as many modes as planned, as large as planned."""
+    shapes = plan.shapes
+    return scaled_modes(modes[: shapes.count or None], stiffness, shapes.stroke, shapes.force)
 
 
 def shapes_are_given(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> bool:
@@ -124,8 +94,8 @@ def model_stiffness(mirror: Mirror) -> Array:
 def with_enabled_only(mirror: Mirror) -> Mirror:
     """Return the mirror without its disabled actuators."""
     layout, on = mirror.layout, mirror.layout.enabled
-    kept = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
-    return replace(mirror, layout=kept)
+    enabled = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
+    return replace(mirror, layout=enabled)
 
 
 def _spread(shapes: Array, stiffness: Array, on: NDArray[np.bool_]) -> tuple[Array, Array]:

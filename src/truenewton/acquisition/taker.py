@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.acquisition.interruption import Interruption
-from truenewton.acquisition.limits import (
-    check_command,
-    check_reading,
-    largest_force,
-    said,
-    smallest_gap,
-)
+from truenewton.acquisition.limits import Guard, shape_name
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.acquisition.progress import Onlooker
 from truenewton.acquisition.run_log import RunLog
@@ -50,6 +44,12 @@ class Taker:
 
     Attributes
     ----------
+    bench, plan
+        Whom it commands, and what says how.
+    log, onlooker, interruption
+        As given: who hears of it, and whether someone asked to stop.
+    guard
+        Over the limits of the plan.
     largest_force, smallest_gap
         So far [N], [m].
     """
@@ -62,15 +62,15 @@ class Taker:
         onlooker: Onlooker,
         interruption: Interruption,
     ) -> None:
-        self._bench, self._plan, self._log = bench, plan, log
-        self._onlooker, self._interruption = onlooker, interruption
-        self._layout, self._gap = bench.layout, bench.gap
+        self.bench, self.plan, self.log = bench, plan, log
+        self.onlooker, self.interruption = onlooker, interruption
+        self.guard = Guard(plan.limits, bench.layout, bench.gap)
         self._counter: int | None = None
         self._sound: tuple[Shape, Reading] | None = None  # the last
         self.largest_force, self.smallest_gap = 0.0, bench.gap
 
     def take(self, shape: Shape, forecast: Array | None = None) -> Taken:
-        """Command a shape and read it, a few times if need be.
+        """Command a shape, (n,) forces [N] forecast, and read it, a few times if need be.
 
         Raises
         ------
@@ -81,7 +81,7 @@ class Taker:
         Interrupted
             Someone asked to stop while the bench was gone.
         """
-        check_command(self._plan.limits, self._layout, self._gap, shape, forecast)
+        self.guard.check_command(shape, forecast)
         reading, fault = None, ""
         for attempt in range(1, ATTEMPTS + 1):
             self._await_bench()
@@ -95,8 +95,8 @@ class Taker:
                 if not fault:
                     self._sound = shape, reading
                     break
-            self._log.note("not sound", **described(shape), attempt=attempt, fault=fault)
-            self._onlooker.say(f"{said(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
+            self.log.note("not sound", **shape_fields(shape), attempt=attempt, fault=fault)
+            self.onlooker.say(f"{shape_name(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
         return Taken(reading, fault)
 
     def rest(self) -> None:
@@ -109,51 +109,50 @@ class Taker:
         for attempt in range(1, ATTEMPTS + 1):
             self._await_bench()
             try:
-                self._bench.rest()
+                self.bench.rest()
             except BenchFault as error:
-                self._log.note("not at rest", attempt=attempt, fault=error.fault)
+                self.log.note("not at rest", attempt=attempt, fault=error.fault)
                 if attempt == ATTEMPTS:
                     raise
             else:
                 return
 
     def _command_and_read(self, shape: Shape) -> Reading:
-        plan, bench = self._plan, self._bench
+        plan, bench = self.plan, self.bench
         stroke = float(np.abs(shape.position).max())
-        self._log.note("command", **described(shape), stroke=stroke)
+        self.log.note("command", **shape_fields(shape), stroke=stroke)
         bench.command(shape)
         if isinstance(bench, OwnTime):
             bench.wait(plan.settling)
         else:
             time.sleep(plan.settling)
         reading = bench.read(plan.samples)
-        _check_size(self._layout, reading)
-        force = largest_force(self._layout, reading)
-        gap = smallest_gap(self._layout, self._gap, reading)
+        _check_size(bench.layout, reading)
+        force, gap = self.guard.largest_force(reading), self.guard.smallest_gap(reading)
         self.largest_force = max(self.largest_force, force)
         self.smallest_gap = min(self.smallest_gap, gap)
-        self._log.note(
+        self.log.note(
             "reading",
-            **described(shape),
+            **shape_fields(shape),
             largest_force=force,
             smallest_gap=gap,
             temperature=reading.temperature,
             counter=reading.counter,
             settled=reading.settled,
         )
-        check_reading(plan.limits, self._layout, self._gap, shape, reading)
+        self.guard.check_reading(shape, reading)
         return reading
 
     def _unsound(self, shape: Shape, reading: Reading) -> str:
         """Return what speaks against a reading, or nothing."""
-        on, before = self._layout.enabled, None
+        layout, on, before = self.bench.layout, self.bench.layout.enabled, None
         if self._sound is not None and not np.array_equal(self._sound[0].position, shape.position):
             before = self._sound[1]
         if reading.counter == self._counter:
             return f"the counter stands still at {reading.counter}: the reading is stale"
         for name, values in (("force", reading.force), ("position", reading.position)):
             if (wrong := ~np.isfinite(values[on])).any():
-                return f"the {name} of actuator {self._layout.id[on][wrong][0]} is NaN"
+                return f"the {name} of actuator {layout.id[on][wrong][0]} is NaN"
             if before is not None and np.array_equal(values[on], getattr(before, name)[on]):
                 return f"no {name} has changed since the last shape: the reading is frozen"
         return "" if reading.settled else "the mirror did not settle"
@@ -163,7 +162,7 @@ class Taker:
         gone, wait, start = "", FIRST_WAIT, time.monotonic()
         while True:
             try:
-                status = self._bench.status()
+                status = self.bench.status()
             except BenchFault as error:
                 gone = error.fault
             else:
@@ -181,9 +180,9 @@ class Taker:
                     f"the bench did not come back within {PATIENCE:g} s ({gone})",
                     remedy="see to it",
                 )
-            self._log.note("gone", fault=gone)
-            self._onlooker.say(f"the bench is gone ({gone}); looking again in {wait:g} s")
-            self._interruption.sleep(wait)
+            self.log.note("gone", fault=gone)
+            self.onlooker.say(f"the bench is gone ({gone}); looking again in {wait:g} s")
+            self.interruption.sleep(wait)
             wait = min(2 * wait, LONGEST_WAIT)
 
 
@@ -193,7 +192,7 @@ def _check_size(layout: Layout, reading: Reading) -> None:
             raise BenchFault(f"the bench gives {name} of shape {got} for {layout.n} actuators")
 
 
-def described(shape: Shape) -> dict[str, Any]:
+def shape_fields(shape: Shape) -> dict[str, Any]:
     """Return which shape it is, for the log."""
     return {
         "load": shape.load.name,
@@ -203,7 +202,7 @@ def described(shape: Shape) -> dict[str, Any]:
     }
 
 
-def noise_of(layout: Layout, reading: Reading | None, samples: int) -> float:
+def force_noise(layout: Layout, reading: Reading | None, samples: int) -> float:
     """Return the RMS over actuators of the error of a mean force [N], samples independent."""
     if reading is None:
         return float("nan")

@@ -23,7 +23,6 @@ from truenewton.arrays import Array
 from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror
-from truenewton.statics.layout import Layout
 
 REST_SAMPLES = 64  # of the position at rest, from which displacements count
 FEWEST_TO_TELL = 32  # samples, to see from them that the mirror still moves
@@ -38,13 +37,13 @@ class DeformableMirror(Protocol):
         """Number of actuators."""
 
     def set_shape(self, cmd: Array, differential: bool, /) -> None:
-        """Command displacements from rest, or from the present shape where differential."""
+        """Command (n,) displacements [m] from rest, or from the present shape if differential."""
 
     def get_shape(self) -> ArrayLike:
-        """Return the positions by the sensors; their zero is free."""
+        """Return the (n,) positions by the sensors [m]; their zero is free."""
 
     def get_force(self) -> ArrayLike:
-        """Return the commanded forces."""
+        """Return the (n,) commanded forces [N]."""
 
 
 class OpticalibMirror:
@@ -66,6 +65,11 @@ class OpticalibMirror:
     ------
     BenchFault
         The object lacks something, or has another number of actuators.
+
+    Attributes
+    ----------
+    instrument, layout, gap
+        As of `Bench`.
     """
 
     def __init__(self, device: DeformableMirror, mirror: Mirror, *, settling: float = 0.2) -> None:
@@ -87,27 +91,13 @@ class OpticalibMirror:
                 got=int(device.n_acts),
                 want=mirror.layout.n,
             )
-        self._device, self._mirror, self._settling = device, mirror, settling
+        self.instrument, self.layout, self.gap = mirror.name, mirror.layout, mirror.gap
+        self._device, self._settling = device, settling
         self._rest: Array | None = None  # the positions there [m]
         self._in_shape = False
         self._since = 0.0  # when the last command was given
         self._last: Array | None = None
         self._counter = 0
-
-    @property
-    def instrument(self) -> str:
-        """The mirror's name."""
-        return self._mirror.name
-
-    @property
-    def layout(self) -> Layout:
-        """Its actuators."""
-        return self._mirror.layout
-
-    @property
-    def gap(self) -> float:
-        """Nominal distance from the reference plate [m]."""
-        return self._mirror.gap
 
     def command(self, shape: Shape) -> None:
         """Bring the mirror to a shape."""
@@ -225,9 +215,9 @@ def from_address(
     module, _, name = address.partition(":")
     sys.path.insert(0, os.fspath(folder))
     try:
-        found: Any = importlib.import_module(module)
+        named: Any = importlib.import_module(module)
         for part in name.split("."):
-            found = getattr(found, part)
+            named = getattr(named, part)
     except (ImportError, AttributeError, ValueError) as error:
         raise UnknownName(
             f"there is no mirror '{address}' ({error})",
@@ -236,12 +226,12 @@ def from_address(
         ) from error
     finally:
         sys.path.remove(os.fspath(folder))
-    if isinstance(found, type) or not hasattr(found, "set_shape"):
+    if isinstance(named, type) or not hasattr(named, "set_shape"):
         try:
-            found = found()
+            named = named()
         except Exception as error:
             raise BenchFault(
                 f"{address} cannot be made ({type(error).__name__}: {error})",
                 remedy="name a mirror, or a function that makes it without arguments",
             ) from error
-    return OpticalibMirror(found, mirror)
+    return OpticalibMirror(named, mirror)

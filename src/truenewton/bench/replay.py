@@ -11,7 +11,6 @@ from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.errors import BenchFault, FormatError, UnknownName
 from truenewton.files.fits import read_fits
 from truenewton.records.file import campaign_from, fits_paths
-from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 ANOTHER = 0.1  # of its largest displacement: so far from the recorded shape it is another one
@@ -30,6 +29,11 @@ class ReplayBench:
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch
+
+    Attributes
+    ----------
+    instrument, layout, gap, gradients
+        As of `Bench` and `Graded`; gradients None without POSITION.
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
@@ -40,31 +44,13 @@ class ReplayBench:
         gap = gaps.pop() if len(gaps) == 1 else None
         if gap is None:
             raise FormatError("its files give no GAP, or several", remedy="record it", path=folder)
-        self._gap, self._counter = gap, 0
+        self._counter = 0
         self._shape: Shape | None = None
-
-    @property
-    def instrument(self) -> str:
-        """The mirror's name."""
-        return self._campaign.instrument
-
-    @property
-    def layout(self) -> Layout:
-        """Its actuators."""
-        return self._campaign.layout
-
-    @property
-    def gap(self) -> float:
-        """Nominal distance from the reference plate [m]."""
-        return self._gap
-
-    @property
-    def gradients(self) -> tuple[float | None, float | None]:
-        """COILGRAD [1/m] and BIASGRAD [N/m] as recorded; None without POSITION."""
-        first = self._campaign.cycles[0]
-        if first.position is None:
-            return None, None
-        return first.coil_gradient, first.bias_gradient
+        first = cycles[0]
+        self.instrument, self.layout, self.gap = first.instrument, first.layout, gap
+        self.gradients = (
+            (None, None) if first.position is None else (first.coil_gradient, first.bias_gradient)
+        )
 
     def put_on(self, load: Load) -> None:
         """Take a load for on, if it was recorded.

@@ -46,7 +46,7 @@ CALIBRATION = FileFormat(
         ),
         Keyword("RANK", "rank", "directions held above noise", kind="int"),
         Keyword("NOISE", "noise", "standard deviation of one force reading", "N", absent=UNKNOWN),
-        Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="int", absent=None),
+        Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="count", absent=None),
         Keyword("CHI2", "chi2", "against FORCERR", absent=UNKNOWN),
     ),
     (

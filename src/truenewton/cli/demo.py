@@ -29,8 +29,8 @@ def run(
     from truenewton.records.file import write_campaign
     from truenewton.report.investigate import investigate
     from truenewton.report.page.page import write_report
-    from truenewton.rounding import percent
     from truenewton.studies.scoring import score
+    from truenewton.studies.words import truth_lines
 
     refuse_existing(output, overwrite=overwrite)
     new_folder(output)
@@ -52,25 +52,10 @@ def run(
     print(f"   {output / 'alpha.fits'}\n")
 
     print("3. The truth beside it, since this is a simulation")
-    truth, result = bench.truth, score(calibration, bench.truth)
-    paper = score(calibrate(data, "svd"), truth)
-    print(f"   {'':<22}{'estimate':>10} {'truth':>10}")
-    for name, estimate, true in (
-        ("B [N]", calibration.bias_force, truth.bias_force),
-        *((f"M_y {load} [mN m]", 1e3 * a, 1e3 * b) for load, a, b in zip(
-            truth.loads, calibration.torque_y, truth.torque_y, strict=True)),
-        *((f"M_x {load} [mN m]", 1e3 * a, 1e3 * b) for load, a, b in zip(
-            truth.loads, calibration.torque_x, truth.torque_x, strict=True)),
-        *((f"alpha {ident}", a, b) for ident, a, b in zip(
-            truth.layout.id[:3], calibration.alpha, truth.alpha, strict=False)),
-    ):  # fmt: skip
-        print(f"   {name:<22}{estimate:10.4f} {true:10.4f}")
-    print(
-        f"   all 45 alphas: common scale off by {percent(result.scale_error)} (the ring weighs"
-        f" {1e3 * abs(truth.added[1]):.1f} mN, not the {1e3 * abs(bench.loads[1].added):.0f} mN"
-        f" declared);\n   that aside, rms error {percent(result.pattern_error)},"
-        f" and {percent(paper.pattern_error)} by the paper's svd on the same data\n"
-    )
+    scores = [score(each, bench.truth) for each in (calibration, calibrate(data, "svd"))]
+    for line in truth_lines(calibration, bench.truth, bench.loads, *scores):
+        print(f"   {line}")
+    print()
 
     print("4. The report and the figures of the paper")
     page = output / "report.html"

@@ -77,5 +77,7 @@ def _numbers(mirror: Mirror) -> dict[str, object]:
     """Return all that is known of a mirror but its layout, in SI units."""
     numbers = dataclasses.asdict(mirror)
     shell = numbers.pop("shell")
+    if shell["outline"] is None:
+        del shell["outline"]
     del numbers["layout"]
     return {"name": numbers.pop("name"), "actuators": mirror.layout.n, **shell, **numbers}

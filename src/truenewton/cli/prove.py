@@ -24,60 +24,19 @@ def run(
     from truenewton.mirrors.file import mirror_from
     from truenewton.mirrors.known import p45
     from truenewton.records.file import SUFFIXES, read_layout
-    from truenewton.studies.proof import LIMIT, prove
+    from truenewton.studies.proof import prove
+    from truenewton.studies.words import PROOF_HEAD, proof_rows, proof_values, proof_verdict
 
     if mirror.endswith(SUFFIXES) and Path(mirror).exists():  # P45's numbers on another layout
         known = dataclasses.replace(p45(), name=Path(mirror).name, layout=read_layout(mirror))
     else:
         known = mirror_from(mirror)
-    proofs = [(s, p) for s in track(range(seed, seed + seeds), "proving") for p in prove(known, s)]
-    passed = all(p.passed for _, p in proofs)
-    worst = max(p.ratio for _, p in proofs)
+    proofs = [p for s in track(range(seed, seed + seeds), "proving") for p in prove(known, s)]
     if json:
-        print_json(
-            {
-                "mirror": known.name,
-                "limit": LIMIT,
-                "passed": passed,
-                "worst": worst,
-                "proofs": [
-                    {
-                        "seed": s,
-                        "system": p.system,
-                        "matrix": p.matrix,
-                        "loaded": p.loaded,
-                        "rank": p.rank,
-                        "unknowns": p.unknowns,
-                        "singular_values": p.singular_values.tolist(),
-                        "condition": p.condition,
-                        "error": p.error,
-                        "ratio": p.ratio,
-                    }
-                    for s, p in proofs
-                ],
-            }
-        )
+        print_json(proof_values(known.name, proofs))
     else:
-        print_table(
-            f"{known.name}: C alpha = p and E alpha' = r, solved by SVD",
-            ("seed", "system", "F", "B, M, N", "rank", "singular values", "cond", "error",
-             "error/(eps cond)"),
-            [
-                (
-                    str(s),
-                    p.system,
-                    p.matrix,
-                    "random" if p.loaded else "0",
-                    f"{p.rank} of {p.unknowns}",
-                    f"{p.singular_values[0]:.3g} .. {p.singular_values[-1]:.3g}",
-                    f"{p.condition:.3g}",
-                    f"{p.error:.1e}",
-                    f"{p.ratio:.3f}",
-                )
-                for s, p in proofs
-            ],
-        )  # fmt: skip
-        verdict = "alpha comes back to machine precision" if passed else "PROOF FAILED"
-        print(f"{verdict}: at most {worst:.2f} eps cond (limit {LIMIT:g})")
-    if not passed:
+        title = f"{known.name}: C alpha = p and E alpha' = r, solved by SVD"
+        print_table(title, PROOF_HEAD, proof_rows(proofs))
+        print(proof_verdict(proofs))
+    if not all(one.passed for one in proofs):
         raise typer.Exit(1)

@@ -45,9 +45,9 @@ async def _until_stopped(bench: ServedBench, folder: Path, port: int) -> None:
 
     from truenewton.bench.opcua.server import serving
 
-    stopped = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stopped.set)
+    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):  # Windows has no loop.add_signal_handler
+        signal.signal(number, lambda *_: loop.call_soon_threadsafe(stopped.set))
     async with serving(bench, folder, port) as address:
         print(
             f"the simulated bench of {bench.instrument}, {bench.layout.n} actuators; Ctrl-C ends"

@@ -125,11 +125,13 @@ class FitsFile:
             if keyword.absent is REQUIRED:
                 self._refuse(f"the primary header has no {key}", "add it (docs/files.md)")
             return keyword.absent
-        number = keyword.kind == "float"
+        number = keyword.kind in ("float", "count")
         if type(value) not in stored.types or (number and not math.isfinite(value)):
             self._refuse(f"{key} is {value!r}", f"store {stored.words}", got=value)
         if stored.dtype is np.str_:
             return self._text(value, keyword, key)
+        if keyword.kind == "count":
+            return int(value)
         return float(value) if number else value
 
     def _column(self, table: str, column: Column) -> Any:

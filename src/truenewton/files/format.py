@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 Attribute = str | Callable[[Any], Any]
-Kind = Literal["float", "int", "bool", "str", "date"]
+Kind = Literal["float", "int", "count", "bool", "str", "date"]
 REQUIRED: Any = ...  # instead of what stands for something absent
 
 
@@ -32,6 +32,7 @@ class Stored(NamedTuple):
 STORED: dict[Kind, Stored] = {
     "float": Stored("D", "fiu", np.float64, (int, float), "a number"),
     "int": Stored("J", "iu", np.int64, (int,), "an integer"),
+    "count": Stored("J", "iu", np.int64, (int, float), "a number"),  # as a float too
     "bool": Stored("L", "b", np.bool_, (bool,), "a logical"),
     "str": Stored("A", "SU", np.str_, (str,), "text"),
     "date": Stored("A", "SU", np.str_, (str,), "text"),

@@ -125,7 +125,9 @@ def folder_beside(
 
 def to_disk(path: str | os.PathLike[str]) -> None:
     """Return when the bytes of a file, or the names in a folder, are on the disk."""
-    handle = os.open(path, os.O_RDONLY)
+    if os.name == "nt" and Path(path).is_dir():  # Windows opens no folder, and keeps its names
+        return
+    handle = os.open(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
     try:
         os.fsync(handle)
     finally:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile
+from truenewton.arrays import Array
+from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.records.file import SUFFIXES, read_layout
@@ -70,7 +71,7 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
     try:
         check_glass(made)
     except GeometryError as error:
-        raise GeometryError(error.fault, remedy=error.remedy, path=path) from None
+        raise located(error, path) from None
     return made
 
 
@@ -95,7 +96,7 @@ def read_actuators(path: str | os.PathLike[str]) -> Layout:
             table["X"], table["Y"], **{name.lower(): column for name, column in columns.items()}
         )
     except TrueNewtonError as error:
-        raise type(error)(error.fault, remedy=error.remedy, path=path) from None
+        raise located(error, path) from None
     except OSError as error:
         raise UnreadableFile(
             f"cannot be read ({error.strerror or error})", remedy="check its name", path=path
@@ -118,7 +119,8 @@ def check_glass(mirror: Mirror) -> None:
     GeometryError
     """
     shell = mirror.shell
-    if not 0 < shell.inner_radius < shell.outer_radius < np.inf or not shell.thickness > 0:
+    hole = shell.inner_radius > 0 or (shell.outline is not None and shell.inner_radius == 0)
+    if not (hole and shell.inner_radius < shell.outer_radius < np.inf and shell.thickness > 0):
         raise GeometryError(
             f"the glass reaches from {shell.inner_radius:g} m to {shell.outer_radius:g} m, "
             f"{shell.thickness:g} m thick",
@@ -131,13 +133,46 @@ def check_glass(mirror: Mirror) -> None:
             f" {shell.outer_radius:g} m",
             remedy="give a larger one, with sign; leave it out for a plate",
         )
-    r = np.hypot(*shell.along(mirror.layout.x, mirror.layout.y))
-    reach = max(mirror.puck_radius, mirror.sensor.outer_radius)
-    off = np.flatnonzero((r - reach < shell.inner_radius) | (r + reach > shell.outer_radius))
-    if off.size:
+    at = shell.along(mirror.layout.x, mirror.layout.y)
+    r, reach = np.hypot(*at), max(mirror.puck_radius, mirror.sensor.outer_radius)
+    if shell.outline is None:
+        off = (r - reach < shell.inner_radius) | (r + reach > shell.outer_radius)
+        where = f"that is from {shell.inner_radius:g} m to {shell.outer_radius:g} m"
+    else:
+        off = _depth_in_outline(mirror, at) < reach
+        where = "bring it further within the outline"
+    if off.any():
+        i = off.argmax()
         raise GeometryError(
-            f"actuator {mirror.layout.id[off[0]]} stands {r[off[0]]:.4g} m from the axis: it or its"
+            f"actuator {mirror.layout.id[i]} stands {r[i]:.4g} m from the axis: it or its"
             " sensor reaches off the glass",
-            remedy=f"that is from {shell.inner_radius:g} m to {shell.outer_radius:g} m; the sensor"
-            f" reaches {reach:g} m",
+            remedy=f"{where}; the sensor reaches {reach:g} m",
         )
+
+
+def _depth_in_outline(mirror: Mirror, at: tuple[Array, Array]) -> Array:
+    """Return (n,) how far from the edges places lie within an outlined glass; negative off it [m].
+
+    Raises
+    ------
+    GeometryError
+        Polygons that cannot be, that reach beyond the outer radius, or leave no glass for the tool.
+    """
+    from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
+    from truenewton.mirrors.shell.held_glass import tool_wedges
+
+    shell = mirror.shell
+    assert shell.outline is not None
+    loops = checked_sides(shell.polygons(), shell.outline.mesh_size)
+    furthest = np.hypot(*loops[0].T).max()
+    if furthest > shell.outer_radius:
+        raise GeometryError(
+            f"the outline reaches {furthest:.6g} m from the axis",
+            remedy=f"give an outer radius that it stays within, more than {shell.outer_radius:g} m",
+        )
+    if (depth_inside(loops, np.stack(tool_wedges(shell), axis=1)) < 0).any():
+        raise GeometryError(
+            f"the weight tool, {shell.inner_radius:g} m from the axis, stands off the glass",
+            remedy="give as inner radius that of a circle on the glass",
+        )
+    return depth_inside(loops, np.stack(at, axis=1))

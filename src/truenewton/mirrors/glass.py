@@ -5,6 +5,7 @@ Standing of a number as in `mirrors`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,14 +43,37 @@ class Annulus:
             )
 
 
+Polygon = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Polygons around a glass that is no ring, as they are seen along the axis.
+
+    Attributes
+    ----------
+    edge
+        x and y of each vertex around the glass [m], convex or not, either way round.
+    holes
+        Polygons, as the edge, where there is no glass.
+    mesh_size
+        Length of the sides of the finite elements [m]; a third of the actuators' spacing will do.
+    """
+
+    edge: Polygon
+    holes: tuple[Polygon, ...] = ()
+    mesh_size: float = 0.01
+
+
 @dataclass(frozen=True)
 class Shell:
-    """The glass: a thin annulus of even thickness, flat or cut from a sphere.
+    """The glass: a thin annulus of even thickness, flat or cut from a sphere, or of any outline.
 
     Attributes
     ----------
     inner_radius, outer_radius, thickness
-        Dimensions [m]; radii along the glass, arcs on a sphere.
+        Dimensions [m]; radii along the glass, arcs on a sphere. Where there is an outline, of the
+        circle round which a weight tool stands, and of one that the glass stays within.
     young_modulus
         E [Pa]; Zerodur 90.3 GPa [conf].
     poisson_ratio
@@ -60,6 +84,8 @@ class Shell:
         R [m]; positive where the side toward +z is hollow (concave), negative where it bulges
         (convex), infinite on a flat mirror. Normal forces and displacements know no difference
         between concave and convex.
+    outline
+        None of an annulus.
     """
 
     inner_radius: float
@@ -69,6 +95,7 @@ class Shell:
     poisson_ratio: float = 0.24
     density: float = 2530.0
     radius_of_curvature: float = np.inf
+    outline: Outline | None = None
 
     @property
     def bending_stiffness(self) -> float:
@@ -79,10 +106,26 @@ class Shell:
     def mass(self) -> float:
         """Mass of the glass [kg]."""
         area = np.pi * (self.outer_radius**2 - self.inner_radius**2)
+        if self.outline is not None:
+            area = areas_and_moments(self.polygons())[0]
         return float(area * self.thickness * self.density)
 
+    @property
+    def centroid(self) -> tuple[float, float]:
+        """Centre of the glass, x and y [m]."""
+        if self.outline is None:
+            return 0.0, 0.0
+        area, *moments = areas_and_moments(self.polygons())
+        return float(moments[0] / area), float(moments[1] / area)
+
+    def polygons(self) -> list[Array]:
+        """Return the edge and the holes of an outlined glass, (vertices, 2) along the glass [m]."""
+        outline = self.outline
+        loops = [] if outline is None else [outline.edge, *outline.holes]
+        return [np.stack(self.along(*np.reshape(loop, (-1, 2)).T), axis=1) for loop in loops]
+
     def along(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Return positions along the glass, R asin(r / R) from the axis, of points seen along it.
+        """Return (n,) positions along the glass [m], R asin(r / R) from the axis, of (n,) x and y.
 
         Layouts give what the balance needs, the distance from the axis; the model of the shell
         wants the way along the glass. On a flat shell they are the same.
@@ -101,3 +144,14 @@ class Shell:
         # asin(s) / s, 1 at the axis
         longer = np.divide(np.arcsin(sine), sine, out=np.ones_like(sine), where=sine > 0)
         return x * longer, y * longer
+
+
+def areas_and_moments(loops: Sequence[Array]) -> Array:
+    """Return the integrals of 1, x and y over a polygon less its holes, (vertices, 2) each."""
+    total = np.zeros(3)
+    for k, loop in enumerate(loops):
+        (x, y), (next_x, next_y) = loop.T, np.roll(loop, -1, axis=0).T
+        cross = x * next_y - next_x * y
+        parts = np.array([cross.sum() / 2, cross @ (x + next_x) / 6, cross @ (y + next_y) / 6])
+        total += parts * np.sign(parts[0]) * (-1 if k else 1)
+    return total

@@ -16,10 +16,10 @@ from truenewton.acquisition.shapes import (
     with_enabled_only,
 )
 from truenewton.arrays import Array
-from truenewton.bench.simulated.static import START, tool_wedges
+from truenewton.bench.simulated.static import START
 from truenewton.errors import LimitExceeded
-from truenewton.mirrors.known import GRAVITY, Mirror
-from truenewton.mirrors.shell.held_glass import forces_under, held_glass
+from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import arms
@@ -52,19 +52,15 @@ class Holding:
 
 
 def holding(mirror: Mirror) -> Holding:
-    """Return what holds a mirror, by the model.
-
-    The glass spread evenly, magnets and bias magnets at their actuators, an added weight on three
-    wedges at the inner edge, 120 degrees apart: the simulated bench without its scatter.
-    """
+    """Return what holds a mirror, by the model: the simulated bench without its scatter."""
     glass = held_glass(with_enabled_only(mirror))
-    nz = glass.mirror.layout.nz
-    magnets = np.full(nz.size, -mirror.magnet_mass * GRAVITY)
-    wedges = tool_wedges(mirror)
+    n = glass.mirror.layout.n
+    own = weight_on(glass.mirror, mirror.weight)
+    tool = replace(own, spread=0.0, force=np.full(3, 1 / 3), local=np.zeros(n))
     return Holding(
-        own=forces_under(glass, mirror.weight - magnets.sum(), wedges, np.zeros(3)) - magnets / nz,
-        tool=forces_under(glass, 0.0, wedges, np.full(3, 1 / 3)),
-        bias=np.full(nz.size, -mirror.bias_force),
+        own=forces_under(glass, own),
+        tool=forces_under(glass, tool),
+        bias=np.full(n, -mirror.bias_force),
     )
 
 
@@ -145,29 +141,29 @@ def strain(ready: Prepared) -> Strain:
     on, alpha = mirror.layout.enabled, expected_alpha(mirror)
     static = ready.holding.under(plan.loads) / alpha
     largest = np.abs(static) + np.abs(ready.force[:, on]).max(axis=0)  # both signs are taken
-    load, place = np.unravel_index(largest.argmax(), largest.shape)
+    load_index, actuator_index = np.unravel_index(largest.argmax(), largest.shape)
     force, stroke = float(largest.max()), float(np.abs(ready.shapes).max())
-    found = Strain(
+    asked = Strain(
         force=force,
-        actuator=int(mirror.layout.id[on][place]),
-        load=plan.loads[load].name,
+        actuator=int(mirror.layout.id[on][actuator_index]),
+        load=plan.loads[load_index].name,
         force_at_worst=force * alpha / min(mirror.alpha_range),
         stroke=stroke,
         gap=mirror.gap - stroke,
     )
     for what, got, want, beyond, remedy in (
-        (f"actuator {found.actuator} takes {force:.3g} N under load '{found.load}'", force,
+        (f"actuator {asked.actuator} takes {force:.3g} N under load '{asked.load}'", force,
          limits.force, force > limits.force, "plan a smaller shapes.force, or a lighter load"),
         (f"the stroke is {stroke:.3g} m", stroke, limits.displacement,
          stroke > limits.displacement, "plan smaller shapes"),
-        (f"the gap closes to {found.gap:.3g} m", found.gap, limits.gap, found.gap < limits.gap,
+        (f"the gap closes to {asked.gap:.3g} m", asked.gap, limits.gap, asked.gap < limits.gap,
          "plan a smaller shapes.stroke"),
     ):  # fmt: skip
         if beyond:
             raise LimitExceeded(
                 f"{what}, beyond its limit of {want:g}", remedy=remedy, got=got, want=want
             )
-    return found
+    return asked
 
 
 def noiseless(ready: Prepared) -> Campaign:

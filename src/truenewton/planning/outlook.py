@@ -12,13 +12,12 @@ import numpy as np
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
+from truenewton.bench.simulated.control import Control
 from truenewton.errors import LimitExceeded, TrueNewtonError, located
 from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.prediction import Prediction, predict, typical
 from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain
 from truenewton.records.fault import Fault
-
-LOOP_RATE = 71.6e3  # samples a second [conf]
 
 
 def predicted(ready: Prepared) -> Prediction:
@@ -47,7 +46,7 @@ def duration(plan: CampaignPlan, shapes: int) -> float:
 
 def reading_time(plan: CampaignPlan) -> float:
     """Return the time of one reading, settling included [s]."""
-    return plan.settling + plan.samples / LOOP_RATE
+    return plan.settling + plan.samples / Control.rate
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,21 +114,21 @@ def outlook(ready: Prepared) -> Outlook:
     ------
     LimitExceeded, RankDeficient, FormatError
     """
-    borne, prediction = strain(ready), predicted(ready)
+    asked, prediction = strain(ready), predicted(ready)
     warnings = prediction.diagnosis.warnings
     limit = ready.plan.limits.force
-    if borne.force_at_worst > limit:
+    if asked.force_at_worst > limit:
         warnings += (
             Fault(
                 f"an actuator whose alpha is {min(ready.mirror.alpha_range):g} would take"
-                f" {borne.force_at_worst:.3g} N, beyond its limit of {limit:g}",
+                f" {asked.force_at_worst:.3g} N, beyond its limit of {limit:g}",
                 "plan a smaller shapes.force",
             ),
         )
     return Outlook(
         ready,
         prediction,
-        borne,
+        asked,
         duration(ready.plan, len(ready.shapes)),
         _curve(*_by_cycles(ready)),
         _curve(*_by_weight(ready)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -59,107 +59,84 @@ def ways_to(ready: Prepared, target: float) -> tuple[Way, ...]:
     """
     plan = ready.plan
     ladders = (
-        _Ladder("cycles", _more_cycles(plan), _cycles_in_words, "there are as many as may be"),
-        _Ladder("added weight", _heavier(plan), _added_in_words, "no load has an added weight"),
-        _Ladder("balance", _better_known(plan), _errors_in_words, "no added weight has an error"),
-        _Ladder("tilt", _tilted(plan), _tilt_in_words, ""),
-        _Ladder("shapes", _larger(ready), _shapes_in_words, "they are given, or at their limits"),
+        ("cycles", _more_cycles(plan), "there are as many as may be"),
+        ("added weight", _heavier(plan), "no load has an added weight"),
+        ("balance", _better_known(plan), "no added weight has an error"),
+        ("tilt", _tilted(plan), ""),
+        ("shapes", _larger(ready), "they are given, or at their limits"),
     )
-    return tuple(_smallest(ready, ladder, target) for ladder in ladders)
+    return tuple(_smallest(ready, target, *ladder) for ladder in ladders)
 
 
-@dataclass(frozen=True, eq=False)
-class _Ladder:
-    """Plans, each a larger change than those before it; how to say them, or that there is none."""
-
-    what: str
-    plans: Iterator[CampaignPlan]
-    words: Callable[[CampaignPlan], str]
-    nothing: str
+# Changes of a plan, each larger than those before it, and how to say them.
+Ladder = Iterator[tuple[str, CampaignPlan]]
 
 
-def _smallest(ready: Prepared, ladder: _Ladder, target: float) -> Way:
-    """Return the first of the plans that suffices, or the last that the limits allow."""
+def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing: str) -> Way:
+    """Return the first change that suffices, or the last that the limits allow."""
 
-    def breaks(plan: CampaignPlan) -> bool:
+    def breaks(change: tuple[str, CampaignPlan]) -> bool:
         try:
-            strain(ready.changed(plan))
+            strain(ready.changed(change[1]))
         except LimitExceeded:
             return True
         return False
 
-    def error(plan: CampaignPlan) -> float:
-        return predicted(ready.changed(plan)).typical
+    def error(change: tuple[str, CampaignPlan]) -> float:
+        return predicted(ready.changed(change[1])).typical
 
-    plans = tuple(ladder.plans)
-    allowed = plans[: bisect_left(plans, True, key=breaks)]
+    changes = tuple(ladder)
+    allowed = changes[: bisect_left(changes, True, key=breaks)]
     if not allowed:
-        why = "the limits allow no more" if plans else ladder.nothing
-        return Way(ladder.what, False, why, None, float("nan"), float("nan"))
+        why = "the limits allow no more" if changes else nothing
+        return Way(what, False, why, None, float("nan"), float("nan"))
     chosen = allowed[-1]
     reached = error(chosen) <= target
     if reached:
-        chosen = allowed[bisect_left(allowed, True, key=lambda plan: error(plan) <= target)]
-    time = duration(chosen, len(ready.shapes))
-    return Way(ladder.what, reached, ladder.words(chosen), chosen, error(chosen), time)
+        chosen = allowed[bisect_left(allowed, True, key=lambda change: error(change) <= target)]
+    words, plan = chosen
+    return Way(what, reached, words, plan, error(chosen), duration(plan, len(ready.shapes)))
 
 
-def _more_cycles(plan: CampaignPlan) -> Iterator[CampaignPlan]:
-    return (replace(plan, cycles=r) for r in range(plan.cycles + 1, MOST_CYCLES + 1))
+def _more_cycles(plan: CampaignPlan) -> Ladder:
+    for cycles in range(plan.cycles + 1, MOST_CYCLES + 1):
+        yield f"{cycles} cycles", replace(plan, cycles=cycles)
 
 
-def _heavier(plan: CampaignPlan) -> Iterator[CampaignPlan]:
+def _heavier(plan: CampaignPlan) -> Ladder:
     if any(load.added for load in plan.loads):
-        yield from (with_added(plan, factor) for factor in FACTORS.tolist())
-
-
-def _better_known(plan: CampaignPlan) -> Iterator[CampaignPlan]:
-    if any(load.added_error for load in plan.loads):
         for factor in FACTORS.tolist():
-            loads = [
-                replace(one, added_error=float(f"{one.added_error / factor:.3g}"))
-                for one in plan.loads
-            ]
-            yield replace(plan, loads=tuple(loads))
+            heavier = with_added(plan, factor)
+            words = (f"'{one.name}' {one.added:g} N" for one in heavier.loads if one.added)
+            yield ", ".join(words), heavier
 
 
-def _tilted(plan: CampaignPlan) -> Iterator[CampaignPlan]:
+def _better_known(plan: CampaignPlan) -> Ladder:
+    uncertain = [load for load in plan.loads if load.added_error]
+    for factor in FACTORS.tolist() if uncertain else ():
+        loads = tuple(
+            replace(one, added_error=float(f"{one.added_error / factor:.3g}")) for one in plan.loads
+        )
+        words = (f"'{one.name}' known to {1e3 * one.added_error:g} mN" for one in loads
+                 if one.added_error)  # fmt: skip
+        yield ", ".join(words), replace(plan, loads=loads)
+
+
+def _tilted(plan: CampaignPlan) -> Ladder:
     taken = {load.key for load in plan.loads}
     name = next(name for k in range(len(taken) + 1) if (name := f"tilted{k or ''}") not in taken)
     for tilt in range(1, STEEPEST + 1):
         load = Load(name, tilt=float(tilt), tilt_error=TILT_ERROR)
-        yield replace(plan, loads=(*plan.loads, load))
+        words = f"a load tilted by {tilt:g} deg, known to {TILT_ERROR:g} deg"
+        yield words, replace(plan, loads=(*plan.loads, load))
 
 
-def _larger(ready: Prepared) -> Iterator[CampaignPlan]:
-    if ready.given:
-        return
+def _larger(ready: Prepared) -> Ladder:
     plan, shapes = ready.plan, ready.plan.shapes
-    for factor in FACTORS.tolist():
+    for factor in () if ready.given else FACTORS.tolist():
         larger = replace(shapes, stroke=factor * shapes.stroke, force=factor * shapes.force)
         try:
-            yield replace(plan, shapes=larger)
+            wider = replace(plan, shapes=larger)
         except LimitExceeded:
             return
-
-
-def _cycles_in_words(plan: CampaignPlan) -> str:
-    return f"{plan.cycles} cycles"
-
-
-def _added_in_words(plan: CampaignPlan) -> str:
-    return ", ".join(f"'{one.name}' {one.added:g} N" for one in plan.loads if one.added)
-
-
-def _errors_in_words(plan: CampaignPlan) -> str:
-    known = (one for one in plan.loads if one.added_error)
-    return ", ".join(f"'{one.name}' known to {1e3 * one.added_error:g} mN" for one in known)
-
-
-def _tilt_in_words(plan: CampaignPlan) -> str:
-    return f"a load tilted by {plan.loads[-1].tilt:g} deg, known to {TILT_ERROR:g} deg"
-
-
-def _shapes_in_words(plan: CampaignPlan) -> str:
-    shapes = plan.shapes
-    return f"up to {1e6 * shapes.stroke:.3g} um and {shapes.force:.3g} N"
+        yield f"up to {1e6 * larger.stroke:.3g} um and {larger.force:.3g} N", wider

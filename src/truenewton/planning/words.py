@@ -18,47 +18,47 @@ if TYPE_CHECKING:
 
 def lines(outlook: Outlook) -> Iterator[str]:
     """Yield what is predicted, as people read it."""
-    ready, borne, found = outlook.ready, outlook.strain, outlook.prediction
+    ready, strain, prediction = outlook.ready, outlook.strain, outlook.prediction
     plan, limits = ready.plan, ready.plan.limits
-    relative, shapes = found.error / found.alpha, len(ready.shapes)
+    relative, shapes = prediction.error / prediction.alpha, len(ready.shapes)
     names = ", ".join(load.name for load in plan.loads)
     yield (
-        f"{ready.mirror.name}, predicted: {len(found.alpha)} actuators, {plan.cycles} cycles of"
-        f" {shapes} shapes and their negatives under {len(plan.loads)} loads ({names})"
+        f"{ready.mirror.name}, predicted: {len(prediction.alpha)} actuators, {plan.cycles} cycles"
+        f" of {shapes} shapes and their negatives under {len(plan.loads)} loads ({names})"
     )
-    ids = found.layout.id[found.layout.enabled]
+    ids = prediction.layout.id[prediction.layout.enabled]
     rows = []
-    if found.scale_is_free:
+    if prediction.scale_is_free:
         rows.append(("common scale", "free", "no two loads differ in weight"))
     else:
         budget = ", ".join(
             f"{line.source} {percent(line.relative)}"
-            for line in found.scale_errors
+            for line in prediction.scale_errors
             if line.relative > 1e-5
         )
         rows += [
-            ("typical error of alpha", percent(found.typical),
+            ("typical error of alpha", percent(prediction.typical),
              f"E_ALPHA, one sigma; {percent(relative.min())} .. {percent(relative.max())},"
              f" the largest of actuator {ids[relative.argmax()]}"),
             ("  budget of the scale", budget, ""),
-            ("  common scale", percent(typical(found.systematic_error, found.alpha)),
+            ("  common scale", percent(typical(prediction.systematic_error, prediction.alpha)),
              "E_SYST, from the weights"),
         ]  # fmt: skip
     readings = 2 * shapes * plan.cycles * len(plan.loads)
     rows += [
-        ("  reading noise", percent(typical(found.reading_error, found.alpha)),
+        ("  reading noise", percent(typical(prediction.reading_error, prediction.alpha)),
          f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
-        ("least known", found.diagnosis.weakest,
-         f"{percent(found.diagnosis.weakest_share)} of the variance E_STAT^2"),
+        ("least known", prediction.diagnosis.weakest,
+         f"{percent(prediction.diagnosis.weakest_share)} of the variance E_STAT^2"),
         ("duration", _time(outlook.duration),
          f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(plan.loads) - 1} x"
          f" {_time(plan.pause)} to change the load"),
-        ("largest force", f"{borne.force:.3g} N",
-         f"actuator {borne.actuator} under {borne.load}; {borne.force_at_worst:.3g} N should its"
+        ("largest force", f"{strain.force:.3g} N",
+         f"actuator {strain.actuator} under {strain.load}; {strain.force_at_worst:.3g} N should its"
          f" alpha be lowest; limit {limits.force:g} N"),
-        ("largest stroke", f"{1e6 * borne.stroke:.3g} um",
+        ("largest stroke", f"{1e6 * strain.stroke:.3g} um",
          f"limit {1e6 * limits.displacement:g} um"),
-        ("smallest gap", f"{1e6 * borne.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
+        ("smallest gap", f"{1e6 * strain.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
     ]  # fmt: skip
     for name, value, note in rows:
         yield f"  {name:<24}{value:<26}{note}".rstrip()
@@ -109,45 +109,41 @@ def _time(seconds: float) -> str:
 
 def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[str, Any]:
     """Return the same figures for a script; infinite where the scale is free."""
-    ready, found = outlook.ready, outlook.prediction
-    curves = {"cycles": outlook.against_cycles, "added_factor": outlook.against_weight}
+    ready, prediction = outlook.ready, outlook.prediction
     return {
         "instrument": ready.mirror.name,
         "shapes": len(ready.shapes),
         "cycles": ready.plan.cycles,
         "loads": [dataclasses.asdict(load) for load in ready.plan.loads],
-        "typical_error": found.typical,
-        "typical_e_stat": typical(found.reading_error, found.alpha),
-        "typical_e_syst": typical(found.systematic_error, found.alpha),
+        "typical_error": prediction.typical,
+        "typical_e_stat": typical(prediction.reading_error, prediction.alpha),
+        "typical_e_syst": typical(prediction.systematic_error, prediction.alpha),
         "scale_errors": [
-            {"source": str(line.source), "relative": line.relative} for line in found.scale_errors
+            {"source": str(line.source), "relative": line.relative}
+            for line in prediction.scale_errors
         ],
         "actuators": {
-            "id": found.layout.id[found.layout.enabled],
-            "alpha": found.alpha,
-            "e_alpha": found.error,
-            "e_stat": found.reading_error,
-            "e_syst": found.systematic_error,
+            "id": prediction.layout.id[prediction.layout.enabled],
+            "alpha": prediction.alpha,
+            "e_alpha": prediction.error,
+            "e_stat": prediction.reading_error,
+            "e_syst": prediction.systematic_error,
         },
-        "weakest": found.diagnosis.weakest,
-        "undetermined": found.diagnosis.undetermined,
+        "weakest": prediction.diagnosis.weakest,
+        "undetermined": prediction.diagnosis.undetermined,
         "duration": outlook.duration,
         **{f"largest_{key}" if key in ("force", "stroke") else key: value
            for key, value in dataclasses.asdict(outlook.strain).items()},
         "curves": {
-            name: {
-                name: curve.values,
-                "error": curve.error,
-                "e_stat": curve.reading_error,
-                "e_syst": curve.systematic_error,
-            }
-            for name, curve in curves.items()
+            "cycles": _errors("cycles", outlook.against_cycles),
+            "added_factor": _errors("added_factor", outlook.against_weight),
         },
         "warnings": [fault for fault, _ in outlook.warnings],
         "target": target,
-        "ways": [
-            {"what": way.what, "reached": way.reached, "change": way.change, "error": way.error,
-             "duration": way.duration}
-            for way in ways
-        ],
+        "ways": [{k: v for k, v in vars(way).items() if k != "plan"} for way in ways],
     }  # fmt: skip
+
+
+def _errors(name: str, curve: Curve) -> dict[str, Any]:
+    return {name: curve.values, "error": curve.error, "e_stat": curve.reading_error,
+            "e_syst": curve.systematic_error}  # fmt: skip

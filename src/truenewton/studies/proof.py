@@ -35,6 +35,8 @@ class Proof:
 
     Attributes
     ----------
+    seed
+        Of alpha and of the random patterns.
     system, matrix
         'C' or 'E'; 'identity' or 'random'.
     loaded
@@ -49,6 +51,7 @@ class Proof:
         Largest error of the solution, relative to its largest component.
     """
 
+    seed: int
     system: str
     matrix: str
     loaded: bool
@@ -109,34 +112,37 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
     random = np.random.default_rng(seed)
     alpha = random.normal(1.0, 0.1, n)
     unknown = random.normal(0.0, 1.0, 5) * [1.0, 0.1, 0.1, 0.1, 0.1]
-    results = []
+    proofs = []
     for loaded in (False, True):
         bias, *torques = unknown if loaded else np.zeros(5)
+        truth = np.concatenate([alpha, [bias], torques])
         for matrix in ("identity", "random"):
             patterns = [
                 np.eye(n - 3) if matrix == "identity" else random.standard_normal((n - 3, n - 3))
                 for _ in range(2)
             ]
-            truth = np.concatenate([alpha, [bias], torques])
-            results.append(_proof_c(mirror, patterns[0], a, truth, matrix, loaded))
-            results.append(_proof_e(mirror, patterns, a, truth, matrix, loaded))
-    return results
+            for system, solution, true in (
+                ("C", _solved_c(mirror, patterns[0], a, truth), truth[:n]),
+                ("E", _solved_e(mirror, patterns, a, truth), truth),
+            ):
+                error = np.abs(solution.solution - true).max() / np.abs(true).max()
+                proof = Proof(
+                    seed, system, matrix, loaded, solution.rank, len(true),
+                    solution.singular_values, solution.condition, float(error),
+                )  # fmt: skip
+                proofs.append(proof)
+    return proofs
 
 
-def _proof_c(
-    mirror: Mirror, pattern: Array, a: Array, truth: Array, matrix: str, loaded: bool
-) -> Proof:
+def _solved_c(mirror: Mirror, pattern: Array, a: Array, truth: Array) -> SingularSolution:
     n = a.shape[1]
     bias, torque_y, torque_x = truth[n : n + 3]
     k = external_load(mirror.weight, bias, torque_y, torque_x)
     c = balanced_forces(pattern, a, k) / truth[:n]
-    found = solve(*system_c(c, a, mirror.weight, bias, torque_y, torque_x))
-    return _proof("C", matrix, loaded, found, truth[:n])
+    return solve(*system_c(c, a, mirror.weight, bias, torque_y, torque_x))
 
 
-def _proof_e(
-    mirror: Mirror, patterns: list[Array], a: Array, truth: Array, matrix: str, loaded: bool
-) -> Proof:
+def _solved_e(mirror: Mirror, patterns: list[Array], a: Array, truth: Array) -> SingularSolution:
     unknowns = Unknowns(a.shape[1], 2)
     bias, torques = truth[unknowns.bias], truth[unknowns.torques].reshape(2, 2)
     cycles = []
@@ -144,16 +150,7 @@ def _proof_e(
         k = external_load(mirror.weight + added, bias, *torque)
         c = balanced_forces(pattern, a, k) / truth[unknowns.alpha]
         cycles.append(_cycle(mirror, added, c))
-    found = solve(*system_e(Campaign(tuple(cycles)), a))
-    return _proof("E", matrix, loaded, found, truth)
-
-
-def _proof(system: str, matrix: str, loaded: bool, found: SingularSolution, truth: Array) -> Proof:
-    error = np.abs(found.solution - truth).max() / np.abs(truth).max()
-    return Proof(
-        system, matrix, loaded, found.rank, len(truth), found.singular_values,
-        found.condition, float(error),
-    )  # fmt: skip
+    return solve(*system_e(Campaign(tuple(cycles)), a))
 
 
 def _cycle(mirror: Mirror, added: float, force: Array) -> Cycle:

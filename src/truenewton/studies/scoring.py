@@ -16,8 +16,6 @@ class Score:
 
     Attributes
     ----------
-    rms_error
-        Root mean square of alpha - true alpha over the enabled actuators.
     scale_error
         Common relative error: weighted mean of alpha / true alpha, less one.
     pattern_error
@@ -26,7 +24,6 @@ class Score:
         Largest |alpha - true alpha| in terms of its E_ALPHA.
     """
 
-    rms_error: float
     scale_error: float
     pattern_error: float
     worst: float
@@ -36,13 +33,12 @@ def score(calibration: Calibration, truth: Truth) -> Score:
     """Compare a calibration with the truth: alpha of the mirror at its nominal gap.
 
     That is where static campaigns rest; a loop holds the glass elsewhere, by what comes to some
-    3e-5 of alpha (`bench.simulated.dynamic.rest_displacement`).
+    3e-5 of alpha (`bench.simulated.loop_campaign.rest_displacement`).
     """
     on = calibration.layout.enabled
     alpha, true, error = calibration.alpha[on], truth.alpha[on], calibration.error[on]
     scale = float(alpha @ true / (true @ true))
     return Score(
-        rms_error=float(np.sqrt(np.mean((alpha - true) ** 2))),
         scale_error=scale - 1.0,
         pattern_error=float(np.sqrt(np.mean((alpha / (scale * true) - 1.0) ** 2))),
         worst=float(np.max(np.abs(alpha - true) / error)),

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Coroutine
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -18,6 +17,7 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys as keys
+from truenewton.bench.opcua.methods import METHODS, VARIABLES, variants
 from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.layout import Layout
@@ -26,7 +26,6 @@ from truenewton.statics.load import Load
 TIMEOUT = 60.0  # for one answer; a reading waits for the mirror to settle [s]
 PATIENCE = 10.0  # with a server that is not there [s]
 PAUSE = 0.2  # between two attempts [s]
-Type = ua.VariantType
 Answer = TypeVar("Answer")
 ERRORS = {error.__name__: error for error in TrueNewtonError.__subclasses__()}
 
@@ -49,7 +48,17 @@ class OpcUaBench:
     Raises
     ------
     BenchFault, UnreadableFile, FormatError
+
+    Attributes
+    ----------
+    instrument, layout, gap, gradients
+        As of `Bench` and `Graded`; gradients None where the server does not know.
     """
+
+    instrument: str
+    layout: Layout
+    gap: float
+    gradients: tuple[float | None, float | None]
 
     def __init__(
         self,
@@ -62,7 +71,6 @@ class OpcUaBench:
         self._choice, self._timeout, self._patience = choice, timeout, patience
         self._secrets = _Secrets(choice, Path(folder))
         self._client: Client | None = None
-        self._mirror: tuple[str, float, Layout, list[float]] | None = None
         self._connections = 0  # so far
         self._commanded: int | None = None  # in which of them the last shape was commanded
         self._loop = asyncio.new_event_loop()
@@ -75,56 +83,22 @@ class OpcUaBench:
             self.close()
             raise
 
-    @property
-    def instrument(self) -> str:
-        """The mirror's name."""
-        return self._known[0]
-
-    @property
-    def layout(self) -> Layout:
-        """Its actuators."""
-        return self._known[2]
-
-    @property
-    def gap(self) -> float:
-        """Nominal distance from the reference plate [m]."""
-        return self._known[1]
-
-    @property
-    def gradients(self) -> tuple[float | None, float | None]:
-        """COILGRAD [1/m] and BIASGRAD [N/m]; None where the server does not know."""
-        coil, bias = (None if np.isnan(value) else float(value) for value in self._known[3])
-        return coil, bias
-
     def put_on(self, load: Load) -> None:
         """Have a load put on, or taken off for the bare mirror."""
-        self._call("PutOn", ua.Variant(load.name, Type.String))
+        self._call("PutOn", load.name)
 
     def command(self, shape: Shape) -> None:
         """Bring the mirror to a shape."""
         self._call(
-            "Command",
-            ua.Variant(shape.load.name, Type.String),
-            ua.Variant(shape.cycle, Type.Int32),
-            ua.Variant(shape.number, Type.Int32),
-            ua.Variant(shape.sign, Type.Int32),
-            ua.Variant(shape.position.tolist(), Type.Double),
+            "Command", shape.load.name, shape.cycle, shape.number, shape.sign, shape.position
         )
         self._commanded = self._connections
 
     def read(self, samples: int) -> Reading:
         """Return the mean of so many samples, when the mirror has settled."""
-        when, force, position, force_scatter, position_scatter, *rest = self._call(
-            "Read", ua.Variant(samples, Type.Int32)
-        )
-        return Reading(
-            when,
-            np.array(force, dtype=float),
-            np.array(position, dtype=float),
-            np.array(force_scatter, dtype=float),
-            np.array(position_scatter, dtype=float),
-            *rest,
-        )
+        values = self._call("Read", samples)
+        arrays: list[Any] = [np.array(one) if isinstance(one, list) else one for one in values]
+        return Reading(*arrays)
 
     def status(self) -> Status:
         """Return how the bench is."""
@@ -146,32 +120,23 @@ class OpcUaBench:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def _known(self) -> tuple[str, float, Layout, list[float]]:
-        assert self._mirror is not None  # since the first connection
-        return self._mirror
 
     def _wait(self, answer: Coroutine[Any, Any, Answer]) -> Answer:
         return asyncio.run_coroutine_threadsafe(answer, self._loop).result()
 
-    def _call(self, method: str, *arguments: ua.Variant) -> list[Any]:
+    def _call(self, method: str, *values: Any) -> list[Any]:
         """Call a method of the server and return what it gives; raise its fault."""
+        arguments = variants(values, METHODS[method][0])
         with self._one_at_a_time:
-            fault, *values = self._wait(self._answer(method, arguments))
+            fault, *given = self._wait(self._answer(method, arguments))
         if fault:
-            kind, said, remedy = fault
-            raise ERRORS.get(kind, BenchFault)(said, remedy=remedy)
-        return values
+            kind, what, remedy = fault
+            raise ERRORS.get(kind, BenchFault)(what, remedy=remedy)
+        return given
 
-    async def _answer(self, method: str, arguments: tuple[ua.Variant, ...]) -> list[Any]:
+    async def _answer(self, method: str, arguments: list[ua.Variant]) -> list[Any]:
         client = await self._connected()
         if method == "Read" and self._commanded not in (None, self._connections):
             raise BenchFault(
@@ -181,7 +146,7 @@ class OpcUaBench:
         request = ua.CallMethodRequest(
             ua.NodeId("Bench", self._space),
             ua.NodeId(f"Bench.{method}", self._space),
-            list(arguments),
+            arguments,
         )
         try:
             (result,) = await client.uaclient.call([request])
@@ -193,7 +158,7 @@ class OpcUaBench:
             ) from None
         except (OSError, ua.UaError) as error:
             await self._drop()
-            raise self._fault(f"was lost in {method} ({_said(error)})", "try again") from error
+            raise self._fault(f"was lost in {method} ({_text(error)})", "try again") from error
         if not result.StatusCode.is_good():
             raise self._fault(f"fails in {method} ({result.StatusCode.name})", "see its log")
         return [variant.Value for variant in result.OutputArguments]
@@ -213,7 +178,7 @@ class OpcUaBench:
                 client.disconnect_socket()
                 if time.monotonic() + PAUSE > deadline:
                     raise self._fault(
-                        f"cannot be reached ({_said(error)})",
+                        f"cannot be reached ({_text(error)})",
                         "start it; if it runs, it does not trust this certificate, or is not the"
                         " one of server_certificate",
                     ) from error
@@ -221,7 +186,7 @@ class OpcUaBench:
             except ua.UaError as error:
                 client.disconnect_socket()
                 raise self._fault(
-                    f"refuses user '{self._choice.user}' ({_said(error)})",
+                    f"refuses user '{self._choice.user}' ({_text(error)})",
                     "check user, password_file, certificate and server_certificate",
                 ) from error
             else:
@@ -231,19 +196,22 @@ class OpcUaBench:
 
     async def _recognise(self, client: Client) -> None:
         """Learn what the mirror is, or see that it is still the same."""
-        names = ("Instrument", "Gap", "Gradients", "Id", "X", "Y", "Nz", "Enabled")
         try:
             self._space = await client.get_namespace_index(keys.NAMESPACE)
-            nodes = [client.get_node(ua.NodeId(f"Bench.{name}", self._space)) for name in names]
+            nodes = [
+                client.get_node(ua.NodeId(f"Bench.{name}", self._space)) for name, _ in VARIABLES
+            ]
             instrument, gap, gradients, *columns = await client.read_values(nodes)
         except (OSError, ValueError, ua.UaError) as error:
             await self._drop()
             raise self._fault(
-                f"is not the server of a bench ({_said(error)})", "check bench.address"
+                f"is not the server of a bench ({_text(error)})", "check bench.address"
             ) from error
         layout = Layout(*(np.array(column) for column in columns))
-        if self._mirror is None:
-            self._mirror = instrument, gap, layout, gradients
+        if self._connections == 1:
+            self.instrument, self.layout, self.gap = instrument, layout, gap
+            coil, bias = (None if np.isnan(value) else float(value) for value in gradients)
+            self.gradients = coil, bias
         elif instrument != self.instrument or not layout.same_as(self.layout):
             await self._drop()
             raise self._fault(
@@ -259,11 +227,11 @@ class OpcUaBench:
                 client.disconnect_socket()
             await client.disconnect()
 
-    def _fault(self, said: str, remedy: str) -> BenchFault:
-        return BenchFault(said, remedy=remedy, path=self._choice.address)
+    def _fault(self, what: str, remedy: str) -> BenchFault:
+        return BenchFault(what, remedy=remedy, path=self._choice.address)
 
 
-def _said(error: BaseException) -> str:
+def _text(error: BaseException) -> str:
     return str(error) or type(error).__name__
 
 

@@ -61,20 +61,20 @@ class ClosedServer(Server):
 
     Parameters
     ----------
-    known
+    clients
         Who may come.
     certificate, key
         The server's.
     """
 
     def __init__(
-        self, known: KnownClients, certificate: x509.Certificate, key: RSAPrivateKey
+        self, clients: KnownClients, certificate: x509.Certificate, key: RSAPrivateKey
     ) -> None:
-        super().__init__(_InternalServer(user_manager=known))
+        super().__init__(_InternalServer(user_manager=clients))
         self.iserver.certificate, self.iserver.private_key = certificate, key
         self.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
         self.set_identity_tokens([ua.UserNameIdentityToken])
-        self._door = _TrustedOnly(known.trusted, certificate, key)
+        self._door = _TrustedOnly(clients.trusted, certificate, key)
 
     async def start(self) -> None:
         """Listen; as the base class, but with our own door."""

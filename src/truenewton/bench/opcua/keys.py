@@ -148,10 +148,14 @@ def read_trusted(folder: str | os.PathLike[str]) -> frozenset[bytes]:
 def _parsed(
     path: str | os.PathLike[str], what: str, parse: Callable[[bytes], Value], *, secret: bool
 ) -> Value:
-    """Read a file and parse it; a secret one must be closed to all but its owner."""
+    """Read a file and parse it; a secret one must be closed to all but its owner.
+
+    On Windows the mode of a file does not say whom it is open to, and is not asked.
+    """
     try:
         with Path(path).open("rb") as file:
-            if secret and stat.S_IMODE(os.fstat(file.fileno()).st_mode) & 0o077:
+            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
+            if secret and mode & 0o077 and os.name != "nt":
                 raise UnreadableFile(
                     "may be read by others than its owner", remedy="chmod 600 it", path=path
                 )

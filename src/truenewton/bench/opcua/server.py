@@ -20,32 +20,12 @@ from asyncua import Server, ua
 
 from truenewton.bench.opcua import keys as keys
 from truenewton.bench.opcua.door import ClosedServer, KnownClients
+from truenewton.bench.opcua.methods import METHODS, VARIABLES, Type, scalar, variants
 from truenewton.bench.protocol import Bench, Graded, Operator, Shape
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.load import Load
 
 PORT = 4840  # registered for OPC UA
-Type = ua.VariantType
-Arguments = list[tuple[str, Any]]
-# What each method takes and, after the fault, gives; a list is an array.
-METHODS: dict[str, tuple[Arguments, Arguments]] = {
-    "PutOn": ([("Load", Type.String)], []),
-    "Command": (
-        [("Load", Type.String), ("Cycle", Type.Int32), ("Number", Type.Int32),
-         ("Sign", Type.Int32), ("Position", [Type.Double])],
-        [],
-    ),
-    "Read": (
-        [("Samples", Type.Int32)],
-        [("Time", Type.DateTime), ("Force", [Type.Double]), ("Position", [Type.Double]),
-         ("ForceScatter", [Type.Double]), ("PositionScatter", [Type.Double]),
-         ("Temperature", Type.Double), ("Counter", Type.Int64), ("Settled", Type.Boolean)],
-    ),
-    "Status": (
-        [], [("Ready", Type.Boolean), ("Message", Type.String), ("Counter", Type.Int64)]
-    ),
-    "Rest": ([], []),
-}  # fmt: skip
 
 
 class ServedBench(Bench, Operator, Protocol):
@@ -74,11 +54,11 @@ async def serving(
     UnreadableFile, FormatError
         Keys that cannot be used.
     """
-    place = Path(folder)
-    certificate = keys.read_certificate(place / keys.SERVER_CERTIFICATE)
-    private = keys.read_private_key(place / keys.SERVER_KEY)
-    trusted = keys.read_trusted(place / keys.TRUSTED)
-    password = keys.read_password(place / keys.PASSWORD)
+    folder = Path(folder)
+    certificate = keys.read_certificate(folder / keys.SERVER_CERTIFICATE)
+    private = keys.read_private_key(folder / keys.SERVER_KEY)
+    trusted = keys.read_trusted(folder / keys.TRUSTED)
+    password = keys.read_password(folder / keys.PASSWORD)
     _refuse_taken(port)
     server = ClosedServer(KnownClients(trusted, keys.USER, password), certificate, private)
     await server.init()
@@ -96,7 +76,8 @@ async def serving(
 def _refuse_taken(port: int) -> None:
     """Refuse a port that cannot be had, before the seconds that a server takes to start."""
     with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if os.name != "nt":  # where it would let us share a port that is taken
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind(("127.0.0.1", port))
         except OSError as error:
@@ -109,8 +90,8 @@ def _refuse_taken(port: int) -> None:
 
 def _gradients(bench: ServedBench) -> list[float]:
     """Return COILGRAD and BIASGRAD; not a number where the bench does not know."""
-    known = bench.gradients if isinstance(bench, Graded) else (None, None)
-    return [float("nan") if value is None else value for value in known]
+    gradients = bench.gradients if isinstance(bench, Graded) else (None, None)
+    return [float("nan") if value is None else value for value in gradients]
 
 
 async def _publish(server: Server, bench: ServedBench) -> None:
@@ -118,19 +99,12 @@ async def _publish(server: Server, bench: ServedBench) -> None:
     space = await server.register_namespace(keys.NAMESPACE)
     node = await server.nodes.objects.add_object(ua.NodeId("Bench", space), f"{space}:Bench")
     layout = bench.layout
-    for name, value, kind in (
-        ("Instrument", bench.instrument, Type.String),
-        ("Gap", float(bench.gap), Type.Double),
-        ("Gradients", _gradients(bench), Type.Double),
-        ("Id", layout.id.tolist(), Type.Int64),
-        ("X", layout.x.tolist(), Type.Double),
-        ("Y", layout.y.tolist(), Type.Double),
-        ("Nz", layout.nz.tolist(), Type.Double),
-        ("Enabled", layout.enabled.tolist(), Type.Boolean),
-    ):
-        await node.add_variable(
-            ua.NodeId(f"Bench.{name}", space), f"{space}:{name}", ua.Variant(value, kind)
-        )
+    values = (
+        bench.instrument, float(bench.gap), _gradients(bench),
+        layout.id, layout.x, layout.y, layout.nz, layout.enabled,
+    )  # fmt: skip
+    for (name, _), variant in zip(VARIABLES, variants(values, VARIABLES), strict=True):
+        await node.add_variable(ua.NodeId(f"Bench.{name}", space), f"{space}:{name}", variant)
     methods = _Methods(bench)
     for name, (takes, gives) in METHODS.items():
         await node.add_method(
@@ -146,13 +120,9 @@ def _argument(name: str, kind: Any) -> ua.Argument:
     array = isinstance(kind, list)
     return ua.Argument(
         Name=name,
-        DataType=ua.NodeId(_scalar(kind).value),
+        DataType=ua.NodeId(scalar(kind).value),
         ValueRank=ua.ValueRank.OneDimension if array else ua.ValueRank.Scalar,
     )
-
-
-def _scalar(kind: Any) -> Any:
-    return kind[0] if isinstance(kind, list) else kind
 
 
 class _Methods:
@@ -174,7 +144,6 @@ class _Methods:
             "Status": self._status, "Rest": self._rest,
         }  # fmt: skip
         method = methods[name]
-        kinds = [_scalar(kind) for _, kind in METHODS[name][1]]
 
         def call(_parent: ua.NodeId, *arguments: ua.Variant) -> list[ua.Variant]:
             try:
@@ -183,8 +152,7 @@ class _Methods:
             except TrueNewtonError as error:
                 fault = [type(error).__name__, error.fault, error.remedy]
                 return [ua.Variant(fault, Type.String)]
-            given = [ua.Variant(value, kind) for value, kind in zip(values, kinds, strict=True)]
-            return [ua.Variant([], Type.String), *given]
+            return [ua.Variant([], Type.String), *variants(values, METHODS[name][1])]
 
         return call
 
@@ -198,35 +166,24 @@ class _Methods:
     def _command(
         self, load: str, cycle: int, number: int, sign: int, position: list[float]
     ) -> tuple[()]:
-        borne = self._load
-        if borne is None or borne.key != Load(load).key:
+        present = self._load
+        if present is None or present.key != Load(load).key:
+            there = "no load" if present is None else f"'{present.name}'"
             raise BenchFault(
-                f"the shape is for load '{load}', and the server knows of "
-                + ("no load on the mirror" if borne is None else f"'{borne.name}' on the mirror"),
+                f"the shape is for load '{load}', and the server knows of {there} on the mirror",
                 remedy="put the load on first",
             )
         displacement = np.array(position, dtype=float)
         if not np.isfinite(displacement).all():
             raise BenchFault("a displacement is not finite", remedy="give metres")
-        self._bench.command(Shape(borne, cycle, number, sign, displacement))
+        self._bench.command(Shape(present, cycle, number, sign, displacement))
         return ()
 
     def _read(self, samples: int) -> tuple[Any, ...]:
-        reading = self._bench.read(samples)
-        return (
-            reading.time,
-            reading.force.tolist(),
-            reading.position.tolist(),
-            reading.force_scatter.tolist(),
-            reading.position_scatter.tolist(),
-            float(reading.temperature),
-            int(reading.counter),
-            bool(reading.settled),
-        )
+        return tuple(vars(self._bench.read(samples)).values())
 
     def _status(self) -> tuple[Any, ...]:
-        status = self._bench.status()
-        return bool(status.ready), status.message, int(status.counter)
+        return tuple(vars(self._bench.status()).values())
 
     def _rest(self) -> tuple[()]:
         self._bench.rest()

@@ -3,11 +3,13 @@
 bench          the bench behind the same door as hardware
 static         every shape held exactly, readings noisy
 loop_campaign  the same campaign in closed loop
+record         a shape in closed loop: means over the samples of a record
 loop           sensors, control, DAC, coils and glass, from sample to sample
+noise          random numbers of the rows
 plant          the glass as the loop moves it: M z'' + C z' + K z = f
 sensors        capacitive sensors
 coils          coils and magnets
 control        what runs in the electronics of each actuator
-stability      whether gains hold the loop
+stability      closing the loop, if the gains hold it
 truth          what a simulation knows; written beside the campaign, for scoring only
 """

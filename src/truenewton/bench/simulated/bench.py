@@ -9,25 +9,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from truenewton.bench.protocol import Reading, Shape, Status
-from truenewton.bench.simulated.loop import Loop, record
-from truenewton.bench.simulated.loop import row_noise as loop_noise
+from truenewton.bench.simulated.loop import Loop
 from truenewton.bench.simulated.loop_campaign import loop_of
+from truenewton.bench.simulated.noise import LOOP, SAMPLES, STATIC, row_noise
+from truenewton.bench.simulated.record import record
 from truenewton.bench.simulated.static import (
     PAUSE,
     SECONDS_PER_SHAPE,
     SENSOR_NOISE,
     START,
     held_command,
-    row_noise,
     static_bench,
 )
 from truenewton.bench.simulated.truth import truth_path, write_truth
 from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror
-from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
-SAMPLES = 2048  # a reading [conf]
 FIDELITIES = ("static", "loop")
 
 
@@ -53,6 +51,11 @@ class SimulatedBench:
     ------
     UnknownName
         There is no such fidelity.
+
+    Attributes
+    ----------
+    instrument, layout, gap, gradients
+        As of `Bench` and `Graded`.
     """
 
     def __init__(
@@ -74,28 +77,10 @@ class SimulatedBench:
         self._bench = static_bench(mirror, seed, loads=loads, force_noise=force_noise)
         self._loop = loop_of(self._bench) if fidelity == "loop" else None
         self._loads = [load.key for load in self._bench.loads]
-        self._place, self._counter, self._clock = 0, 0, START
+        self._load_index, self._counter, self._clock = 0, 0, START
         self._shape: Shape | None = None
-
-    @property
-    def instrument(self) -> str:
-        """The mirror's name."""
-        return self._bench.mirror.name
-
-    @property
-    def layout(self) -> Layout:
-        """Its actuators."""
-        return self._bench.mirror.layout
-
-    @property
-    def gap(self) -> float:
-        """Nominal distance from the reference plate [m]."""
-        return self._bench.mirror.gap
-
-    @property
-    def gradients(self) -> tuple[float | None, float | None]:
-        """COILGRAD [1/m] and BIASGRAD [N/m]."""
-        return self._bench.coils.coil_gradient, self._bench.coils.bias_gradient
+        self.instrument, self.layout, self.gap = mirror.name, mirror.layout, mirror.gap
+        self.gradients = mirror.coil_gradient, mirror.bias_gradient
 
     def put_on(self, load: Load) -> None:
         """Put a load on, or take it off for the bare mirror.
@@ -112,7 +97,7 @@ class SimulatedBench:
                 got=load.name,
                 want=tuple(self._loads),
             )
-        self._place = self._loads.index(load.key)
+        self._load_index = self._loads.index(load.key)
         self._clock += PAUSE
 
     def wait(self, seconds: float) -> None:
@@ -137,9 +122,8 @@ class SimulatedBench:
         self._clock += datetime.timedelta(seconds=SECONDS_PER_SHAPE)
         if self._loop is not None:
             return self._recorded(self._loop, shape, samples)
-        exact = held_command(bench, self._place, shape.position)
-        random = row_noise(bench.truth.seed, shape.load, shape.cycle, shape.number, shape.sign)
-        noise = random.standard_normal(2 * n) * np.sqrt(SAMPLES / samples)
+        exact = held_command(bench, self._load_index, shape.position)
+        noise = self._noise(shape, STATIC).standard_normal(2 * n) * np.sqrt(SAMPLES / samples)
         return Reading(
             time=self._clock,
             force=exact + bench.force_noise * noise[:n],
@@ -153,20 +137,23 @@ class SimulatedBench:
 
     def _recorded(self, loop: Loop, shape: Shape, samples: int) -> Reading:
         """Return what the closed loop records of a shape."""
-        bench, load_force = self._bench, self._bench.load_force[self._place][:, None]
-        seed, key = bench.truth.seed, shape.load.key
-        noise = [loop_noise(seed, key, shape.cycle, shape.number, shape.sign)]
-        found = record(loop, shape.position[:, None], load_force, noise, samples=samples)
+        load_force = self._bench.load_force[self._load_index][:, None]
+        noise = [self._noise(shape, LOOP)]
+        taken = record(loop, shape.position[:, None], load_force, noise, samples=samples)
         return Reading(
             time=self._clock,
-            force=found.force[:, 0],
-            position=found.position[:, 0],
-            force_scatter=found.force_scatter[:, 0],
-            position_scatter=found.position_scatter[:, 0],
-            temperature=bench.temperature,
+            force=taken.force[:, 0],
+            position=taken.position[:, 0],
+            force_scatter=taken.force_scatter[:, 0],
+            position_scatter=taken.position_scatter[:, 0],
+            temperature=self._bench.temperature,
             counter=self._counter,
-            settled=bool(found.settled[0]),
+            settled=bool(taken.settled[0]),
         )
+
+    def _noise(self, shape: Shape, stream: int) -> np.random.Generator:
+        key, seed = shape.load.key, self._bench.truth.seed
+        return row_noise(seed, key, shape.cycle, shape.number, shape.sign, stream)
 
     def status(self) -> Status:
         """Return how the bench is."""

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
 
-REFERENCE_TEMPERATURE = 20.0  # at which alpha and the resistance hold [degC]
+REFERENCE_TEMPERATURE = 20.0  # at which alpha holds [degC]
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,9 +26,6 @@ class Coils:
     alpha
         (n,) true Newton / commanded Newton at 20 degC, mirror flat; 0.70 to 1.10 on P45 [paper].
         The scatter of 1.2 % of the force per ampere [conf] is part of it.
-    bias_force
-        (n,) force of the bias magnets on the flat shell [N]; about 97 mN each [conf of LBT, same
-        design]. How it changes with temperature is left out.
     bias_gradient
         BIASGRAD, change of one bias force per displacement along +z [N/m]; plate above, so that
         -31 N/m of gap [conf] is +31.
@@ -37,8 +34,6 @@ class Coils:
         so that -0.6 % for 10 um of gap [conf] is +600.
     magnet_coefficient
         Relative change of force with temperature [1/K]; NdFeB -0.11 %/K [lit].
-    copper_coefficient
-        Relative change of resistance with temperature [1/K]; +0.39 %/K [lit].
     dac_step
         Of the commanded force [N]; 41.6 uN, 16 bit [conf].
     saturation
@@ -46,24 +41,15 @@ class Coils:
     driver_noise
         Standard deviation of one sample of the force that the drivers add, in commanded Newtons
         [N]; 30 uN [guess].
-    force_per_ampere
-        Commanded force per current [N/A]; 1.405 [conf].
-    efficiency
-        Commanded force per root of power [N/W^1/2]; 0.51 [conf]. It is less than 1.405 / 6.63^1/2 =
-        0.546 of the bare coil at 20 degC: it counts what else the current flows through.
     """
 
     alpha: Array
-    bias_force: Array
     bias_gradient: float = 31.0
     coil_gradient: float = 600.0
     magnet_coefficient: float = -1.1e-3
-    copper_coefficient: float = 3.9e-3
     dac_step: float = 41.6e-6
     saturation: float = 0.8
     driver_noise: float = 30e-6
-    force_per_ampere: float = 1.405
-    efficiency: float = 0.51
 
 
 def gain(coils: Coils, temperature: ArrayLike = REFERENCE_TEMPERATURE) -> Array:
@@ -107,11 +93,6 @@ def true_force(
     return np.asarray(gain(coils, temperature) * force * (1 + coils.coil_gradient * displacement))
 
 
-def bias_force(coils: Coils, displacement: Array) -> Array:
-    """Return the bias magnets' (n, batch) force on the glass [N] at (n, batch) z [m]."""
-    return np.asarray(coils.bias_force[:, None] + coils.bias_gradient * displacement)
-
-
 def saturated(coils: Coils, force: Array) -> Array:
     """Return which (n, batch) commanded forces are more than the coils can give."""
     return np.asarray(~(np.abs(force) <= coils.saturation))  # not a number: as bad as too much
@@ -121,18 +102,3 @@ def dac(coils: Coils, force: Array) -> Array:
     """Return the (n, batch) commanded forces [N] as the DAC is told: whole steps, clipped."""
     most = np.floor(coils.saturation / coils.dac_step)
     return np.asarray(coils.dac_step * np.clip(np.rint(force / coils.dac_step), -most, most))
-
-
-def current(coils: Coils, force: Array) -> Array:
-    """Return the currents [A] of commanded forces [N]."""
-    return np.asarray(force / coils.force_per_ampere)
-
-
-def power(coils: Coils, force: Array, temperature: ArrayLike = REFERENCE_TEMPERATURE) -> Array:
-    """Return the (n, batch) powers [W] of (n, batch) commanded forces [N].
-
-    (force / efficiency)^2 at 20 degC, and the copper's resistance in proportion; one temperature
-    [degC] or (batch,).
-    """
-    warmer = np.asarray(temperature, dtype=float) - REFERENCE_TEMPERATURE
-    return np.asarray((force / coils.efficiency) ** 2 * (1 + coils.copper_coefficient * warmer))

@@ -1,17 +1,26 @@
 """Closed loop: sensors, control, DAC, coils and glass, from sample to sample.
 
-Shapes advance together, one a column.
+Shapes advance together, one a column. Unless said otherwise:
+
+shapes
+    (n, batch) commanded displacements from the flat mirror [m].
+load_force
+    (n, batch) or (n, 1) true forces that hold the flat mirror under its load, the bias magnets'
+    included [N].
+noise
+    One generator a shape, see `noise.row_noise`; none for no noise.
+temperature
+    [degC], one or (batch,).
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.coils import (
@@ -23,29 +32,20 @@ from truenewton.bench.simulated.coils import (
     true_force,
 )
 from truenewton.bench.simulated.control import Control, ramp
-from truenewton.bench.simulated.plant import advance
 from truenewton.bench.simulated.sensors import Sensors, counts, out_of_range, reading
-from truenewton.bench.simulated.stability import require_stable
-from truenewton.errors import BenchFault, LoopUnstable
+from truenewton.errors import BenchFault
 
-STREAM = 2  # of the loop's random numbers, beside those that draw the truth
 BLOCK = 16  # samples of noise drawn at once
-SWIFT = 8e-3  # after which nothing moves but the pseudo-integrator [s, derived]
-SETTLING = 20e-3  # from the command to the first sample of a record [s, derived]
-SAMPLES = 2048  # of a record [conf]
-DRIFT = 1e-9  # between the halves of a record, of what has settled [m, derived]
-GROWTH = 1.5  # of the noise between the halves, of what is stable
-QUIET = 10e-3  # twice the usual scatter of force; below it nothing is said to grow [N]
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A mirror in closed loop, from `closed_loop`.
+    """A mirror in closed loop, from `stability.closed_loop`.
 
     Attributes
     ----------
-    stiffness
-        (n, n) K of the glass less the gradient of the bias magnets [N/m].
+    stiffness, mass, damping
+        (n, n) K of the glass less the gradient of the bias magnets [N/m], M [kg], C [N s/m].
     step
         (2n, 3n) of the glass, from `plant.advance`.
     coils, sensors, control
@@ -53,158 +53,12 @@ class Loop:
     """
 
     stiffness: Array
+    mass: Array
+    damping: Array
     step: Array
     coils: Coils
     sensors: Sensors
     control: Control
-
-
-def closed_loop(
-    stiffness: Array,
-    mass: Array,
-    damping: Array,
-    coils: Coils,
-    sensors: Sensors,
-    control: Control,
-) -> Loop:
-    """Close the loop, if the gains hold it.
-
-    Parameters
-    ----------
-    stiffness
-        (n, n) K of the glass at the actuators [N/m].
-    mass, damping
-        (n, n), or (n,) of diagonal ones [kg, N s/m].
-    coils, sensors, control
-        What closes the loop; the bias magnets' gradient comes off the diagonal of K.
-
-    Raises
-    ------
-    LoopUnstable
-        The gains do not hold the loop.
-    """
-    mass, damping = (np.diag(a) if a.ndim == 1 else a for a in (mass, damping))
-    softer = stiffness - coils.bias_gradient * np.eye(len(stiffness))
-    require_stable(softer, mass, damping, coils, sensors, control)
-    step = advance(softer, mass, damping, control.period)
-    return Loop(softer, step, coils, sensors, control)
-
-
-@dataclass(frozen=True, eq=False)
-class Record:
-    """What is written down of each shape: means over the samples of a record.
-
-    Attributes
-    ----------
-    force, force_scatter
-        (n, batch) mean and standard deviation of what the DAC was told [N].
-    position, position_scatter
-        (n, batch) mean and standard deviation of the reading along +z [m].
-    drift
-        (n, batch) mean reading of the second half less that of the first [m].
-    settled
-        (batch,) no sensor drifted by more than `DRIFT`: through the air film a steady drift pulls
-        by 64 N s/m x 1 nm / 14 ms = 4 uN at most.
-
-    Samples follow each other closely, so that the error of a mean is not scatter / samples^1/2: of
-    the forces, whose scatter is mostly what the derivative makes of noise, it is far less.
-    """
-
-    force: Array
-    force_scatter: Array
-    position: Array
-    position_scatter: Array
-    drift: Array
-    settled: NDArray[np.bool_]
-
-
-def row_noise(seed: int, load: str, cycle: int, shape: int, sign: int) -> np.random.Generator:
-    """Return the noise of one row, which its labels alone decide."""
-    return np.random.default_rng([seed, STREAM, zlib.crc32(load.encode()), cycle, shape, sign + 1])
-
-
-def record(
-    loop: Loop,
-    shapes: Array,
-    load_force: Array,
-    noise: Sequence[np.random.Generator] = (),
-    *,
-    temperature: ArrayLike = REFERENCE_TEMPERATURE,
-    settling: float = SETTLING,
-    samples: int = SAMPLES,
-) -> Record:
-    """Step from the flat mirror to each shape, wait, and record.
-
-    The pseudo-integrator would take some 100 ms. So it is put at once where it ends, which is
-    known, and let go when the fast motions are over (`SWIFT`).
-
-    Parameters
-    ----------
-    loop
-        From `closed_loop`.
-    shapes
-        (n, batch) commanded displacements from the flat mirror [m].
-    load_force
-        (n, batch) or (n, 1) true forces that hold the flat mirror under its load, the bias
-        magnets' included [N].
-    noise
-        One generator a shape, see `row_noise`; none for no noise.
-    temperature
-        [degC], one or (batch,).
-    settling
-        From the command to the first sample [s].
-    samples
-        Of the record.
-
-    Raises
-    ------
-    BenchFault
-        A coil saturated, a gap closed, a sensor went out of range.
-    LoopUnstable
-        The noise grew during the record.
-    """
-    n, batch = shapes.shape
-    wait = round(settling * loop.control.rate)
-    held = min(round(SWIFT * loop.control.rate), wait)
-    steps = samples_of(
-        loop, shapes, load_force, noise, wait + samples, temperature=temperature, held=held
-    )
-    for _ in range(wait):
-        next(steps)
-    # Sums about the first sample, so that squares do not drown what they differ by.
-    total, square = np.zeros((2, 2, 2, n, batch))  # half, force or position
-    first = np.empty((2, n, batch))
-    for k, (force, read, _) in enumerate(steps):
-        if k == 0:
-            first[:] = force, read
-        half = int(2 * k >= samples)
-        for what, value in enumerate((force, read)):
-            value = value - first[what]
-            total[half, what] += value
-            square[half, what] += value * value
-    size = np.array([samples - samples // 2, samples // 2])[:, None, None, None]
-    halves = total / size
-    scatter = np.sqrt(np.maximum(square / size - halves**2, 0))
-    mean = total.sum(axis=0) / samples
-    both = np.sqrt(np.maximum(square.sum(axis=0) / samples - mean**2, 0))
-    grown = scatter[1, 0] > np.maximum(GROWTH * scatter[0, 0], QUIET)
-    if grown.any():
-        actuator, column = np.argwhere(grown)[0]
-        raise LoopUnstable(
-            f"the noise of actuator {actuator} in shape {column} grows",
-            remedy="lower the gains",
-            got=float(scatter[1, 0, actuator, column]),
-            want=float(scatter[0, 0, actuator, column]),
-        )
-    drift = halves[1, 1] - halves[0, 1]
-    return Record(
-        force=first[0] + mean[0],
-        force_scatter=both[0],
-        position=first[1] + mean[1],
-        position_scatter=both[1],
-        drift=drift,
-        settled=np.abs(drift).max(axis=0) <= DRIFT,
-    )
 
 
 def samples_of(
@@ -220,8 +74,12 @@ def samples_of(
     """Yield commanded force [N], reading and true displacement [m], (n, batch), of each sample.
 
     The step to the shapes is commanded at the first sample, after a long rest on the flat mirror.
-    Parameters and errors as of `record`; for the samples ``held`` the pseudo-integrator stands at
-    what it comes to in the end.
+    For the samples ``held`` the pseudo-integrator stands at what it comes to in the end.
+
+    Raises
+    ------
+    BenchFault
+        A coil saturated, a gap closed, a sensor went out of range.
     """
     coils, sensors, control = loop.coils, loop.sensors, loop.control
     n, batch = shapes.shape
@@ -271,8 +129,7 @@ def equilibrium(
     """Return true displacement [m] and commanded force [N], (n, batch), after a long rest.
 
     Solves K z + load = true force of c, c = K_c z_c + k_p g (z_c - z / gain), by Newton's method
-    with the slope of the flat mirror; each turn leaves less than a hundredth. Parameters as of
-    `record`.
+    with the slope of the flat mirror; each turn leaves less than a hundredth.
     """
     coils, control = loop.coils, loop.control
     held = control.proportional * control.slow_gain

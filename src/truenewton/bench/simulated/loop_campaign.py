@@ -8,10 +8,13 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.control import Control
-from truenewton.bench.simulated.loop import Loop, closed_loop, equilibrium, record, row_noise
+from truenewton.bench.simulated.loop import Loop, equilibrium
+from truenewton.bench.simulated.noise import LOOP, cycle_noise
 from truenewton.bench.simulated.plant import film_damping
+from truenewton.bench.simulated.record import record
+from truenewton.bench.simulated.stability import closed_loop
 from truenewton.bench.simulated.static import StaticBench, cycle_of, rows_of_cycle, schedule
-from truenewton.mirrors.shell.held_glass import moving_mass
+from truenewton.mirrors.shell.moving_mass import moving_mass
 from truenewton.records.cycle import Cycle
 
 
@@ -62,14 +65,11 @@ def run_loop_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
     """
     loop = loop_of(bench)
     shape, sign, position = rows_of_cycle(bench)
-    for place, number, start in schedule(bench, cycles):
-        key, seed = bench.loads[place].key, bench.truth.seed
-        noise = [
-            row_noise(seed, key, number, k, s)
-            for k, s in zip(shape.tolist(), sign.tolist(), strict=True)
-        ]
-        load_force = bench.load_force[place][:, None]
-        found = record(loop, position.T, load_force, noise, temperature=bench.temperature)
+    rows = list(zip(shape.tolist(), sign.tolist(), strict=True))
+    for load_index, number, start in schedule(bench, cycles):
+        noise = cycle_noise(bench.truth.seed, bench.loads[load_index].key, number, rows, LOOP)
+        load_force = bench.load_force[load_index][:, None]
+        taken = record(loop, position.T, load_force, noise, temperature=bench.temperature)
         yield cycle_of(
-            bench, place, number, start, found.force.T, found.position.T, found.settled, 0.0
+            bench, load_index, number, start, taken.force.T, taken.position.T, taken.settled, 0.0
         )

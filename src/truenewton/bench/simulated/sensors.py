@@ -89,8 +89,3 @@ def reading(sensors: Sensors, counted: Array) -> Array:
     return np.asarray(
         sensors.gap - sensors.d0 / (counted * (sensors.v / sensors.codes) - sensors.c)
     )
-
-
-def count_step(sensors: Sensors, distance: float) -> float:
-    """Return the change of distance that one count means [m]: distance^2 v / (d0 codes)."""
-    return distance**2 * sensors.v / (sensors.d0 * sensors.codes)

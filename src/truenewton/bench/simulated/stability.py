@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy.linalg import eigh
 
 from truenewton.arrays import Array
+from truenewton.bench.simulated.coils import Coils
+from truenewton.bench.simulated.control import Control
+from truenewton.bench.simulated.loop import Loop
 from truenewton.bench.simulated.plant import advance
+from truenewton.bench.simulated.sensors import Sensors
 from truenewton.errors import LoopUnstable
-
-if TYPE_CHECKING:
-    from truenewton.bench.simulated.coils import Coils
-    from truenewton.bench.simulated.control import Control
-    from truenewton.bench.simulated.sensors import Sensors
-
 
 DENSE = 100  # actuators, up to which the whole matrix is taken
 
@@ -61,42 +57,27 @@ def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control
     return np.concatenate([glass, once_after, twice_after, slow_after, *queue[1:]], axis=-2)
 
 
-def roots(
-    stiffness: Array,
-    mass: Array,
-    damping: Array,
-    coils: Coils,
-    sensors: Sensors,
-    control: Control,
-) -> Array:
-    """Return the roots of the closed loop in z; it is stable while all are within the unit circle.
+def roots(loop: Loop) -> Array:
+    """Return the roots of a closed loop in z; it is stable while all are within the unit circle.
 
-    Of up to `DENSE` actuators these are the eigenvalues of the whole. Of more, each mode of the
-    glass is taken alone, with the lowest and with the highest alpha / sensor gain of all actuators
-    and with its own part of damping: exact where mass, damping, alpha and gain are even, an
-    approximation otherwise.
-
-    Parameters
-    ----------
-    stiffness, mass, damping
-        (n, n) K with the bias magnets' gradient taken off [N/m], M [kg], C [N s/m].
-    coils, sensors, control
-        What closes the loop.
+    Of up to `DENSE` actuators these are the ((5 + delay) n,) eigenvalues of the whole. Of more,
+    each mode of the glass is taken alone, with the lowest and with the highest alpha / sensor gain
+    of all actuators and with its own part of damping: exact where mass, damping, alpha and gain are
+    even, an approximation otherwise.
     """
-    n = len(stiffness)
+    alpha, sensor_gain, control = loop.coils.alpha, loop.sensors.gain, loop.control
+    stiffness, mass, n = loop.stiffness, loop.mass, len(loop.stiffness)
     if n <= DENSE:
-        step = advance(stiffness, mass, damping, control.period)
-        matrix = state_matrix(step, coils.alpha, sensors.gain, control)
-        return np.asarray(np.linalg.eigvals(matrix))
+        return np.asarray(np.linalg.eigvals(state_matrix(loop.step, alpha, sensor_gain, control)))
     # Sensors beside pucks leave both a little unlike their transposes, of which eigh would see one
     # triangle; the symmetric part has the same roots to second order. Modes' M modes = 1.
     values, modes = eigh(0.5 * (stiffness + stiffness.T), 0.5 * (mass + mass.T))
-    own_damping = np.einsum("ik,ij,jk->k", modes, damping, modes, optimize=True)
+    own_damping = np.einsum("ik,ij,jk->k", modes, loop.damping, modes, optimize=True)
     step = advance(
         values[:, None, None], np.ones((n, 1, 1)), own_damping[:, None, None], control.period
     )
     reach = np.sum(modes**2, axis=0)[:, None]
-    strength = coils.alpha / sensors.gain
+    strength = alpha / sensor_gain
     return np.concatenate(
         [
             np.linalg.eigvals(state_matrix(step, extreme * reach, np.ones((n, 1)), control))
@@ -106,23 +87,36 @@ def roots(
     )
 
 
-def require_stable(
+def closed_loop(
     stiffness: Array,
     mass: Array,
     damping: Array,
     coils: Coils,
     sensors: Sensors,
     control: Control,
-) -> None:
-    """Refuse gains that do not hold the loop; parameters as of `roots`.
+) -> Loop:
+    """Close the loop, if the gains hold it.
+
+    Parameters
+    ----------
+    stiffness
+        (n, n) K of the glass at the actuators [N/m].
+    mass, damping
+        (n, n), or (n,) of diagonal ones [kg, N s/m].
+    coils, sensors, control
+        What closes the loop; the bias magnets' gradient comes off the diagonal of K.
 
     Raises
     ------
     LoopUnstable
         A root on or outside the unit circle.
     """
-    found = roots(stiffness, mass, damping, coils, sensors, control)
-    worst = found[np.abs(found).argmax()]
+    mass, damping = (np.diag(a) if a.ndim == 1 else a for a in (mass, damping))
+    softer = stiffness - coils.bias_gradient * np.eye(len(stiffness))
+    step = advance(softer, mass, damping, control.period)
+    loop = Loop(softer, mass, damping, step, coils, sensors, control)
+    every = roots(loop)
+    worst = every[np.abs(every).argmax()]
     radius, frequency = float(np.abs(worst)), abs(np.angle(worst)) * control.rate / (2 * np.pi)
     if not radius < 1:
         raise LoopUnstable(
@@ -134,3 +128,4 @@ def require_stable(
             got=radius,
             want=1.0,
         )
+    return loop

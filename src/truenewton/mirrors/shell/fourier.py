@@ -21,163 +21,95 @@ units of b and displacements in units of b^2 / D per newton.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.polynomial import legendre
 
 from truenewton.arrays import Array
 from truenewton.mirrors.glass import Annulus, Shell
-from truenewton.mirrors.shell.condensation import condense
 from truenewton.mirrors.shell.loaded_shell import LoadedShell, mean_over, read_remainder
 from truenewton.mirrors.shell.places import Points, on_glass, shallowness
 from truenewton.mirrors.shell.radial_elements import RadialElements, graded_nodes
 
 POINTS_AT_ONCE = 1024  # bounds the memory where many points are read
+QUADRATURE = 6  # points per spacing of actuators: masses to 5e-4 of the largest
 
 
-def influence(
-    shell: Shell,
-    at: Points,
-    of: Points,
-    *,
-    sensor: Annulus | None = None,
-    puck_radius: float = 0.0,
-    digits: int = 13,
-) -> Array:
-    """Return the displacement at points, or the reading of sensors, per unit force on a free shell.
+@dataclass(frozen=True)
+class RoundShell:
+    """A free annulus, as `free_shell.FreeShell` has it.
 
-    Exact, up to rigid motions, for every combination of forces whose sum and torques vanish. One
-    force alone finds no equilibrium on a free shell; its column means something only in such
-    sums. In the harmonics 0 and 1, where the operator is singular (constant and r), v stands on a
-    spring at the outer edge, which balanced forces leave unloaded.
+    In the harmonics 0 and 1, where the operator is singular (constant and r), v stands on a spring
+    at the outer edge, which balanced forces leave unloaded.
 
-    Where forces and readings share their places this is the compliance of the actuators. It is
-    symmetric only where displacements are read just as forces act: at points under point forces,
-    or on a circle as wide as the puck.
-
-    Parameters
+    Attributes
     ----------
     shell
         The glass; |R| several times its outer radius.
-    at
-        x and y, (n_at,) each, of the points where the displacement is read, or of the centres of
-        the sensors, along the glass [m]; edges included.
-    of
-        x and y, (n_of,) each, of the forces, along the glass [m]; off the edges.
-    sensor
-        Over which a reading is the mean; none reads at the points.
-    puck_radius
-        Radius of the circle on which the force enters the glass [m]; 0 for a point. A stiff puck
-        that is glued to the glass presses with its rim, for the glass under it does not bend; that
-        it stiffens the glass as well is not modelled. Nobody vouches for a radius [guess].
     digits
         Decimal digits to keep of the series in harmonics and in radial polynomials.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n_at, n_of) displacement along the normal [m/N].
-
-    Raises
-    ------
-    GeometryError
-        A shell that cannot be, a point off the glass, a force on an edge or all but on it, a sensor
-        or a puck over an edge, a sensor over the place where a force acts.
     """
-    forces = on_glass(shell, of, "force", puck_radius)
-    points = on_glass(shell, at, "point", sensor.outer_radius if sensor else 0.0)
-    if points.size == 0 or forces.size == 0:
-        return np.zeros((points.size, forces.size))
-    loaded = LoadedShell.of(shell, forces, np.abs(points), puck_radius, digits)
-    chunks = np.array_split(points, -(-points.size // POINTS_AT_ONCE))
-    return np.concatenate([loaded.read(some, sensor) for some in chunks])
 
+    shell: Shell
+    digits: int = 13
 
-def uniform_influence(
-    shell: Shell, at: Points, *, sensor: Annulus | None = None, digits: int = 13
-) -> Array:
-    """Return the displacement at points per unit force spread evenly over the free shell.
+    def influence_in_parts(
+        self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
+    ) -> Iterator[Array]:
+        """Yield some rows of the (n_at, n_of) displacement per unit force [m/N].
 
-    To be added to ``influence`` in sums whose force and torques vanish, like any of its columns.
-    The force acts along the normals.
+        Raises
+        ------
+        GeometryError
+            A shell that cannot be, a point off the glass, a force on an edge or all but on it, a
+            sensor or a puck over an edge, a sensor over the place where a force acts.
+        """
+        forces = on_glass(self.shell, of, "force", puck_radius)
+        points = on_glass(self.shell, at, "point", sensor.outer_radius if sensor else 0.0)
+        if points.size == 0 or forces.size == 0:
+            yield np.zeros((points.size, forces.size))
+            return
+        loaded = LoadedShell.of(self.shell, forces, np.abs(points), puck_radius, self.digits)
+        for some in np.array_split(points, -(-points.size // POINTS_AT_ONCE)):
+            yield loaded.read(some, sensor)
 
-    Parameters
-    ----------
-    shell
-        The glass.
-    at
-        x and y, (n_at,) each, of the points where the displacement is read, or of the centres of
-        the sensors, along the glass [m].
-    sensor, digits
-        As in `influence`.
+    def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
+        """Return the (n_at,) displacement per unit force spread evenly, along the normals [m/N].
 
-    Returns
-    -------
-    numpy.ndarray
-        (n_at,) displacement along the normal [m/N].
+        Raises
+        ------
+        GeometryError
+            A shell that cannot be, a point off the glass.
+        """
+        shell = self.shell
+        r = np.abs(on_glass(shell, at, "point", sensor.outer_radius if sensor else 0.0))
+        hole, curved = shell.inner_radius / shell.outer_radius, shallowness(shell)
+        nodes = graded_nodes(hole, np.array([hole**0.5]), curved)
+        elements = RadialElements(nodes, self.digits + 4, shell.poisson_ratio, curved)
+        pressure = 1 / (np.pi * (1 - hole**2))
+        radii, area = elements.gauss()
+        work = [w @ elements.shape(r, 0, 0) for r, w in zip(radii, pressure * area, strict=True)]
+        response = elements.responses(np.zeros(1), np.array(work)[:, :, None])
+        mean = mean_over(sensor, shell)
+        remainder = read_remainder(elements, response, r, mean)[0, :, 0]
+        # lap lap w is that of the membrane's forces and the pressure.
+        return (remainder + mean.second * pressure) * (
+            shell.outer_radius**2 / shell.bending_stiffness
+        )
 
-    Raises
-    ------
-    GeometryError
-        A shell that cannot be, a point off the glass.
-    """
-    r = np.abs(on_glass(shell, at, "point", sensor.outer_radius if sensor else 0.0))
-    hole, curved = shell.inner_radius / shell.outer_radius, shallowness(shell)
-    nodes = graded_nodes(hole, np.array([hole**0.5]), curved)
-    elements = RadialElements(nodes, digits + 4, shell.poisson_ratio, curved)
-    pressure = 1 / (np.pi * (1 - hole**2))
-    radii, area = elements.gauss()
-    work = [w @ elements.shape(r, 0, 0) for r, w in zip(radii, pressure * area, strict=True)]
-    response = elements.responses(np.zeros(1), np.array(work)[:, :, None])
-    mean = mean_over(sensor, shell)
-    remainder = read_remainder(elements, response, r, mean)[0, :, 0]
-    # lap lap w is that of the membrane's forces and the pressure.
-    return (remainder + mean.second * pressure) * (shell.outer_radius**2 / shell.bending_stiffness)
+    def quadrature(self, actuators: int) -> tuple[Points, Array]:
+        """Return x, y [m] and areas [m^2]: Gauss in radius, even steps in angle.
 
-
-def stiffness(
-    shell: Shell,
-    x: Array,
-    y: Array,
-    *,
-    sensor: Annulus | None = None,
-    puck_radius: float = 0.0,
-    digits: int = 13,
-) -> Array:
-    """Return the stiffness between actuators on a free shell: force per displacement as read.
-
-    Read by sensors, this is what a mirror is driven by and what a measured feed-forward matrix is:
-    f = K z with z the readings. Forces on the right still balance and rigid motions still cost
-    nothing, but K is not symmetric: a sensor sees another mean of the shape than the force does,
-    z = S w, and K = K_w S^-1 with K_w, symmetric, the stiffness by the displacement w that the
-    forces do work on. That is physics, not an error of the model.
-
-    Parameters
-    ----------
-    shell
-        The glass.
-    x, y
-        (n,) positions of the actuators along the glass [m].
-    sensor, puck_radius, digits
-        As in `influence`.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n, n) force per displacement [N/m]; its null space is {1, x, y}. Symmetric without a
-        sensor.
-
-    Raises
-    ------
-    GeometryError
-        A shell that cannot be, actuators off the glass, all but on an edge, on one line or
-        several at one place; what `influence` raises.
-    """
-    compliance = influence(
-        shell, (x, y), (x, y), sensor=sensor, puck_radius=puck_radius, digits=digits
-    )
-    tilts = np.array([np.ones_like(x), x, y])
-    return condense(compliance, tilts, reciprocal=sensor == rim(puck_radius)).stiffness
-
-
-def rim(puck_radius: float) -> Annulus | None:
-    """Return the sensor that reads displacements just as a puck's force acts."""
-    return Annulus(puck_radius, puck_radius) if puck_radius else None
+        Exact for rigid motions, fine enough for the shapes of so many actuators.
+        """
+        a, b = self.shell.inner_radius, self.shell.outer_radius
+        step = np.sqrt(np.pi * (b**2 - a**2) / actuators) / QUADRATURE
+        xi, gauss = legendre.leggauss(max(4, int(np.ceil((b - a) / step))))
+        radii = 0.5 * (a + b) + 0.5 * (b - a) * xi
+        counts = np.maximum(8, np.ceil(2 * np.pi * radii / step)).astype(int)
+        radius = np.repeat(radii, counts)
+        area = np.repeat(np.pi * (b - a) * gauss * radii / counts, counts)
+        angle = np.concatenate([2 * np.pi * (np.arange(k) + 0.5) / k for k in counts])
+        return (radius * np.cos(angle), radius * np.sin(angle)), area

@@ -1,18 +1,21 @@
-"""A mirror's glass between its actuators: what forces hold it, and how it moves."""
+"""A mirror's glass between its actuators: what forces hold it, under whatever hangs on it."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.glass import Shell
+from truenewton.mirrors.known import GRAVITY, Mirror
 from truenewton.mirrors.shell.condensation import Condensed, condense, holding_forces, rearming
-from truenewton.mirrors.shell.fourier import influence, uniform_influence
-from truenewton.mirrors.shell.moving_mass import condensed_mass, puck_motion
+from truenewton.mirrors.shell.free_shell import FreeShell, free_shell, influence
 from truenewton.mirrors.shell.places import Points
-from truenewton.statics.arms import arms
+from truenewton.statics.arms import arms, resultants
+
+WEDGE_MARGIN = 1.5e-3  # wedges of the tool outside the inner edge of the shell [m, guess]
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +26,8 @@ class HeldGlass:
     ----------
     mirror
         Whose glass it is.
+    free
+        The model of its shell.
     places
         x and y of the actuators along the glass [m].
     exchange
@@ -32,6 +37,7 @@ class HeldGlass:
     """
 
     mirror: Mirror
+    free: FreeShell
     places: Points
     exchange: Array
     condensed: Condensed
@@ -43,53 +49,107 @@ class HeldGlass:
 
 
 def held_glass(mirror: Mirror) -> HeldGlass:
-    """Return the glass of a mirror from the semi-analytic model.
+    """Return the glass of a mirror: a ring semi-analytically, any outline by finite elements.
 
     Raises
     ------
     GeometryError
-        What `fourier.influence` and `condense` raise.
+        What `free_shell`, `influence` and `condense` raise.
     """
     places = mirror.shell.along(mirror.layout.x, mirror.layout.y)
+    free = free_shell(mirror.shell, places)
     tilts, lever = np.array([np.ones_like(places[0]), *places]), arms(mirror.layout)
     exchange = rearming(tilts, lever)
     compliance = influence(
-        mirror.shell, places, places, sensor=mirror.sensor, puck_radius=mirror.puck_radius
+        free, places, places, sensor=mirror.sensor, puck_radius=mirror.puck_radius
     )
     condensed = condense(exchange @ compliance @ exchange.T, lever, reciprocal=False)
-    return HeldGlass(mirror, places, exchange, condensed)
+    return HeldGlass(mirror, free, places, exchange, condensed)
 
 
-def forces_under(glass: HeldGlass, spread: float, at: Points, force: Array) -> Array:
-    """Return the (n,) forces that hold the flat mirror under an external load [N].
+@dataclass(frozen=True, eq=False)
+class ExternalForces:
+    """What acts on a flat mirror beside its actuators, along +z [N].
+
+    Attributes
+    ----------
+    spread
+        Evenly over the glass.
+    at, force
+        x and y [m] and size (k,) of forces at points off the actuators, along the glass.
+    local
+        (n,) at each actuator, along its normal.
+    """
+
+    spread: float
+    at: Points
+    force: Array
+    local: Array
+
+
+def weight_on(
+    mirror: Mirror,
+    weight: float,
+    added: float = 0.0,
+    *,
+    cosine: float = 1.0,
+    off_centre: Sequence[float] | Array = (0.0, 0.0),
+    bias: Array | float = 0.0,
+) -> ExternalForces:
+    """Return what a mirror's own weight, a weight tool and the bias magnets do to it.
+
+    The glass spread evenly, magnets and bias magnets at their actuators, the tool on its wedges.
 
     Parameters
     ----------
-    glass
-        From `held_glass`.
-    spread
-        Force spread evenly over the glass [N].
-    at, force
-        x and y [m] and size [N] of forces at points off the actuators, along the glass.
+    mirror
+        Its magnets, and where the tool stands.
+    weight, added
+        P of glass and magnets, Q of the tool [N].
+    cosine
+        Of the tilt of the axis from the vertical.
+    off_centre
+        x and y of the middle of the tool [m].
+    bias
+        (n,) forces of the bias magnets along the normals [N].
     """
-    shell, sensor = glass.mirror.shell, glass.mirror.sensor
-    bent = spread * uniform_influence(shell, glass.places, sensor=sensor)
-    bent += influence(shell, glass.places, at, sensor=sensor) @ force
-    resultants = np.array([spread + force.sum(), at[0] @ force, at[1] @ force])
+    x, y = tool_wedges(mirror.shell)
+    magnets = np.full(mirror.layout.n, -mirror.magnet_mass * GRAVITY)
+    spread = cosine * (weight - magnets.sum())
+    return ExternalForces(
+        spread=spread,
+        at=(x + off_centre[0], y + off_centre[1]),
+        force=np.full(3, cosine * added / 3),
+        local=cosine * magnets / mirror.layout.nz + bias,
+    )
+
+
+def tool_wedges(shell: Shell) -> Points:
+    """Return x, y [m] of the weight tool's three wedges, 120 degrees apart, at the inner edge."""
+    angle = np.radians([90.0, 210.0, 330.0])
+    radius = shell.inner_radius + WEDGE_MARGIN
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+def forces_under(glass: HeldGlass, external: ExternalForces) -> Array:
+    """Return the (n,) forces that hold the flat mirror under external ones [N]."""
+    sensor, at, force = glass.mirror.sensor, external.at, external.force
+    bent = external.spread * glass.free.uniform_influence(glass.places, sensor=sensor)
+    bent += influence(glass.free, glass.places, at, sensor=sensor) @ force
     flat = np.zeros(glass.places[0].size)
-    return holding_forces(glass.condensed, flat, glass.exchange @ bent, resultants)
+    held = holding_forces(
+        glass.condensed, flat, glass.exchange @ bent, _resultants_on_glass(glass.mirror, external)
+    )
+    return held - external.local
 
 
-def moving_mass(glass: HeldGlass) -> tuple[Array, Array]:
-    """Return mass [kg] and S in M z'' + K~ z = S' f, z the readings and f the forces, (n, n) each.
+def external_resultants(mirror: Mirror, external: ExternalForces) -> Array:
+    """Return k, (3,): total force [N] and moments x f and y f [N m], that is W + B, M_y, -M_x."""
+    return _resultants_on_glass(mirror, external) + resultants(mirror.layout, external.local)
 
-    S, the displacement of the pucks for that of the readings, takes the forces to the readings by
-    virtual work; K~ = S' K.
-    """
-    mirror, (x, y) = glass.mirror, glass.places
-    mass = condensed_mass(
-        mirror.shell, x, y, mirror.magnet_mass, sensor=mirror.sensor,
-        puck_radius=mirror.puck_radius,
-    )  # fmt: skip
-    pucks = puck_motion(mirror.shell, x, y, sensor=mirror.sensor, puck_radius=mirror.puck_radius)
-    return mass, pucks
+
+def _resultants_on_glass(mirror: Mirror, external: ExternalForces) -> Array:
+    """Return the same of what does not act at the actuators."""
+    spread, force, (x, y) = external.spread, external.force, mirror.shell.centroid
+    moments = [spread * x + external.at[0] @ force, spread * y + external.at[1] @ force]
+    return np.array([spread + force.sum(), *moments])

@@ -107,7 +107,7 @@ class Kernel:
     puck_radius: float = 0.0
 
     def fields(self, rho: Array) -> tuple[Array, Array]:
-        """Return w and lap w at distances from a point force."""
+        """Return w and lap w at distances from a point force, (..., n) each, in units of b."""
         rho = np.maximum(rho, 1e-100)  # w(0) is finite; lap w(0) is not and goes unused
         if self.shallowness >= SERIES_BELOW:
             k = kv(0, EULER_ROOT * self.shallowness * rho)
@@ -116,7 +116,7 @@ class Kernel:
         return w, lap
 
     def slopes(self, rho: Array) -> tuple[Array, Array]:
-        """Return dw/drho and dPhi/drho at distances from a point force."""
+        """Return dw/drho and dPhi/drho at (..., n) distances from a point force."""
         if self.shallowness >= SERIES_BELOW:
             z = EULER_ROOT * self.shallowness
             k = -z * kv(1, z * rho)
@@ -143,13 +143,13 @@ class Kernel:
         return total
 
     def spread(self, w: Array, lap: Array, mean: Mean) -> tuple[Array, Array]:
-        """Return the means of w and lap w where lap lap w = -lambda^4 w: off all forces."""
+        """Return means of (..., n) w and lap w where lap lap w = -lambda^4 w, off all forces."""
         fourth = self.shallowness**4
         kept = 1 - fourth * mean.second
         return kept * w + mean.first * lap, kept * lap - fourth * mean.first * w
 
     def displacement(self, rho: Array, sensor: Circles | None) -> Array:
-        """Return w at distances from forces, or its mean over a sensor there.
+        """Return w at (n_at, n_of) distances from forces, or its mean over a sensor there.
 
         Raises
         ------

@@ -25,6 +25,10 @@ def on_glass(
 ) -> NDArray[np.complex128]:
     """Return (n,) places as x + i y in units of the outer radius, once known to be on the glass."""
     a, b, nu = shell.inner_radius, shell.outer_radius, shell.poisson_ratio
+    if shell.outline is not None:
+        raise GeometryError(
+            "a glass with an outline is no ring", remedy="take finite elements for it"
+        )
     if not 1e-4 * b <= a < b < np.inf:  # in a finer hole rounding eats more than eight digits
         raise GeometryError(
             f"the glass reaches from {a:.6g} m to {b:.6g} m",

@@ -22,7 +22,7 @@ from truenewton.arrays import Array
 
 
 def graded_nodes(hole: float, force_radius: Array, shallowness: float) -> Array:
-    """Return the radii between elements, which double in width away from both edges.
+    """Return the (nodes,) radii between elements [b], which double in width away from both edges.
 
     What is left is smooth up to the images of the forces in the edges, at hole^2/s and 1/s.
     Elements no wider than their distance from those all converge at one rate, 3 + sqrt(8) per
@@ -104,7 +104,7 @@ class RadialElements:
         return [bending, membrane]
 
     def element_of(self, r: Array) -> Array:
-        """Return the element of each radius, the outer one on a node."""
+        """Return the element of each (n_r,) radius, the outer one on a node."""
         last = self.nodes.size - 2
         return np.clip(np.searchsorted(self.nodes, r, side="right") - 1, 0, last)
 

@@ -1,9 +1,9 @@
 """Thin free glass of any outline and spherical curvature, by finite elements.
 
-stiffness  the shell seen from its actuators: stiffness, influence, frequencies
-energy     elastic energy and mass on a mesh
-argyris    Argyris' triangle, and quadrature
-mesh       triangles over a glass
-meshing    a mesh with a vertex at every actuator
-outline    polygons around a glass
+meshed_shell  a free glass on a mesh under forces
+energy        elastic energy on a mesh
+argyris       Argyris' triangle, and quadrature
+mesh          triangles over a glass
+meshing       a mesh with a vertex at every actuator
+outline       polygons around a glass
 """

@@ -1,4 +1,4 @@
-"""Elastic energy and mass of a thin shallow spherical shell on a mesh.
+"""Elastic energy of a thin shallow spherical shell on a mesh.
 
 Kirchhoff's bending and the membrane of a shallow shell (L. H. Donnell, NACA Report 479, 1933;
 K. Marguerre, Proc. 5th Int. Congress of Applied Mechanics, 1938), coupled by the curvature 1/R:
@@ -46,21 +46,6 @@ def elastic_energy(shell: Shell, mesh: Mesh, element: Argyris) -> csc_array:
         blocks.append(np.swapaxes(strains.reshape(flat), 1, 2) @ stresses.reshape(flat))
     unknown = _with_membrane(mesh, element) if curved else element.unknown
     return _assembled(np.concatenate(blocks), unknown, unknowns(shell, mesh, element))
-
-
-def inertia(shell: Shell, mesh: Mesh, element: Argyris) -> csc_array:
-    """Return the consistent mass matrix [kg] for the unknowns of `elastic_energy`.
-
-    Only motion along z has mass; the rule of degree 10 is exact.
-    """
-    barycentric, weights = quadrature(10)
-    areal = shell.density * shell.thickness
-    blocks = []
-    for some in _portions(mesh):
-        shapes = element.shapes(some, barycentric @ mesh.corners[some], (0, 0))
-        masses = areal * (mesh.areas[some, None] * weights)[:, :, None]
-        blocks.append(np.swapaxes(shapes, 1, 2) @ (masses * shapes))
-    return _assembled(np.concatenate(blocks), element.unknown, unknowns(shell, mesh, element))
 
 
 def unknowns(shell: Shell, mesh: Mesh, element: Argyris) -> int:

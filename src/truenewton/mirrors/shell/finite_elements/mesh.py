@@ -36,30 +36,23 @@ class Mesh:
     @cached_property
     def edges(self) -> Indices:
         """(n_edges, 2) vertices of each edge, the lower number first."""
-        return self._edges_and_places[0]
+        return self._edges_and_indices[0]
 
     @cached_property
     def edge_of(self) -> Indices:
         """(n_triangles, 3) the edges from vertex 0 to 1, 1 to 2 and 2 to 0 of each triangle."""
-        return self._edges_and_places[1]
+        return self._edges_and_indices[1]
 
     @cached_property
-    def _edges_and_places(self) -> tuple[Indices, Indices]:
+    def _edges_and_indices(self) -> tuple[Indices, Indices]:
         sides = np.sort(self.triangles[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
-        edges, place = np.unique(sides, axis=0, return_inverse=True)
-        return edges, place.reshape(-1, 3)
+        edges, edge_index = np.unique(sides, axis=0, return_inverse=True)
+        return edges, edge_index.reshape(-1, 3)
 
     @cached_property
     def size(self) -> float:
         """Median length of the edges [m]."""
         return float(np.median(np.linalg.norm(np.diff(self.points[self.edges], axis=1), axis=2)))
-
-    @cached_property
-    def angles(self) -> Array:
-        """(n_triangles, 3) angle at each vertex [rad]."""
-        side = np.linalg.norm(self.corners - np.roll(self.corners, -1, axis=1), axis=2)
-        a, b, c = side, np.roll(side, -1, axis=1), np.roll(side, -2, axis=1)
-        return np.asarray(np.arccos((a**2 + c**2 - b**2) / (2 * a * c)))
 
     @property
     def corners(self) -> Array:
@@ -84,7 +77,7 @@ class Mesh:
         centres = corners.mean(axis=1)
         reach = np.linalg.norm(corners - centres[:, None], axis=2).max()
         tree = cKDTree(centres)
-        found = np.zeros(len(places), dtype=np.int64)
+        triangle = np.zeros(len(places), dtype=np.int64)
         depth = np.zeros(len(places))
         count, left = 8, np.arange(len(places))
         while left.size:  # until all centres within reach of a place have been looked at
@@ -93,7 +86,7 @@ class Mesh:
             away, near = np.asarray(nearest[0]), np.asarray(nearest[1])
             inward = _depth(places[left, None], corners[near])
             pick = np.arange(left.size), inward.argmax(axis=1)
-            found[left], depth[left] = near[pick], inward[pick]
+            triangle[left], depth[left] = near[pick], inward[pick]
             unsure = (inward[pick] < -1e-9 * self.size) & (away[:, -1] < reach)
             left = left[unsure] if count < len(centres) else left[:0]
             count *= 4
@@ -102,7 +95,7 @@ class Mesh:
                 f"point {i} at x = {places[i, 0]:.6g} m, y = {places[i, 1]:.6g} m is off the glass",
                 remedy="bring it within the edges",
             )
-        return found
+        return triangle
 
 
 def _depth(places: Array, corners: Array) -> Array:

@@ -27,15 +27,15 @@ RELAXATIONS = 12
 MOST_ROUNDS = 300  # of refinement; some ten are usual
 
 
-def annulus_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) -> Mesh:
-    """Mesh a round glass; both edges are polygons of the circles' areas.
+def shell_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) -> Mesh:
+    """Mesh a glass; the edges of a ring are polygons of the circles' areas.
 
     Parameters
     ----------
     shell
-        Gives the radii; an inner radius of 0 means a full disc.
+        Gives radii or outline; an inner radius of 0 means a full disc.
     x, y
-        (n,) positions of the actuators [m].
+        (n,) positions of the actuators along the glass [m].
     mesh_size
         Length of the triangles' sides [m], shorter where actuators crowd.
 
@@ -44,6 +44,9 @@ def annulus_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) 
     GeometryError
         Radii that cannot be; else as `outline_mesh`.
     """
+    if shell.outline is not None:
+        edge, *holes = shell.polygons()
+        return outline_mesh(edge, x, y, mesh_size=mesh_size, holes=holes)
     inner, outer = shell.inner_radius, shell.outer_radius
     if not 0 <= inner < outer < np.inf:
         raise GeometryError(

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
+from truenewton.mirrors.glass import areas_and_moments
 
 SHARPEST_CORNER = 45.0  # [deg]; below, halving one side of a corner crowds the other for ever
 MOST_TRIANGLES = 100_000  # 22 000 of a curved glass take 1.5 GB, and more than in proportion
@@ -47,7 +48,7 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
     loops = [np.asarray(polygon, dtype=float) for polygon in polygons]
     for loop in loops:
         _check_loop(loop)
-    area = abs(_signed_area(loops[0])) - sum(abs(_signed_area(hole)) for hole in loops[1:])
+    area = areas_and_moments(loops)[0]
     triangles = area / (np.sqrt(3 / 16) * mesh_size**2)
     if triangles > MOST_TRIANGLES:
         coarser = mesh_size * np.sqrt(triangles / MOST_TRIANGLES)
@@ -89,13 +90,13 @@ def checked_places(loops: Sequence[Array], x: ArrayLike, y: ArrayLike, mesh_size
             f"X has shape {across.shape} and Y {up.shape}", remedy="give two numbers an actuator"
         )
     places = np.stack([across, up], axis=1)
-    closest = CLOSEST * mesh_size
-    for i in np.flatnonzero(~inside(loops, places)):
+    closest, depth = CLOSEST * mesh_size, depth_inside(loops, places)
+    for i in np.flatnonzero(~(depth >= 0)):
         raise GeometryError(
             f"actuator {i} at x = {across[i]:.6g} m, y = {up[i]:.6g} m is off the glass",
             remedy="bring it within the outline",
         )
-    for i in np.flatnonzero(_distance_to_sides(loops, places) < closest):
+    for i in np.flatnonzero(depth < closest):
         raise GeometryError(
             f"actuator {i} at x = {across[i]:.6g} m, y = {up[i]:.6g} m is all but on an edge",
             remedy=f"keep actuators {closest:.2g} m away from edges, or take a smaller mesh size",
@@ -134,11 +135,6 @@ def _check_loop(loop: Array) -> None:
         )
 
 
-def _signed_area(loop: Array) -> float:
-    (x, y), (x_1, y_1) = loop.T, np.roll(loop, -1, axis=0).T
-    return float(0.5 * (x * y_1 - x_1 * y).sum())
-
-
 def _meets(p: Array, q: Array, start: Array, end: Array) -> NDArray[np.bool_]:
     """Tell which sides start-end touch the side p-q without sharing a vertex with it."""
 
@@ -158,8 +154,11 @@ def _meets(p: Array, q: Array, start: Array, end: Array) -> NDArray[np.bool_]:
     return np.asarray(crossing & overlap.all(axis=1) & ~ends_at(p) & ~ends_at(q))
 
 
-def _distance_to_sides(loops: Sequence[Array], places: Array) -> Array:
-    """Return (n,) distance from each place to the nearest side."""
+def depth_inside(loops: Sequence[Array], places: Array) -> Array:
+    """Return (n,) distance from each of (n, 2) places to the nearest side, negative off the glass.
+
+    Lengths as those of the places.
+    """
     nearest = np.full(len(places), np.inf)
     for loop in loops:
         for start, end in zip(loop, np.roll(loop, -1, axis=0), strict=True):
@@ -167,4 +166,4 @@ def _distance_to_sides(loops: Sequence[Array], places: Array) -> Array:
             part = np.clip((places - start) @ along / (along @ along), 0, 1)
             gap = places - start - part[:, None] * along
             nearest = np.minimum(nearest, np.hypot(*gap.T))
-    return nearest
+    return np.where(inside(loops, places), nearest, -nearest)

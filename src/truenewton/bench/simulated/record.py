@@ -1,0 +1,124 @@
+"""What is written down of a shape in closed loop: means over the samples of a record."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from truenewton.arrays import Array
+from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE
+from truenewton.bench.simulated.loop import Loop, samples_of
+from truenewton.bench.simulated.noise import SAMPLES
+from truenewton.errors import LoopUnstable
+
+SWIFT = 8e-3  # after which nothing moves but the pseudo-integrator [s, derived]
+SETTLING = 20e-3  # from the command to the first sample of a record [s, derived]
+DRIFT = 1e-9  # between the halves of a record, of what has settled [m, derived]
+GROWTH = 1.5  # of the noise between the halves, of what is stable
+QUIET = 10e-3  # twice the usual scatter of force; below it nothing is said to grow [N]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """What is written down of each shape.
+
+    Attributes
+    ----------
+    force, force_scatter
+        (n, batch) mean and standard deviation of what the DAC was told [N].
+    position, position_scatter
+        (n, batch) mean and standard deviation of the reading along +z [m].
+    settled
+        (batch,) no mean reading changed by more than `DRIFT` between the halves: through the air
+        film a steady drift pulls by 64 N s/m x 1 nm / 14 ms = 4 uN at most.
+
+    Samples follow each other closely, so that the error of a mean is not scatter / samples^1/2: of
+    the forces, whose scatter is mostly what the derivative makes of noise, it is far less.
+    """
+
+    force: Array
+    force_scatter: Array
+    position: Array
+    position_scatter: Array
+    settled: NDArray[np.bool_]
+
+
+def record(
+    loop: Loop,
+    shapes: Array,
+    load_force: Array,
+    noise: Sequence[np.random.Generator] = (),
+    *,
+    temperature: ArrayLike = REFERENCE_TEMPERATURE,
+    settling: float = SETTLING,
+    samples: int = SAMPLES,
+) -> Record:
+    """Step from the flat mirror to each shape, wait, and record.
+
+    The pseudo-integrator would take some 100 ms. So it is put at once where it ends, which is
+    known, and let go when the fast motions are over (`SWIFT`).
+
+    Parameters
+    ----------
+    loop
+        From `closed_loop`.
+    shapes, load_force, noise, temperature
+        As in `loop`.
+    settling
+        From the command to the first sample [s].
+    samples
+        Of the record.
+
+    Raises
+    ------
+    BenchFault
+        A coil saturated, a gap closed, a sensor went out of range.
+    LoopUnstable
+        The noise grew during the record.
+    """
+    wait = round(settling * loop.control.rate)
+    held = min(round(SWIFT * loop.control.rate), wait)
+    steps = samples_of(
+        loop, shapes, load_force, noise, wait + samples, temperature=temperature, held=held
+    )
+    for _ in range(wait):
+        next(steps)
+    # Sums about the first sample, so that squares do not drown what they differ by.
+    total, square = np.zeros((2, 2, 2, *shapes.shape))  # half, force or position
+    first = np.empty((2, *shapes.shape))
+    for k, (force, read, _) in enumerate(steps):
+        if k == 0:
+            first[:] = force, read
+        half = int(2 * k >= samples)
+        for what, value in enumerate((force, read)):
+            value = value - first[what]
+            total[half, what] += value
+            square[half, what] += value * value
+    size = np.array([samples - samples // 2, samples // 2])[:, None, None, None]
+    halves = total / size
+    _refuse_growth(np.sqrt(np.maximum(square / size - halves**2, 0))[:, 0])
+    mean = total.sum(axis=0) / samples
+    scatter = np.sqrt(np.maximum(square.sum(axis=0) / samples - mean**2, 0))
+    return Record(
+        force=first[0] + mean[0],
+        force_scatter=scatter[0],
+        position=first[1] + mean[1],
+        position_scatter=scatter[1],
+        settled=np.abs(halves[1, 1] - halves[0, 1]).max(axis=0) <= DRIFT,
+    )
+
+
+def _refuse_growth(scatter: Array) -> None:
+    """Refuse (2, n, batch) scatters of the force in both halves of which the second is larger."""
+    grown = scatter[1] > np.maximum(GROWTH * scatter[0], QUIET)
+    if grown.any():
+        actuator, column = np.argwhere(grown)[0]
+        raise LoopUnstable(
+            f"the noise of actuator {actuator} in shape {column} grows",
+            remedy="lower the gains",
+            got=float(scatter[1, actuator, column]),
+            want=float(scatter[0, actuator, column]),
+        )
