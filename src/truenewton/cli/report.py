@@ -24,7 +24,7 @@ def run(
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
-    from truenewton.cli.terminal import busy
+    from truenewton.cli.terminal import busy, print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read, read_calibrations
     from truenewton.report.change import Change, change
@@ -45,6 +45,4 @@ def run(
     words += ["--population"] if population else []
     write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
     judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)
-    for line in judged.lines():
-        print(line)
-    print(f"written: {output}")
+    print_result(judged.lines(), [output], saved=True)

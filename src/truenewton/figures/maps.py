@@ -32,8 +32,7 @@ def ring_edges(layout: Layout) -> Array:
 
 def ring_label(layout: Layout) -> str:
     """Return what an axis of actuators ring by ring is called."""
-    rings = ring_edges(layout).size
-    return "actuator, ring by ring from the centre" if rings else "actuator"
+    return "actuator, ring by ring from the centre" if ring_edges(layout).size else "actuator"
 
 
 def mark_rings(ax: Axes, layout: Layout) -> None:
