@@ -223,9 +223,7 @@ def test_the_same_files_are_said_to_be_the_same():
 
 
 def calibrated_source(cycle):
-    from truenewton.records.source import UsedSource
-
-    return UsedSource(f"{cycle.load.name}.fits", "0" * 64, 1, 0)
+    return Source(f"{cycle.load.name}.fits", "0" * 64, 1, 0)
 
 
 HOSTILE = (

@@ -22,7 +22,7 @@ from tracked import (
 import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
 from truenewton.figures.writing import write_drawn
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.statics.load import Load
 from truenewton.tracking.days import DatedCalibration, covariances, gathered, weight_groups
 from truenewton.tracking.family import families_from, fitted_population, most_outlying
@@ -299,7 +299,7 @@ def test_what_cannot_be_tracked_is_refused():
     refused(FormatError, "holds no temperature", one, dataclasses.replace(two, temperature=np.nan))
     refused(FormatError, "relative to its mean", one, dataclasses.replace(two, scale="mean 1"))
     refused(FormatError, "earlier calibration", one, dataclasses.replace(two, scale="given"))
-    source = (UsedSource("a.fits", "f" * 64, 1, 0),)
+    source = (Source("a.fits", "f" * 64, 1, 0),)
     refused(CampaignMismatch, "same files", dataclasses.replace(one, sources=source),
             dataclasses.replace(two, sources=source))  # fmt: skip
 

@@ -24,6 +24,12 @@ def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     return array
 
 
+def freeze(record: object, *names: str, dtype: Any = np.float64) -> None:
+    """Make arrays of a frozen dataclass, while it is made, read-only and of one type."""
+    for name in names:
+        object.__setattr__(record, name, frozen_array(getattr(record, name), dtype))
+
+
 def spread(values: Array, on: NDArray[np.bool_]) -> Array:
     """Put (n_enabled, ...) values of the enabled actuators in the order of all (n,), else NaN."""
     out = np.full((on.size, *values.shape[1:]), np.nan)

@@ -6,17 +6,25 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from truenewton.calibration.file import calibration_from, is_calibration_file
+from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
 from truenewton.errors import FormatError
-from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.records.file import campaign_from, fits_paths, is_stiffness_file, stiffness_from
+from truenewton.records.file import campaign_from, fits_paths, stiffness_from
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
+FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to do with it
+    "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
+    "MODES": Fault(
+        "is a modal base", "give what it was made from, or the .commanded.fits beside it"
+    ),
+    "TRACKING": Fault(
+        "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
+    ),
+}
 
 
 def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibration:
@@ -40,36 +48,29 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
     whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
     files = [read_fits(path, whole=whole) for path in every]
     if len(files) == 1:
-        if is_calibration_file(files[0]):
+        if "CALIBRATION" in files[0].extensions:
             return calibration_from(files[0])
-        if is_stiffness_file(files[0]):
+        if "STIFFNESS" in files[0].extensions:
             return stiffness_from(files[0])
-    matrices = [file for file in files if is_stiffness_file(file)]
+    matrices = [file for file in files if "STIFFNESS" in file.extensions]
     for file in files:
-        fault = _stranger(file)
-        if fault is None and file in matrices[1:]:
-            fault = Fault("is a second stiffness file among others", "give it alone")
-        if fault is not None:
-            raise FormatError(fault.fault, remedy=fault.remedy, path=file.path)
+        for name, (fault, remedy) in FOREIGN.items():
+            if name in file.extensions:
+                raise FormatError(fault, remedy=remedy, path=file.path)
+        if file.header.get("CTYPE2") == "ACTUATOR":
+            raise FormatError(
+                "is a plain matrix of a modal base",
+                remedy="give the .commanded.fits beside it",
+                path=file.path,
+            )
+        calibrated = "CALIBRATION" in file.extensions
+        if calibrated or file in matrices[1:]:
+            what = "calibration" if calibrated else "second stiffness"
+            raise FormatError(
+                f"is a {what} file among others", remedy="give it alone", path=file.path
+            )
     campaign = campaign_from(file for file in files if file not in matrices)
     return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
-
-
-def _stranger(file: FitsFile) -> Fault | None:
-    """Say what a file is that does not belong among the cycle files of a campaign."""
-    if file.holds("TRUTH"):
-        return Fault("is the truth of a simulation", "give the campaign beside it")
-    if file.header.get("CTYPE2") == "ACTUATOR":
-        return Fault("is a plain matrix of a modal base", "give the .commanded.fits beside it")
-    if file.holds("MODES"):
-        remedy = "give what it was made from, or the .commanded.fits beside it"
-        return Fault("is a modal base", remedy)
-    if file.holds("TRACKING"):
-        remedy = "give it to `recalibrate --known`, or to read_tracking in Python"
-        return Fault("is a tracking file", remedy)
-    if is_calibration_file(file):
-        return Fault("is a calibration file among others", "give it alone")
-    return None
 
 
 def read_data(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix:
@@ -112,6 +113,6 @@ def read_calibrations(*paths: str | os.PathLike[str]) -> tuple[Calibration, ...]
     files = []
     for path in paths:
         files.append(read_fits(path))
-        if not is_calibration_file(files[-1]):
+        if "CALIBRATION" not in files[-1].extensions:
             return ()
     return tuple(calibration_from(file) for file in files)

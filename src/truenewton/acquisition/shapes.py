@@ -16,7 +16,7 @@ from truenewton.files.fits import read_fits
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.shapes import scaled_modes
 from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.records.file import is_stiffness_file, stiffness_from
+from truenewton.records.file import stiffness_from
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import stiffness_modes
 
@@ -52,7 +52,7 @@ def shapes_and_forces(
         modes = stiffness_modes(true).modes.T
         return _spread(_scaled(modes, true, plan), true / expected_alpha(mirror), on)
     file = read_fits(path)
-    if is_stiffness_file(file):
+    if "STIFFNESS" in file.extensions:
         matrix = stiffness_from(file)
         if not matrix.layout.same_as(mirror.layout):
             raise FormatError(
@@ -83,7 +83,7 @@ def _scaled(modes: Array, stiffness: Array, plan: CampaignPlan) -> Array:
 def shapes_are_given(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> bool:
     """Tell whether a file gives the shapes as they stand, whatever stroke and force say."""
     source = plan.shapes.source
-    return source != "modes" and not is_stiffness_file(read_fits(Path(folder) / source))
+    return source != "modes" and "STIFFNESS" not in read_fits(Path(folder) / source).extensions
 
 
 def model_stiffness(mirror: Mirror) -> Array:

@@ -10,8 +10,6 @@ from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
 
-UNKNOWN = float("nan")
-
 ACTUATORS = TableFormat(
     "CALIBRATION",
     (
@@ -31,10 +29,10 @@ CALIBRATION = FileFormat(
         INSTRUMENT,
         Keyword("DATE-OBS", "date", "UTC, start of the data", kind="date"),
         Keyword("DATE-END", "date_end", "UTC, end of the data", kind="date"),
-        Keyword("TEMPERAT", "temperature", "mean over the rows used", "deg_C", absent=UNKNOWN),
-        Keyword("WEIGHT", "weight", "weight of the mirror, P", "N", absent=UNKNOWN),
-        Keyword("E_WEIGHT", "weight_error", "standard uncertainty of WEIGHT", "N", absent=UNKNOWN),
-        Keyword("BIAS", "bias_force", "total force of the bias magnets, B", "N", absent=UNKNOWN),
+        Keyword("TEMPERAT", "temperature", "mean over the rows used", "deg_C", absent=np.nan),
+        Keyword("WEIGHT", "weight", "weight of the mirror, P", "N", absent=np.nan),
+        Keyword("E_WEIGHT", "weight_error", "standard uncertainty of WEIGHT", "N", absent=np.nan),
+        Keyword("BIAS", "bias_force", "total force of the bias magnets, B", "N", absent=np.nan),
         Keyword("E_BIAS", lambda c: c.bias_force_error, "standard uncertainty of BIAS", "N"),
         Keyword("METHOD", "method", "estimator", kind="str"),
         Keyword("SCALE", "scale", "what fixes the common scale", kind="str"),
@@ -42,12 +40,12 @@ CALIBRATION = FileFormat(
         Keyword("NREJECT", "rejected", "rows rejected as outliers", kind="int"),
         Keyword("NINVALID", "invalid", "rows marked as not valid", kind="int"),
         Keyword(
-            "CONDITIO", "condition", "condition of E, coordinates in units of RMS", absent=UNKNOWN
+            "CONDITIO", "condition", "condition of E, coordinates in units of RMS", absent=np.nan
         ),
         Keyword("RANK", "rank", "directions held above noise", kind="int"),
-        Keyword("NOISE", "noise", "standard deviation of one force reading", "N", absent=UNKNOWN),
+        Keyword("NOISE", "noise", "standard deviation of one force reading", "N", absent=np.nan),
         Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="count", absent=None),
-        Keyword("CHI2", "chi2", "against FORCERR", absent=UNKNOWN),
+        Keyword("CHI2", "chi2", "against FORCERR", absent=np.nan),
     ),
     (
         ACTUATORS,
@@ -70,11 +68,6 @@ CALIBRATION = FileFormat(
         SOURCES,
     ),
 )
-
-
-def is_calibration_file(file: FitsFile) -> bool:
-    """Tell a calibration file from the others by its CALIBRATION."""
-    return file.holds("CALIBRATION")
 
 
 def calibration_from(file: FitsFile) -> Calibration:

@@ -23,7 +23,7 @@ from truenewton.estimation.sifted import Sifted, sift
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 METHODS = ("ml", "svd")
@@ -135,7 +135,7 @@ def calibration_of(
         rejected=len(estimate.rejected),
         invalid=sum(int((~c.valid).sum()) for c in campaign.cycles),
         sources=tuple(
-            UsedSource(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()) - less, less)
+            Source(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()) - less, less)
             for c, less in zip(campaign.cycles, lost, strict=True)
             if c.source
         )
@@ -174,11 +174,11 @@ def _from_stiffness(matrix: StiffnessMatrix, estimate: Estimate) -> Calibration:
     )
 
 
-def _matrix_source(matrix: StiffnessMatrix) -> tuple[UsedSource, ...]:
+def _matrix_source(matrix: StiffnessMatrix) -> tuple[Source, ...]:
     if matrix.source is None:
         return ()
     modes = len(stiffness_svd.elastic_modes(matrix))
-    return (UsedSource(Path(matrix.source.file).name, matrix.source.sha256, modes, 0),)
+    return (replace(matrix.source, file=Path(matrix.source.file).name, rows=modes),)
 
 
 def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:

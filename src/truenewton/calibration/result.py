@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.fits import write_fits
-from truenewton.files.format import columns_of
-from truenewton.records.source import UsedSource
+from truenewton.files.format import quantities
+from truenewton.records.source import Source
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
@@ -100,16 +100,15 @@ class Calibration:
     noise: float
     degrees_of_freedom: int | None
     chi2: float
-    sources: tuple[UsedSource, ...]
+    sources: tuple[Source, ...]
     diagnosis: Diagnosis | None = None
     goodness: Goodness | None = None
     scale_errors: tuple[ScaleError, ...] = ()
     rejected_rows: tuple[RejectedRow, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "reading_error", "systematic_error", "cycle_error", "covariance",
-                     "systematic_covariance", "torque_y", "torque_x"):  # fmt: skip
-            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        freeze(self, "alpha", "reading_error", "systematic_error", "cycle_error", "covariance",
+               "systematic_covariance", "torque_y", "torque_x")  # fmt: skip
         on = self.layout.enabled
         if not (on.any() and np.isfinite(self.alpha[on]).all() and np.abs(self.alpha[on]).all()):
             raise FormatError("ALPHA holds no usable numbers", remedy="calibrate again")
@@ -150,18 +149,9 @@ class Calibration:
     @property
     def table(self) -> QTable:
         """One row per actuator: ID, X, Y, ALPHA and its errors, with units."""
-        import astropy.units as u
-        from astropy.table import QTable
-
         from truenewton.calibration.file import ACTUATORS
 
-        table = QTable()
-        for name, form, unit, values in columns_of(self, ACTUATORS):
-            if form == "J":
-                table[name] = np.array(values)
-            elif name != "NZ":
-                table[name] = u.Quantity(values, unit or "")
-                table[name].info.format = ".5g"
+        table = quantities(self, ACTUATORS, without=("NZ",))
         table.meta = {"INSTRUME": self.instrument, "METHOD": self.method, "SCALE": self.scale}
         return table
 

@@ -224,7 +224,7 @@ def rejected_values(
     """Return the rows left out, farthest first, for a script."""
     return [
         {
-            "file": cycle_name(campaign, row.cycle),
+            "file": campaign.cycles[row.cycle].name,
             "row": row.row + 1,
             "actuator": row.actuator,
             "sigmas": row.sigmas,
@@ -232,12 +232,6 @@ def rejected_values(
         }
         for row in sorted(rejected, key=lambda row: -row.sigmas)
     ]
-
-
-def cycle_name(campaign: Campaign, place: int) -> str:
-    """Return the file of a cycle, or its load and number where it has none."""
-    cycle = campaign.cycles[place]
-    return cycle.source.file if cycle.source else f"{cycle.load.name} {cycle.number}"
 
 
 def rejected_sentence(row: dict[str, int | float | str]) -> str:

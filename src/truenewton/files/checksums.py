@@ -47,6 +47,4 @@ def _sum32(stream: BufferedIOBase, start: int, length: int) -> int:
 
 def _folded(total: int) -> int:
     """Return a sum in ones' complement of 32 bits: what overflows comes in again below."""
-    while total >> 32:
-        total = (total & 0xFFFFFFFF) + (total >> 32)
-    return total
+    return (total - 1) % 0xFFFFFFFF + 1 if total else 0

@@ -30,19 +30,19 @@ class Table(NamedTuple):
     rows
         Number of rows.
     columns
-        Values in native byte order, or where they stay in the file, with their unit; by upper-case
-        name.
+        Values in native byte order, or where they stay in the file, with their unit or ''; by
+        upper-case name.
     """
 
     rows: int
-    columns: Mapping[str, tuple[NDArray[Any] | StoredRows, str | None]]
+    columns: Mapping[str, tuple[NDArray[Any] | StoredRows, str]]
 
 
 class Image(NamedTuple):
-    """An image as it was read: pixels in numpy order, and BUNIT."""
+    """An image as it was read: pixels in numpy order, and BUNIT or ''."""
 
     data: NDArray[Any]
-    unit: str | None
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,22 +64,6 @@ class FitsFile:
     sha256: str
     header: Mapping[str, Any]
     extensions: Mapping[str, Table | Image | TrueNewtonError]
-
-    def holds(self, name: str) -> bool:
-        """Tell whether there is such an extension, sound or not."""
-        return name in self.extensions
-
-    def record(self, kind: type[Record], form: FileFormat, **known: Any) -> Record:
-        """Return the record in the file; ``known`` are fields that are no part of the format.
-
-        Raises
-        ------
-        FormatError
-            The file breaks its contract.
-        TrueNewtonError
-            What the record itself refuses.
-        """
-        return self.filled(kind, self.values(form) | known)
 
     def filled(self, kind: type[Record], values: dict[str, Any]) -> Record:
         """Return a record filled from `values`; what it refuses names the file."""
@@ -172,7 +156,7 @@ class FitsFile:
             )
         if column.unit is None:
             return values
-        in_unit = partial(convert, has=has_unit, want=column.unit, what=what, path=self.path)
+        in_unit = partial(_convert, has=has_unit, want=column.unit, what=what, path=self.path)
         if isinstance(values, StoredRows):
             in_unit(np.empty(0))  # refuses a unit before any use
             return replace(values, in_unit=in_unit)
@@ -205,7 +189,7 @@ class FitsFile:
         if data.dtype.kind not in "fiu":
             self._refuse(f"{name} is not numeric", "store D")
         values: NDArray[np.float64] = data.astype(np.float64, copy=False)
-        return values if unit is None else convert(values, has_unit, unit, name, self.path)
+        return values if unit is None else _convert(values, has_unit, unit, name, self.path)
 
     def require_squares(self, names: tuple[str, ...], side: int, meaning: str) -> None:
         """Refuse images that are not square, with a side that has a meaning."""
@@ -255,11 +239,11 @@ def _rows(columns: dict[str, Any]) -> list[dict[str, Any]]:
     return [dict(zip(columns, row, strict=True)) for row in zip(*cells, strict=True)]
 
 
-def convert(
-    values: NDArray[Any], has: str | None, want: str, what: str, path: str
+def _convert(
+    values: NDArray[Any], has: str, want: str, what: str, path: str
 ) -> NDArray[np.float64]:
     """Convert values from the unit they declare to the one wanted; refuse what cannot be."""
-    if not has or not has.strip():
+    if not has.strip():
         raise FormatError(f"{what} declares no unit", remedy=f"declare {want}", path=path)
     try:
         # An odd spelling of a unit is no concern of the user's; what overflows is refused as inf.

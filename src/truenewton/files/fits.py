@@ -14,7 +14,6 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
 from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
@@ -83,7 +82,11 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
                 _refuse_damage(caught, path)
                 for hdu in hdus:
                     verify_checksums(stream, hdu, path)
-                return _take(_Opened(path, digest.hexdigest(), stream, state), hdus)
+                header = hdus[0].header
+                _refuse_doubles(header.keys(), "keywords", path)
+                plain = {k: v for k, v in header.items() if not isinstance(v, fits.card.Undefined)}
+                extensions = _extensions(hdus, path, stream, state)
+                return FitsFile(path, digest.hexdigest(), plain, extensions)
     except (UnreadableFile, FormatError):
         raise
     except Exception as error:
@@ -91,16 +94,6 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         raise UnreadableFile(
             "is damaged or truncated", remedy="fetch it again", path=path
         ) from error
-
-
-@dataclass(frozen=True)
-class _Opened:
-    """A file that is being read; ``state`` where long rows are to stay in it, else None."""
-
-    path: str
-    digest: str
-    stream: BufferedIOBase
-    state: tuple[int, int] | None
 
 
 def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
@@ -114,9 +107,10 @@ def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
         )
 
 
-def _take(opened: _Opened, hdus: Any) -> FitsFile:
+def _extensions(
+    hdus: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] | None
+) -> dict[str, Table | Image | TrueNewtonError]:
     """Copy everything out of open HDUs; what is wrong with an extension waits until asked for."""
-    path = opened.path
     extensions: dict[str, Table | Image | TrueNewtonError] = {}
     for hdu in hdus[1:]:
         name = str(hdu.name).upper()
@@ -126,20 +120,16 @@ def _take(opened: _Opened, hdus: Any) -> FitsFile:
         try:
             _refuse_doubles(hdu.header.keys(), "keywords", path)
             if isinstance(hdu, fits.BinTableHDU):
-                extensions[name] = _table(opened, hdu, name)
+                extensions[name] = _table(hdu, path, stream, state)
             elif isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
-                unit = hdu.header.get("BUNIT")
-                extensions[name] = Image(_native(hdu.data), None if unit is None else str(unit))
+                extensions[name] = Image(_native(hdu.data), str(hdu.header.get("BUNIT", "")))
         except TrueNewtonError as error:
             extensions[name] = error
         except Exception:
             extensions[name] = UnreadableFile(
                 f"{name} is damaged", remedy="fetch the file again", path=path
             )
-    header = hdus[0].header
-    _refuse_doubles(header.keys(), "keywords", path)
-    plain = {k: v for k, v in header.items() if not isinstance(v, fits.card.Undefined)}
-    return FitsFile(path, opened.digest, plain, extensions)
+    return extensions
 
 
 def _refuse_doubles(names: Iterable[str], what: str, path: str) -> None:
@@ -149,22 +139,22 @@ def _refuse_doubles(names: Iterable[str], what: str, path: str) -> None:
             raise FormatError(f"there are two {what} {name}", remedy="keep one", path=path)
 
 
-def _table(opened: _Opened, hdu: Any, name: str) -> Table:
-    path = opened.path
+def _table(hdu: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] | None) -> Table:
+    """Copy a table; where its file has a ``state``, long rows stay in it."""
     if hdu.header["TFIELDS"] > 999:  # the standard's limit; a damaged count may be billions
+        name = str(hdu.name).upper()
         raise FormatError(f"{name} has over 999 columns", remedy="leave some out", path=path)
     _refuse_doubles([str(key).upper() for key in hdu.columns.names], "columns", path)
     left: dict[str, StoredRows] = {}
-    if opened.state:
-        left = long_rows(hdu, path, opened.state)
-        hdu = without_columns(opened.stream, hdu, left)
-    columns: dict[str, tuple[NDArray[Any] | StoredRows, str | None]] = {}
+    if state:
+        left = long_rows(hdu, path, state)
+        hdu = without_columns(stream, hdu, left)
+    columns: dict[str, tuple[NDArray[Any] | StoredRows, str]] = {}
     for column in hdu.columns:
         values: NDArray[Any] | StoredRows | None = left.get(column.name)
         if values is None:
             values = _native(np.asarray(hdu.data[column.name]))
-        unit = None if column.unit is None else str(column.unit)
-        columns[str(column.name).upper()] = values, unit
+        columns[str(column.name).upper()] = values, str(column.unit or "")
     return Table(len(hdu.data), columns)
 
 
@@ -207,35 +197,13 @@ def write_fits(
         # astropy would note the time of writing: the same data shall give the same bytes.
         hdu.add_checksum(when="data unit checksum")
     with file_beside(path, overwrite=overwrite) as temporary, temporary.open("wb") as file:
+        whole = io.BytesIO()  # of a full disk astropy makes a riddle: let Python meet it
         if os.fspath(path).endswith(".gz"):
-            with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed:
-                _write(hdus, packed)
+            with gzip.GzipFile(filename="", mode="wb", fileobj=whole, mtime=0) as packed:
+                hdus.writeto(packed)
         else:
-            _write(hdus, file)
-
-
-def _write(hdus: fits.HDUList, file: BufferedIOBase) -> None:
-    """Write HDUs; a full disk shows as the system's own error, of which astropy makes a riddle."""
-    sink = _Sink(file)
-    try:
-        hdus.writeto(sink)
-    except Exception as error:
-        raise sink.failure or error from None
-
-
-class _Sink:
-    """A file that astropy can only write to, by Python's own means, and why it could not."""
-
-    def __init__(self, file: BufferedIOBase) -> None:
-        self.file, self.flush, self.tell = file, file.flush, file.tell
-        self.failure: OSError | None = None
-
-    def write(self, data: bytes) -> int:
-        try:
-            return self.file.write(data)
-        except OSError as error:
-            self.failure = error
-            raise
+            hdus.writeto(whole)
+        file.write(whole.getbuffer())
 
 
 def _card(key: str, value: Any, comment: str) -> Any:
@@ -249,7 +217,7 @@ def _card(key: str, value: Any, comment: str) -> Any:
 def _hdu(record: Any, extension: TableFormat | ImageFormat) -> Any:
     if isinstance(extension, TableFormat):
         columns = [
-            fits.Column(name=name, format=_wide(form, values), unit=unit, array=values)
+            fits.Column(name=name, format=form, unit=unit, array=values)
             for name, form, unit, values in columns_of(record, extension)
         ]
         return fits.BinTableHDU.from_columns(columns, name=extension.name)
@@ -261,10 +229,3 @@ def _hdu(record: Any, extension: TableFormat | ImageFormat) -> Any:
 
 def _pixels(record: Any, attribute: Attribute) -> NDArray[Any]:
     return np.asarray(value_of(record, attribute), dtype=">f8")
-
-
-def _wide(form: str, values: Any) -> str:
-    """Return the format, 64 bit where integers do not fit into 32."""
-    if form == "J" and np.abs(np.asarray(values, dtype=np.int64)).max(initial=0) > 2**31 - 1:
-        return "K"
-    return form

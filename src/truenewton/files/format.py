@@ -10,9 +10,12 @@ from __future__ import annotations
 import datetime
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
 
 Attribute = str | Callable[[Any], Any]
 Kind = Literal["float", "int", "count", "bool", "str", "date"]
@@ -151,12 +154,28 @@ def columns_of(record: Any, table: TableFormat) -> Iterator[tuple[str, str, str 
             continue
         if dtype is np.str_:
             dates = column.kind == "date"
-            values = [_iso(one) if dates else ascii_text(one or "") for one in values]
+            values = [_iso(one) if dates else _ascii(one or "") for one in values]
             width = str(column.width or max([1, *map(len, values)]))
         else:
             values = np.asarray(values, dtype=dtype)
             width = str(values.shape[1]) if column.each else ""
+            if form == "J" and np.abs(values).max(initial=0) > 2**31 - 1:
+                form = "K"  # 64 bit
         yield column.name, width + form, column.unit, values
+
+
+def quantities(record: Any, table: TableFormat, *, without: tuple[str, ...] = ()) -> QTable:
+    """Return the columns of a table, all but some, with units as astropy keeps them."""
+    import astropy.units as u
+    from astropy.table import QTable
+
+    made = QTable()
+    for name, _, unit, values in columns_of(record, table):
+        if name not in without:
+            made[name] = values if values.dtype.kind == "i" else u.Quantity(values, unit or "")
+            if values.dtype.kind == "f":
+                made[name].info.format = ".5g"
+    return made
 
 
 def value_of(record: Any, attribute: Attribute) -> Any:
@@ -184,6 +203,6 @@ def _iso(date: datetime.datetime) -> str:
     return date.isoformat(timespec=digits)
 
 
-def ascii_text(text: str) -> str:
+def _ascii(text: str) -> str:
     """FITS holds ASCII only; a file name may hold anything."""
     return text.encode("ascii", "backslashreplace").decode()

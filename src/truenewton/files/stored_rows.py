@@ -51,6 +51,8 @@ class StoredRows:
         Type and byte order in the file.
     in_unit
         Converts values as stored to the unit wanted.
+    largest
+        What `largest_in_rows` has found, by the bytes of its ``columns``: rows are read once.
 
     Raises
     ------
@@ -65,7 +67,7 @@ class StoredRows:
     shape: tuple[int, int]
     stored: np.dtype[Any]
     in_unit: Callable[[Array], Array] = lambda values: values
-    _largest: dict[bytes, Array] = field(default_factory=dict, init=False, repr=False)
+    largest: dict[bytes, Array] = field(default_factory=dict, init=False, repr=False)
 
     dtype = np.dtype(np.float64)
     ndim = 2
@@ -100,30 +102,21 @@ class StoredRows:
             raise ValueError("rows in a file become an array by copying only")
         return np.asarray(self[:], dtype=dtype)
 
-    def largest(self, columns: NDArray[np.bool_]) -> Array:
-        """Return (N,) the largest magnitude of some columns in each row; read once."""
-        key = columns.tobytes()
-        if key not in self._largest:
-            self._largest[key] = _largest_in_rows(self, columns)
-        return self._largest[key]
-
 
 Rows = Array | StoredRows
 
 
 def largest_in_rows(values: Rows, columns: NDArray[np.bool_]) -> Array:
     """Return (N,) the largest magnitude of some columns in each row; NaN where one is NaN."""
-    if isinstance(values, StoredRows):
-        return values.largest(columns)
-    return _largest_in_rows(values, columns)
-
-
-def _largest_in_rows(values: Rows, columns: NDArray[np.bool_]) -> Array:
-    largest = np.empty(len(values))
-    for some in blocks(len(values), 8 * values.shape[1]):
-        size = np.abs(values[some])
-        largest[some] = (size if columns.all() else size[:, columns]).max(axis=1, initial=0.0)
-    return largest
+    known = values.largest if isinstance(values, StoredRows) else {}
+    key = columns.tobytes()
+    if key not in known:
+        largest = np.empty(len(values))
+        for some in blocks(len(values), 8 * values.shape[1]):
+            size = np.abs(values[some])
+            largest[some] = (size if columns.all() else size[:, columns]).max(axis=1, initial=0.0)
+        known[key] = largest
+    return known[key]
 
 
 def read_rows(

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.modal.pupil import SeenTurbulence
 from truenewton.modal.true_stiffness import TrueStiffness
@@ -97,8 +97,7 @@ class Dissipation:
     efficiency: float = EFFICIENCY
 
     def __post_init__(self) -> None:
-        for name in ("modes", "residual", "force", "static", "alpha"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        freeze(self, "modes", "residual", "force", "static", "alpha")
         if not 0.0 < self.efficiency < np.inf:
             raise FormatError(
                 f"an efficiency of {self.efficiency:g} N/W^1/2",

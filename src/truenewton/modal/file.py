@@ -11,16 +11,13 @@ from typing import Any
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import Calibration
 from truenewton.files.fits import write_fits
 from truenewton.files.format import Attribute, Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import files_together
 from truenewton.modal.dissipation import Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
-from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import ModalBase
 from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
-from truenewton.records.source import UsedSource
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 
@@ -28,9 +25,7 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 class _Written:
     """What goes into the files; (N, N) true and commanded forces per true displacement [N/m]."""
 
-    measured: MeasuredStiffness | None
-    calibration: Calibration
-    sources: tuple[UsedSource, ...]
+    findings: ModalFindings
     base: ModalBase
     limits: Budget
     true: Array
@@ -104,11 +99,18 @@ MODES = FileFormat(
     (
         INSTRUMENT,
         Keyword("DATE-OBS", "base.matrix.date", "UTC, of the stiffness", kind="date"),
-        Keyword("MISFIT", "measured.misfit", "variance of shapes over repeats"),
-        Keyword("RELERR", "measured.relative_error", "of the stiffness, by noise"),
-        Keyword("RIGID", "measured.rigid_assumed", "motions taken to cost nothing", kind="int"),
-        Keyword("METHOD", "calibration.method", "estimator of alpha", kind="str"),
-        Keyword("SCALE", "calibration.scale", "what fixes the common scale of alpha", kind="str"),
+        Keyword("MISFIT", "findings.measured.misfit", "variance of shapes over repeats"),
+        Keyword("RELERR", "findings.measured.relative_error", "of the stiffness, by noise"),
+        Keyword(
+            "RIGID", "findings.measured.rigid_assumed", "motions taken to cost nothing", kind="int"
+        ),
+        Keyword("METHOD", "findings.calibration.method", "estimator of alpha", kind="str"),
+        Keyword(
+            "SCALE",
+            "findings.calibration.scale",
+            "what fixes the common scale of alpha",
+            kind="str",
+        ),
         Keyword("SEEING", "base.seen.atmosphere.seeing", "at 500 nm", "arcsec"),
         Keyword("R0", "base.seen.atmosphere.fried_parameter", "at 500 nm", "m"),
         Keyword(
@@ -149,8 +151,8 @@ MODES = FileFormat(
             ),
         ),
         _budget("BUDGET", 0, Column("STIFFNESS", "base.modes.stiffness", "N/m")),
-        replace(SOURCES, of="calibration.sources"),
-        replace(SOURCES, name="STIFFNESS_SOURCES"),
+        replace(SOURCES, of="findings.calibration.sources"),
+        replace(SOURCES, name="STIFFNESS_SOURCES", of="findings.sources"),
         ImageFormat("ZERNIKE", _over_actuators("shapes", 1)),
         _budget("BUDGET_ZERNIKE", 1),
         ImageFormat("KL", _over_actuators("shapes", 2)),
@@ -195,25 +197,22 @@ def write_modes(
     OutputExists, OutputFailed
     """
     paths = modes_paths(path)
-    with files_together(paths, overwrite=overwrite) as folder:
-        _write_all(findings, [folder / target.name for target in paths], limits or Budget())
-    return list(paths)
-
-
-def _write_all(findings: ModalFindings, paths: list[Path], limits: Budget) -> None:
     base, stiffness = findings.after, findings.after.stiffness
     true = _square(base, stiffness.acting_stiffness)
     commanded = _square(base, stiffness.acting_stiffness / stiffness.enabled_alpha[:, None])
-    written = _Written(
-        findings.measured, findings.calibration, findings.sources, base, limits, true, commanded
+    acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
+    matrix = StiffnessMatrix(
+        base.matrix.instrument, base.matrix.date, replace(base.layout, enabled=acts), true
     )
-    acting = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
-    layout = replace(base.layout, enabled=acting)
-    for target, forces in zip(paths[1:3], (true, commanded), strict=True):
-        record = StiffnessMatrix(base.matrix.instrument, base.matrix.date, layout, forces)
-        write_stiffness(record, target)
-    for target, form in zip((paths[0], *paths[3:]), (MODES, *PLAIN.values()), strict=True):
-        write_fits(target, form, written)
+    written = _Written(findings, base, limits or Budget(), true, commanded)
+    with files_together(paths, overwrite=overwrite) as folder:
+        target, for_true, for_commanded, *plain = (folder / path.name for path in paths)
+        write_fits(target, MODES, written)
+        write_stiffness(matrix, for_true)
+        write_stiffness(replace(matrix, stiffness=commanded), for_commanded)
+        for target, form in zip(plain, PLAIN.values(), strict=True):
+            write_fits(target, form, written)
+    return list(paths)
 
 
 def _square(base: ModalBase, forces: Array) -> Array:

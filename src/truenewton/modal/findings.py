@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 MISFIT = 2.0  # of the variance of repeats; hundreds of readings and more hold it within 10 %
@@ -55,7 +55,7 @@ class ModalFindings:
     before: ModalBase
     after: ModalBase
     comparison: ModesComparison
-    sources: tuple[UsedSource, ...]
+    sources: tuple[Source, ...]
 
     def __repr__(self) -> str:
         base = self.after
@@ -185,14 +185,14 @@ def _given_matrix(data: Campaign | StiffnessMatrix) -> StiffnessMatrix:
     return matrix
 
 
-def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[UsedSource, ...]:
+def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:
     """Return the files of a stiffness: its own, or those of the cycles that hold POSITION."""
     if reader is None or not reader.positioned:
         source = matrix.source
-        return (UsedSource(source.file, source.sha256, matrix.layout.n, 0),) if source else ()
+        return (replace(source, rows=matrix.layout.n),) if source else ()
     lost = Counter(row.cycle for row in reader.rejected)
     return tuple(
-        UsedSource(c.source.file, c.source.sha256, int(c.valid.sum()), lost[k])
+        replace(c.source, rows=int(c.valid.sum()), rejected=lost[k])
         for k, c in enumerate(reader.positioned)
         if c.source
     )

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.row_readers import read_rows
@@ -78,7 +78,7 @@ class MeasuredStiffness:
     rejected: tuple[RejectedRow, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "error", frozen_array(self.error))
+        freeze(self, "error")
 
 
 def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.modal.bases import karhunen_loeve_modes, zernike_modes
 from truenewton.modal.turbulence import WAVELENGTH, Atmosphere, wavefront_covariance
@@ -88,9 +88,8 @@ class SeenTurbulence:
     karhunen_loeve: Array
 
     def __post_init__(self) -> None:
-        for name in ("wavefront", "zernike", "karhunen_loeve"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name)))
-        object.__setattr__(self, "commanded", frozen_array(self.commanded, bool))
+        freeze(self, "wavefront", "zernike", "karhunen_loeve")
+        freeze(self, "commanded", dtype=bool)
 
     def __repr__(self) -> str:
         return f"<SeenTurbulence at {len(self.wavefront)} actuators, {self.atmosphere}>"

@@ -26,7 +26,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
 from truenewton.errors import RankDeficient
 from truenewton.modal.actuator_roles import checked_gain, matched_alpha, off_and_slaved
@@ -84,9 +84,8 @@ class TrueStiffness:
     rigid_stiffness: Array
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "shapes", "forces", "acting_stiffness", "enabled_alpha",
-                     "actuator_asymmetry", "rigid_stiffness"):  # fmt: skip
-            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        freeze(self, "stiffness", "shapes", "forces", "acting_stiffness", "enabled_alpha",
+               "actuator_asymmetry", "rigid_stiffness")  # fmt: skip
 
     @property
     def commanded(self) -> NDArray[np.bool_]:

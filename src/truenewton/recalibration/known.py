@@ -18,10 +18,10 @@ from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.file import is_tracking_file, tracking_from
+from truenewton.tracking.file import tracking_from
 from truenewton.tracking.law import Tracking
 
 EARLIER = ErrorSource(ErrorKind.EARLIER)
@@ -55,7 +55,7 @@ class EarlierCalibration:
     uneven: Array
     temperature: float
     loads: tuple[Load, ...]
-    sources: tuple[UsedSource, ...]
+    sources: tuple[Source, ...]
 
 
 def known_from(
@@ -77,11 +77,11 @@ def known_from(
     """
     name = "the earlier calibration"
     loads: tuple[Load, ...] = ()
-    sources: tuple[UsedSource, ...] = ()
+    sources: tuple[Source, ...] = ()
     if not isinstance(given, Calibration | Tracking):
         name = os.fspath(given)
         file = read_fits(given)
-        given = tracking_from(file) if is_tracking_file(file) else _calibration(name)
+        given = tracking_from(file) if "TRACKING" in file.extensions else _calibration(name)
     same_instrument = given.instrument == campaign.instrument
     if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(

@@ -70,14 +70,14 @@ class ShortRun:
         return Problem(self.campaign, a, self.errors, noise, prior, ())
 
     def tight(self, stay: NDArray[np.bool_]) -> Array:
-        """Return the information of the earlier calibration on those who stay."""
+        """Return the (n, n) information of the earlier calibration on the (n,) who stay."""
         information = np.zeros_like(self.covariance)
         at = np.ix_(stay, stay)
         information[at] = scipy.linalg.inv(self.covariance[at])
         return information
 
     def loose(self, new: NDArray[np.bool_]) -> Array:
-        """Return information that holds little but the common scale."""
+        """Return (n, n) information that holds little but the common scale; (n,) are new."""
         size = np.where(new, 1e3, LOOSE) * self.alpha
         stay = ~new / self.alpha / np.count_nonzero(~new)
         return np.asarray(np.diag(size**-2) + np.outer(stay, stay) / SCALE_HELD**2)
@@ -88,7 +88,8 @@ def balancing(
 ) -> tuple[Problem, Moments, Minimum, list[RejectedRow]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
-    Held to its earlier calibration, one that was replaced would make good shapes look bad.
+    Held to its earlier calibration, one that was replaced, of (n,) ``new``, would make good shapes
+    look bad.
     """
     moments = sifted.moments
     noise = reading_noise(run.campaign, moments)
@@ -119,7 +120,7 @@ def inverse_of(problem: Problem, minimum: Minimum) -> Array:
 
 
 def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
-    """Return equations less what the data themselves say of the unknowns."""
+    """Return equations less what the data say of the u unknowns, by (u, u) ``inverse``."""
     free = len(inverse)
     from_prior = float(np.sum(inverse * problem.prior.added_to(np.zeros((free, free)))))
     return 3 * moments.groups - free + from_prior

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,15 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
+
+OF_MIRROR = {"instrument": "INSTRUME", "weight": "WEIGHT", "weight_error": "E_WEIGHT"}
+OF_LOAD = {
+    "load.added": "ADDED",
+    "load.added_error": "E_ADDED",
+    "load.tilt": "TILT",
+    "load.tilt_error": "E_TILT",
+    "load.tool": "TOOL",
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,25 +56,23 @@ class Campaign:
         first_of_load: dict[str, Cycle] = {}
         seen: dict[tuple[str, int], Cycle] = {}
         for cycle in ordered:
-            _agree(ordered[0], cycle, ("instrument", "weight", "weight_error"))
+            _agree(ordered[0], cycle, OF_MIRROR)
             if not ordered[0].layout.same_as(cycle.layout):
                 raise _mismatch(ordered[0], cycle, "the ACTUATORS table")
-            twin = first_of_load.setdefault(cycle.load.key, cycle)
-            _agree(twin, cycle, ("load.added", "load.added_error", "load.tilt", "load.tilt_error",
-                                 "load.tool"))  # fmt: skip
+            _agree(first_of_load.setdefault(cycle.load.key, cycle), cycle, OF_LOAD)
             double = seen.setdefault((cycle.load.key, cycle.number), cycle)
             if double is not cycle:
                 raise CampaignMismatch(
                     f"LOAD '{cycle.load.name}' has CYCLE {cycle.number} twice",
-                    remedy=f"leave one out, or number it anew (the other is {_file(double)})",
-                    path=_file(cycle),
+                    remedy=f"leave one out, or number it anew (the other is {double.name})",
+                    path=cycle.name,
                 )
         matrix = self.stiffness
         if matrix is not None and not (
             matrix.instrument == self.instrument and matrix.layout.same_as(self.layout)
         ):
             raise CampaignMismatch(
-                f"disagrees with {_file(ordered[0])} on INSTRUME or the ACTUATORS table",
+                f"disagrees with {ordered[0].name} on INSTRUME or the ACTUATORS table",
                 remedy="give the stiffness matrix of the same mirror",
                 path=matrix.source.file if matrix.source else "stiffness matrix",
             )
@@ -126,29 +134,17 @@ def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:
     return (load.added != 0.0, load.tilt != 0.0, load.key, cycle.number)
 
 
-def _file(cycle: Cycle) -> str:
-    return cycle.source.file if cycle.source else f"{cycle.load.name} {cycle.number}"
-
-
-def _mismatch(
-    one: Cycle, other: Cycle, what: str, values: Iterable[object] = ()
-) -> CampaignMismatch:
-    shown = " and ".join(str(v) for v in values)
+def _mismatch(one: Cycle, other: Cycle, what: str) -> CampaignMismatch:
     return CampaignMismatch(
-        f"disagrees with {_file(one)} on {what}" + (f" ({shown})" if shown else ""),
+        f"disagrees with {one.name} on {what}",
         remedy="calibrate files of one campaign only",
-        path=_file(other),
+        path=other.name,
     )
 
 
-def _agree(one: Cycle, other: Cycle, names: Iterable[str]) -> None:
-    """Refuse two cycles that differ in one of the named attributes."""
-    keywords = {"instrument": "INSTRUME", "weight": "WEIGHT", "weight_error": "E_WEIGHT",
-                "load.added": "ADDED", "load.added_error": "E_ADDED", "load.tilt": "TILT",
-                "load.tilt_error": "E_TILT", "load.tool": "TOOL"}  # fmt: skip
-    for name in names:
-        a, b = one, other
-        for part in name.split("."):
-            a, b = getattr(a, part), getattr(b, part)
+def _agree(one: Cycle, other: Cycle, keywords: dict[str, str]) -> None:
+    """Refuse two cycles that differ in an attribute, for which the files have a keyword."""
+    for attribute, keyword in keywords.items():
+        a, b = map(attrgetter(attribute), (one, other))
         if a != b:
-            raise _mismatch(one, other, keywords[name], (b, a))
+            raise _mismatch(one, other, f"{keyword} ({b} and {a})")

@@ -10,16 +10,24 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, Load, check_error, check_load, check_weight
 
-# Beyond these a value is a slip of the unit, not a mirror; they also keep squares finite.
-LARGEST_LENGTH = 1e3  # [m]
-LONGEST_TIME = 1e8  # [s]
+# The arrays of a cycle: their type, and beyond what a value is a slip of the unit, not a mirror;
+# that also keeps squares finite.
+ARRAYS: dict[str, tuple[type, float | None]] = {
+    "time": (float, 1e8),  # [s]
+    "shape": (np.int64, None),
+    "sign": (np.int64, None),
+    "valid": (bool, None),
+    "temperature": (float, 1e4),  # [deg C]
+    "force": (float, LARGEST_FORCE),
+    "position": (float, 1e3),  # [m]
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,12 +86,9 @@ class Cycle:
     source: Source | None = None
 
     def __post_init__(self) -> None:
-        for name, dtype in (("time", float), ("shape", np.int64), ("sign", np.int64),
-                            ("force", float), ("valid", bool), ("temperature", float),
-                            ("position", float)):  # fmt: skip
-            value = getattr(self, name)
-            if value is not None and not isinstance(value, StoredRows):
-                object.__setattr__(self, name, frozen_array(value, dtype))
+        for name, (dtype, _) in ARRAYS.items():
+            if not isinstance(getattr(self, name), StoredRows | None):
+                freeze(self, name, dtype=dtype)
         check_date(self.date)
         self._check_numbers()
         self._check_rows()
@@ -111,10 +116,9 @@ class Cycle:
 
     def _check_rows(self) -> None:
         rows, n = np.size(self.time), self.layout.n
-        wanted = {"time": (rows,), "shape": (rows,), "sign": (rows,), "valid": (rows,),
-                  "temperature": (rows,), "force": (rows, n), "position": (rows, n)}  # fmt: skip
-        for name, want in wanted.items():
+        for name in ARRAYS:
             value = getattr(self, name)
+            want = (rows, n) if name in ("force", "position") else (rows,)
             if value is not None and value.shape != want:
                 raise FormatError(
                     f"{name.upper()} has shape {value.shape} for {rows} rows and {n} actuators",
@@ -125,34 +129,24 @@ class Cycle:
         if not self.valid.any():
             what = "valid rows" if rows else "rows"
             raise FormatError(f"MEASUREMENTS has no {what}", remedy="leave this file out")
-        row = self.row_where(~np.isin(self.sign, (-1, 1)))
-        if row is not None:
+        for row in np.flatnonzero(~np.isin(self.sign, (-1, 1)) & self.valid):
             raise FormatError(f"SIGN in row {row + 1} is {self.sign[row]}", remedy="it is +1 or -1")
-        row = self.row_where(self.shape < 1)
-        if row is not None:
+        for row in np.flatnonzero((self.shape < 1) & self.valid):
             raise FormatError(
                 f"SHAPE in row {row + 1} is {self.shape[row]}", remedy="shapes count from 1"
             )
-        self._check_finite("time", self.time, LONGEST_TIME)
-        self._check_finite("temperature", self.temperature, 1e4)
-        self._check_finite("force", self.force, LARGEST_FORCE)
-        self._check_finite("position", self.position, LARGEST_LENGTH)
+        for name, (_, largest) in ARRAYS.items():
+            if largest is not None and getattr(self, name) is not None:
+                self._check_finite(name, largest)
         if self.layout.enabled.any() and not self.largest_force:
             raise FormatError("FORCE is zero throughout", remedy="record the commanded forces")
 
-    def row_where(self, fault: NDArray[np.bool_]) -> int | None:
-        """Return the first row that counts and has the fault, or None."""
-        rows = np.flatnonzero(fault & self.valid)
-        return int(rows[0]) if rows.size else None
-
-    def _check_finite(self, name: str, value: Rows | None, largest: float) -> None:
-        if value is None:
-            return
-        counted = self.layout.enabled if value.ndim == 2 else np.ones(1, dtype=bool)
-        rows = value if value.ndim == 2 else np.asarray(value)[:, None]
-        row = self.row_where(~(largest_in_rows(rows, counted) <= largest))
-        if row is not None:
-            some = rows[row][counted]
+    def _check_finite(self, name: str, largest: float) -> None:
+        values = getattr(self, name)
+        counted = self.layout.enabled if values.ndim == 2 else np.ones(1, dtype=bool)
+        values = values if values.ndim == 2 else values[:, None]
+        for row in np.flatnonzero(~(largest_in_rows(values, counted) <= largest) & self.valid):
+            some = values[row][counted]
             bad = some[~(np.abs(some) <= largest)][0]
             raise FormatError(
                 f"{name.upper()} in row {row + 1} is {bad:g}",
@@ -165,6 +159,11 @@ class Cycle:
             f"<Cycle {self.number} of {self.instrument}, load '{self.load.name}':"
             f" {len(self.time)} rows, {self.layout.n} actuators>"
         )
+
+    @property
+    def name(self) -> str:
+        """Its file, or its load and number where it has none."""
+        return self.source.file if self.source else f"{self.load.name} {self.number}"
 
     @property
     def used_force(self) -> Array:

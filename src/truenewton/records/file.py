@@ -82,16 +82,6 @@ SOURCES = TableFormat(
 )
 
 
-def is_cycle_file(file: FitsFile) -> bool:
-    """Tell a cycle file from the others by its MEASUREMENTS."""
-    return file.holds("MEASUREMENTS")
-
-
-def is_stiffness_file(file: FitsFile) -> bool:
-    """Tell a stiffness file from the others by its STIFFNESS."""
-    return file.holds("STIFFNESS")
-
-
 def layout_from(file: FitsFile) -> Layout:
     """Return the layout in a file's ACTUATORS table."""
     return file.filled(Layout, file.values(FileFormat(extensions=(ACTUATORS,)))["layout"])
@@ -111,7 +101,8 @@ def cycle_from(file: FitsFile) -> Cycle:
         The file breaks the contract of a cycle file.
     """
     layout = layout_from(file)  # what is wrong with it comes first: FORCE has its width
-    return file.record(Cycle, CYCLE, layout=layout, source=Source(file.path, file.sha256))
+    known = {"layout": layout, "source": Source(file.path, file.sha256)}
+    return file.filled(Cycle, file.values(CYCLE) | known)
 
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
@@ -122,7 +113,8 @@ def stiffness_from(file: FitsFile) -> StiffnessMatrix:
     FormatError
         The file breaks the contract of a stiffness file.
     """
-    return file.record(StiffnessMatrix, STIFFNESS, source=Source(file.path, file.sha256))
+    source = Source(file.path, file.sha256)
+    return file.filled(StiffnessMatrix, file.values(STIFFNESS) | {"source": source})
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
@@ -192,7 +184,7 @@ def campaign_from(files: Iterable[FitsFile]) -> Campaign:
     """
     cycles = []
     for file in files:
-        if not is_cycle_file(file):
+        if "MEASUREMENTS" not in file.extensions:
             raise FormatError(
                 "there is no table MEASUREMENTS",
                 remedy="a campaign holds cycle files only, a stiffness file an image STIFFNESS",

@@ -1,4 +1,4 @@
-"""Where data come from: the file read, the file that went into a result."""
+"""Where data come from, and what of it went into a result; when it was measured."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from truenewton.errors import FormatError
 
 
 @dataclass(frozen=True)
-class UsedSource:
-    """A file that went into a calibration: name, digest, rows used, rows rejected."""
-
-    file: str
-    sha256: str
-    rows: int
-    rejected: int
-
-
-@dataclass(frozen=True)
 class Source:
-    """Where a record came from: the path of its file, and the digest of its bytes."""
+    """A file that was read.
+
+    Attributes
+    ----------
+    file, sha256
+        Its path, in a result its name; the digest of its bytes.
+    rows, rejected
+        How many of its rows went into a result, and how many were left out as outliers.
+    """
 
     file: str
     sha256: str
+    rows: int = 0
+    rejected: int = 0
 
 
 def check_date(date: object) -> None:

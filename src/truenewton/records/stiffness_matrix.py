@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
@@ -37,7 +37,7 @@ class StiffnessMatrix:
 
     def __post_init__(self) -> None:
         check_date(self.date)
-        object.__setattr__(self, "stiffness", frozen_array(self.stiffness))
+        freeze(self, "stiffness")
         n = self.layout.n
         if self.stiffness.shape != (n, n):
             raise FormatError(

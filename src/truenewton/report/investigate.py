@@ -26,7 +26,7 @@ from truenewton.modal.findings import ModalFindings, find_modes, modes_reader
 from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.evidence import (
     Evidence,
@@ -72,13 +72,13 @@ class Findings:
         return known.instrument if known is not None else ""
 
     @property
-    def inputs(self) -> tuple[UsedSource, ...]:
+    def inputs(self) -> tuple[Source, ...]:
         """The files: those that went into the calibration, or those that did not suffice."""
         if self.calibration is not None:
             return self.calibration.sources
         records = self.data.cycles if isinstance(self.data, Campaign) else (self.data,)
         sources = [record.source for record in records if record is not None]
-        return tuple(UsedSource(source.file, source.sha256, 0, 0) for source in sources if source)
+        return tuple(source for source in sources if source)
 
     def plot(self, name: str, ax: Axes | None = None) -> Axes:
         """Draw a figure by its name, as 'budget', 'map-leverage' or 'modes'; return the axes.

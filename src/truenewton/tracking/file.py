@@ -8,13 +8,28 @@ import numpy as np
 
 from truenewton.errors import FormatError
 from truenewton.files.content import FitsFile
-from truenewton.files.fits import read_fits, write_fits
+from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.records.file import ID, INSTRUMENT, NZ, X, Y
 from truenewton.tracking.law import Tracking
 
 UNITS = {"temperature": "1/K", "drift": "1/yr"}
 
+ACTUATORS = TableFormat(
+    "TRACKING",
+    (
+        ID,
+        X,
+        Y,
+        NZ,
+        Column("ALPHA", "alpha"),
+        Column("E_ALPHA", lambda t: t.errors[0]),
+        Column("K", "coefficient", "1/K"),
+        Column("E_K", lambda t: t.errors[1], "1/K"),
+        Column("DRIFT", "drift", "1/yr"),
+        Column("E_DRIFT", lambda t: t.errors[2], "1/yr"),
+    ),
+)
 FAMILIES = TableFormat(
     "FAMILIES",
     (
@@ -62,26 +77,12 @@ TRACKING = FileFormat(
             "DATE-END", lambda t: t.days[-1].date, "UTC, middle of the last day's data", kind="date"
         ),
         Keyword("DATE-REF", "date", "UTC, t0: ALPHA holds here", kind="date"),
-        Keyword("TEMPERAT", "temperature", "T0: ALPHA holds here", "deg_C", absent=float("nan")),
+        Keyword("TEMPERAT", "temperature", "T0: ALPHA holds here", "deg_C", absent=np.nan),
         Keyword("CHI2", "chi2", "of the days about the lines"),
         Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="int"),
     ),
     (
-        TableFormat(
-            "TRACKING",
-            (
-                ID,
-                X,
-                Y,
-                NZ,
-                Column("ALPHA", "alpha"),
-                Column("E_ALPHA", lambda t: t.errors[0]),
-                Column("K", "coefficient", "1/K"),
-                Column("E_K", lambda t: t.errors[1], "1/K"),
-                Column("DRIFT", "drift", "1/yr"),
-                Column("E_DRIFT", lambda t: t.errors[2], "1/yr"),
-            ),
-        ),
+        ACTUATORS,
         ImageFormat("COVARIANCE", "covariance"),
         ImageFormat("SYSTEMATIC", "systematic_covariance"),
         FAMILIES,
@@ -90,23 +91,6 @@ TRACKING = FileFormat(
         TableFormat("LIMITS", (Column("TEXT", "limits", kind="str"),)),
     ),
 )
-
-
-def write_tracking(
-    tracking: Tracking, path: str | os.PathLike[str], *, overwrite: bool = False
-) -> None:
-    """Write the tracking file.
-
-    Raises
-    ------
-    OutputExists, OutputFailed
-    """
-    write_fits(path, TRACKING, tracking, overwrite=overwrite)
-
-
-def is_tracking_file(file: FitsFile) -> bool:
-    """Tell a tracking file from the others by its TRACKING."""
-    return file.holds("TRACKING")
 
 
 def read_tracking(path: str | os.PathLike[str]) -> Tracking:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.stats
 
-from truenewton.arrays import Array, frozen_array, spread_square
+from truenewton.arrays import Array, freeze, spread_square
 from truenewton.errors import RankDeficient
+from truenewton.files.fits import write_fits
+from truenewton.files.format import quantities
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.family import Family
@@ -132,8 +134,7 @@ class Tracking:
     days: tuple[DayRecord, ...]
 
     def __post_init__(self) -> None:
-        for name in ("alpha", "coefficient", "drift", "covariance", "systematic_covariance"):
-            object.__setattr__(self, name, frozen_array(getattr(self, name)))
+        freeze(self, "alpha", "coefficient", "drift", "covariance", "systematic_covariance")
 
     def __repr__(self) -> str:
         return (
@@ -155,20 +156,9 @@ class Tracking:
     @property
     def table(self) -> QTable:
         """One row per actuator: alpha at T0 and t0, k and d with their errors and units."""
-        import astropy.units as u
-        from astropy.table import QTable
+        from truenewton.tracking.file import ACTUATORS
 
-        errors = self.errors
-        table = QTable()
-        table["ID"] = np.array(self.layout.id)
-        for name, values, unit in (
-            ("ALPHA", self.alpha, ""), ("E_ALPHA", errors[0], ""),
-            ("K", self.coefficient, "1/K"), ("E_K", errors[1], "1/K"),
-            ("DRIFT", self.drift, "1/yr"), ("E_DRIFT", errors[2], "1/yr"),
-        ):  # fmt: skip
-            table[name] = u.Quantity(values, unit)
-            table[name].info.format = ".5g"
-        return table
+        return quantities(self, ACTUATORS, without=("X", "Y", "NZ"))
 
     def alpha_at(
         self, temperature: float | None = None, time: datetime.datetime | None = None
@@ -210,9 +200,9 @@ class Tracking:
         ------
         OutputExists, OutputFailed
         """
-        from truenewton.tracking.file import write_tracking
+        from truenewton.tracking.file import TRACKING
 
-        write_tracking(self, path, overwrite=overwrite)
+        write_fits(path, TRACKING, self, overwrite=overwrite)
 
     def _away(self, temperature: float | None) -> float:
         if temperature is None:

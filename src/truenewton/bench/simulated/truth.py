@@ -94,4 +94,5 @@ def write_truth(truth: Truth, path: str | os.PathLike[str], *, overwrite: bool =
 
 def read_truth(path: str | os.PathLike[str]) -> Truth:
     """Read the side file."""
-    return read_fits(path).record(Truth, TRUTH)
+    file = read_fits(path)
+    return file.filled(Truth, file.values(TRUTH))

@@ -17,7 +17,7 @@ from jinja2.utils import htmlsafe_json_dumps
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import headline, summary_rows
 from truenewton.files.outputs import file_beside
-from truenewton.records.source import UsedSource
+from truenewton.records.source import Source
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
 from truenewton.report.page.actuator_plots import palette
@@ -99,7 +99,7 @@ def _summaries(change: Change) -> TextTable:
     return TextTable("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
 
 
-def _files(sources: tuple[UsedSource, ...], caption: str) -> TextTable:
+def _files(sources: tuple[Source, ...], caption: str) -> TextTable:
     rows = tuple(
         (s.file, str(s.rows) if s.rows else "none", str(s.rejected), s.sha256) for s in sources
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.words import cycle_name, rejected_values
+from truenewton.calibration.words import rejected_values
 from truenewton.records.campaign import Campaign
 from truenewton.report.budget import error_budget, typical
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
@@ -158,7 +158,7 @@ def times(findings: Findings) -> Section:
             warm += [some.min(), some.max()]
             span = f"{some.min():.2f} to {some.max():.2f}"
         rows.append(
-            (str(k + 1), cycle.load.name, str(cycle.number), Path(cycle_name(data, k)).name,
+            (str(k + 1), cycle.load.name, str(cycle.number), Path(cycle.name).name,
              f"{cycle.date:%Y-%m-%d %H:%M:%S}", f"{np.ptp(time) / 60:.1f}", str(time.size),
              str(rejected[k]), span)
         )  # fmt: skip
