@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from truenewton.estimation.stiffness_svd import Imbalance
 
 
-NAME = "calibrate"
-
-
 def run(
     paths: list[Path] = typer.Argument(
         ..., metavar="PATH...", help="Cycle files or their folder, or a stiffness file."

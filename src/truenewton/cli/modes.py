@@ -9,8 +9,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "modes"
-
 
 def run(
     paths: list[Path] = typer.Argument(

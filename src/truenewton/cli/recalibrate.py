@@ -8,8 +8,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "recalibrate"
-
 
 def run(
     paths: list[Path] = typer.Argument(

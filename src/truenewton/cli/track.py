@@ -8,8 +8,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "track"
-
 
 def run(
     paths: list[Path] = typer.Argument(

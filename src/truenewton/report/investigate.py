@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
+
+from matplotlib.axes import Axes
 
 from truenewton.calibration.methods import (
     calibrate,
@@ -13,7 +15,13 @@ from truenewton.calibration.methods import (
     refuse_method,
 )
 from truenewton.calibration.result import Calibration
-from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers, TrueNewtonError
+from truenewton.errors import (
+    NotConverged,
+    RankDeficient,
+    TooManyOutliers,
+    TrueNewtonError,
+    UnknownName,
+)
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import Sifted, sift
@@ -29,10 +37,6 @@ from truenewton.report.evidence import (
     campaign_evidence,
     stiffness_evidence,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 MOST_MODES = 1500  # eigenmodes of thousands of actuators take minutes
 
@@ -75,9 +79,9 @@ class Findings:
         """The files: those that went into the calibration, or those that did not suffice."""
         if self.calibration is not None:
             return self.calibration.sources
-        if isinstance(self.data, Campaign):
-            return tuple(c.source for c in self.data.cycles if c.source)
-        return (self.data.source,) if self.data and self.data.source else ()
+        records = self.data.cycles if isinstance(self.data, Campaign) else (self.data,)
+        sources = [record.source for record in records if record is not None]
+        return tuple(source for source in sources if source)
 
     def plot(self, name: str, ax: Axes | None = None) -> Axes:
         """Draw a figure by its name, as 'budget', 'map-leverage' or 'modes'; return the axes.
@@ -89,9 +93,19 @@ class Findings:
         ValueError
             These findings do not hold what it shows.
         """
-        from truenewton.report.figures import plot
+        from truenewton.report.figures import figures_of
 
-        return plot(self, name, ax)
+        drawn = figures_of(self)
+        if name in drawn:
+            return drawn[name](ax=ax)
+        if name in ("residuals", "singular-values", "balance"):
+            raise ValueError("a calibration file holds no residuals; give the cycles")
+        if name == "temperatures":
+            raise ValueError("only the cycles of a campaign have times")
+        if name.startswith("modes"):
+            raise ValueError(self.no_modes or "a calibration file tells no modes; give the data")
+        remedy = f"choose {', '.join(drawn)}"
+        raise UnknownName(f"there is no figure '{name}'", remedy=remedy, got=name)
 
 
 def investigate(
