@@ -148,9 +148,10 @@ class RepeatSums:
         of the rest anew.
     """
 
-    def __init__(self, campaign: Campaign) -> None:
+    def __init__(self, campaign: Campaign, reference: Array | None = None) -> None:
         self.campaign, self.stale = campaign, False
-        self._reference, self._lost = common_reference(campaign), list[RejectedRow]()
+        self._reference = common_reference(campaign) if reference is None else reference
+        self._lost = list[RejectedRow]()
         self._labels, first, groups_of_rows = row_groups(campaign)
         self._coming = np.argsort(first)  # groups, as they come
         turn = np.argsort(self._coming)

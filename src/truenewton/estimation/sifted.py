@@ -71,9 +71,18 @@ def sift(campaign: Campaign) -> Sifted:
     return Sifted(campaign, sound, tuple(rejected), sums.moments, tuple(sums.samples))
 
 
-def campaign_moments(campaign: Campaign) -> Moments:
-    """Return the moments of all rows of a campaign that count, whatever they hold."""
-    return RepeatSums(campaign).moments
+def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
+    """Return the moments of all rows of a campaign that count, whatever they hold.
+
+    Parameters
+    ----------
+    campaign
+        The campaign, or a part of it.
+    reference
+        (n,) readings from which displacements count [m]: of a part the `common_reference` of the
+        whole campaign, else no `merge` is exact. Where it is NaN, a part must hold whole cycles.
+    """
+    return RepeatSums(campaign, reference).moments
 
 
 def _leave_out_worst(sums: RepeatSums) -> list[RejectedRow]:
