@@ -36,6 +36,10 @@ from truenewton.bench.simulated.sensors import Sensors, counts, out_of_range, re
 from truenewton.errors import BenchFault
 
 BLOCK = 16  # samples of noise drawn at once
+# Multiplications beyond which OpenBLAS starts threads: of products as small as ours they cost more
+# than they bring, ten times the work itself where others want the cores.
+SINGLE_THREAD = 2**18
+FEWEST_COLUMNS = 8  # in one product; of larger mirrors threads are worth it
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +97,7 @@ def samples_of(
     y, y_end = z / sensors.gain[:, None], z_end / sensors.gain[:, None]
     once, twice, slow_error = y.copy(), y.copy(), -y
     queue = [dac(coils, force)] * control.delay
+    apart = _single_threaded(loop.step, batch)
     for k, (of_sensor, of_driver) in zip(range(steps), _noise(noise, n, batch), strict=False):
         time, z = k * control.period, state[:n]
         counted = counts(sensors, z, of_sensor)
@@ -117,7 +122,16 @@ def samples_of(
         applied = queue.pop(0) + coils.driver_noise * of_driver
         pushed = true_force(coils, applied, z, temperature) - load_force
         yield force, read, z
-        state = loop.step @ np.concatenate([state, pushed])
+        before = np.concatenate([state, pushed])
+        state = np.concatenate([loop.step @ before[:, columns] for columns in apart], axis=1)
+
+
+def _single_threaded(step: Array, batch: int) -> list[slice]:
+    """Return the columns to be multiplied at once, so that OpenBLAS keeps to one thread."""
+    width = SINGLE_THREAD // step.size
+    if width < FEWEST_COLUMNS:
+        return [slice(batch)]
+    return [slice(first, first + width) for first in range(0, batch, width)]
 
 
 def equilibrium(
