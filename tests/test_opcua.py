@@ -26,7 +26,7 @@ from truenewton.bench.opcua import keys as keys
 from truenewton.bench.opcua.client import OpcUaBench
 from truenewton.bench.opcua.server import serving
 from truenewton.bench.protocol import Bench, Operator, Reading, Shape, Status
-from truenewton.bench.simulated.bench import SAMPLES
+from truenewton.bench.simulated.noise import SAMPLES
 from truenewton.bench.simulated.static import static_bench
 from truenewton.errors import BenchFault, FormatError, UnknownName, UnreadableFile
 from truenewton.mirrors.known import p45

@@ -9,8 +9,6 @@ load_force
     included [N].
 noise
     One generator a shape, see `noise.row_noise`; none for no noise.
-temperature
-    [degC], one or (batch,).
 """
 
 from __future__ import annotations
@@ -20,17 +18,9 @@ from dataclasses import dataclass
 from itertools import repeat
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
-from truenewton.bench.simulated.coils import (
-    REFERENCE_TEMPERATURE,
-    Coils,
-    dac,
-    gain,
-    saturated,
-    true_force,
-)
+from truenewton.bench.simulated.coils import Coils, dac, gain, saturated, true_force
 from truenewton.bench.simulated.control import Control, ramp
 from truenewton.bench.simulated.sensors import Sensors, counts, out_of_range, reading
 from truenewton.errors import BenchFault
@@ -72,7 +62,6 @@ def samples_of(
     noise: Sequence[np.random.Generator],
     steps: int,
     *,
-    temperature: ArrayLike = REFERENCE_TEMPERATURE,
     held: int = 0,
 ) -> Iterator[tuple[Array, Array, Array]]:
     """Yield commanded force [N], reading and true displacement [m], (n, batch), of each sample.
@@ -90,10 +79,10 @@ def samples_of(
     flat = sensors.offset[:, None]
     feed_forward = control.feed_forward @ shapes
     k_p, k_d, g = control.proportional, control.derivative, control.slow_gain
-    swift, slow = 1 - control.derivative_decay, 1 - control.slow_decay
-    z, force = equilibrium(loop, np.zeros_like(shapes), load_force, temperature)
+    swift, slow = control.swift, control.slow
+    z, force = equilibrium(loop, np.zeros_like(shapes), load_force)
     state = np.concatenate([z, np.zeros_like(z)])
-    z_end, _ = equilibrium(loop, shapes, load_force, temperature)
+    z_end, _ = equilibrium(loop, shapes, load_force)
     y, y_end = z / sensors.gain[:, None], z_end / sensors.gain[:, None]
     once, twice, slow_error = y.copy(), y.copy(), -y
     queue = [dac(coils, force)] * control.delay
@@ -120,7 +109,7 @@ def samples_of(
         force = dac(coils, wanted)
         queue.append(force)
         applied = queue.pop(0) + coils.driver_noise * of_driver
-        pushed = true_force(coils, applied, z, temperature) - load_force
+        pushed = true_force(coils, applied, z) - load_force
         yield force, read, z
         before = np.concatenate([state, pushed])
         state = np.concatenate([loop.step @ before[:, columns] for columns in apart], axis=1)
@@ -134,12 +123,7 @@ def _single_threaded(step: Array, batch: int) -> list[slice]:
     return [slice(first, first + width) for first in range(0, batch, width)]
 
 
-def equilibrium(
-    loop: Loop,
-    shapes: Array,
-    load_force: Array,
-    temperature: ArrayLike = REFERENCE_TEMPERATURE,
-) -> tuple[Array, Array]:
+def equilibrium(loop: Loop, shapes: Array, load_force: Array) -> tuple[Array, Array]:
     """Return true displacement [m] and commanded force [N], (n, batch), after a long rest.
 
     Solves K z + load = true force of c, c = K_c z_c + k_p g (z_c - z / gain), by Newton's method
@@ -148,14 +132,12 @@ def equilibrium(
     coils, control = loop.coils, loop.control
     held = control.proportional * control.slow_gain
     back = held / loop.sensors.gain[:, None]
-    slope = np.linalg.inv(
-        loop.stiffness
-        + np.diagflat(gain(coils, np.asarray(temperature, dtype=float).mean()) * back)
-    )
+    mean_gain = gain(coils).mean(axis=1, keepdims=True)
+    slope = np.linalg.inv(loop.stiffness + np.diagflat(mean_gain * back))
     z = np.zeros_like(shapes)
     for _ in range(8):
         force = control.feed_forward @ shapes + held * shapes - back * z
-        z += slope @ (true_force(coils, force, z, temperature) - load_force - loop.stiffness @ z)
+        z += slope @ (true_force(coils, force, z) - load_force - loop.stiffness @ z)
     return z, control.feed_forward @ shapes + held * shapes - back * z
 
 

@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE
 from truenewton.bench.simulated.loop import Loop, samples_of
 from truenewton.bench.simulated.noise import SAMPLES
 from truenewton.errors import LoopUnstable
@@ -52,7 +51,6 @@ def record(
     load_force: Array,
     noise: Sequence[np.random.Generator] = (),
     *,
-    temperature: ArrayLike = REFERENCE_TEMPERATURE,
     settling: float = SETTLING,
     samples: int = SAMPLES,
 ) -> Record:
@@ -65,7 +63,7 @@ def record(
     ----------
     loop
         From `closed_loop`.
-    shapes, load_force, noise, temperature
+    shapes, load_force, noise
         As in `loop`.
     settling
         From the command to the first sample [s].
@@ -81,9 +79,7 @@ def record(
     """
     wait = round(settling * loop.control.rate)
     held = min(round(SWIFT * loop.control.rate), wait)
-    steps = samples_of(
-        loop, shapes, load_force, noise, wait + samples, temperature=temperature, held=held
-    )
+    steps = samples_of(loop, shapes, load_force, noise, wait + samples, held=held)
     for _ in range(wait):
         next(steps)
     # Sums about the first sample, so that squares do not drown what they differ by.

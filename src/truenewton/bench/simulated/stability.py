@@ -39,7 +39,7 @@ def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control
     n, delay = step.shape[-2] // 2, control.delay
     size = (5 + delay) * n
     z, once, twice, slow_error = (slice(k * n, (k + 1) * n) for k in (0, 2, 3, 4))
-    swift, slow = 1 - control.derivative_decay, 1 - control.slow_decay
+    swift, slow = control.swift, control.slow
     now = np.broadcast_to(np.eye(size), (*step.shape[:-2], size, size))
     # Rows: what each quantity is, in terms of the state before.
     y = now[..., z, :] / sensor_gain[..., None]
@@ -102,7 +102,7 @@ def closed_loop(
     stiffness
         (n, n) K of the glass at the actuators [N/m].
     mass, damping
-        (n, n), or (n,) of diagonal ones [kg, N s/m].
+        (n, n) M [kg] and C [N s/m].
     coils, sensors, control
         What closes the loop; the bias magnets' gradient comes off the diagonal of K.
 
@@ -111,7 +111,6 @@ def closed_loop(
     LoopUnstable
         A root on or outside the unit circle.
     """
-    mass, damping = (np.diag(a) if a.ndim == 1 else a for a in (mass, damping))
     softer = stiffness - coils.bias_gradient * np.eye(len(stiffness))
     step = advance(softer, mass, damping, control.period)
     loop = Loop(softer, mass, damping, step, coils, sensors, control)
