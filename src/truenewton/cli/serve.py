@@ -44,8 +44,11 @@ def run(
 async def _until_stopped(bench: ServedBench, folder: Path, port: int) -> None:
     """Serve until Ctrl-C, or until the process is told to end."""
     import asyncio
+    import json
     import signal
+    import sys
 
+    from truenewton.bench.opcua.keys import CLIENT_FILES, USER
     from truenewton.bench.opcua.server import serving
 
     stopped, loop = asyncio.Event(), asyncio.get_running_loop()
@@ -54,28 +57,11 @@ async def _until_stopped(bench: ServedBench, folder: Path, port: int) -> None:
     async with serving(bench, folder, port) as address:
         print(
             f"the simulated bench of {bench.instrument}, {bench.layout.n} actuators; Ctrl-C ends"
-            f" it. For a plan:\n\n{_table(address, folder)}",
-            flush=True,
+            " it. For a plan:\n\n[bench]"
         )
+        table = {"kind": "opcua", "address": address, "user": USER}
+        table |= {name: str(folder.resolve() / file) for name, file in CLIENT_FILES.items()}
+        for name, value in table.items():
+            print(f"{name} = {json.dumps(value)}")  # a string of JSON is a string of TOML
+        sys.stdout.flush()
         await stopped.wait()
-
-
-def _table(address: str, folder: Path) -> str:
-    """Return the [bench] table of a plan for this server."""
-    import json
-
-    from truenewton.bench.opcua import keys as keys
-
-    values = {
-        "kind": "opcua",
-        "address": address,
-        "user": keys.USER,
-        "password_file": str(folder.resolve() / keys.PASSWORD),
-        "certificate": str(folder.resolve() / keys.CLIENT_CERTIFICATE),
-        "private_key": str(folder.resolve() / keys.CLIENT_KEY),
-        "server_certificate": str(folder.resolve() / keys.SERVER_CERTIFICATE),
-    }
-    # A string of JSON is a string of TOML.
-    return "\n".join(
-        ["[bench]", *(f"{name} = {json.dumps(value)}" for name, value in values.items())]
-    )
