@@ -26,9 +26,8 @@ def loop_of(bench: StaticBench) -> Loop:
     """
     n = bench.mirror.layout.n
     mass, pucks = moving_mass(bench.glass)
-    to_forces = np.asarray(
-        np.linalg.inv(pucks.T), dtype=np.float64
-    )  # M z'' + C z' + K~ z = S' f, in terms of f
+    # M z'' + C z' + K~ z = S' f, in terms of f
+    to_forces = np.asarray(np.linalg.inv(pucks.T), dtype=float)
     softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(n)
     feed_forward = softer / bench.coils.alpha[:, None] * bench.sensors.gain
     return closed_loop(

@@ -57,18 +57,8 @@ def record(
     """Step from the flat mirror to each shape, wait, and record.
 
     The pseudo-integrator would take some 100 ms. So it is put at once where it ends, which is
-    known, and let go when the fast motions are over (`SWIFT`).
-
-    Parameters
-    ----------
-    loop
-        From `closed_loop`.
-    shapes, load_force, noise
-        As in `loop`.
-    settling
-        From the command to the first sample [s].
-    samples
-        Of the record.
+    known, and let go when the fast motions are over (`SWIFT`). Arguments are those of `samples_of`,
+    the settling from the command to the first sample [s], and the samples of the record.
 
     Raises
     ------

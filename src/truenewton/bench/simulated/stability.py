@@ -19,8 +19,9 @@ DENSE = 100  # actuators, up to which the whole matrix is taken
 def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control) -> Array:
     """Return what takes the closed loop, at rest commands, from one sample to the next.
 
-    The state is (z, period z', both filters of the derivative, the pseudo-integrator, the forces
-    on their way), each (n,). Coils' gradient, steps and limits are left out: they are not linear.
+    (..., m, m) of m = (5 + delay) n states: z, period z', both filters of the derivative, the
+    pseudo-integrator, the forces on their way. Coils' gradient, steps and limits are left out: they
+    are not linear.
 
     Parameters
     ----------
@@ -30,11 +31,6 @@ def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control
         (..., n) true / commanded force, true displacement / reading.
     control
         The gains.
-
-    Returns
-    -------
-    numpy.ndarray
-        (..., (5 + delay) n, (5 + delay) n).
     """
     n, delay = step.shape[-2] // 2, control.delay
     size = (5 + delay) * n

@@ -114,7 +114,8 @@ def static_bench(
     """
     random = np.random.default_rng([seed, 0])
     layout, n = mirror.layout, mirror.layout.n
-    loads = tuple(loads) or _bare_and_ring(mirror)
+    ring = Load("ring", mirror.added_weight, mirror.added_weight_error, tool="ring")
+    loads = tuple(loads) or (Load("bare"), ring)
     _refuse_closed_gap(mirror, stroke)
     alpha = random.uniform(*mirror.alpha_range, n)
     weight = float(random.normal(mirror.weight, mirror.weight_error))
@@ -134,9 +135,7 @@ def static_bench(
     )
     sensors = draw_sensors(n, mirror.gap, random)
     warm = gain(coils)[:, 0]
-    # What is recorded stays under the limit too, with room for its noise.
-    room = force_limit * np.minimum(warm, 1.0) - 5 * force_noise - np.abs(load_force).max(axis=0)
-    _refuse_no_room(mirror, room, load_force, force_limit)
+    room = _room_for_shapes(mirror, warm, load_force, force_noise, force_limit)
     truth = Truth(
         instrument=mirror.name,
         layout=layout,
@@ -158,11 +157,6 @@ def static_bench(
     return StaticBench(mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise)
 
 
-def _bare_and_ring(mirror: Mirror) -> tuple[Load, Load]:
-    ring = Load("ring", mirror.added_weight, mirror.added_weight_error, tool="ring")
-    return Load("bare"), ring
-
-
 def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:
     if mirror.gap - stroke <= 0:
         raise GeometryError(
@@ -173,7 +167,12 @@ def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:
         )
 
 
-def _refuse_no_room(mirror: Mirror, room: Array, load_force: Array, limit: float) -> None:
+def _room_for_shapes(
+    mirror: Mirror, alpha: Array, load_force: Array, noise: float, limit: float
+) -> Array:
+    """Return the (n,) true forces that loads and limit leave to shapes [N]."""
+    # What is recorded stays under the limit too, with room for its noise.
+    room = limit * np.minimum(alpha, 1.0) - 5 * noise - np.abs(load_force).max(axis=0)
     if (room <= 0).any():
         raise LimitExceeded(
             f"holding the mirror alone takes actuator {mirror.layout.id[room.argmin()]} beyond the"
@@ -182,6 +181,7 @@ def _refuse_no_room(mirror: Mirror, room: Array, load_force: Array, limit: float
             got=float(np.abs(load_force).max()),
             want=limit,
         )
+    return room
 
 
 def _true_loads(loads: Sequence[Load], random: np.random.Generator) -> tuple[Array, Array]:
