@@ -11,7 +11,7 @@ from step_response import settling_time, step_responses
 
 from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control, ramp
-from truenewton.bench.simulated.loop import Loop, equilibrium, samples_of
+from truenewton.bench.simulated.loop import Loop, _single_threaded, equilibrium, samples_of
 from truenewton.bench.simulated.noise import row_noise
 from truenewton.bench.simulated.plant import advance, film_damping
 from truenewton.bench.simulated.record import DRIFT, record
@@ -389,6 +389,15 @@ def test_a_shape_alone_is_the_same_shape_among_others(p45_loop, p45_shapes):
         assert one.force[:, 0] == pytest.approx(together.force[:, c], rel=0, abs=1e-12)
         assert one.position[:, 0] == pytest.approx(together.position[:, c], rel=0, abs=1e-15)
         assert one.force_scatter[:, 0] == pytest.approx(together.force_scatter[:, c], rel=1e-9)
+
+
+@pytest.mark.parametrize(("n", "batch"), [(1, 500), (45, 90), (45, 1), (73, 146), (672, 1344)])
+def test_products_of_small_mirrors_stay_on_one_thread_and_give_every_column(n, batch):
+    step = np.broadcast_to(1.0, (2 * n, 3 * n))
+    parts = [np.arange(batch)[part] for part in _single_threaded(step, batch)]
+    assert np.array_equal(np.concatenate(parts), np.arange(batch))
+    largest = max(part.size for part in parts) * step.size
+    assert largest <= 2**18 if n < 100 else len(parts) == 1
 
 
 def test_every_label_of_a_row_has_its_own_noise():

@@ -181,7 +181,7 @@ def _room_for_shapes(
             got=float(np.abs(load_force).max()),
             want=limit,
         )
-    return room
+    return np.asarray(room)
 
 
 def _true_loads(loads: Sequence[Load], random: np.random.Generator) -> tuple[Array, Array]:
