@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,19 +71,14 @@ def record(
     wait = round(settling * loop.control.rate)
     held = min(round(SWIFT * loop.control.rate), wait)
     steps = samples_of(loop, shapes, load_force, noise, wait + samples, held=held)
-    for _ in range(wait):
-        next(steps)
+    recorded = (np.array([force, read]) for force, read, _ in islice(steps, wait, None))
     # Sums about the first sample, so that squares do not drown what they differ by.
+    first = next(recorded)
     total, square = np.zeros((2, 2, 2, *shapes.shape))  # half, force or position
-    first = np.empty((2, *shapes.shape))
-    for k, (force, read, _) in enumerate(steps):
-        if k == 0:
-            first[:] = force, read
-        half = int(2 * k >= samples)
-        for what, value in enumerate((force, read)):
-            value = value - first[what]
-            total[half, what] += value
-            square[half, what] += value * value
+    for k, value in enumerate(recorded, start=1):
+        off, half = value - first, int(2 * k >= samples)
+        total[half] += off
+        square[half] += off * off
     size = np.array([samples - samples // 2, samples // 2])[:, None, None, None]
     halves = total / size
     _refuse_growth(np.sqrt(np.maximum(square / size - halves**2, 0))[:, 0])
