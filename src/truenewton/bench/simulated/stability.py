@@ -56,7 +56,7 @@ def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control
 def roots(loop: Loop) -> Array:
     """Return the roots of a closed loop in z; it is stable while all are within the unit circle.
 
-    Of up to `DENSE` actuators these are the ((5 + delay) n,) eigenvalues of the whole. Of more,
+    Of up to `DENSE` actuators these are the (m,) eigenvalues of `state_matrix`. Of more,
     each mode of the glass is taken alone, with the lowest and with the highest alpha / sensor gain
     of all actuators and with its own part of damping: exact where mass, damping, alpha and gain are
     even, an approximation otherwise.
