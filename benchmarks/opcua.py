@@ -21,14 +21,7 @@ import numpy as np
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect
 from truenewton.bench.opcua.client import OpcUaBench
-from truenewton.bench.opcua.keys import (
-    CLIENT_CERTIFICATE,
-    CLIENT_KEY,
-    PASSWORD,
-    SERVER_CERTIFICATE,
-    USER,
-    make_keys,
-)
+from truenewton.bench.opcua.keys import CLIENT_FILES, USER, make_keys
 from truenewton.bench.opcua.server import serving
 from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.statics.layout import Layout, layout
@@ -106,11 +99,8 @@ def main() -> None:
             )
             process.start()
             ours.recv()
-            choice = BenchChoice(
-                "opcua", f"opc.tcp://127.0.0.1:{port}", user=USER, password_file=PASSWORD,
-                certificate=CLIENT_CERTIFICATE, private_key=CLIENT_KEY,
-                server_certificate=SERVER_CERTIFICATE,
-            )  # fmt: skip
+            address = f"opc.tcp://127.0.0.1:{port}"
+            choice = BenchChoice("opcua", address, user=USER, **CLIENT_FILES)
             with connect(choice, folder) as bench:
                 bench.put_on(Load("bare"))
                 seconds_each(bench, bare=False)

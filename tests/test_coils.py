@@ -1,5 +1,7 @@
 """Coils and magnets: forces, their signs, steps and limits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,12 +24,11 @@ def test_a_wider_gap_weakens_the_coil():
 
 
 def test_magnets_lose_force_with_temperature_column_by_column():
-    found = gain(COILS, [20.0, 30.0, 10.0])
+    coils = replace(COILS, temperature=np.array([20.0, 30.0, 10.0]))
+    found = gain(coils)
     assert found == pytest.approx(COILS.alpha[:, None] * [1.0, 0.989, 1.011], rel=1e-12)
     command = np.full((3, 3), 0.2)
-    assert true_force(COILS, command, 0 * command, [20.0, 30.0, 10.0]) == pytest.approx(
-        found * 0.2, rel=1e-12
-    )
+    assert true_force(coils, command, 0 * command) == pytest.approx(found * 0.2, rel=1e-12)
 
 
 def test_the_dac_takes_whole_steps_and_errs_evenly_by_less_than_half_a_step():

@@ -11,7 +11,7 @@ from step_response import settling_time, step_responses
 
 from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control, ramp
-from truenewton.bench.simulated.loop import Loop, equilibrium, samples_of
+from truenewton.bench.simulated.loop import Loop, _single_threaded, equilibrium, samples_of
 from truenewton.bench.simulated.noise import row_noise
 from truenewton.bench.simulated.plant import advance, film_damping
 from truenewton.bench.simulated.record import DRIFT, record
@@ -34,8 +34,8 @@ def one_mode(k=2e5, mass=6.6e-3, damping=64.0, alpha=0.8, gain=1.05, **changes):
     """Return the loop of one actuator on a spring, linear and without noise."""
     return closed_loop(
         np.array([[k]]),
-        np.array([mass]),
-        np.array([damping]),
+        np.array([[mass]]),
+        np.array([[damping]]),
         Coils(np.array([alpha]), coil_gradient=0.0, **SMOOTH),
         Sensors(np.array([gain]), np.array([2e-7]), GAP, **SHARP),
         Control(np.array([[0.9 * k]]), **changes),
@@ -53,7 +53,7 @@ def p45_parts(seed=1):
     sensors = draw_sensors(n, mirror.gap, random)
     held = k - coils.bias_gradient * np.eye(n)
     control = Control(held / coils.alpha[:, None] * sensors.gain)
-    return k, mass, np.full(n, film_damping(mirror.gap)), coils, sensors, control
+    return k, np.diag(mass), film_damping(mirror.gap) * np.eye(n), coils, sensors, control
 
 
 def roots_of(k, mass, damping, coils, sensors, control):
@@ -197,7 +197,7 @@ def test_without_gain_the_bias_magnets_pull_the_glass_to_the_plate():
 def test_modes_taken_alone_stand_for_the_whole(monkeypatch):
     """The approximation of large mirrors, on one small enough for the whole."""
     k, mass, damping, coils, sensors, control = p45_parts()
-    parts = k - 31 * np.eye(45), np.diag(mass), np.diag(damping)
+    parts = k - 31 * np.eye(45), mass, damping
     even = replace(coils, alpha=np.full(45, 0.8)), replace(sensors, gain=np.ones(45))
     whole = roots_of(*parts, *even, control)
     rough = roots_of(*parts, coils, sensors, control)
@@ -218,8 +218,8 @@ def test_no_triangle_of_a_slightly_asymmetric_glass_is_taken_for_the_whole(monke
     monkeypatch.setattr("truenewton.bench.simulated.stability.DENSE", 10)
     skew = 1e-3 * np.abs(k).max() * np.random.default_rng(2).standard_normal((45, 45))
     k = k + skew - skew.T
-    once = roots_of(k, np.diag(mass), np.diag(damping), coils, sensors, control)
-    again = roots_of(k.T, np.diag(mass), np.diag(damping), coils, sensors, control)
+    once = roots_of(k, mass, damping, coils, sensors, control)
+    again = roots_of(k.T, mass, damping, coils, sensors, control)
     assert np.sort(np.abs(again)) == pytest.approx(np.sort(np.abs(once)), rel=1e-9)
 
 
@@ -274,10 +274,10 @@ def test_at_rest_the_true_forces_are_those_of_statics(p45_loop, p45_shapes):
     """f = (K - dB/dz) z + load, all but rounding to steps; and the loop ends where it should."""
     quiet = replace(
         p45_loop,
-        coils=replace(p45_loop.coils, **SMOOTH),
+        coils=replace(p45_loop.coils, **SMOOTH, temperature=np.linspace(15.0, 25.0, 45)),
         sensors=replace(p45_loop.sensors, **SHARP),
     )
-    found = record(quiet, p45_shapes, LOAD, temperature=np.linspace(15.0, 25.0, 45))
+    found = record(quiet, p45_shapes, LOAD)
     true_position = quiet.sensors.gain[:, None] * (found.position - quiet.sensors.offset[:, None])
     warmer = 1 - 1.1e-3 * np.linspace(-5.0, 5.0, 45)
     true = quiet.coils.alpha[:, None] * found.force * warmer * (1 + 600 * true_position)
@@ -285,7 +285,7 @@ def test_at_rest_the_true_forces_are_those_of_statics(p45_loop, p45_shapes):
     expected = k @ true_position - 31.0 * true_position + LOAD
     assert np.abs(true - expected).max() < 5e-9  # of 0.3 N
     assert np.abs(expected).max() > 0.2
-    z, force = equilibrium(quiet, p45_shapes, LOAD, np.linspace(15.0, 25.0, 45))
+    z, force = equilibrium(quiet, p45_shapes, LOAD)
     assert true_position == pytest.approx(z, abs=2e-12)
     assert found.force == pytest.approx(force, abs=1e-8)
     assert found.settled.all()
@@ -391,6 +391,15 @@ def test_a_shape_alone_is_the_same_shape_among_others(p45_loop, p45_shapes):
         assert one.force_scatter[:, 0] == pytest.approx(together.force_scatter[:, c], rel=1e-9)
 
 
+@pytest.mark.parametrize(("n", "batch"), [(1, 500), (45, 90), (45, 1), (73, 146), (672, 1344)])
+def test_products_of_small_mirrors_stay_on_one_thread_and_give_every_column(n, batch):
+    step = np.broadcast_to(1.0, (2 * n, 3 * n))
+    parts = [np.arange(batch)[part] for part in _single_threaded(step, batch)]
+    assert np.array_equal(np.concatenate(parts), np.arange(batch))
+    largest = max(part.size for part in parts) * step.size
+    assert largest <= 2**18 if n < 100 else len(parts) == 1
+
+
 def test_every_label_of_a_row_has_its_own_noise():
     labels = (1, "bare", 1, 1, 1)
     changed = [(2, *labels[1:]), (1, "ring", 1, 1, 1), (1, "bare", 2, 1, 1),
@@ -435,10 +444,9 @@ def test_a_record_taken_too_soon_has_not_settled(p45_loop, p45_shapes):
 
 
 def test_warm_magnets_take_more_command(p45_loop):
-    found = record(
-        p45_loop, np.zeros((45, 2)), LOAD, [row_noise(1, "bare", 1, 1, 1) for _ in range(2)],
-        temperature=[20.0, 40.0], samples=512,
-    )  # fmt: skip
+    noise = [row_noise(1, "bare", 1, 1, 1) for _ in range(2)]
+    warm = replace(p45_loop.coils, temperature=np.array([20.0, 40.0]))
+    found = record(replace(p45_loop, coils=warm), np.zeros((45, 2)), LOAD, noise, samples=512)
     ratio = found.force[:, 1].sum() / found.force[:, 0].sum()
     assert ratio == pytest.approx(1 / (1 - 1.1e-3 * 20), rel=2e-4)
 

@@ -21,12 +21,11 @@ from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 import truenewton as tn
 from truenewton.acquisition.benches import chosen_bench
 from truenewton.bench.choice import BenchChoice
-from truenewton.bench.opcua import connect
-from truenewton.bench.opcua import keys as keys
+from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.client import OpcUaBench
 from truenewton.bench.opcua.server import serving
 from truenewton.bench.protocol import Bench, Operator, Reading, Shape, Status
-from truenewton.bench.simulated.bench import SAMPLES
+from truenewton.bench.simulated.noise import SAMPLES
 from truenewton.bench.simulated.static import static_bench
 from truenewton.errors import BenchFault, FormatError, UnknownName, UnreadableFile
 from truenewton.mirrors.known import p45
@@ -135,13 +134,8 @@ def behind(bench, folder, port):
 
 def choice(address, **other):
     return dataclasses.replace(
-        BenchChoice(
-            "opcua", address, user=keys.USER, password_file=keys.PASSWORD,
-            certificate=keys.CLIENT_CERTIFICATE, private_key=keys.CLIENT_KEY,
-            server_certificate=keys.SERVER_CERTIFICATE,
-        ),
-        **other,
-    )  # fmt: skip
+        BenchChoice("opcua", address, user=keys.USER, **keys.CLIENT_FILES), **other
+    )
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +251,9 @@ def test_serve_then_a_campaign_over_opc_ua_recovers_alpha(tmp_path):
     ],
     ids=["user", "password", "certificate", "signature", "certificate alone", "server"],
 )
-def test_who_lacks_one_of_all_gets_nothing(recorder, folder, strangers, tmp_path, change, said):
+def test_who_lacks_one_of_all_gets_nothing(
+    recorder, folder, strangers, tmp_path, monkeypatch, change, said
+):
     bench, address = recorder
     wrong = tmp_path / "wrong.txt"
     keys._write_secret(wrong, b"nothing\n")
@@ -271,9 +267,10 @@ def test_who_lacks_one_of_all_gets_nothing(recorder, folder, strangers, tmp_path
         name: str(files[name]) if value in ("stranger", "wrong") else value
         for name, value in change.items()
     }
-    patience = 0.5 if said == "cannot be reached" else 10.0  # a refusal may take its time
+    if said == "cannot be reached":  # a refusal may take its time
+        monkeypatch.setattr(OpcUaBench, "_patience", 0.5)
     with pytest.raises(BenchFault, match=said) as fault:
-        OpcUaBench(choice(address, **change), folder, patience=patience)
+        OpcUaBench(choice(address, **change), folder)
     assert str(fault.value).startswith(f"{address}: ")
     assert "\n" not in str(fault.value)
     assert bench.asked == []
@@ -436,9 +433,10 @@ def test_a_connection_that_breaks_comes_back_and_no_row_is_taken_blindly(recorde
         assert there.read(1).counter == 7
 
 
-def test_a_bench_that_does_not_answer_is_a_fault(recorder, folder):
+def test_a_bench_that_does_not_answer_is_a_fault(recorder, folder, monkeypatch):
     bench, address = recorder
-    with OpcUaBench(choice(address), folder, timeout=1.5) as there:
+    monkeypatch.setattr(OpcUaBench, "_timeout", 1.5)
+    with OpcUaBench(choice(address), folder) as there:
         there.put_on(BARE)
         bench.seconds = 2.5
         with pytest.raises(BenchFault, match=r"does not answer Status within 1\.5 s"):

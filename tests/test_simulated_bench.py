@@ -7,8 +7,8 @@ import pytest
 
 import truenewton as tn
 from truenewton.bench.protocol import Bench, Shape
-from truenewton.bench.simulated.bench import SAMPLES
 from truenewton.bench.simulated.loop_campaign import rest_displacement, run_loop_cycles
+from truenewton.bench.simulated.noise import SAMPLES
 from truenewton.bench.simulated.static import held_command, run_cycles, static_bench
 from truenewton.bench.simulated.truth import read_truth
 from truenewton.errors import BenchFault, GeometryError, UnknownName

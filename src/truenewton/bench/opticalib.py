@@ -73,12 +73,8 @@ class OpticalibMirror:
     """
 
     def __init__(self, device: DeformableMirror, mirror: Mirror, *, settling: float = 0.2) -> None:
-        lacking = [
-            name
-            for name in ("n_acts", "set_shape", "get_shape", "get_force")
-            if not hasattr(device, name)
-        ]
-        if lacking:
+        asked = [name for name in vars(DeformableMirror) if not name.startswith("_")]
+        if lacking := [name for name in asked if not hasattr(device, name)]:
             raise BenchFault(
                 f"{type(device).__name__} has no {', '.join(lacking)}",
                 remedy="give a mirror after opticalib's protocol, with forces",

@@ -37,17 +37,16 @@ class ReplayBench:
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
-        self._campaign = campaign_from(read_fits(path) for path in fits_paths([folder]))
-        cycles = self._campaign.cycles
+        campaign = campaign_from(read_fits(path) for path in fits_paths([folder]))
+        cycles = campaign.cycles
+        self._loads = {load.key: load.name for load in campaign.loads}
         self._cycles = {(cycle.load.key, cycle.number): cycle for cycle in cycles}
-        gaps = {cycle.gap for cycle in cycles}
-        gap = gaps.pop() if len(gaps) == 1 else None
-        if gap is None:
+        first = cycles[0]
+        if first.gap is None or any(cycle.gap != first.gap for cycle in cycles):
             raise FormatError("its files give no GAP, or several", remedy="record it", path=folder)
         self._counter = 0
         self._shape: Shape | None = None
-        first = cycles[0]
-        self.instrument, self.layout, self.gap = first.instrument, first.layout, gap
+        self.instrument, self.layout, self.gap = first.instrument, first.layout, first.gap
         self.gradients = (
             (None, None) if first.position is None else (first.coil_gradient, first.bias_gradient)
         )
@@ -59,11 +58,11 @@ class ReplayBench:
         ------
         UnknownName
         """
-        names = [each.name for each in self._campaign.loads]
-        if load.key not in {each.key for each in self._campaign.loads}:
+        if load.key not in self._loads:
+            names = tuple(self._loads.values())
             raise UnknownName(
                 f"no load '{load.name}' was recorded", remedy=f"there are {', '.join(names)}",
-                got=load.name, want=tuple(names),
+                got=load.name, want=names,
             )  # fmt: skip
 
     def wait(self, seconds: float) -> None:

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
-
-if TYPE_CHECKING:
-    from truenewton.records.cycle import Cycle
 
 
 def run(
@@ -34,6 +30,7 @@ def run(
     from truenewton.cli.terminal import track
     from truenewton.files.outputs import refuse_existing
     from truenewton.mirrors.file import mirror_from
+    from truenewton.records.cycle import Cycle
     from truenewton.records.file import write_campaign
 
     refuse_existing(output, overwrite=overwrite)

@@ -12,10 +12,10 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
+from truenewton.bench.choice import BenchChoice
 from truenewton.errors import BenchFault
 
 if TYPE_CHECKING:
-    from truenewton.bench.choice import BenchChoice
     from truenewton.bench.opcua.client import OpcUaBench
 
 

@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Coroutine
+from functools import partial
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -16,15 +17,13 @@ from asyncua.client.ua_client import UaClientState
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 from truenewton.bench.choice import BenchChoice
-from truenewton.bench.opcua import keys as keys
+from truenewton.bench.opcua import keys
 from truenewton.bench.opcua.methods import METHODS, VARIABLES, variants
 from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
-TIMEOUT = 60.0  # for one answer; a reading waits for the mirror to settle [s]
-PATIENCE = 10.0  # with a server that is not there [s]
 PAUSE = 0.2  # between two attempts [s]
 Answer = TypeVar("Answer")
 ERRORS = {error.__name__: error for error in TrueNewtonError.__subclasses__()}
@@ -40,10 +39,6 @@ class OpcUaBench:
     ----------
     choice, folder
         As `opcua.connect` has them.
-    timeout
-        Longest wait for one answer [s].
-    patience
-        Longest wait for a server that is not there [s].
 
     Raises
     ------
@@ -60,16 +55,25 @@ class OpcUaBench:
     gap: float
     gradients: tuple[float | None, float | None]
 
-    def __init__(
-        self,
-        choice: BenchChoice,
-        folder: str | os.PathLike[str] = ".",
-        *,
-        timeout: float = TIMEOUT,
-        patience: float = PATIENCE,
-    ) -> None:
-        self._choice, self._timeout, self._patience = choice, timeout, patience
-        self._secrets = _Secrets(choice, Path(folder))
+    _timeout = 60.0  # for one answer; a reading waits for the mirror to settle [s]
+    _patience = 10.0  # with a server that is not there [s]
+
+    def __init__(self, choice: BenchChoice, folder: str | os.PathLike[str] = ".") -> None:
+        for name in ("address", "user", *keys.CLIENT_FILES):
+            if not getattr(choice, name):
+                raise BenchFault(
+                    f"OPC UA needs bench.{name}",
+                    remedy="give it in the plan; `truenewton serve` prints its own",
+                )
+        self._choice, folder = choice, Path(folder)
+        self._password = keys.read_password(folder / choice.password_file)
+        self._new_policy = partial(
+            SecurityPolicyBasic256Sha256,
+            keys.read_certificate(folder / choice.server_certificate),
+            keys.read_certificate(folder / choice.certificate),
+            keys.read_private_key(folder / choice.private_key),
+            ua.MessageSecurityMode.SignAndEncrypt,
+        )
         self._client: Client | None = None
         self._connections = 0  # so far
         self._commanded: int | None = None  # in which of them the last shape was commanded
@@ -171,7 +175,7 @@ class OpcUaBench:
         await self._drop()
         deadline = time.monotonic() + self._patience
         while True:
-            client = self._secrets.client(self._choice, self._timeout)
+            client = self._new_client()
             try:
                 await asyncio.wait_for(client.connect(), self._patience)
             except (OSError, TimeoutError) as error:
@@ -193,6 +197,21 @@ class OpcUaBench:
                 self._client, self._connections = client, self._connections + 1
                 await self._recognise(client)
                 return client
+
+    def _new_client(self) -> Client:
+        """Return a client that is not yet connected."""
+        # asyncua asks the server now and then how it is, and waits so long for the answer: not
+        # while it waits for a reading.
+        client = Client(
+            self._choice.address, timeout=self._timeout, watchdog_intervall=self._timeout
+        )
+        client.application_uri = keys.CLIENT_URI
+        client.session_timeout = 600_000  # [ms]
+        client.set_user(self._choice.user)
+        client.set_password(self._password)
+        client.security_policy = self._new_policy()
+        client.uaclient.set_security(client.security_policy)
+        return client
 
     async def _recognise(self, client: Client) -> None:
         """Learn what the mirror is, or see that it is still the same."""
@@ -233,36 +252,3 @@ class OpcUaBench:
 
 def _text(error: BaseException) -> str:
     return str(error) or type(error).__name__
-
-
-class _Secrets:
-    """What proves who we are and who the server is, read once."""
-
-    def __init__(self, choice: BenchChoice, folder: Path) -> None:
-        for name in ("address", "user", "password_file", "certificate", "private_key",
-                     "server_certificate"):  # fmt: skip
-            if not getattr(choice, name):
-                raise BenchFault(
-                    f"OPC UA needs bench.{name}",
-                    remedy="give it in the plan; `truenewton serve` prints its own",
-                )
-        self._password = keys.read_password(folder / choice.password_file)
-        self._certificate = keys.read_certificate(folder / choice.certificate)
-        self._key = keys.read_private_key(folder / choice.private_key)
-        self._server = keys.read_certificate(folder / choice.server_certificate)
-
-    def client(self, choice: BenchChoice, timeout: float) -> Client:
-        """Return a client that is not yet connected."""
-        # asyncua asks the server now and then how it is, and waits so long for the answer: not
-        # while it waits for a reading.
-        client = Client(choice.address, timeout=timeout, watchdog_intervall=timeout)
-        client.application_uri = keys.CLIENT_URI
-        client.session_timeout = 600_000  # [ms]
-        client.set_user(choice.user)
-        client.set_password(self._password)
-        policy = SecurityPolicyBasic256Sha256(
-            self._server, self._certificate, self._key, ua.MessageSecurityMode.SignAndEncrypt
-        )
-        client.security_policy = policy
-        client.uaclient.set_security(policy)
-        return client

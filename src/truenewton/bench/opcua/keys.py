@@ -34,6 +34,13 @@ USER = "operator"
 PASSWORD = "password.txt"
 SERVER_CERTIFICATE, SERVER_KEY = "server.der", "server-key.pem"
 CLIENT_CERTIFICATE, CLIENT_KEY = "client.der", "client-key.pem"
+# What a client needs, by the names that a plan gives them.
+CLIENT_FILES = {
+    "password_file": PASSWORD,
+    "certificate": CLIENT_CERTIFICATE,
+    "private_key": CLIENT_KEY,
+    "server_certificate": SERVER_CERTIFICATE,
+}
 TRUSTED = "trusted"  # a folder: the certificates of the clients that may come
 YEARS = 5
 Value = TypeVar("Value")
@@ -154,16 +161,13 @@ def _parsed(
     """
     try:
         with Path(path).open("rb") as file:
-            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-            if secret and mode & 0o077 and os.name != "nt":
-                raise UnreadableFile(
-                    "may be read by others than its owner", remedy="chmod 600 it", path=path
-                )
-            content = file.read()
-    except UnreadableFile:
-        raise
+            mode, content = os.fstat(file.fileno()).st_mode, file.read()
     except OSError as error:
         raise _unreadable(error, path) from error
+    if secret and mode & (stat.S_IRWXG | stat.S_IRWXO) and os.name != "nt":
+        raise UnreadableFile(
+            "may be read by others than its owner", remedy="chmod 600 it", path=path
+        )
     try:
         return parse(content)
     except (ValueError, TypeError) as error:

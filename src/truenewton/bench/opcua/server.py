@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 from asyncua import Server, ua
 
-from truenewton.bench.opcua import keys as keys
+from truenewton.bench.opcua import keys
 from truenewton.bench.opcua.door import ClosedServer, KnownClients
 from truenewton.bench.opcua.methods import METHODS, VARIABLES, Type, scalar, variants
 from truenewton.bench.protocol import Bench, Graded, Operator, Shape
@@ -43,7 +43,7 @@ async def serving(
     bench
         Never called twice at once.
     folder
-        Of the keys that `opcua_keys.make_keys` made.
+        Of the keys that `keys.make_keys` made.
     port
         TCP port.
 
@@ -88,19 +88,13 @@ def _refuse_taken(port: int) -> None:
             ) from error
 
 
-def _gradients(bench: ServedBench) -> list[float]:
-    """Return COILGRAD and BIASGRAD; not a number where the bench does not know."""
-    gradients = bench.gradients if isinstance(bench, Graded) else (None, None)
-    return [float("nan") if value is None else value for value in gradients]
-
-
 async def _publish(server: Server, bench: ServedBench) -> None:
     """Add the nodes of a bench."""
     space = await server.register_namespace(keys.NAMESPACE)
     node = await server.nodes.objects.add_object(ua.NodeId("Bench", space), f"{space}:Bench")
-    layout = bench.layout
+    layout, gradients = bench.layout, bench.gradients if isinstance(bench, Graded) else (None, None)
     values = (
-        bench.instrument, float(bench.gap), _gradients(bench),
+        bench.instrument, float(bench.gap), np.array(gradients, dtype=float),  # None becomes NaN
         layout.id, layout.x, layout.y, layout.nz, layout.enabled,
     )  # fmt: skip
     for (name, _), variant in zip(VARIABLES, variants(values, VARIABLES), strict=True):
@@ -139,16 +133,19 @@ class _Methods:
 
     def guarded(self, name: str) -> Callable[..., list[ua.Variant]]:
         """Return the method behind a name: its fault as values, then what it gives."""
-        methods: dict[str, Callable[..., tuple[Any, ...]]] = {
-            "PutOn": self._put_on, "Command": self._command, "Read": self._read,
-            "Status": self._status, "Rest": self._rest,
-        }  # fmt: skip
+        methods: dict[str, Callable[..., Any]] = {
+            "PutOn": self._put_on,
+            "Command": self._command,
+            "Read": lambda samples: vars(self._bench.read(samples)).values(),
+            "Status": lambda: vars(self._bench.status()).values(),
+            "Rest": self._bench.rest,
+        }
         method = methods[name]
 
         def call(_parent: ua.NodeId, *arguments: ua.Variant) -> list[ua.Variant]:
             try:
                 with self._one_at_a_time:
-                    values = method(*(argument.Value for argument in arguments))
+                    values = method(*(argument.Value for argument in arguments)) or ()
             except TrueNewtonError as error:
                 fault = [type(error).__name__, error.fault, error.remedy]
                 return [ua.Variant(fault, Type.String)]
@@ -156,16 +153,15 @@ class _Methods:
 
         return call
 
-    def _put_on(self, name: str) -> tuple[()]:
+    def _put_on(self, name: str) -> None:
         load = Load(name)
         self._load = None
         self._bench.put_on(load)
         self._load = load
-        return ()
 
     def _command(
         self, load: str, cycle: int, number: int, sign: int, position: list[float]
-    ) -> tuple[()]:
+    ) -> None:
         present = self._load
         if present is None or present.key != Load(load).key:
             there = "no load" if present is None else f"'{present.name}'"
@@ -177,14 +173,3 @@ class _Methods:
         if not np.isfinite(displacement).all():
             raise BenchFault("a displacement is not finite", remedy="give metres")
         self._bench.command(Shape(present, cycle, number, sign, displacement))
-        return ()
-
-    def _read(self, samples: int) -> tuple[Any, ...]:
-        return tuple(vars(self._bench.read(samples)).values())
-
-    def _status(self) -> tuple[Any, ...]:
-        return tuple(vars(self._bench.status()).values())
-
-    def _rest(self) -> tuple[()]:
-        self._bench.rest()
-        return ()

@@ -1,8 +1,8 @@
 """The simulated bench, which keeps its truth to itself.
 
 bench          the bench behind the same door as hardware
-static         every shape held exactly, readings noisy
-loop_campaign  the same campaign in closed loop
+static         a mirror's truth and its campaigns, every shape held exactly or in a loop
+loop_campaign  the loop around such a mirror, and its campaign
 record         a shape in closed loop: means over the samples of a record
 loop           sensors, control, DAC, coils and glass, from sample to sample
 noise          random numbers of the rows

@@ -6,21 +6,9 @@ import datetime
 import os
 from collections.abc import Sequence
 
-import numpy as np
-
 from truenewton.bench.protocol import Reading, Shape, Status
-from truenewton.bench.simulated.loop import Loop
 from truenewton.bench.simulated.loop_campaign import loop_of
-from truenewton.bench.simulated.noise import LOOP, SAMPLES, STATIC, row_noise
-from truenewton.bench.simulated.record import record
-from truenewton.bench.simulated.static import (
-    PAUSE,
-    SECONDS_PER_SHAPE,
-    SENSOR_NOISE,
-    START,
-    held_command,
-    static_bench,
-)
+from truenewton.bench.simulated.static import PAUSE, SECONDS_PER_SHAPE, START, static_bench, take
 from truenewton.bench.simulated.truth import truth_path, write_truth
 from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror
@@ -115,45 +103,23 @@ class SimulatedBench:
 
     def read(self, samples: int) -> Reading:
         """Return the mean of so many samples of the shape that is set."""
-        shape, bench, n = self._shape, self._bench, self.layout.n
+        shape, bench = self._shape, self._bench
         if shape is None:
             raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
         self._counter += 1
         self._clock += datetime.timedelta(seconds=SECONDS_PER_SHAPE)
-        if self._loop is not None:
-            return self._recorded(self._loop, shape, samples)
-        exact = held_command(bench, self._load_index, shape.position)
-        noise = self._noise(shape, STATIC).standard_normal(2 * n) * np.sqrt(SAMPLES / samples)
-        return Reading(
-            time=self._clock,
-            force=exact + bench.force_noise * noise[:n],
-            position=shape.position + SENSOR_NOISE * noise[n:],
-            force_scatter=np.full(n, bench.force_noise * np.sqrt(SAMPLES)),
-            position_scatter=np.full(n, SENSOR_NOISE * np.sqrt(SAMPLES)),
-            temperature=bench.temperature,
-            counter=self._counter,
-            settled=True,
-        )
-
-    def _recorded(self, loop: Loop, shape: Shape, samples: int) -> Reading:
-        """Return what the closed loop records of a shape."""
-        load_force = self._bench.load_force[self._load_index][:, None]
-        noise = [self._noise(shape, LOOP)]
-        taken = record(loop, shape.position[:, None], load_force, noise, samples=samples)
+        label = shape.load.key, shape.cycle, shape.number, shape.sign
+        taken = take(bench, self._loop, self._load_index, shape.position[None], [label], samples)
         return Reading(
             time=self._clock,
             force=taken.force[:, 0],
             position=taken.position[:, 0],
             force_scatter=taken.force_scatter[:, 0],
             position_scatter=taken.position_scatter[:, 0],
-            temperature=self._bench.temperature,
+            temperature=float(bench.coils.temperature),
             counter=self._counter,
             settled=bool(taken.settled[0]),
         )
-
-    def _noise(self, shape: Shape, stream: int) -> np.random.Generator:
-        key, seed = shape.load.key, self._bench.truth.seed
-        return row_noise(seed, key, shape.cycle, shape.number, shape.sign, stream)
 
     def status(self) -> Status:
         """Return how the bench is."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
 
@@ -41,6 +40,8 @@ class Coils:
     driver_noise
         Standard deviation of one sample of the force that the drivers add, in commanded Newtons
         [N]; 30 uN [guess].
+    temperature
+        Of magnets and coils [deg C], one or (batch,).
     """
 
     alpha: Array
@@ -50,47 +51,21 @@ class Coils:
     dac_step: float = 41.6e-6
     saturation: float = 0.8
     driver_noise: float = 30e-6
+    temperature: float | Array = REFERENCE_TEMPERATURE
 
 
-def gain(coils: Coils, temperature: ArrayLike = REFERENCE_TEMPERATURE) -> Array:
-    """Return true Newton / commanded Newton of the flat mirror at a temperature.
-
-    Parameters
-    ----------
-    coils
-        The n actuators.
-    temperature
-        [degC], one or (batch,).
-
-    Returns
-    -------
-    numpy.ndarray
-        (n, batch), batch 1 for one temperature.
-    """
-    warmer = np.atleast_1d(np.asarray(temperature, dtype=float)) - REFERENCE_TEMPERATURE
+def gain(coils: Coils) -> Array:
+    """Return (n, batch) true Newton / commanded Newton, mirror flat; batch 1 at one temperature."""
+    warmer = np.atleast_1d(coils.temperature) - REFERENCE_TEMPERATURE
     return np.asarray(coils.alpha[:, None] * (1 + coils.magnet_coefficient * warmer))
 
 
-def true_force(
-    coils: Coils,
-    force: Array,
-    displacement: Array,
-    temperature: ArrayLike = REFERENCE_TEMPERATURE,
-) -> Array:
+def true_force(coils: Coils, force: Array, displacement: Array) -> Array:
     """Return the coils' (n, batch) force on the glass [N]; the bias magnets not included.
 
-    Parameters
-    ----------
-    coils
-        The n actuators.
-    force
-        (n, batch) commanded forces that stand at the coils [N].
-    displacement
-        (n, batch) along +z [m].
-    temperature
-        [degC], one or (batch,).
+    Of (n, batch) commanded forces that stand at the coils [N] and displacements along +z [m].
     """
-    return np.asarray(gain(coils, temperature) * force * (1 + coils.coil_gradient * displacement))
+    return np.asarray(gain(coils) * force * (1 + coils.coil_gradient * displacement))
 
 
 def saturated(coils: Coils, force: Array) -> Array:

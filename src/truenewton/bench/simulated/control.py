@@ -61,14 +61,14 @@ class Control:
         return 1 / self.rate
 
     @property
-    def derivative_decay(self) -> float:
-        """What is left after one sample of each derivative pole."""
-        return float(np.exp(-2 * np.pi * self.derivative_pole / self.rate))
+    def swift(self) -> float:
+        """How much of a step each derivative pole follows in one sample."""
+        return float(1 - np.exp(-2 * np.pi * self.derivative_pole / self.rate))
 
     @property
-    def slow_decay(self) -> float:
-        """What is left after one sample of the pseudo-integrator's pole, w / g."""
-        return float(np.exp(-2 * np.pi * self.slow_corner / self.slow_gain / self.rate))
+    def slow(self) -> float:
+        """The same of the pseudo-integrator's pole, w / g."""
+        return float(1 - np.exp(-2 * np.pi * self.slow_corner / self.slow_gain / self.rate))
 
 
 def ramp(time: float, duration: float) -> float:

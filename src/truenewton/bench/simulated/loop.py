@@ -9,8 +9,6 @@ load_force
     included [N].
 noise
     One generator a shape, see `noise.row_noise`; none for no noise.
-temperature
-    [degC], one or (batch,).
 """
 
 from __future__ import annotations
@@ -20,22 +18,18 @@ from dataclasses import dataclass
 from itertools import repeat
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
-from truenewton.bench.simulated.coils import (
-    REFERENCE_TEMPERATURE,
-    Coils,
-    dac,
-    gain,
-    saturated,
-    true_force,
-)
+from truenewton.bench.simulated.coils import Coils, dac, gain, saturated, true_force
 from truenewton.bench.simulated.control import Control, ramp
 from truenewton.bench.simulated.sensors import Sensors, counts, out_of_range, reading
 from truenewton.errors import BenchFault
 
 BLOCK = 16  # samples of noise drawn at once
+# Multiplications beyond which OpenBLAS starts threads: of products as small as ours they cost more
+# than they bring, ten times the work itself where others want the cores.
+SINGLE_THREAD = 2**18
+FEWEST_COLUMNS = 8  # in one product; of larger mirrors threads are worth it
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +62,6 @@ def samples_of(
     noise: Sequence[np.random.Generator],
     steps: int,
     *,
-    temperature: ArrayLike = REFERENCE_TEMPERATURE,
     held: int = 0,
 ) -> Iterator[tuple[Array, Array, Array]]:
     """Yield commanded force [N], reading and true displacement [m], (n, batch), of each sample.
@@ -86,13 +79,14 @@ def samples_of(
     flat = sensors.offset[:, None]
     feed_forward = control.feed_forward @ shapes
     k_p, k_d, g = control.proportional, control.derivative, control.slow_gain
-    swift, slow = 1 - control.derivative_decay, 1 - control.slow_decay
-    z, force = equilibrium(loop, np.zeros_like(shapes), load_force, temperature)
+    swift, slow = control.swift, control.slow
+    z, force = equilibrium(loop, np.zeros_like(shapes), load_force)
     state = np.concatenate([z, np.zeros_like(z)])
-    z_end, _ = equilibrium(loop, shapes, load_force, temperature)
+    z_end, _ = equilibrium(loop, shapes, load_force)
     y, y_end = z / sensors.gain[:, None], z_end / sensors.gain[:, None]
     once, twice, slow_error = y.copy(), y.copy(), -y
     queue = [dac(coils, force)] * control.delay
+    apart = _single_threaded(loop.step, batch)
     for k, (of_sensor, of_driver) in zip(range(steps), _noise(noise, n, batch), strict=False):
         time, z = k * control.period, state[:n]
         counted = counts(sensors, z, of_sensor)
@@ -115,17 +109,21 @@ def samples_of(
         force = dac(coils, wanted)
         queue.append(force)
         applied = queue.pop(0) + coils.driver_noise * of_driver
-        pushed = true_force(coils, applied, z, temperature) - load_force
+        pushed = true_force(coils, applied, z) - load_force
         yield force, read, z
-        state = loop.step @ np.concatenate([state, pushed])
+        before = np.concatenate([state, pushed])
+        state = np.concatenate([loop.step @ before[:, columns] for columns in apart], axis=1)
 
 
-def equilibrium(
-    loop: Loop,
-    shapes: Array,
-    load_force: Array,
-    temperature: ArrayLike = REFERENCE_TEMPERATURE,
-) -> tuple[Array, Array]:
+def _single_threaded(step: Array, batch: int) -> list[slice]:
+    """Return the columns to be multiplied at once, so that OpenBLAS keeps to one thread."""
+    width = SINGLE_THREAD // step.size
+    if width < FEWEST_COLUMNS:
+        return [slice(batch)]
+    return [slice(first, first + width) for first in range(0, batch, width)]
+
+
+def equilibrium(loop: Loop, shapes: Array, load_force: Array) -> tuple[Array, Array]:
     """Return true displacement [m] and commanded force [N], (n, batch), after a long rest.
 
     Solves K z + load = true force of c, c = K_c z_c + k_p g (z_c - z / gain), by Newton's method
@@ -134,14 +132,12 @@ def equilibrium(
     coils, control = loop.coils, loop.control
     held = control.proportional * control.slow_gain
     back = held / loop.sensors.gain[:, None]
-    slope = np.linalg.inv(
-        loop.stiffness
-        + np.diagflat(gain(coils, np.asarray(temperature, dtype=float).mean()) * back)
-    )
+    mean_gain = gain(coils).mean(axis=1, keepdims=True)
+    slope = np.linalg.inv(loop.stiffness + np.diagflat(mean_gain * back))
     z = np.zeros_like(shapes)
     for _ in range(8):
         force = control.feed_forward @ shapes + held * shapes - back * z
-        z += slope @ (true_force(coils, force, z, temperature) - load_force - loop.stiffness @ z)
+        z += slope @ (true_force(coils, force, z) - load_force - loop.stiffness @ z)
     return z, control.feed_forward @ shapes + held * shapes - back * z
 
 

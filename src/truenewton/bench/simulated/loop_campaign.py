@@ -9,11 +9,9 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.bench.simulated.control import Control
 from truenewton.bench.simulated.loop import Loop, equilibrium
-from truenewton.bench.simulated.noise import LOOP, cycle_noise
 from truenewton.bench.simulated.plant import film_damping
-from truenewton.bench.simulated.record import record
 from truenewton.bench.simulated.stability import closed_loop
-from truenewton.bench.simulated.static import StaticBench, cycle_of, rows_of_cycle, schedule
+from truenewton.bench.simulated.static import StaticBench, run_cycles
 from truenewton.mirrors.shell.moving_mass import moving_mass
 from truenewton.records.cycle import Cycle
 
@@ -28,9 +26,8 @@ def loop_of(bench: StaticBench) -> Loop:
     """
     n = bench.mirror.layout.n
     mass, pucks = moving_mass(bench.glass)
-    to_forces = np.asarray(
-        np.linalg.inv(pucks.T), dtype=np.float64
-    )  # M z'' + C z' + K~ z = S' f, in terms of f
+    # M z'' + C z' + K~ z = S' f, in terms of f
+    to_forces = np.asarray(np.linalg.inv(pucks.T), dtype=float)
     softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(n)
     feed_forward = softer / bench.coils.alpha[:, None] * bench.sensors.gain
     return closed_loop(
@@ -50,7 +47,7 @@ def rest_displacement(bench: StaticBench) -> Array:
     loop can find; `Truth.alpha` is that at z = 0.
     """
     flat = np.zeros((bench.mirror.layout.n, len(bench.loads)))
-    return equilibrium(loop_of(bench), flat, bench.load_force.T, bench.temperature)[0].T
+    return equilibrium(loop_of(bench), flat, bench.load_force.T)[0].T
 
 
 def run_loop_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
@@ -63,13 +60,4 @@ def run_loop_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
     ------
     LoopUnstable, BenchFault
     """
-    loop = loop_of(bench)
-    shape, sign, position = rows_of_cycle(bench)
-    rows = list(zip(shape.tolist(), sign.tolist(), strict=True))
-    for load_index, number, start in schedule(bench, cycles):
-        noise = cycle_noise(bench.truth.seed, bench.loads[load_index].key, number, rows, LOOP)
-        load_force = bench.load_force[load_index][:, None]
-        taken = record(loop, position.T, load_force, noise, temperature=bench.temperature)
-        yield cycle_of(
-            bench, load_index, number, start, taken.force.T, taken.position.T, taken.settled, 0.0
-        )
+    yield from run_cycles(bench, cycles, loop_of(bench))

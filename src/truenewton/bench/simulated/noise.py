@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable
 
 import numpy as np
 
@@ -16,10 +15,3 @@ def row_noise(
 ) -> np.random.Generator:
     """Return the noise of one row, which its labels alone decide; of the load its key."""
     return np.random.default_rng([seed, stream, zlib.crc32(load.encode()), cycle, shape, sign + 1])
-
-
-def cycle_noise(
-    seed: int, load: str, cycle: int, rows: Iterable[tuple[int, int]], stream: int
-) -> list[np.random.Generator]:
-    """Return the noise of each row of a cycle, by its shape and sign."""
-    return [row_noise(seed, load, cycle, shape, sign, stream) for shape, sign in rows]

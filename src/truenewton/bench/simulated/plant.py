@@ -20,21 +20,10 @@ def film_damping(gap: float) -> float:
 
 
 def advance(stiffness: Array, mass: Array, damping: Array, period: float) -> Array:
-    """Return what takes the glass from one sample to the next, the force held between them.
+    """Return S, (..., 2n, 3n), of the glass from one sample to the next: after = S [state; force].
 
-    The state is (z, period z'), both in metres; the matrix exponential makes the step exact.
-
-    Parameters
-    ----------
-    stiffness, mass, damping
-        (..., n, n) K [N/m], M [kg], C [N s/m] at the actuators.
-    period
-        Of the samples [s].
-
-    Returns
-    -------
-    numpy.ndarray
-        (..., 2n, 3n) S: state after = S [state; force].
+    The state is (z, period z'), both in metres; the force is held for the period of a sample [s],
+    over which the matrix exponential is exact. Of (..., n, n) K [N/m], M [kg], C [N s/m].
     """
     n = stiffness.shape[-1]
     joint = np.zeros((*stiffness.shape[:-2], 3 * n, 3 * n))

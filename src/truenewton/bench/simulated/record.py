@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE
 from truenewton.bench.simulated.loop import Loop, samples_of
 from truenewton.bench.simulated.noise import SAMPLES
 from truenewton.errors import LoopUnstable
@@ -52,25 +52,14 @@ def record(
     load_force: Array,
     noise: Sequence[np.random.Generator] = (),
     *,
-    temperature: ArrayLike = REFERENCE_TEMPERATURE,
     settling: float = SETTLING,
     samples: int = SAMPLES,
 ) -> Record:
     """Step from the flat mirror to each shape, wait, and record.
 
     The pseudo-integrator would take some 100 ms. So it is put at once where it ends, which is
-    known, and let go when the fast motions are over (`SWIFT`).
-
-    Parameters
-    ----------
-    loop
-        From `closed_loop`.
-    shapes, load_force, noise, temperature
-        As in `loop`.
-    settling
-        From the command to the first sample [s].
-    samples
-        Of the record.
+    known, and let go when the fast motions are over (`SWIFT`). Arguments are those of `samples_of`,
+    the settling from the command to the first sample [s], and the samples of the record.
 
     Raises
     ------
@@ -81,22 +70,15 @@ def record(
     """
     wait = round(settling * loop.control.rate)
     held = min(round(SWIFT * loop.control.rate), wait)
-    steps = samples_of(
-        loop, shapes, load_force, noise, wait + samples, temperature=temperature, held=held
-    )
-    for _ in range(wait):
-        next(steps)
+    steps = samples_of(loop, shapes, load_force, noise, wait + samples, held=held)
+    recorded = (np.array([force, read]) for force, read, _ in islice(steps, wait, None))
     # Sums about the first sample, so that squares do not drown what they differ by.
+    first = next(recorded)
     total, square = np.zeros((2, 2, 2, *shapes.shape))  # half, force or position
-    first = np.empty((2, *shapes.shape))
-    for k, (force, read, _) in enumerate(steps):
-        if k == 0:
-            first[:] = force, read
-        half = int(2 * k >= samples)
-        for what, value in enumerate((force, read)):
-            value = value - first[what]
-            total[half, what] += value
-            square[half, what] += value * value
+    for k, value in enumerate(recorded, start=1):
+        off, half = value - first, int(2 * k >= samples)
+        total[half] += off
+        square[half] += off * off
     size = np.array([samples - samples // 2, samples // 2])[:, None, None, None]
     halves = total / size
     _refuse_growth(np.sqrt(np.maximum(square / size - halves**2, 0))[:, 0])

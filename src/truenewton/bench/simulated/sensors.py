@@ -55,22 +55,10 @@ def draw_sensors(n: int, gap: float, random: np.random.Generator) -> Sensors:
 
 
 def counts(sensors: Sensors, displacement: Array, noise: Array | float = 0.0) -> Array:
-    """Return what the ADC gives: whole numbers, out of range where the ADC would be.
+    """Return the (n, batch) counts of the ADC, whole numbers, of true displacements along +z [m].
 
-    Parameters
-    ----------
-    sensors
-        The n sensors.
-    displacement
-        (n, batch) true, along +z [m].
-    noise
-        (n, batch) of unit standard deviation.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n, batch) counts; infinite where the gap is closed. Those beyond codes - 1 an ADC does
-        not have: see `out_of_range`.
+    Noise is (n, batch) of unit standard deviation. Counts are infinite where the gap is closed;
+    those beyond codes - 1 an ADC does not have: see `out_of_range`.
     """
     distance = (sensors.gap - sensors.offset)[:, None] - displacement / sensors.gain[:, None]
     distance = distance + sensors.noise * noise
@@ -85,7 +73,6 @@ def out_of_range(sensors: Sensors, counted: Array) -> Array:
 
 
 def reading(sensors: Sensors, counted: Array) -> Array:
-    """Return the displacement along +z [m] that the electronics make of counts."""
-    return np.asarray(
-        sensors.gap - sensors.d0 / (counted * (sensors.v / sensors.codes) - sensors.c)
-    )
+    """Return the displacement along +z [m] that the electronics make of (n, batch) counts."""
+    distance = sensors.d0 / (counted * (sensors.v / sensors.codes) - sensors.c)
+    return np.asarray(sensors.gap - distance)

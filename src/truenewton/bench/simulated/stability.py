@@ -19,8 +19,9 @@ DENSE = 100  # actuators, up to which the whole matrix is taken
 def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control) -> Array:
     """Return what takes the closed loop, at rest commands, from one sample to the next.
 
-    The state is (z, period z', both filters of the derivative, the pseudo-integrator, the forces
-    on their way), each (n,). Coils' gradient, steps and limits are left out: they are not linear.
+    (..., m, m) of m = (5 + delay) n states: z, period z', both filters of the derivative, the
+    pseudo-integrator, the forces on their way. Coils' gradient, steps and limits are left out: they
+    are not linear.
 
     Parameters
     ----------
@@ -30,16 +31,11 @@ def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control
         (..., n) true / commanded force, true displacement / reading.
     control
         The gains.
-
-    Returns
-    -------
-    numpy.ndarray
-        (..., (5 + delay) n, (5 + delay) n).
     """
     n, delay = step.shape[-2] // 2, control.delay
     size = (5 + delay) * n
     z, once, twice, slow_error = (slice(k * n, (k + 1) * n) for k in (0, 2, 3, 4))
-    swift, slow = 1 - control.derivative_decay, 1 - control.slow_decay
+    swift, slow = control.swift, control.slow
     now = np.broadcast_to(np.eye(size), (*step.shape[:-2], size, size))
     # Rows: what each quantity is, in terms of the state before.
     y = now[..., z, :] / sensor_gain[..., None]
@@ -60,7 +56,7 @@ def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control
 def roots(loop: Loop) -> Array:
     """Return the roots of a closed loop in z; it is stable while all are within the unit circle.
 
-    Of up to `DENSE` actuators these are the ((5 + delay) n,) eigenvalues of the whole. Of more,
+    Of up to `DENSE` actuators these are the (m,) eigenvalues of `state_matrix`. Of more,
     each mode of the glass is taken alone, with the lowest and with the highest alpha / sensor gain
     of all actuators and with its own part of damping: exact where mass, damping, alpha and gain are
     even, an approximation otherwise.
@@ -102,7 +98,7 @@ def closed_loop(
     stiffness
         (n, n) K of the glass at the actuators [N/m].
     mass, damping
-        (n, n), or (n,) of diagonal ones [kg, N s/m].
+        (n, n) M [kg] and C [N s/m].
     coils, sensors, control
         What closes the loop; the bias magnets' gradient comes off the diagonal of K.
 
@@ -111,7 +107,6 @@ def closed_loop(
     LoopUnstable
         A root on or outside the unit circle.
     """
-    mass, damping = (np.diag(a) if a.ndim == 1 else a for a in (mass, damping))
     softer = stiffness - coils.bias_gradient * np.eye(len(stiffness))
     step = advance(softer, mass, damping, control.period)
     loop = Loop(softer, mass, damping, step, coils, sensors, control)

@@ -9,7 +9,7 @@ c = f / (alpha (1 + COILGRAD z)).
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
-from truenewton.bench.simulated.noise import SAMPLES, STATIC, cycle_noise
+from truenewton.bench.simulated.loop import Loop
+from truenewton.bench.simulated.noise import LOOP, SAMPLES, STATIC, row_noise
+from truenewton.bench.simulated.record import Record, record
 from truenewton.bench.simulated.sensors import Sensors, draw_sensors
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
@@ -60,8 +62,6 @@ class StaticBench:
         (L, n) true forces that hold the flat mirror under each load [N].
     force_noise
         Standard deviation of one commanded-force reading [N].
-    temperature
-        [deg C]
     """
 
     mirror: Mirror
@@ -73,7 +73,6 @@ class StaticBench:
     shapes: Array
     load_force: Array
     force_noise: float
-    temperature: float
 
 
 def static_bench(
@@ -115,7 +114,8 @@ def static_bench(
     """
     random = np.random.default_rng([seed, 0])
     layout, n = mirror.layout, mirror.layout.n
-    loads = tuple(loads) or _bare_and_ring(mirror)
+    ring = Load("ring", mirror.added_weight, mirror.added_weight_error, tool="ring")
+    loads = tuple(loads) or (Load("bare"), ring)
     _refuse_closed_gap(mirror, stroke)
     alpha = random.uniform(*mirror.alpha_range, n)
     weight = float(random.normal(mirror.weight, mirror.weight_error))
@@ -127,12 +127,15 @@ def static_bench(
         external.append(weight_on(mirror, weight, q, cosine=cosine, off_centre=centre, bias=bias))
     load_force = np.array([forces_under(glass, each) for each in external])
     k = np.array([external_resultants(mirror, each) for each in external])
-    coils = Coils(alpha, bias_gradient=mirror.bias_gradient, coil_gradient=mirror.coil_gradient)
+    coils = Coils(
+        alpha,
+        bias_gradient=mirror.bias_gradient,
+        coil_gradient=mirror.coil_gradient,
+        temperature=temperature,
+    )
     sensors = draw_sensors(n, mirror.gap, random)
-    warm = gain(coils, temperature)[:, 0]
-    # What is recorded stays under the limit too, with room for its noise.
-    room = force_limit * np.minimum(warm, 1.0) - 5 * force_noise - np.abs(load_force).max(axis=0)
-    _refuse_no_room(mirror, room, load_force, force_limit)
+    warm = gain(coils)[:, 0]
+    room = _room_for_shapes(mirror, warm, load_force, force_noise, force_limit)
     truth = Truth(
         instrument=mirror.name,
         layout=layout,
@@ -151,14 +154,7 @@ def static_bench(
     by_reading = (glass.stiffness - coils.bias_gradient * np.eye(n)) * sensors.gain
     room /= 1 + coils.coil_gradient * stroke
     shapes = scaled_modes(stiffness_modes(glass.stiffness).modes.T, by_reading, stroke, room)
-    return StaticBench(
-        mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise, temperature
-    )
-
-
-def _bare_and_ring(mirror: Mirror) -> tuple[Load, Load]:
-    ring = Load("ring", mirror.added_weight, mirror.added_weight_error, tool="ring")
-    return Load("bare"), ring
+    return StaticBench(mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise)
 
 
 def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:
@@ -171,7 +167,12 @@ def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:
         )
 
 
-def _refuse_no_room(mirror: Mirror, room: Array, load_force: Array, limit: float) -> None:
+def _room_for_shapes(
+    mirror: Mirror, alpha: Array, load_force: Array, noise: float, limit: float
+) -> Array:
+    """Return the (n,) true forces that loads and limit leave to shapes [N]."""
+    # What is recorded stays under the limit too, with room for its noise.
+    room = limit * np.minimum(alpha, 1.0) - 5 * noise - np.abs(load_force).max(axis=0)
     if (room <= 0).any():
         raise LimitExceeded(
             f"holding the mirror alone takes actuator {mirror.layout.id[room.argmin()]} beyond the"
@@ -180,6 +181,7 @@ def _refuse_no_room(mirror: Mirror, room: Array, load_force: Array, limit: float
             got=float(np.abs(load_force).max()),
             want=limit,
         )
+    return np.asarray(room)
 
 
 def _true_loads(loads: Sequence[Load], random: np.random.Generator) -> tuple[Array, Array]:
@@ -198,27 +200,65 @@ def held_command(bench: StaticBench, load_index: int, position: Array) -> Array:
     return np.asarray(true_force / (bench.truth.alpha * (1 + bench.coils.coil_gradient * z)))
 
 
-def run_cycles(bench: StaticBench, cycles: int) -> Iterator[Cycle]:
+def take(
+    bench: StaticBench,
+    loop: Loop | None,
+    load_index: int,
+    position: Array,
+    labels: Iterable[tuple[str, int, int, int]],
+    samples: int = SAMPLES,
+) -> Record:
+    """Return what is read of (N, n) shapes [m] under a load: in a loop, or held exactly without.
+
+    The labels of each row, key of the load, cycle, shape and sign, decide its noise.
+    """
+    stream = STATIC if loop is None else LOOP
+    noise = [row_noise(bench.truth.seed, *label, stream) for label in labels]
+    if loop is not None:
+        load_force = bench.load_force[load_index][:, None]
+        return record(loop, position.T, load_force, noise, samples=samples)
+    n = bench.mirror.layout.n
+    drawn = np.array([row.standard_normal(2 * n) for row in noise]) * np.sqrt(SAMPLES / samples)
+    force = held_command(bench, load_index, position) + bench.force_noise * drawn[:, :n]
+    scatter = np.full_like(force.T, np.sqrt(SAMPLES))
+    return Record(
+        force=force.T,
+        force_scatter=bench.force_noise * scatter,
+        position=(position + SENSOR_NOISE * drawn[:, n:]).T,
+        position_scatter=SENSOR_NOISE * scatter,
+        settled=np.ones(len(force), dtype=bool),
+    )
+
+
+def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Iterator[Cycle]:
     """Yield the cycles of a campaign: every shape and its negative, under each load in turn."""
     shape, sign, position = rows_of_cycle(bench)
-    rows, n = list(zip(shape.tolist(), sign.tolist(), strict=True)), bench.shapes.shape[1]
-    for load_index, number, start in schedule(bench, cycles):
-        key = bench.loads[load_index].key
-        random = cycle_noise(bench.truth.seed, key, number, rows, STATIC)
-        noise = np.array([row.standard_normal(2 * n) for row in random])
-        force = held_command(bench, load_index, position) + bench.force_noise * noise[:, :n]
-        read = position + SENSOR_NOISE * noise[:, n:]
-        settled = np.ones(len(shape), dtype=bool)
-        yield cycle_of(bench, load_index, number, start, force, read, settled, bench.force_noise)
-
-
-def schedule(bench: StaticBench, cycles: int) -> Iterator[tuple[int, int, datetime.datetime]]:
-    """Yield index of the load, number and start of each cycle."""
-    start = START
-    for load_index in range(len(bench.loads)):
+    mirror, start, time = bench.mirror, START, SECONDS_PER_SHAPE * np.arange(1.0, len(shape) + 1)
+    for load_index, load in enumerate(bench.loads):
         for number in range(1, cycles + 1):
-            yield load_index, number, start
-            start += datetime.timedelta(seconds=SECONDS_PER_SHAPE * (2 * len(bench.shapes) + 1))
+            labels = ((load.key, number, int(k), int(s)) for k, s in zip(shape, sign, strict=True))
+            taken = take(bench, loop, load_index, position, labels)
+            yield Cycle(
+                instrument=mirror.name,
+                date=start,
+                number=number,
+                load=load,
+                weight=mirror.weight,
+                weight_error=mirror.weight_error,
+                layout=mirror.layout,
+                time=time,
+                shape=shape,
+                sign=sign,
+                force=taken.force.T,
+                valid=taken.settled,
+                temperature=np.full(len(shape), bench.coils.temperature),
+                position=taken.position.T,
+                gap=mirror.gap,
+                force_error=(bench.force_noise or None) if loop is None else None,
+                coil_gradient=bench.coils.coil_gradient,
+                bias_gradient=bench.coils.bias_gradient,
+            )
+            start += datetime.timedelta(seconds=SECONDS_PER_SHAPE * (len(shape) + 1))
         start += PAUSE
 
 
@@ -227,41 +267,3 @@ def rows_of_cycle(bench: StaticBench) -> tuple[NDArray[np.int64], NDArray[np.int
     count = len(bench.shapes)
     shape, sign = np.repeat(np.arange(1, count + 1), 2), np.tile([1, -1], count)
     return shape, sign, np.asarray(sign[:, None] * bench.shapes[shape - 1])
-
-
-def cycle_of(
-    bench: StaticBench,
-    load_index: int,
-    number: int,
-    start: datetime.datetime,
-    force: Array,
-    position: Array,
-    valid: NDArray[np.bool_],
-    force_error: float,
-) -> Cycle:
-    """Return the record of one cycle, with what the files declare of the mirror.
-
-    Its (N, n) forces [N] and positions [m], (N,) rows valid or not; 0 for an unknown force error.
-    """
-    shape, sign, _ = rows_of_cycle(bench)
-    mirror = bench.mirror
-    return Cycle(
-        instrument=mirror.name,
-        date=start,
-        number=number,
-        load=bench.loads[load_index],
-        weight=mirror.weight,
-        weight_error=mirror.weight_error,
-        layout=mirror.layout,
-        time=SECONDS_PER_SHAPE * np.arange(1.0, len(shape) + 1),
-        shape=shape,
-        sign=sign,
-        force=force,
-        valid=valid,
-        temperature=np.full(len(shape), bench.temperature),
-        position=position,
-        gap=mirror.gap,
-        force_error=force_error or None,
-        coil_gradient=bench.coils.coil_gradient,
-        bias_gradient=bench.coils.bias_gradient,
-    )
