@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.acquisition.clock import moment
-from truenewton.bench.protocol import Reading, Shape
+from truenewton.bench.protocol import Bench, Graded, Reading, Shape
 from truenewton.errors import BenchFault, FormatError
 from truenewton.files.outputs import in_one_line, to_disk
 from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import cycle_name
-from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 VERSION = 1
@@ -48,16 +47,12 @@ def journal_path(folder: Path, load: Load, number: int) -> Path:
 
 
 class Journal:
-    """The record of one cycle under way.
+    """The record of one cycle under way, of n actuators, in the folder of its campaign.
 
-    Parameters
+    Attributes
     ----------
-    folder
-        Of the campaign.
-    load, number
-        Of the cycle.
-    n
-        Number of actuators.
+    count, dropped
+        Records that it holds, and bytes that were cut off when it was opened.
 
     Raises
     ------
@@ -97,13 +92,10 @@ class Journal:
         # Those at the end that were not sound are taken again.
         valid = np.frombuffer(body[: count * size], dtype=self.form)["valid"]
         count = int(np.flatnonzero(valid)[-1]) + 1 if valid.any() else 0
-        self._cut(count)
-        return count, len(body) - count * size
-
-    def _cut(self, count: int) -> None:
-        end = len(self._head) + count * self.form.itemsize
+        end = len(head) + count * size
         os.ftruncate(self._handle, end)
         os.lseek(self._handle, end, os.SEEK_SET)
+        return count, len(raw) - end
 
     def append(
         self, instant: int, shape: Shape, valid: bool, reading: Reading | None, noise: float
@@ -151,14 +143,8 @@ class Journal:
                 "holds other shapes than those planned", remedy="move it away", path=self.path
             )
 
-    def cycle(
-        self,
-        mirror: Mirror,
-        layout: Layout,
-        gap: float,
-        gradients: tuple[float | None, float | None],
-    ) -> Cycle:
-        """Return the cycle that the records make; gradients as in `protocol.Graded`.
+    def cycle(self, mirror: Mirror, bench: Bench) -> Cycle:
+        """Return the cycle that the records make, taken of a mirror on a bench.
 
         Raises
         ------
@@ -171,6 +157,7 @@ class Journal:
             raise BenchFault(f"no shape of cycle {self.number} under '{self.load.name}' is valid")
         noise = float(np.sqrt(np.mean(rows["noise"][valid] ** 2)))
         temperature = rows["temperature"]
+        gradients = bench.gradients if isinstance(bench, Graded) else (None, None)
         return Cycle(
             instrument=mirror.name,
             date=moment(int(rows["instant"][0])),
@@ -178,7 +165,7 @@ class Journal:
             load=self.load,
             weight=mirror.weight,
             weight_error=mirror.weight_error,
-            layout=layout,
+            layout=bench.layout,
             time=(rows["instant"] - rows["instant"][0]) * 1e-6,
             shape=rows["shape"],
             sign=rows["sign"],
@@ -186,7 +173,7 @@ class Journal:
             valid=valid,
             temperature=temperature if np.isfinite(temperature[valid]).all() else None,
             position=rows["position"],
-            gap=gap,
+            gap=bench.gap,
             force_error=noise if noise > 0 else None,
             coil_gradient=gradients[0],
             bias_gradient=gradients[1],

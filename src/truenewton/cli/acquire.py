@@ -26,7 +26,7 @@ def run(
 ) -> None:
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
     from truenewton.acquisition.benches import seal_truth
-    from truenewton.acquisition.folder import is_complete, plan_text, refuse_other_plan
+    from truenewton.acquisition.folder import is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
     from truenewton.bench.simulated.truth import truth_path
     from truenewton.files.outputs import refuse_existing
@@ -36,7 +36,7 @@ def run(
     if simulated and not output.exists():
         refuse_existing(truth_path(output))
     if complete:
-        refuse_other_plan(output, plan_text(wanted, beside))
+        refuse_other_plan(output, wanted, beside)
     else:
         _acquire(wanted, beside, output, yes)
     if simulated:

@@ -166,9 +166,11 @@ def with_added(plan: CampaignPlan, factor: float) -> CampaignPlan:
 
 
 def _curve(values: list[float], predictions: list[Prediction]) -> Curve:
-    return Curve(
-        np.array(values),
-        np.array([one.typical for one in predictions]),
-        np.array([typical(one.reading_error, one.alpha) for one in predictions]),
-        np.array([typical(one.systematic_error, one.alpha) for one in predictions]),
-    )
+    errors = np.array([typical_errors(one) for one in predictions]).reshape(-1, 3)
+    return Curve(np.array(values), *errors.T)
+
+
+def typical_errors(prediction: Prediction) -> tuple[float, ...]:
+    """Return E_ALPHA, E_STAT and E_SYST of a typical actuator, relative to alpha."""
+    errors = prediction.error, prediction.reading_error, prediction.systematic_error
+    return tuple(typical(error, prediction.alpha) for error in errors)

@@ -48,14 +48,10 @@ class Way:
 
 
 def ways_to(ready: Prepared, target: float) -> tuple[Way, ...]:
-    """Return what each change alone can do for a typical error of alpha.
+    """Return what each change of a plan alone can do for a typical error of alpha.
 
-    Parameters
-    ----------
-    ready
-        The plan; what it asks of the mirror stays within its own limits.
-    target
-        Wanted median over actuators of E_ALPHA relative to alpha.
+    What it asks of the mirror stays within its own limits; the target is the wanted median over
+    actuators of E_ALPHA relative to alpha.
     """
     plan = ready.plan
     ladders = (
