@@ -27,7 +27,6 @@ from truenewton.acquisition.plan import CampaignPlan, planned_mirror
 from truenewton.acquisition.progress import Nobody, Onlooker, Progress
 from truenewton.acquisition.run import Run, take_all
 from truenewton.acquisition.run_log import RunLog
-from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.acquisition.taker import Taker
 from truenewton.bench.protocol import Bench, Operator, Shape
 from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError
@@ -88,9 +87,7 @@ def acquire(
     if operator is None:
         raise BenchFault("nobody puts the loads on", remedy="give an operator")
     with Interruption() as interruption, locked(folder) as folder:
-        shapes = begin_or_resume(
-            folder, plan, beside, lambda: shapes_and_forces(plan, mirror, beside)[0]
-        )
+        shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
         rows = 2 * len(shapes)
         complete = finished_cycles(folder, plan, mirror, rows)

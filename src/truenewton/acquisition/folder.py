@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import hashlib
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -16,6 +15,7 @@ from truenewton.acquisition.clock import instant_of
 from truenewton.acquisition.journal import journal_path
 from truenewton.acquisition.load_check import mean_sum
 from truenewton.acquisition.plan import CampaignPlan, read_plan
+from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.arrays import Array
 from truenewton.errors import (
     CampaignMismatch,
@@ -58,10 +58,7 @@ def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
 
 
 def begin_or_resume(
-    folder: Path,
-    plan: CampaignPlan,
-    beside: str | os.PathLike[str],
-    make_shapes: Callable[[], Array],
+    folder: Path, plan: CampaignPlan, mirror: Mirror, beside: str | os.PathLike[str]
 ) -> Array:
     """Keep plan and shapes in a folder that has none; else return the shapes that it has.
 
@@ -84,7 +81,7 @@ def begin_or_resume(
         raise OutputExists(
             f"holds FITS files but no {PLAN}", remedy="choose another name", path=folder
         )
-    shapes = make_shapes()
+    shapes, _ = shapes_and_forces(plan, mirror, beside)
     with file_beside(folder / SHAPES, overwrite=True) as temporary:
         np.save(temporary, shapes)
     with file_beside(folder / PLAN) as temporary:  # last: with it the campaign has begun

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from truenewton.cli.terminal import ProgressBar
+from truenewton.errors import BenchFault
+
 if TYPE_CHECKING:
     from truenewton.acquisition.plan import CampaignPlan
     from truenewton.acquisition.progress import Progress
@@ -57,24 +60,17 @@ def _acquire(plan: CampaignPlan, beside: Path, output: Path, yes: bool) -> None:
         operator = None if isinstance(bench, Operator) else terminal
         acquire(bench, plan, output, beside=beside, operator=operator, onlooker=terminal)
     finally:
-        terminal.bar.stop()
+        terminal.stop()
         if hasattr(bench, "close"):
             bench.close()
 
 
-class Terminal:
-    """The person at the terminal: looks on, and puts the loads on.
-
-    Parameters
-    ----------
-    yes
-        Whether every load is taken for put on.
-    """
+class Terminal(ProgressBar):
+    """The person at the terminal: looks on, and puts the loads on, or takes them for put on."""
 
     def __init__(self, yes: bool) -> None:
-        from truenewton.cli.terminal import ProgressBar
-
-        self.bar, self._yes = ProgressBar(), yes
+        super().__init__()
+        self._yes = yes
 
     def put_on(self, load: Load) -> None:
         """Ask for a load, and wait until Enter says that it is on.
@@ -84,9 +80,7 @@ class Terminal:
         BenchFault
             There is nobody to ask.
         """
-        from truenewton.errors import BenchFault
-
-        self.bar.stop()
+        self.stop()
         if load.added:
             what = f"put '{load.name}' on the mirror ({-load.added:g} N)"
         else:
@@ -102,15 +96,11 @@ class Terminal:
         else:
             input(f"{what[0].upper()}{what[1:]}, then press Enter: ")
 
-    def say(self, line: str) -> None:
-        """Print a line."""
-        self.bar.say(line)
-
     def progress(self, now: Progress) -> None:
         """Draw the bar."""
         shape = now.shape
         sign = "+" if shape.sign > 0 else "-"
-        self.bar.show(
+        self.show(
             now.done,
             now.total,
             f"{shape.load.name} cycle {shape.cycle}/{now.cycles}"
