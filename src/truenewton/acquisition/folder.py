@@ -12,17 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from truenewton.acquisition.clock import instant_of
-from truenewton.acquisition.journal import journal_path
+from truenewton.acquisition.journal import remove_journal
 from truenewton.acquisition.load_check import mean_sum
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.arrays import Array
-from truenewton.errors import (
-    CampaignMismatch,
-    FormatError,
-    OutputExists,
-    UnreadableFile,
-)
+from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnreadableFile
 from truenewton.files.fits import read_fits
 from truenewton.files.outputs import file_beside, in_one_line, to_disk
 from truenewton.files.toml import toml_text
@@ -73,7 +68,10 @@ def begin_or_resume(
         It holds a campaign that no plan was kept of.
     UnreadableFile, OutputFailed
     """
-    _sweep(folder, plan)
+    half_written = tuple(f".{name}." for name in (PLAN, SHAPES, *cycle_names(plan)))
+    with in_one_line(folder):  # by a run that was killed
+        for path in [each for each in folder.iterdir() if each.name.startswith(half_written)]:
+            path.unlink()
     if (folder / PLAN).exists():
         refuse_other_plan(folder, plan, beside)
         return _read_shapes(folder / SHAPES)
@@ -101,8 +99,9 @@ def refuse_other_plan(
     CampaignMismatch, UnreadableFile, FormatError, LimitExceeded
     """
     path = Path(folder) / PLAN
+    plan_begun = toml_text(read_plan(path))  # as this version writes it, defaults included
     notes = [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
-    begun = [*notes, *toml_text(read_plan(path)).splitlines()]  # as this version writes it
+    begun = [*notes, *plan_begun.splitlines()]
     wanted = _plan_text(plan, beside).splitlines()
     if begun == wanted:
         return
@@ -126,14 +125,6 @@ def _read_shapes(path: Path) -> Array:
             remedy="fetch the file again, or begin anew in another folder",
             path=path,
         ) from error
-
-
-def _sweep(folder: Path, plan: CampaignPlan) -> None:
-    """Remove what a killed run left half-written."""
-    begun = tuple(f".{name}." for name in (PLAN, SHAPES, *cycle_names(plan)))
-    with in_one_line(folder):
-        for path in [each for each in folder.iterdir() if each.name.startswith(begun)]:
-            path.unlink()
 
 
 def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:
@@ -176,8 +167,7 @@ def finished_cycles(
             raise CampaignMismatch(
                 "is not of this plan", remedy="move it away", path=path, got=cycle
             )
-        with in_one_line(folder):  # that of a run which was killed before it could do so
-            journal_path(folder, load, number).unlink(missing_ok=True)
+        remove_journal(folder, load, number)  # of a run which was killed before it could do so
         complete[load.key, number] = Finished(
             end=instant_of(cycle.date) + round(float(cycle.time[-1]) * 1e6),
             total=mean_sum(cycle.layout, np.asarray(cycle.force), cycle.sign, cycle.valid),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,12 @@ def record_type(n: int) -> np.dtype[np.void]:
 def journal_path(folder: Path, load: Load, number: int) -> Path:
     """Return where the journal of a cycle is kept: hidden, beside its file."""
     return folder / f".{Path(cycle_name(load, number)).stem}.journal"
+
+
+def remove_journal(folder: Path, load: Load, number: int) -> None:
+    """Remove the journal of a cycle that is safe in its file, if there is one."""
+    with in_one_line(folder):
+        journal_path(folder, load, number).unlink(missing_ok=True)
 
 
 class Journal:
@@ -127,18 +134,15 @@ class Journal:
         with in_one_line(self.path):
             return np.memmap(self.path, self.form, "r", offset=offset, shape=(self.count,))
 
-    def check_order(self, shape: NDArray[np.int64], sign: NDArray[np.int64]) -> None:
-        """Refuse records that are not the first of the (N,) shapes and signs planned.
+    def check_order(self, planned: Sequence[tuple[int, int]]) -> None:
+        """Refuse records that are not the first of the shapes and signs planned.
 
         Raises
         ------
         FormatError
         """
-        rows = self.rows()
-        if len(rows) > len(shape) or not (
-            np.array_equal(rows["shape"], shape[: len(rows)])
-            and np.array_equal(rows["sign"], sign[: len(rows)])
-        ):
+        held = self.rows()[["shape", "sign"]].tolist()
+        if held != planned[: len(held)]:
             raise FormatError(
                 "holds other shapes than those planned", remedy="move it away", path=self.path
             )
@@ -182,11 +186,6 @@ class Journal:
     def close(self) -> None:
         """Close the file; it stays."""
         os.close(self._handle)
-
-    def remove(self) -> None:
-        """Remove the file, when its cycle is safe."""
-        with in_one_line(self.path):
-            self.path.unlink()
 
 
 def _whole(record: memoryview) -> bool:

@@ -75,10 +75,8 @@ def judge(
     ----------
     weight
         P [N].
-    loads
-        All loads of the plan.
-    load
-        The one that should be on.
+    loads, load
+        All loads of the plan, and the one that should be on.
     rest_sums
         Sums at rest under the loads that were on before [N], by key, with this one's own if it was.
     total, error

@@ -6,12 +6,13 @@ import time
 from collections.abc import Collection
 from contextlib import closing
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from truenewton.acquisition.clock import SteadyClock
-from truenewton.acquisition.journal import Journal, journal_path
+from truenewton.acquisition.journal import Journal, journal_path, remove_journal
 from truenewton.acquisition.limits import shape_name
 from truenewton.acquisition.load_check import judge, mean_sum, sum_at_rest, sum_error
 from truenewton.acquisition.plan import CampaignPlan
@@ -97,10 +98,9 @@ def _put_on(run: Run, load: Load, number: int) -> Array:
 
 def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
     """Take what is missing of a cycle, and write its file."""
-    count, layout = len(run.shapes), run.taker.bench.layout
-    shape, sign = np.repeat(np.arange(1, count + 1), 2), np.tile([1, -1], count)
-    with closing(Journal(run.folder, load, number, layout.n)) as journal:
-        journal.check_order(shape, sign)
+    planned = list(product(range(1, len(run.shapes) + 1), (1, -1)))
+    with closing(Journal(run.folder, load, number, run.taker.bench.layout.n)) as journal:
+        journal.check_order(planned)
         if journal.count or journal.dropped:
             run.taker.log.note(
                 "resume", load=load.name, cycle=number, kept=journal.count, cut=journal.dropped
@@ -112,14 +112,18 @@ def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
         twin: Array | None = None
         if journal.count % 2:  # as its + twin the last one on record counts, which was valid
             twin = np.array(journal.rows()["force"][-1])
-        for row in range(journal.count, 2 * count):
-            k, s = int(shape[row]), int(sign[row])
+        for shape_number, sign in planned[journal.count :]:
             # The mirror answers in proportion: what + takes beyond rest, - takes short of it.
-            forecast = None if twin is None or s > 0 else 2 * rest_force - twin
-            wanted = Shape(load, number, k, s, s * run.shapes[k - 1])
+            forecast = None if twin is None or sign > 0 else 2 * rest_force - twin
+            position = sign * run.shapes[shape_number - 1]
+            wanted = Shape(load, number, shape_number, sign, position)
             twin = _take_shape(run, journal, wanted, forecast)
-        _write(run, journal, load, number)
-    journal.remove()
+        cycle = journal.cycle(run.mirror, run.taker.bench)
+        path = run.folder / cycle_name(load, number)
+        write_cycle(cycle, path)
+        to_disk(run.folder)  # from here on the cycle is safe
+        run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
+    remove_journal(run.folder, load, number)
 
 
 def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
@@ -150,12 +154,3 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
             remedy="see to the bench",
         )
     return sound.force if sound else None
-
-
-def _write(run: Run, journal: Journal, load: Load, number: int) -> None:
-    """Write the file of a cycle; when this returns it is on the disk, complete."""
-    cycle = journal.cycle(run.mirror, run.taker.bench)
-    path = run.folder / cycle_name(load, number)
-    write_cycle(cycle, path)
-    to_disk(run.folder)
-    run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))

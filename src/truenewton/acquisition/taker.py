@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ PATIENCE = 120.0  # with a bench that is gone [s]
 FIRST_WAIT, LONGEST_WAIT = 0.5, 10.0  # between two looks at it [s]
 
 
+@dataclass(eq=False)
 class Taker:
     """Takes shapes on a bench, and remembers what the next reading is compared with.
 
@@ -36,18 +37,15 @@ class Taker:
         Over the limits of the plan.
     """
 
-    def __init__(
-        self,
-        bench: Bench,
-        plan: CampaignPlan,
-        log: RunLog,
-        onlooker: Onlooker,
-        interruption: Interruption,
-        progress: Progress,
-    ) -> None:
-        self.bench, self.plan, self.log = bench, plan, log
-        self.onlooker, self.interruption, self.progress = onlooker, interruption, progress
-        self.guard = Guard(plan.limits, bench.layout, bench.gap)
+    bench: Bench
+    plan: CampaignPlan
+    log: RunLog
+    onlooker: Onlooker
+    interruption: Interruption
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        self.guard = Guard(self.plan.limits, self.bench.layout, self.bench.gap)
         self._counter: int | None = None
         self._sound: tuple[Shape, Reading] | None = None  # the last
 

@@ -12,7 +12,6 @@ from truenewton.cli.terminal import ProgressBar
 from truenewton.errors import BenchFault
 
 if TYPE_CHECKING:
-    from truenewton.acquisition.plan import CampaignPlan
     from truenewton.acquisition.progress import Progress
     from truenewton.statics.load import Load
 
@@ -28,9 +27,11 @@ def run(
     ),
 ) -> None:
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
-    from truenewton.acquisition.benches import seal_truth
+    from truenewton.acquisition.acquire import acquire
+    from truenewton.acquisition.benches import chosen_bench, seal_truth
     from truenewton.acquisition.folder import is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
+    from truenewton.bench.protocol import Operator
     from truenewton.bench.simulated.truth import truth_path
     from truenewton.files.outputs import refuse_existing
 
@@ -41,28 +42,19 @@ def run(
     if complete:
         refuse_other_plan(output, wanted, beside)
     else:
-        _acquire(wanted, beside, output, yes)
+        bench, terminal = chosen_bench(wanted, beside), Terminal(yes)
+        try:
+            operator = None if isinstance(bench, Operator) else terminal
+            acquire(bench, wanted, output, beside=beside, operator=operator, onlooker=terminal)
+        finally:
+            terminal.stop()
+            if hasattr(bench, "close"):
+                bench.close()
     if simulated:
         seal_truth(wanted, beside, output)
     already = " already" if complete else ""
     loads, cycles = len(wanted.loads), wanted.cycles
     print(f"{output}: complete{already}, {loads} loads x {cycles} cycles")
-
-
-def _acquire(plan: CampaignPlan, beside: Path, output: Path, yes: bool) -> None:
-    """Build the bench and run the plan on it."""
-    from truenewton.acquisition.acquire import acquire
-    from truenewton.acquisition.benches import chosen_bench
-    from truenewton.bench.protocol import Operator
-
-    bench, terminal = chosen_bench(plan, beside), Terminal(yes)
-    try:
-        operator = None if isinstance(bench, Operator) else terminal
-        acquire(bench, plan, output, beside=beside, operator=operator, onlooker=terminal)
-    finally:
-        terminal.stop()
-        if hasattr(bench, "close"):
-            bench.close()
 
 
 class Terminal(ProgressBar):

@@ -38,24 +38,6 @@ def run(
         return
     if output is not None:
         raise typer.BadParameter("-o goes with --new; --plot FILE writes the figure")
-    _predict(path, target, plot, overwrite, json)
-
-
-def _new(output: Path | None, overwrite: bool) -> None:
-    from truenewton.acquisition.plan import template
-    from truenewton.files.outputs import file_beside
-
-    if output is None:
-        print(template(), end="")
-        return
-    with file_beside(output, overwrite=overwrite) as temporary:
-        temporary.write_text(template(), encoding="utf-8")
-    print(f"written: {output}")
-
-
-def _predict(
-    path: Path, target: float | None, plot: Path | None, overwrite: bool, json: bool
-) -> None:
     from truenewton.cli.terminal import print_json, print_result
     from truenewton.figures.writing import write_figure
     from truenewton.files.outputs import refuse_existing
@@ -76,3 +58,15 @@ def _predict(
     else:
         said = (*lines(outlook), *way_lines(target, ways))
         print_result(said, [plot] if plot else [], saved=True)
+
+
+def _new(output: Path | None, overwrite: bool) -> None:
+    from truenewton.acquisition.plan import template
+    from truenewton.files.outputs import file_beside
+
+    if output is None:
+        print(template(), end="")
+        return
+    with file_beside(output, overwrite=overwrite) as temporary:
+        temporary.write_text(template(), encoding="utf-8")
+    print(f"written: {output}")
