@@ -100,7 +100,6 @@ def acquire(
             shapes=len(shapes),
             done=len(complete) * rows,
             total=len(files) * rows,
-            largest_force=0.0,
             smallest_gap=bench.gap,
         )
         with closing(RunLog(folder)) as log:

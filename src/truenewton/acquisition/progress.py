@@ -33,8 +33,8 @@ class Progress:
     shapes: int
     done: int
     total: int
-    largest_force: float
     smallest_gap: float
+    largest_force: float = 0.0
     taken: int = 0
     seconds: float = 0.0
     invalid: int = 0

@@ -166,6 +166,15 @@ def strain(ready: Prepared) -> Strain:
     return asked
 
 
+def within_limits(ready: Prepared) -> bool:
+    """Tell whether a plan asks no more of the mirror than it allows itself."""
+    try:
+        strain(ready)
+    except LimitExceeded:
+        return False
+    return True
+
+
 def noiseless(ready: Prepared) -> Campaign:
     """Return one cycle for each load, without noise, FORCERR that of the plan."""
     plan, mirror, count = ready.plan, ready.mirror, len(ready.shapes)

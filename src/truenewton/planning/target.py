@@ -10,7 +10,7 @@ import numpy as np
 
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.errors import LimitExceeded
-from truenewton.planning.forces import Prepared, strain
+from truenewton.planning.forces import Prepared, within_limits
 from truenewton.planning.outlook import duration, predicted, with_added
 from truenewton.statics.load import Load
 
@@ -72,11 +72,7 @@ def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing
     """Return the first change that suffices, or the last that the limits allow."""
 
     def breaks(change: tuple[str, CampaignPlan]) -> bool:
-        try:
-            strain(ready.changed(change[1]))
-        except LimitExceeded:
-            return True
-        return False
+        return not within_limits(ready.changed(change[1]))
 
     def error(change: tuple[str, CampaignPlan]) -> float:
         return predicted(ready.changed(change[1])).typical
