@@ -7,8 +7,12 @@ import os
 import platform
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
+from truenewton.acquisition.clock import SteadyClock
 from truenewton.acquisition.folder import (
     PLAN,
     begin_or_resume,
@@ -20,13 +24,12 @@ from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.limits import Guard
 from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
-from truenewton.acquisition.progress import Nobody, Onlooker
-from truenewton.acquisition.run import Count, Run, Written, take_all
+from truenewton.acquisition.progress import Nobody, Onlooker, Progress
+from truenewton.acquisition.run import Run, take_all
 from truenewton.acquisition.run_log import RunLog
-from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.acquisition.taker import Taker
-from truenewton.bench.protocol import Bench, Operator
-from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
+from truenewton.bench.protocol import Bench, Operator, Shape
+from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError
 from truenewton.mirrors.known import Mirror
 
 
@@ -84,26 +87,24 @@ def acquire(
     if operator is None:
         raise BenchFault("nobody puts the loads on", remedy="give an operator")
     with Interruption() as interruption, locked(folder) as folder:
-        shapes = begin_or_resume(
-            folder, plan, beside, lambda: shapes_and_forces(plan, mirror, beside)[0]
-        )
+        shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
-        rows = 2 * len(shapes)
-        complete = finished_cycles(folder, plan, mirror, rows)
+        complete = finished_cycles(folder, plan, mirror, 2 * len(shapes))
         files = tuple(folder / name for name in cycle_names(plan))
         if len(complete) == len(files):
             return files
+        progress = _progress(bench, plan, len(shapes), len(complete))
         with closing(RunLog(folder)) as log:
-            taker = Taker(bench, plan, log, onlooker or Nobody(), interruption)
             run = Run(
                 plan=plan,
                 mirror=mirror,
                 shapes=shapes,
                 folder=folder,
                 operator=operator,
-                taker=taker,
-                count=Count(done=len(complete) * rows),
-                written=Written(complete),
+                taker=Taker(bench, plan, log, onlooker or Nobody(), interruption, progress),
+                complete=complete,
+                rest_sums={key: each.total for (key, _), each in complete.items()},
+                clock=SteadyClock(max((each.end for each in complete.values()), default=None)),
             )
             _note_start(run)
             with _at_rest_in_the_end(run):
@@ -124,55 +125,65 @@ def _check_agreement(bench: Bench, mirror: Mirror) -> None:
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
 
 
-def _note_start(run: Run) -> None:
-    from importlib.metadata import version
+def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
+    """Return how far a campaign of so many shapes is, with so many cycles complete."""
+    return Progress(
+        shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
+        cycles=plan.cycles,
+        shapes=shapes,
+        done=2 * shapes * complete,
+        total=2 * shapes * plan.cycles * len(plan.loads),
+        smallest_gap=bench.gap,
+    )
 
-    plan = (run.folder / PLAN).read_bytes()
+
+def _note_start(run: Run) -> None:
+    bench, choice = run.taker.bench, run.plan.bench
     run.taker.log.note(
         "start",
         truenewton=version("truenewton"),
         python=platform.python_version(),
         host=platform.node(),
         process=os.getpid(),
-        bench=type(run.taker.bench).__name__,
-        kind=run.plan.bench.kind,
-        address=run.plan.bench.address,
-        instrument=run.taker.bench.instrument,
-        actuators=run.taker.bench.layout.n,
-        gap=run.taker.bench.gap,
-        plan=hashlib.sha256(plan).hexdigest(),
+        bench=type(bench).__name__,
+        kind=choice.kind,
+        address=choice.address,
+        instrument=bench.instrument,
+        actuators=bench.layout.n,
+        gap=bench.gap,
+        plan=hashlib.sha256((run.folder / PLAN).read_bytes()).hexdigest(),
         shapes=hashlib.sha256(run.shapes.tobytes()).hexdigest(),
-        complete=len(run.written.cycles),
+        complete=len(run.complete),
     )
 
 
 @contextmanager
 def _at_rest_in_the_end(run: Run) -> Iterator[None]:
     """Bring the mirror to rest whatever happens, and say how to go on."""
+    log = run.taker.log
     try:
         yield
         run.taker.rest()
     except BaseException as error:
-        run.taker.log.last_words("stop", error=type(error).__name__, why=str(error))
+        log.last_words("stop", error=type(error).__name__, why=str(error))
         try:
             run.taker.bench.rest()
         except BenchFault as fault:
-            run.taker.log.last_words("not at rest", fault=fault.fault)
+            log.last_words("not at rest", fault=fault.fault)
             raise BenchFault(
                 f"the mirror may not be at rest ({fault.fault}), after: {error}",
                 remedy="see to the bench; the same command goes on with the campaign",
                 path=run.folder,
             ) from error
-        run.taker.log.last_words("rest")
+        log.last_words("rest")
         if isinstance(error, TrueNewtonError):
-            raise _with_way_on(error, run.folder) from error
+            then = "the mirror is at rest, what was taken is kept; the same command goes on"
+            raise type(error)(
+                error.fault,
+                remedy=f"{error.remedy}; {then}" if error.remedy else then,
+                path=run.folder if error.path is None else error.path,
+                got=error.got,
+                want=error.want,
+            ) from error
         raise
-    run.taker.log.note("complete", invalid=run.count.invalid)
-
-
-def _with_way_on(error: TrueNewtonError, folder: Path) -> TrueNewtonError:
-    """Return an error that also says what became of mirror and data, and how to go on."""
-    then = "the mirror is at rest, what was taken is kept; the same command goes on"
-    remedy = f"{error.remedy}; {then}" if error.remedy else then
-    again = type(error)(error.fault, remedy=remedy, path=error.path, got=error.got, want=error.want)
-    return located(again, folder)
+    log.note("complete", invalid=run.taker.progress.invalid)

@@ -13,9 +13,6 @@ from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.bench import SimulatedBench
 from truenewton.errors import BenchFault
 
-# Imported where they are chosen: each needs what its extra installs.
-EXTRAS = {"opcua": "truenewton.bench.opcua", "opticalib": "truenewton.bench.opticalib"}
-
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
     """Return the bench of a plan; files that the plan names stand relative to a folder.
@@ -32,8 +29,8 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
         return _simulated(plan, beside)
     if choice.kind == "replay":
         return ReplayBench(Path(beside) / choice.address)
-    try:
-        module = importlib.import_module(EXTRAS[choice.kind])
+    try:  # imported where it is chosen: it needs what its extra installs
+        module = importlib.import_module(f"truenewton.bench.{choice.kind}")
     except ImportError as error:
         raise BenchFault(
             f"the bench '{choice.kind}' needs what is not installed ({error})",

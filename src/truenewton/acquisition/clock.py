@@ -29,6 +29,10 @@ class SteadyClock:
         self._seen: float | None = None  # when, by our own clock that nobody sets
         self.leap = 0.0
 
+    def go_on_after(self, instant: int) -> None:
+        """Let what follows be later than an instant [us since 1970, UTC] too."""
+        self._last = instant if self._last is None else max(self._last, instant)
+
     def instant(self, when: datetime.datetime | None) -> int:
         """Return the instant of a reading [us since 1970, UTC].
 

@@ -5,30 +5,23 @@ from __future__ import annotations
 import difflib
 import hashlib
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.acquisition.clock import instant_of
-from truenewton.acquisition.journal import journal_path
-from truenewton.acquisition.load_check import sum_at_rest
+from truenewton.acquisition.journal import remove_journal
+from truenewton.acquisition.load_check import mean_sum
 from truenewton.acquisition.plan import CampaignPlan, read_plan
+from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.arrays import Array
-from truenewton.errors import (
-    CampaignMismatch,
-    FormatError,
-    OutputExists,
-    UnreadableFile,
-)
+from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnreadableFile
 from truenewton.files.fits import read_fits
 from truenewton.files.outputs import file_beside, in_one_line, to_disk
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.known import Mirror
-from truenewton.records.cycle import Cycle
 from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
 
 PLAN, SHAPES = "plan.toml", ".shapes.npy"
@@ -51,7 +44,7 @@ class Finished:
     total: float
 
 
-def plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
+def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
     """Return a plan as it is kept beside its data, with the digests of the files that it names."""
     named = [plan.mirror, plan.shapes.source]
     files = [path for name in named if (path := Path(beside) / name).is_file()]
@@ -60,10 +53,7 @@ def plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
 
 
 def begin_or_resume(
-    folder: Path,
-    plan: CampaignPlan,
-    beside: str | os.PathLike[str],
-    make_shapes: Callable[[], Array],
+    folder: Path, plan: CampaignPlan, mirror: Mirror, beside: str | os.PathLike[str]
 ) -> Array:
     """Keep plan and shapes in a folder that has none; else return the shapes that it has.
 
@@ -78,26 +68,30 @@ def begin_or_resume(
         It holds a campaign that no plan was kept of.
     UnreadableFile, OutputFailed
     """
-    _sweep(folder, plan)
-    text = plan_text(plan, beside)
+    half_written = tuple(f".{name}." for name in (PLAN, SHAPES, *cycle_names(plan)))
+    with in_one_line(folder):  # by a run that was killed
+        for path in [each for each in folder.iterdir() if each.name.startswith(half_written)]:
+            path.unlink()
     if (folder / PLAN).exists():
-        refuse_other_plan(folder, text)
+        refuse_other_plan(folder, plan, beside)
         return _read_shapes(folder / SHAPES)
     if any(path.name.endswith(SUFFIXES) for path in folder.iterdir()):
         raise OutputExists(
             f"holds FITS files but no {PLAN}", remedy="choose another name", path=folder
         )
-    shapes = make_shapes()
+    shapes, _ = shapes_and_forces(plan, mirror, beside)
     with file_beside(folder / SHAPES, overwrite=True) as temporary:
         np.save(temporary, shapes)
     with file_beside(folder / PLAN) as temporary:  # last: with it the campaign has begun
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(_plan_text(plan, beside), encoding="utf-8")
     with in_one_line(folder):
         to_disk(folder)
     return shapes
 
 
-def refuse_other_plan(folder: str | os.PathLike[str], text: str) -> None:
+def refuse_other_plan(
+    folder: str | os.PathLike[str], plan: CampaignPlan, beside: str | os.PathLike[str]
+) -> None:
     """Refuse a plan that is not the one a folder was begun with, and show the difference.
 
     Raises
@@ -105,12 +99,13 @@ def refuse_other_plan(folder: str | os.PathLike[str], text: str) -> None:
     CampaignMismatch, UnreadableFile, FormatError, LimitExceeded
     """
     path = Path(folder) / PLAN
-    plan = toml_text(read_plan(path))  # as this version writes it, defaults included
+    plan_begun = toml_text(read_plan(path))  # as this version writes it, defaults included
     notes = [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
-    begun = "\n".join([*notes, plan])
-    if begun == text:
+    begun = [*notes, *plan_begun.splitlines()]
+    wanted = _plan_text(plan, beside).splitlines()
+    if begun == wanted:
         return
-    lines = list(difflib.unified_diff(begun.splitlines(), text.splitlines(), n=0, lineterm=""))
+    lines = list(difflib.unified_diff(begun, wanted, n=0, lineterm=""))
     changed = [line for line in lines[2:] if not line.startswith("@@") and line[1:].strip()]
     more = f" and {len(changed) - SHOWN} lines more" if len(changed) > SHOWN else ""
     raise CampaignMismatch(
@@ -130,17 +125,6 @@ def _read_shapes(path: Path) -> Array:
             remedy="fetch the file again, or begin anew in another folder",
             path=path,
         ) from error
-
-
-def _sweep(folder: Path, plan: CampaignPlan) -> None:
-    """Remove what a killed run left half-written."""
-    names = [PLAN, SHAPES, *cycle_names(plan)]
-    with in_one_line(folder):
-        left = {path.name: path for path in folder.iterdir() if path.name.startswith(".")}
-        for name in names:
-            for hidden, path in left.items():
-                if hidden.startswith(f".{name}."):
-                    path.unlink()
 
 
 def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:
@@ -168,42 +152,27 @@ def finished_cycles(
         It is of another campaign.
     """
     complete = {}
-    for load in plan.loads:
-        for number in range(1, plan.cycles + 1):
-            path = folder / cycle_name(load, number)
-            if not path.exists():
-                continue
-            cycle = cycle_from(read_fits(path))
-            agree = (
-                cycle.instrument == mirror.name
-                and (cycle.weight, cycle.weight_error) == (mirror.weight, mirror.weight_error)
-                and cycle.layout.same_as(mirror.layout)
-                and (cycle.load, cycle.number) == (load, number)
-                and len(cycle.time) == rows
+    for load, number in product(plan.loads, range(1, plan.cycles + 1)):
+        path = folder / cycle_name(load, number)
+        if not path.exists():
+            continue
+        cycle = cycle_from(read_fits(path))
+        if not (
+            cycle.instrument == mirror.name
+            and (cycle.weight, cycle.weight_error) == (mirror.weight, mirror.weight_error)
+            and cycle.layout.same_as(mirror.layout)
+            and (cycle.load, cycle.number) == (load, number)
+            and len(cycle.time) == rows
+        ):
+            raise CampaignMismatch(
+                "is not of this plan", remedy="move it away", path=path, got=cycle
             )
-            if not agree:
-                raise CampaignMismatch(
-                    "is not of this plan", remedy="move it away", path=path, got=cycle
-                )
-            with in_one_line(folder):  # that of a run which was killed before it could do so
-                journal_path(folder, load, number).unlink(missing_ok=True)
-            complete[load.key, number] = finished(cycle)
+        remove_journal(folder, load, number)  # of a run which was killed before it could do so
+        complete[load.key, number] = Finished(
+            end=instant_of(cycle.date) + round(float(cycle.time[-1]) * 1e6),
+            total=mean_sum(cycle.layout, np.asarray(cycle.force), cycle.sign, cycle.valid),
+        )
     return complete
-
-
-def finished(cycle: Cycle) -> Finished:
-    """Return what a run needs to know of a complete cycle."""
-    end = instant_of(cycle.date) + round(float(cycle.time[-1]) * 1e6)
-    total = sum_at_rest(
-        cycle.layout, static_force(np.asarray(cycle.force), cycle.sign, cycle.valid)
-    )
-    return Finished(end, total)
-
-
-def static_force(force: Array, sign: NDArray[Any], valid: NDArray[Any]) -> Array:
-    """Return the mean (N, n) commanded forces of both signs [N]: the elastic ones cancel."""
-    rows = [valid.astype(bool) & (sign == each) for each in (1, -1)]
-    return np.asarray(np.mean([force[each].mean(axis=0) for each in rows if each.any()], axis=0))
 
 
 def refuse_shared_names(plan: CampaignPlan) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.acquisition.clock import moment
-from truenewton.bench.protocol import Reading, Shape
+from truenewton.bench.protocol import Bench, Graded, Reading, Shape
 from truenewton.errors import BenchFault, FormatError
 from truenewton.files.outputs import in_one_line, to_disk
 from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import cycle_name
-from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 VERSION = 1
@@ -47,17 +47,19 @@ def journal_path(folder: Path, load: Load, number: int) -> Path:
     return folder / f".{Path(cycle_name(load, number)).stem}.journal"
 
 
-class Journal:
-    """The record of one cycle under way.
+def remove_journal(folder: Path, load: Load, number: int) -> None:
+    """Remove the journal of a cycle that is safe in its file, if there is one."""
+    with in_one_line(folder):
+        journal_path(folder, load, number).unlink(missing_ok=True)
 
-    Parameters
+
+class Journal:
+    """The record of one cycle under way, of n actuators, in the folder of its campaign.
+
+    Attributes
     ----------
-    folder
-        Of the campaign.
-    load, number
-        Of the cycle.
-    n
-        Number of actuators.
+    count, dropped
+        Records that it holds, and bytes that were cut off when it was opened.
 
     Raises
     ------
@@ -97,13 +99,10 @@ class Journal:
         # Those at the end that were not sound are taken again.
         valid = np.frombuffer(body[: count * size], dtype=self.form)["valid"]
         count = int(np.flatnonzero(valid)[-1]) + 1 if valid.any() else 0
-        self._cut(count)
-        return count, len(body) - count * size
-
-    def _cut(self, count: int) -> None:
-        end = len(self._head) + count * self.form.itemsize
+        end = len(head) + count * size
         os.ftruncate(self._handle, end)
         os.lseek(self._handle, end, os.SEEK_SET)
+        return count, len(raw) - end
 
     def append(
         self, instant: int, shape: Shape, valid: bool, reading: Reading | None, noise: float
@@ -135,30 +134,21 @@ class Journal:
         with in_one_line(self.path):
             return np.memmap(self.path, self.form, "r", offset=offset, shape=(self.count,))
 
-    def check_order(self, shape: NDArray[np.int64], sign: NDArray[np.int64]) -> None:
-        """Refuse records that are not the first of the (N,) shapes and signs planned.
+    def check_order(self, planned: Sequence[tuple[int, int]]) -> None:
+        """Refuse records that are not the first of the shapes and signs planned.
 
         Raises
         ------
         FormatError
         """
-        rows = self.rows()
-        if len(rows) > len(shape) or not (
-            np.array_equal(rows["shape"], shape[: len(rows)])
-            and np.array_equal(rows["sign"], sign[: len(rows)])
-        ):
+        held = self.rows()[["shape", "sign"]].tolist()
+        if held != planned[: len(held)]:
             raise FormatError(
                 "holds other shapes than those planned", remedy="move it away", path=self.path
             )
 
-    def cycle(
-        self,
-        mirror: Mirror,
-        layout: Layout,
-        gap: float,
-        gradients: tuple[float | None, float | None],
-    ) -> Cycle:
-        """Return the cycle that the records make; gradients as in `protocol.Graded`.
+    def cycle(self, mirror: Mirror, bench: Bench) -> Cycle:
+        """Return the cycle that the records make, taken of a mirror on a bench.
 
         Raises
         ------
@@ -171,6 +161,7 @@ class Journal:
             raise BenchFault(f"no shape of cycle {self.number} under '{self.load.name}' is valid")
         noise = float(np.sqrt(np.mean(rows["noise"][valid] ** 2)))
         temperature = rows["temperature"]
+        gradients = bench.gradients if isinstance(bench, Graded) else (None, None)
         return Cycle(
             instrument=mirror.name,
             date=moment(int(rows["instant"][0])),
@@ -178,7 +169,7 @@ class Journal:
             load=self.load,
             weight=mirror.weight,
             weight_error=mirror.weight_error,
-            layout=layout,
+            layout=bench.layout,
             time=(rows["instant"] - rows["instant"][0]) * 1e-6,
             shape=rows["shape"],
             sign=rows["sign"],
@@ -186,7 +177,7 @@ class Journal:
             valid=valid,
             temperature=temperature if np.isfinite(temperature[valid]).all() else None,
             position=rows["position"],
-            gap=gap,
+            gap=bench.gap,
             force_error=noise if noise > 0 else None,
             coil_gradient=gradients[0],
             bias_gradient=gradients[1],
@@ -195,11 +186,6 @@ class Journal:
     def close(self) -> None:
         """Close the file; it stays."""
         os.close(self._handle)
-
-    def remove(self) -> None:
-        """Remove the file, when its cycle is safe."""
-        with in_one_line(self.path):
-            self.path.unlink()
 
 
 def _whole(record: memoryview) -> bool:

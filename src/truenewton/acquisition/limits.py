@@ -41,47 +41,32 @@ class Guard:
         self._check_planned_stroke(shapes[worst], f"in planned shape {worst + 1}")
 
     def check_room(self, plan: CampaignPlan, mirror: Mirror, load: Load, rest_force: Array) -> None:
-        """Refuse to go on where the forces at rest leave no room for those of the shapes.
+        """Refuse to go on where (n,) forces at rest [N] leave no room for those of the shapes.
 
         Before a shape is first taken nobody knows what it takes but for what the plan allows: a
         true force, for which the weakest actuator is commanded that over the lowest alpha.
-
-        Parameters
-        ----------
-        plan, mirror
-            The shapes; the lowest alpha.
-        load
-            The one that is on.
-        rest_force
-            (n,) commanded forces at rest [N].
         """
-        largest = self._enabled(np.abs(rest_force)) + plan.shapes.force / mirror.alpha_range[0]
-        what = f"N, {plan.shapes.force:g} N for the shapes included,"
-        self._refuse(largest, self.limits.force, what, f"at rest under '{load.name}'", "may take")
+        force = plan.shapes.force
+        largest = self._enabled(np.abs(rest_force)) + force / mirror.alpha_range[0]
+        said = f"may take {{:.4g}} N, {force:g} N for the shapes included, beyond its limit of"
+        self._refuse(largest, self.limits.force, said, f"at rest under '{load.name}'")
 
     def check_command(self, shape: Shape, forecast: Array | None) -> None:
-        """Refuse a command before it is given.
-
-        Parameters
-        ----------
-        shape
-            The command.
-        forecast
-            (n,) commanded forces that it will take [N], where they can be predicted.
-        """
+        """Refuse a command before it is given, also by (n,) forces [N] where they are forecast."""
         where = f"in {shape_name(shape)}, which was not commanded"
         self._check_planned_stroke(shape.position, where)
         if forecast is not None:
-            force = self._enabled(np.abs(forecast))
-            self._refuse(force, self.limits.force, "N by forecast,", where)
+            said = "takes {:.4g} N by forecast, beyond its limit of"
+            self._refuse(self._enabled(forecast), self.limits.force, said, where)
 
     def check_reading(self, shape: Shape, reading: Reading) -> None:
         """Refuse to go on from a reading; what is NaN is for others to judge."""
         where, limits = f"in {shape_name(shape)}", self.limits
         force = self._enabled(np.abs(reading.force))
-        self._refuse(force, limits.force, "N,", where)
+        self._refuse(force, limits.force, "takes {:.4g} N, beyond its limit of", where)
         sampled = force + CLIPPED * self._enabled(np.nan_to_num(reading.force_scatter))
-        self._refuse(sampled, limits.saturation, "N in single samples,", where, of="saturation at")
+        said = "takes {:.4g} N in single samples, beyond saturation at"
+        self._refuse(sampled, limits.saturation, said, where)
         self._check_stroke(self._enabled(reading.position), where)
         low, high = limits.temperature
         if reading.temperature < low or reading.temperature > high:
@@ -93,15 +78,6 @@ class Guard:
                 want=limits.temperature,
             )
 
-    def smallest_gap(self, reading: Reading) -> float:
-        """Return the smallest distance from the reference plate in a reading [m]."""
-        stroke = np.abs(reading.position[self.layout.enabled])
-        return float(self.gap - np.nan_to_num(stroke).max(initial=0.0))
-
-    def largest_force(self, reading: Reading) -> float:
-        """Return the largest commanded force in a reading [N]."""
-        return float(np.nan_to_num(np.abs(reading.force[self.layout.enabled])).max(initial=0.0))
-
     def _enabled(self, values: Array) -> Array:
         return np.where(self.layout.enabled, values, 0.0)
 
@@ -112,29 +88,21 @@ class Guard:
         self._check_stroke(position, where)
 
     def _check_stroke(self, position: Array, where: str) -> None:
-        stroke, gap = np.abs(position), self.gap
-        self._refuse(stroke, self.limits.displacement, "m of stroke,", where)
+        said = "takes {:.4g} m of stroke, beyond its limit of"
+        self._refuse(position, self.limits.displacement, said, where)
         # On whichever side the plate is.
-        self._refuse(stroke, gap - self.limits.gap, f"m of a gap of {gap:g} m,", where)
+        said = f"takes {{:.4g}} m of a gap of {self.gap:g} m, beyond its limit of"
+        self._refuse(position, self.gap - self.limits.gap, said, where)
 
-    def _refuse(
-        self,
-        values: Array,
-        limit: float,
-        what: str,
-        where: str,
-        takes: str = "takes",
-        of: str = "its limit of",
-    ) -> None:
-        """Raise LimitExceeded where an actuator has more than the limit; NaN is not more."""
-        counted = np.where(np.isnan(values), 0.0, values)
-        worst = int(counted.argmax())
-        if counted[worst] > limit:
+    def _refuse(self, values: Array, limit: float, said: str, where: str) -> None:
+        """Raise LimitExceeded, and what was said, where an actuator has more; NaN is not more."""
+        size = np.where(np.isnan(values), 0.0, np.abs(values))
+        worst = int(size.argmax())
+        if size[worst] > limit:
             raise LimitExceeded(
-                f"actuator {self.layout.id[worst]} {takes} {counted[worst]:.4g} {what} beyond {of}"
-                f" {limit:g}, {where}",
+                f"actuator {self.layout.id[worst]} {said.format(size[worst])} {limit:g}, {where}",
                 remedy="find out why, or plan anew into another folder",
-                got=float(counted[worst]),
+                got=float(size[worst]),
                 want=limit,
             )
 

@@ -8,9 +8,10 @@ tells nothing, two tell whether something of about the right weight came on or o
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.bench.protocol import Reading
@@ -24,8 +25,7 @@ SAME = 0.4  # of the smallest step between two loads: so little may the sum chan
 SURE = 5.0  # standard deviations of a sum, to which the smallest step must be large
 
 
-@dataclass(frozen=True)
-class LoadVerdict:
+class LoadVerdict(NamedTuple):
     """What the forces say of a load.
 
     Attributes
@@ -44,6 +44,15 @@ def sum_at_rest(layout: Layout, force: Array) -> float:
     """Return the sum of nz_i c_i of the enabled actuators [N]."""
     on = layout.enabled
     return float(layout.nz[on] @ force[on])
+
+
+def mean_sum(
+    layout: Layout, force: Array, sign: NDArray[np.int64], valid: NDArray[np.bool_]
+) -> float:
+    """Return the sum at rest by (N, n) commanded forces [N] of both signs: elastic ones cancel."""
+    rows = [valid.astype(bool) & (sign == each) for each in (1, -1)]
+    means = [force[each].mean(axis=0) for each in rows if each.any()]
+    return sum_at_rest(layout, np.mean(means, axis=0))
 
 
 def sum_error(layout: Layout, reading: Reading, samples: int) -> float:
@@ -66,23 +75,16 @@ def judge(
     ----------
     weight
         P [N].
-    loads
-        All loads of the plan.
-    load
-        The one that should be on.
+    loads, load
+        All loads of the plan, and the one that should be on.
     rest_sums
         Sums at rest under the loads that were on before [N], by key, with this one's own if it was.
     total, error
         The sum now, and its standard deviation [N].
     """
-    by_key = {each.key: each for each in loads}
-    step = {
-        key: -float(
-            effective_weight(weight, load.added, load.tilt)
-            - effective_weight(weight, each.added, each.tilt)
-        )
-        for key, each in by_key.items()
-    }
+    names = {each.key: each.name for each in loads}
+    weights = {each.key: float(effective_weight(weight, each.added, each.tilt)) for each in loads}
+    step = {key: other - weights[load.key] for key, other in weights.items()}
     smallest = min((abs(value) for value in step.values() if value), default=0.0)
     if smallest * SAME <= SURE * error:
         return LoadVerdict(
@@ -92,7 +94,7 @@ def judge(
     if not compared:
         return LoadVerdict(None, "no other load to compare with yet: taken on trust")
     for key in compared:
-        change, name = total - rest_sums[key], by_key[key].name
+        change, name = total - rest_sums[key], names[key]
         if key == load.key:
             if abs(change) > SAME * smallest:
                 return LoadVerdict(
@@ -106,5 +108,5 @@ def judge(
                 f"the sum of the forces changed by {change:.4g} N from '{name}', where"
                 f" {step[key]:.4g} N are due ({low:.0f} to {high:.0f} % of it)",
             )
-    names = ", ".join(f"'{by_key[key].name}'" for key in compared)
-    return LoadVerdict(True, f"the sum of the forces is {total:.4g} N, as due beside {names}")
+    beside = ", ".join(f"'{names[key]}'" for key in compared)
+    return LoadVerdict(True, f"the sum of the forces is {total:.4g} N, as due beside {beside}")

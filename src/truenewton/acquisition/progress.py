@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 from truenewton.bench.protocol import Shape
@@ -20,12 +20,12 @@ class Progress:
         Cycles under each load, and shapes of each cycle, to be taken with both signs.
     done, total
         Shapes taken and planned, of the whole campaign, each sign counted.
-    invalid
-        How many of this run are not valid.
     largest_force, smallest_gap
         So far in this run [N], [m].
-    seconds_left
-        At the pace of this run [s]; time in which loads are changed not counted.
+    taken, seconds
+        Shapes of this run, and what they took [s]; changing loads is not counted.
+    invalid, in_a_row
+        Shapes of this run that are not valid, and how many of the last ones.
     """
 
     shape: Shape
@@ -33,10 +33,29 @@ class Progress:
     shapes: int
     done: int
     total: int
-    invalid: int
-    largest_force: float
     smallest_gap: float
-    seconds_left: float
+    largest_force: float = 0.0
+    taken: int = 0
+    seconds: float = 0.0
+    invalid: int = 0
+    in_a_row: int = 0
+
+    @property
+    def seconds_left(self) -> float:
+        """At the pace of this run [s]."""
+        return self.seconds / self.taken * (self.total - self.done)
+
+    def with_taken(self, shape: Shape, valid: bool, seconds: float) -> Progress:
+        """Return how far it is with one shape more, which took so long [s]."""
+        return replace(
+            self,
+            shape=shape,
+            done=self.done + 1,
+            taken=self.taken + 1,
+            seconds=self.seconds + seconds,
+            invalid=self.invalid + (not valid),
+            in_a_row=0 if valid else self.in_a_row + 1,
+        )
 
 
 class Onlooker(Protocol):

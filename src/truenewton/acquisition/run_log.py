@@ -19,11 +19,6 @@ from truenewton.files.outputs import in_one_line
 class RunLog:
     """Writes events to a new file run-001.jsonl, run-002.jsonl, ... of a campaign's folder.
 
-    Parameters
-    ----------
-    folder
-        Of the campaign.
-
     Raises
     ------
     OutputFailed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.limits import Guard, shape_name
 from truenewton.acquisition.plan import CampaignPlan
-from truenewton.acquisition.progress import Onlooker
+from truenewton.acquisition.progress import Onlooker, Progress
 from truenewton.acquisition.run_log import RunLog
 from truenewton.arrays import Array
 from truenewton.bench.protocol import Bench, OwnTime, Reading, Shape
@@ -23,54 +23,41 @@ PATIENCE = 120.0  # with a bench that is gone [s]
 FIRST_WAIT, LONGEST_WAIT = 0.5, 10.0  # between two looks at it [s]
 
 
-@dataclass(frozen=True, eq=False)
-class Taken:
-    """A shape as it was taken.
-
-    Attributes
-    ----------
-    reading
-        The last one; None where there is none.
-    fault
-        Why it is not valid; empty where it is.
-    """
-
-    reading: Reading | None
-    fault: str
-
-
+@dataclass(eq=False)
 class Taker:
     """Takes shapes on a bench, and remembers what the next reading is compared with.
 
     Attributes
     ----------
-    bench, plan
-        Whom it commands, and what says how.
-    log, onlooker, interruption
-        As given: who hears of it, and whether someone asked to stop.
+    bench, plan, log, onlooker, interruption
+        Whom it commands, what says how, who hears of it, and whether someone asked to stop.
+    progress
+        How far the campaign is.
     guard
         Over the limits of the plan.
-    largest_force, smallest_gap
-        So far [N], [m].
     """
 
-    def __init__(
-        self,
-        bench: Bench,
-        plan: CampaignPlan,
-        log: RunLog,
-        onlooker: Onlooker,
-        interruption: Interruption,
-    ) -> None:
-        self.bench, self.plan, self.log = bench, plan, log
-        self.onlooker, self.interruption = onlooker, interruption
-        self.guard = Guard(plan.limits, bench.layout, bench.gap)
+    bench: Bench
+    plan: CampaignPlan
+    log: RunLog
+    onlooker: Onlooker
+    interruption: Interruption
+    progress: Progress
+
+    def __post_init__(self) -> None:
+        self.guard = Guard(self.plan.limits, self.bench.layout, self.bench.gap)
         self._counter: int | None = None
         self._sound: tuple[Shape, Reading] | None = None  # the last
-        self.largest_force, self.smallest_gap = 0.0, bench.gap
 
-    def take(self, shape: Shape, forecast: Array | None = None) -> Taken:
+    def take(self, shape: Shape, forecast: Array | None = None) -> tuple[Reading | None, str]:
         """Command a shape, (n,) forces [N] forecast, and read it, a few times if need be.
+
+        Returns
+        -------
+        reading
+            The last one; None where there is none.
+        fault
+            Why it is not valid; empty where it is.
 
         Raises
         ------
@@ -97,7 +84,7 @@ class Taker:
                     break
             self.log.note("not sound", **shape_fields(shape), attempt=attempt, fault=fault)
             self.onlooker.say(f"{shape_name(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
-        return Taken(reading, fault)
+        return reading, fault
 
     def rest(self) -> None:
         """Bring the mirror to rest; wait for a bench that is gone.
@@ -126,11 +113,17 @@ class Taker:
             bench.wait(plan.settling)
         else:
             time.sleep(plan.settling)
-        reading = bench.read(plan.samples)
-        _check_size(bench.layout, reading)
-        force, gap = self.guard.largest_force(reading), self.guard.smallest_gap(reading)
-        self.largest_force = max(self.largest_force, force)
-        self.smallest_gap = min(self.smallest_gap, gap)
+        reading, n, on = bench.read(plan.samples), bench.layout.n, bench.layout.enabled
+        for name in ("force", "position", "force_scatter", "position_scatter"):
+            if (got := np.shape(getattr(reading, name))) != (n,):
+                raise BenchFault(f"the bench gives {name} of shape {got} for {n} actuators")
+        force = float(np.nan_to_num(np.abs(reading.force[on])).max(initial=0.0))
+        gap = bench.gap - float(np.nan_to_num(np.abs(reading.position[on])).max(initial=0.0))
+        self.progress = replace(
+            self.progress,
+            largest_force=max(self.progress.largest_force, force),
+            smallest_gap=min(self.progress.smallest_gap, gap),
+        )
         self.log.note(
             "reading",
             **shape_fields(shape),
@@ -184,12 +177,6 @@ class Taker:
             self.onlooker.say(f"the bench is gone ({gone}); looking again in {wait:g} s")
             self.interruption.sleep(wait)
             wait = min(2 * wait, LONGEST_WAIT)
-
-
-def _check_size(layout: Layout, reading: Reading) -> None:
-    for name in ("force", "position", "force_scatter", "position_scatter"):
-        if (got := np.shape(getattr(reading, name))) != (layout.n,):
-            raise BenchFault(f"the bench gives {name} of shape {got} for {layout.n} actuators")
 
 
 def shape_fields(shape: Shape) -> dict[str, Any]:

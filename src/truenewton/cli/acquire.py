@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from truenewton.cli.terminal import ProgressBar
+from truenewton.errors import BenchFault
+
 if TYPE_CHECKING:
-    from truenewton.acquisition.plan import CampaignPlan
     from truenewton.acquisition.progress import Progress
     from truenewton.statics.load import Load
 
@@ -22,9 +24,11 @@ def run(
     ),
 ) -> None:
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
-    from truenewton.acquisition.benches import seal_truth
-    from truenewton.acquisition.folder import is_complete, plan_text, refuse_other_plan
+    from truenewton.acquisition.acquire import acquire
+    from truenewton.acquisition.benches import chosen_bench, seal_truth
+    from truenewton.acquisition.folder import is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
+    from truenewton.bench.protocol import Operator
     from truenewton.bench.simulated.truth import truth_path
     from truenewton.files.outputs import refuse_existing
 
@@ -33,9 +37,16 @@ def run(
     if simulated and not output.exists():
         refuse_existing(truth_path(output))
     if complete:
-        refuse_other_plan(output, plan_text(wanted, beside))
+        refuse_other_plan(output, wanted, beside)
     else:
-        _acquire(wanted, beside, output, yes)
+        bench, terminal = chosen_bench(wanted, beside), Terminal(yes)
+        try:
+            operator = None if isinstance(bench, Operator) else terminal
+            acquire(bench, wanted, output, beside=beside, operator=operator, onlooker=terminal)
+        finally:
+            terminal.stop()
+            if hasattr(bench, "close"):
+                bench.close()
     if simulated:
         seal_truth(wanted, beside, output)
     already = " already" if complete else ""
@@ -43,35 +54,12 @@ def run(
     print(f"{output}: complete{already}, {loads} loads x {cycles} cycles")
 
 
-def _acquire(plan: CampaignPlan, beside: Path, output: Path, yes: bool) -> None:
-    """Build the bench and run the plan on it."""
-    from truenewton.acquisition.acquire import acquire
-    from truenewton.acquisition.benches import chosen_bench
-    from truenewton.bench.protocol import Operator
-
-    bench, terminal = chosen_bench(plan, beside), Terminal(yes)
-    try:
-        operator = None if isinstance(bench, Operator) else terminal
-        acquire(bench, plan, output, beside=beside, operator=operator, onlooker=terminal)
-    finally:
-        terminal.bar.stop()
-        if hasattr(bench, "close"):
-            bench.close()
-
-
-class Terminal:
-    """The person at the terminal: looks on, and puts the loads on.
-
-    Parameters
-    ----------
-    yes
-        Whether every load is taken for put on.
-    """
+class Terminal(ProgressBar):
+    """The person at the terminal: looks on, and puts the loads on, or takes them for put on."""
 
     def __init__(self, yes: bool) -> None:
-        from truenewton.cli.terminal import ProgressBar
-
-        self.bar, self._yes = ProgressBar(), yes
+        super().__init__()
+        self._yes = yes
 
     def put_on(self, load: Load) -> None:
         """Ask for a load, and wait until Enter says that it is on.
@@ -81,9 +69,7 @@ class Terminal:
         BenchFault
             There is nobody to ask.
         """
-        from truenewton.errors import BenchFault
-
-        self.bar.stop()
+        self.stop()
         if load.added:
             what = f"put '{load.name}' on the mirror ({-load.added:g} N)"
         else:
@@ -99,15 +85,11 @@ class Terminal:
         else:
             input(f"{what[0].upper()}{what[1:]}, then press Enter: ")
 
-    def say(self, line: str) -> None:
-        """Print a line."""
-        self.bar.say(line)
-
     def progress(self, now: Progress) -> None:
         """Draw the bar."""
         shape = now.shape
         sign = "+" if shape.sign > 0 else "-"
-        self.bar.show(
+        self.show(
             now.done,
             now.total,
             f"{shape.load.name} cycle {shape.cycle}/{now.cycles}"

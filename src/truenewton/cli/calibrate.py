@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
-
-if TYPE_CHECKING:
-    from truenewton.estimation.stiffness_svd import Imbalance
 
 
 def run(
@@ -44,9 +40,9 @@ def run(
         refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     calibration = calibrate(data, method, population=population)
-    judged: tuple[Imbalance, ...] = ()
-    if isinstance(data, StiffnessMatrix):
-        judged = held_out(data, method, population=population)
+    judged = (
+        held_out(data, method, population=population) if isinstance(data, StiffnessMatrix) else ()
+    )
     if output is not None:
         calibration.write(output, overwrite=overwrite)
     if json:

@@ -45,8 +45,7 @@ def run(
     data = read_data(campaign)
     findings = investigate(data)  # reads the rows once for all that is told of them
     calibration = findings.calibration
-    if calibration is None:
-        raise AssertionError("a sound campaign gives a calibration")
+    assert calibration is not None  # the campaign is sound
     calibration.write(output / "alpha.fits", overwrite=overwrite)
     print(*summary_lines(calibration), sep="\n")
     print(f"   {output / 'alpha.fits'}\n")

@@ -36,7 +36,26 @@ def run(
         return
     if output is not None:
         raise typer.BadParameter("-o goes with --new; --plot FILE writes the figure")
-    _predict(path, target, plot, overwrite, json)
+    from truenewton.cli.terminal import print_json, print_result
+    from truenewton.figures.writing import write_figure
+    from truenewton.files.outputs import refuse_existing
+    from truenewton.planning.figures import plot_outlook
+    from truenewton.planning.outlook import read_outlook
+    from truenewton.planning.target import ways_to
+    from truenewton.planning.words import lines, values, way_lines
+
+    if plot is not None:
+        refuse_existing(plot, overwrite=overwrite)
+    outlook = read_outlook(path)
+    missed = target is not None and outlook.prediction.typical > target
+    ways = ways_to(outlook.ready, target) if target is not None and missed else ()
+    if plot is not None:
+        write_figure(plot_outlook(outlook, target), plot, overwrite=overwrite)
+    if json:
+        print_json(values(outlook, target, ways))
+    else:
+        said = (*lines(outlook), *way_lines(target, ways))
+        print_result(said, [plot] if plot else [], saved=True)
 
 
 def _new(output: Path | None, overwrite: bool) -> None:
@@ -49,30 +68,3 @@ def _new(output: Path | None, overwrite: bool) -> None:
     with file_beside(output, overwrite=overwrite) as temporary:
         temporary.write_text(template(), encoding="utf-8")
     print(f"written: {output}")
-
-
-def _predict(
-    path: Path, target: float | None, plot: Path | None, overwrite: bool, json: bool
-) -> None:
-    from truenewton.cli.terminal import print_json
-    from truenewton.figures.writing import write_figure
-    from truenewton.files.outputs import refuse_existing
-    from truenewton.planning.figures import plot_outlook
-    from truenewton.planning.outlook import read_outlook
-    from truenewton.planning.target import ways_to
-    from truenewton.planning.words import lines, values, way_lines
-
-    if plot is not None:
-        refuse_existing(plot, overwrite=overwrite)
-    outlook = read_outlook(path)
-    wanted = target is not None and outlook.prediction.typical > target
-    ways = ways_to(outlook.ready, target) if wanted and target is not None else ()
-    if plot is not None:
-        write_figure(plot_outlook(outlook, target), plot, overwrite=overwrite)
-    if json:
-        print_json(values(outlook, target, ways))
-        return
-    for line in (*lines(outlook), *way_lines(target, ways)):
-        print(line)
-    if plot is not None:
-        print(f"written: {plot}")

@@ -15,14 +15,7 @@ from truenewton.planning.outlook import Curve, Outlook
 
 
 def plot_outlook(outlook: Outlook, target: float | None = None) -> Axes:
-    """Draw the typical error of alpha and its two parts, the plan itself as a dot.
-
-    Parameters
-    ----------
-    outlook
-        From `planning.outlook`.
-    target
-        A wanted error, drawn as a line.
+    """Draw the typical error of alpha and its two parts, the plan a dot, a wanted error a line.
 
     Returns
     -------

@@ -166,13 +166,24 @@ def strain(ready: Prepared) -> Strain:
     return asked
 
 
+def within_limits(ready: Prepared) -> bool:
+    """Tell whether a plan asks no more of the mirror than it allows itself."""
+    try:
+        strain(ready)
+    except LimitExceeded:
+        return False
+    return True
+
+
 def noiseless(ready: Prepared) -> Campaign:
     """Return one cycle for each load, without noise, FORCERR that of the plan."""
     plan, mirror, count = ready.plan, ready.mirror, len(ready.shapes)
     layout, sign = mirror.layout, np.repeat([1, -1], count)
     static = np.zeros((len(plan.loads), layout.n))
     static[:, layout.enabled] = ready.holding.under(plan.loads) / expected_alpha(mirror)
-    elastic = _balanced(ready.force, arms(layout) * layout.enabled)
+    a = arms(layout) * layout.enabled
+    # Less the little by which measured forces, or given shapes, miss A f = 0.
+    elastic = ready.force - (ready.force @ a.T) @ np.linalg.pinv(a).T
     return Campaign(
         tuple(
             Cycle(
@@ -193,8 +204,3 @@ def noiseless(ready: Prepared) -> Campaign:
             for load, held in zip(plan.loads, static, strict=True)
         )
     )
-
-
-def _balanced(force: Array, a: Array) -> Array:
-    """Take out the little by which measured forces, or given shapes, miss A f = 0."""
-    return np.asarray(force - (force @ a.T) @ np.linalg.pinv(a).T)

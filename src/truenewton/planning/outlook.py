@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,10 @@ from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.bench.simulated.control import Control
-from truenewton.errors import LimitExceeded, TrueNewtonError, located
+from truenewton.errors import TrueNewtonError, located
 from truenewton.estimation.prediction import Prediction, predict, typical
 from truenewton.estimation.sifted import campaign_moments
-from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain
+from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain, within_limits
 from truenewton.records.fault import Fault
 
 
@@ -146,17 +147,11 @@ def _by_cycles(ready: Prepared) -> tuple[list[float], list[Prediction]]:
 
 def _by_weight(ready: Prepared) -> tuple[list[float], list[Prediction]]:
     """Predict for added weights in powers of two of those planned, as far as the limits allow."""
-    factors, predictions = [], []
-    if any(load.added for load in ready.plan.loads):
-        for factor in (0.25, 0.5, 1.0, 2.0, 4.0, 8.0):
-            heavier = ready.changed(with_added(ready.plan, factor))
-            try:
-                strain(heavier)
-            except LimitExceeded:
-                break
-            factors.append(factor)
-            predictions.append(predicted(heavier))
-    return factors, predictions
+    added = any(load.added for load in ready.plan.loads)
+    factors = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0] if added else []
+    heavier = (ready.changed(with_added(ready.plan, factor)) for factor in factors)
+    predictions = [predicted(each) for each in takewhile(within_limits, heavier)]
+    return factors[: len(predictions)], predictions
 
 
 def with_added(plan: CampaignPlan, factor: float) -> CampaignPlan:
@@ -166,9 +161,11 @@ def with_added(plan: CampaignPlan, factor: float) -> CampaignPlan:
 
 
 def _curve(values: list[float], predictions: list[Prediction]) -> Curve:
-    return Curve(
-        np.array(values),
-        np.array([one.typical for one in predictions]),
-        np.array([typical(one.reading_error, one.alpha) for one in predictions]),
-        np.array([typical(one.systematic_error, one.alpha) for one in predictions]),
-    )
+    errors = np.array([typical_errors(one) for one in predictions]).reshape(-1, 3)
+    return Curve(np.array(values), *errors.T)
+
+
+def typical_errors(prediction: Prediction) -> tuple[float, ...]:
+    """Return E_ALPHA, E_STAT and E_SYST of a typical actuator, relative to alpha."""
+    errors = prediction.error, prediction.reading_error, prediction.systematic_error
+    return tuple(typical(error, prediction.alpha) for error in errors)

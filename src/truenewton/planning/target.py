@@ -10,7 +10,7 @@ import numpy as np
 
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.errors import LimitExceeded
-from truenewton.planning.forces import Prepared, strain
+from truenewton.planning.forces import Prepared, within_limits
 from truenewton.planning.outlook import duration, predicted, with_added
 from truenewton.statics.load import Load
 
@@ -48,14 +48,10 @@ class Way:
 
 
 def ways_to(ready: Prepared, target: float) -> tuple[Way, ...]:
-    """Return what each change alone can do for a typical error of alpha.
+    """Return what each change of a plan alone can do for a typical error of alpha.
 
-    Parameters
-    ----------
-    ready
-        The plan; what it asks of the mirror stays within its own limits.
-    target
-        Wanted median over actuators of E_ALPHA relative to alpha.
+    What it asks of the mirror stays within its own limits; the target is the wanted median over
+    actuators of E_ALPHA relative to alpha.
     """
     plan = ready.plan
     ladders = (
@@ -76,11 +72,7 @@ def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing
     """Return the first change that suffices, or the last that the limits allow."""
 
     def breaks(change: tuple[str, CampaignPlan]) -> bool:
-        try:
-            strain(ready.changed(change[1]))
-        except LimitExceeded:
-            return True
-        return False
+        return not within_limits(ready.changed(change[1]))
 
     def error(change: tuple[str, CampaignPlan]) -> float:
         return predicted(ready.changed(change[1])).typical

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from truenewton.calibration.words import warning_lines
-from truenewton.estimation.prediction import typical
-from truenewton.planning.outlook import reading_time
+from truenewton.planning.outlook import Curve, Outlook, reading_time, typical_errors
+from truenewton.planning.target import Way
 from truenewton.rounding import percent
-
-if TYPE_CHECKING:
-    from truenewton.planning.outlook import Curve, Outlook
-    from truenewton.planning.target import Way
 
 
 def lines(outlook: Outlook) -> Iterator[str]:
@@ -21,6 +17,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
     ready, strain, prediction = outlook.ready, outlook.strain, outlook.prediction
     plan, limits = ready.plan, ready.plan.limits
     relative, shapes = prediction.error / prediction.alpha, len(ready.shapes)
+    typical_error, from_readings, from_weights = typical_errors(prediction)
     names = ", ".join(load.name for load in plan.loads)
     yield (
         f"{ready.mirror.name}, predicted: {len(prediction.alpha)} actuators, {plan.cycles} cycles"
@@ -37,16 +34,15 @@ def lines(outlook: Outlook) -> Iterator[str]:
             if line.relative > 1e-5
         )
         rows += [
-            ("typical error of alpha", percent(prediction.typical),
+            ("typical error of alpha", percent(typical_error),
              f"E_ALPHA, one sigma; {percent(relative.min())} .. {percent(relative.max())},"
              f" the largest of actuator {ids[relative.argmax()]}"),
             ("  budget of the scale", budget, ""),
-            ("  common scale", percent(typical(prediction.systematic_error, prediction.alpha)),
-             "E_SYST, from the weights"),
+            ("  common scale", percent(from_weights), "E_SYST, from the weights"),
         ]  # fmt: skip
     readings = 2 * shapes * plan.cycles * len(plan.loads)
     rows += [
-        ("  reading noise", percent(typical(prediction.reading_error, prediction.alpha)),
+        ("  reading noise", percent(from_readings),
          f"E_STAT, from {1e3 * plan.force_noise:.3g} mN a reading"),
         ("least known", prediction.diagnosis.weakest,
          f"{percent(prediction.diagnosis.weakest_share)} of the variance E_STAT^2"),
@@ -63,19 +59,15 @@ def lines(outlook: Outlook) -> Iterator[str]:
     for name, value, note in rows:
         yield f"  {name:<24}{value:<26}{note}".rstrip()
     yield "  typical errors of alpha against"
-    yield from _table("cycles", outlook.against_cycles, [
-        f"{value:.0f}" for value in outlook.against_cycles.values
-    ])  # fmt: skip
-    yield from _table("added weights, times", outlook.against_weight, [
-        f"{value:g}" for value in outlook.against_weight.values
-    ])  # fmt: skip
+    yield from _table("cycles", outlook.against_cycles)
+    yield from _table("added weights, times", outlook.against_weight)
     yield from warning_lines(outlook.warnings)
 
 
-def _table(name: str, curve: Curve, heads: Sequence[str]) -> Iterator[str]:
-    """Yield a curve as two lines."""
-    if heads:
-        yield f"    {name:<22}" + "".join(f"{head:>9}" for head in heads)
+def _table(name: str, curve: Curve) -> Iterator[str]:
+    """Yield a curve as lines: what changes, and the errors that are finite."""
+    if curve.values.size:
+        yield f"    {name:<22}" + "".join(f"{value:>9g}" for value in curve.values.tolist())
         for kind, error in (("E_ALPHA", curve.error), ("E_STAT", curve.reading_error)):
             if error[0] < float("inf"):
                 yield f"      {kind:<20}" + "".join(f"{percent(e):>9}" for e in error.tolist())
@@ -110,14 +102,15 @@ def _time(seconds: float) -> str:
 def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[str, Any]:
     """Return the same figures for a script; infinite where the scale is free."""
     ready, prediction = outlook.ready, outlook.prediction
+    typical_error, from_readings, from_weights = typical_errors(prediction)
     return {
         "instrument": ready.mirror.name,
         "shapes": len(ready.shapes),
         "cycles": ready.plan.cycles,
         "loads": [dataclasses.asdict(load) for load in ready.plan.loads],
-        "typical_error": prediction.typical,
-        "typical_e_stat": typical(prediction.reading_error, prediction.alpha),
-        "typical_e_syst": typical(prediction.systematic_error, prediction.alpha),
+        "typical_error": typical_error,
+        "typical_e_stat": from_readings,
+        "typical_e_syst": from_weights,
         "scale_errors": [
             {"source": str(line.source), "relative": line.relative}
             for line in prediction.scale_errors

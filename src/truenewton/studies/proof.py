@@ -16,10 +16,9 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.estimation.cycles_svd import SingularSolution, solve
+from truenewton.estimation.cycles_svd import solve
 from truenewton.estimation.identifiability import geometry_faults
 from truenewton.estimation.systems import system_c, system_e
-from truenewton.estimation.unknowns import Unknowns
 from truenewton.mirrors.known import Mirror
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
@@ -73,16 +72,9 @@ class Proof:
 
 
 def balanced_forces(independent: Array, a: Array, k: Array) -> Array:
-    """Return F_s: ``independent`` with three more columns that solve A f + k = 0 in every row.
+    """Return F_s, (N, n) [N]: (N, n - 3) forces and three more that solve A f + k = 0 in each row.
 
-    Parameters
-    ----------
-    independent
-        (N, n - 3) true forces [N].
-    a
-        (3, n) arms.
-    k
-        (3,) what the actuators balance: W + B, M_y, -M_x.
+    A is (3, n), the arms; k is (3,), what the actuators balance: W + B, M_y, -M_x.
     """
     missing = -(k[:, None] + a[:, :-3] @ independent.T)
     return np.hstack([independent, np.linalg.solve(a[:, -3:], missing).T])
@@ -109,22 +101,26 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
             "the last three actuators are collinear",
             remedy="reorder the layout so that the last three span a triangle",
         )
-    random = np.random.default_rng(seed)
+    random, added = np.random.default_rng(seed), [0.0, mirror.added_weight]
     alpha = random.normal(1.0, 0.1, n)
     unknown = random.normal(0.0, 1.0, 5) * [1.0, 0.1, 0.1, 0.1, 0.1]
     proofs = []
     for loaded in (False, True):
         bias, *torques = unknown if loaded else np.zeros(5)
         truth = np.concatenate([alpha, [bias], torques])
+        k = external_load(np.add(mirror.weight, added), bias, torques[::2], torques[1::2])
         for matrix in ("identity", "random"):
-            patterns = [
-                np.eye(n - 3) if matrix == "identity" else random.standard_normal((n - 3, n - 3))
-                for _ in range(2)
-            ]
-            for system, solution, true in (
-                ("C", _solved_c(mirror, patterns[0], a, truth), truth[:n]),
-                ("E", _solved_e(mirror, patterns, a, truth), truth),
+            patterns = np.array([np.eye(n - 3)] * 2)
+            if matrix == "random":
+                patterns = random.standard_normal(patterns.shape)
+            pairs = zip(patterns, k, strict=True)
+            c = [balanced_forces(pattern, a, each) / alpha for pattern, each in pairs]
+            cycles = [_cycle(mirror, q, each) for q, each in zip(added, c, strict=True)]
+            for system, equations, true in (
+                ("C", system_c(c[0], a, mirror.weight, bias, *torques[:2]), truth[:n]),
+                ("E", system_e(Campaign(tuple(cycles)), a), truth),
             ):
+                solution = solve(*equations)
                 error = np.abs(solution.solution - true).max() / np.abs(true).max()
                 proof = Proof(
                     seed, system, matrix, loaded, solution.rank, len(true),
@@ -132,25 +128,6 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
                 )  # fmt: skip
                 proofs.append(proof)
     return proofs
-
-
-def _solved_c(mirror: Mirror, pattern: Array, a: Array, truth: Array) -> SingularSolution:
-    n = a.shape[1]
-    bias, torque_y, torque_x = truth[n : n + 3]
-    k = external_load(mirror.weight, bias, torque_y, torque_x)
-    c = balanced_forces(pattern, a, k) / truth[:n]
-    return solve(*system_c(c, a, mirror.weight, bias, torque_y, torque_x))
-
-
-def _solved_e(mirror: Mirror, patterns: list[Array], a: Array, truth: Array) -> SingularSolution:
-    unknowns = Unknowns(a.shape[1], 2)
-    bias, torques = truth[unknowns.bias], truth[unknowns.torques].reshape(2, 2)
-    cycles = []
-    for added, torque, pattern in zip((0.0, mirror.added_weight), torques, patterns, strict=True):
-        k = external_load(mirror.weight + added, bias, *torque)
-        c = balanced_forces(pattern, a, k) / truth[unknowns.alpha]
-        cycles.append(_cycle(mirror, added, c))
-    return solve(*system_e(Campaign(tuple(cycles)), a))
 
 
 def _cycle(mirror: Mirror, added: float, force: Array) -> Cycle:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from truenewton.bench.simulated.truth import Truth
+from truenewton.calibration.result import Calibration
 from truenewton.rounding import percent
-from truenewton.studies.proof import LIMIT
-
-if TYPE_CHECKING:
-    from truenewton.bench.simulated.truth import Truth
-    from truenewton.calibration.result import Calibration
-    from truenewton.statics.load import Load
-    from truenewton.studies.proof import Proof
-    from truenewton.studies.scoring import Score
+from truenewton.statics.load import Load
+from truenewton.studies.proof import LIMIT, Proof
+from truenewton.studies.scoring import Score
 
 PROOF_HEAD = ("seed", "system", "F", "B, M, N", "rank", "singular values", "cond", "error",
               "error/(eps cond)")  # fmt: skip
