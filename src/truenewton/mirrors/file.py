@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,10 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.toml import filled, read_toml
+from truenewton.mirrors.glass import check_elasticity
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
+from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
+from truenewton.mirrors.shell.held_glass import tool_wedges
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.statics.layout import Layout, layout
 
@@ -66,8 +69,9 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
             remedy="give the lowest and highest alpha, positive",
             path=path,
         )
-    numbers = {part.name: getattr(written, part.name) for part in fields(MirrorNumbers)}
-    made = Mirror(layout=read_actuators(Path(path).parent / written.actuators), **numbers)
+    numbers = dict(vars(written))
+    actuators = Path(path).parent / numbers.pop("actuators")
+    made = Mirror(layout=read_actuators(actuators), **numbers)
     try:
         check_glass(made)
     except GeometryError as error:
@@ -91,10 +95,8 @@ def read_actuators(path: str | os.PathLike[str]) -> Layout:
     form = "ascii.ecsv" if str(path).endswith(".ecsv") else "ascii.csv"
     try:
         table = QTable.read(path, format=form)
-        columns = {name: table[name] for name in ("ID", "NZ", "ENABLED") if name in table.colnames}
-        return layout(
-            table["X"], table["Y"], **{name.lower(): column for name, column in columns.items()}
-        )
+        others = {"ID", "NZ", "ENABLED"} & set(table.colnames)
+        return layout(table["X"], table["Y"], **{name.lower(): table[name] for name in others})
     except TrueNewtonError as error:
         raise located(error, path) from None
     except OSError as error:
@@ -126,13 +128,7 @@ def check_glass(mirror: Mirror) -> None:
             f"{shell.thickness:g} m thick",
             remedy="give an inner radius below the outer one and a thickness",
         )
-    radius = abs(shell.radius_of_curvature)
-    if not radius > shell.outer_radius:
-        raise GeometryError(
-            f"a radius of curvature of {shell.radius_of_curvature:g} m cannot carry a shell of"
-            f" {shell.outer_radius:g} m",
-            remedy="give a larger one, with sign; leave it out for a plate",
-        )
+    check_elasticity(shell, shell.outer_radius)
     at = shell.along(mirror.layout.x, mirror.layout.y)
     r, reach = np.hypot(*at), max(mirror.puck_radius, mirror.sensor.outer_radius)
     if shell.outline is None:
@@ -158,9 +154,6 @@ def _depth_in_outline(mirror: Mirror, at: tuple[Array, Array]) -> Array:
     GeometryError
         Polygons that cannot be, that reach beyond the outer radius, or leave no glass for the tool.
     """
-    from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
-    from truenewton.mirrors.shell.held_glass import tool_wedges
-
     shell = mirror.shell
     assert shell.outline is not None
     loops = checked_sides(shell.polygons(), shell.outline.mesh_size)

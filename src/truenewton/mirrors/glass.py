@@ -43,6 +43,11 @@ class Annulus:
             )
 
 
+def rim(puck_radius: float) -> Annulus | None:
+    """Return the circle on which a puck presses; None of a point."""
+    return Annulus(puck_radius, puck_radius) if puck_radius else None
+
+
 Polygon = tuple[tuple[float, float], ...]
 
 
@@ -144,6 +149,36 @@ class Shell:
         # asin(s) / s, 1 at the axis
         longer = np.divide(np.arcsin(sine), sine, out=np.ones_like(sine), where=sine > 0)
         return x * longer, y * longer
+
+
+def check_elasticity(shell: Shell, reach: float) -> None:
+    """Refuse material and curvature of a shell that no model can bend.
+
+    Parameters
+    ----------
+    shell
+        Its thickness, material and curvature.
+    reach
+        How far it reaches from its axis [m].
+
+    Raises
+    ------
+    GeometryError
+    """
+    stiffness, nu = shell.bending_stiffness, shell.poisson_ratio
+    if not (0 < stiffness < np.inf and shell.thickness > 0 and -1 < nu < 0.5):
+        raise GeometryError(
+            f"bending stiffness {stiffness:.6g} N m and Poisson ratio {nu:.6g}",
+            remedy="give positive thickness and Young's modulus, and a ratio in (-1, 0.5)",
+        )
+    if not abs(shell.radius_of_curvature) > reach:
+        raise GeometryError(
+            f"radius of curvature {shell.radius_of_curvature:.6g} m cannot carry a shell that"
+            f" reaches {reach:.6g} m from its axis",
+            remedy="it is taken as shallow: give several times its reach, with sign; leave it out"
+            " for a plate",
+            got=shell.radius_of_curvature,
+        )
 
 
 def areas_and_moments(loops: Sequence[Array]) -> Array:

@@ -39,7 +39,7 @@ QUADRATURE = 6  # points per spacing of actuators: masses to 5e-4 of the largest
 
 @dataclass(frozen=True)
 class RoundShell:
-    """A free annulus, as `free_shell.FreeShell` has it.
+    """A free annulus.
 
     In the harmonics 0 and 1, where the operator is singular (constant and r), v stands on a spring
     at the outer edge, which balanced forces leave unloaded.

@@ -7,31 +7,16 @@ something only in such sums. x and y are positions along the glass [m].
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Protocol
-
 import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.mirrors.glass import Annulus, Shell
-from truenewton.mirrors.shell.condensation import condense
+from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
 from truenewton.mirrors.shell.places import Points
 
-
-class FreeShell(Protocol):
-    """What is asked of a model."""
-
-    def influence_in_parts(
-        self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
-    ) -> Iterator[Array]:
-        """Yield rows of `influence` [m/N], some at a time: all of them would fill the memory."""
-
-    def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
-        """Return the same, (n_at,), per unit force spread evenly over the glass [m/N]."""
-
-    def quadrature(self, actuators: int) -> tuple[Points, Array]:
-        """Return x, y [m] and areas [m^2], fine enough for the shapes of so many actuators."""
+FreeShell = RoundShell | MeshedShell
 
 
 def free_shell(shell: Shell, at: Points) -> FreeShell:
@@ -44,9 +29,7 @@ def free_shell(shell: Shell, at: Points) -> FreeShell:
     """
     if shell.outline is None:
         return RoundShell(shell)
-    from truenewton.mirrors.shell.finite_elements.meshed_shell import meshed_shell
-
-    return meshed_shell(shell, *at, mesh_size=shell.outline.mesh_size)
+    return MeshedShell(shell, shell_mesh(shell, *at, mesh_size=shell.outline.mesh_size))
 
 
 def influence(
@@ -57,7 +40,7 @@ def influence(
     sensor: Annulus | None = None,
     puck_radius: float = 0.0,
 ) -> Array:
-    """Return the displacement at points, or the reading of sensors, per unit force.
+    """Return (n_at, n_of) displacement at points, or reading of sensors, per unit force [m/N].
 
     Where forces and readings share their places this is the compliance of the actuators. It is
     symmetric only where displacements are read just as forces act: at points under point forces,
@@ -65,8 +48,6 @@ def influence(
 
     Parameters
     ----------
-    free
-        The shell.
     at
         x and y, (n_at,) each, of the points where the displacement is read, edges included, or of
         the centres of the sensors.
@@ -79,11 +60,6 @@ def influence(
         that is glued to the glass presses with its rim, for the glass under it does not bend; that
         it stiffens the glass as well is not modelled. Nobody vouches for a radius [guess].
 
-    Returns
-    -------
-    numpy.ndarray
-        (n_at, n_of) [m/N].
-
     Raises
     ------
     GeometryError
@@ -91,42 +67,3 @@ def influence(
     """
     parts = free.influence_in_parts(at, of, sensor=sensor, puck_radius=puck_radius)
     return np.concatenate([*parts])
-
-
-def stiffness(
-    free: FreeShell, at: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
-) -> Array:
-    """Return the stiffness between actuators: force per displacement as read.
-
-    Read by sensors, this is what a mirror is driven by and what a measured feed-forward matrix is:
-    f = K z with z the readings. Forces on the right still balance and rigid motions still cost
-    nothing, but K is not symmetric: a sensor sees another mean of the shape than the force does,
-    z = S w, and K = K_w S^-1 with K_w, symmetric, the stiffness by the displacement w that the
-    forces do work on. That is physics, not an error of the model.
-
-    Parameters
-    ----------
-    free, sensor, puck_radius
-        As in `influence`.
-    at
-        x and y, (n,) each, of the actuators.
-
-    Returns
-    -------
-    numpy.ndarray
-        (n, n) force per displacement [N/m]; its null space is {1, x, y}. Symmetric without a
-        sensor.
-
-    Raises
-    ------
-    GeometryError
-        Actuators on one line or several at one place; what the model raises.
-    """
-    compliance = influence(free, at, at, sensor=sensor, puck_radius=puck_radius)
-    tilts = np.array([np.ones_like(at[0]), *at])
-    return condense(compliance, tilts, reciprocal=sensor == rim(puck_radius)).stiffness
-
-
-def rim(puck_radius: float) -> Annulus | None:
-    """Return the sensor that reads displacements just as a puck's force acts."""
-    return Annulus(puck_radius, puck_radius) if puck_radius else None

@@ -10,7 +10,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.mirrors.glass import Shell
 from truenewton.mirrors.known import GRAVITY, Mirror
-from truenewton.mirrors.shell.condensation import Condensed, condense, holding_forces, rearming
+from truenewton.mirrors.shell.condensation import Condensed, condense, rearming, rigid_motions
 from truenewton.mirrors.shell.free_shell import FreeShell, free_shell, influence
 from truenewton.mirrors.shell.places import Points
 from truenewton.statics.arms import arms, resultants
@@ -30,6 +30,8 @@ class HeldGlass:
         The model of its shell.
     places
         x and y of the actuators along the glass [m].
+    compliance
+        (n, n) reading per true force [m/N], right for forces in balance on the shallow shell.
     exchange
         (n, n) J, from motions of the shallow shell to those of the sphere (`rearming`).
     condensed
@@ -39,6 +41,7 @@ class HeldGlass:
     mirror: Mirror
     free: FreeShell
     places: Points
+    compliance: Array
     exchange: Array
     condensed: Condensed
 
@@ -58,13 +61,12 @@ def held_glass(mirror: Mirror) -> HeldGlass:
     """
     places = mirror.shell.along(mirror.layout.x, mirror.layout.y)
     free = free_shell(mirror.shell, places)
-    tilts, lever = np.array([np.ones_like(places[0]), *places]), arms(mirror.layout)
-    exchange = rearming(tilts, lever)
     compliance = influence(
         free, places, places, sensor=mirror.sensor, puck_radius=mirror.puck_radius
     )
-    condensed = condense(exchange @ compliance @ exchange.T, lever, reciprocal=False)
-    return HeldGlass(mirror, free, places, exchange, condensed)
+    exchange = rearming(rigid_motions(*places), arms(mirror.layout))
+    condensed = condense(exchange @ compliance @ exchange.T, arms(mirror.layout))
+    return HeldGlass(mirror, free, places, compliance, exchange, condensed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +135,12 @@ def tool_wedges(shell: Shell) -> Points:
 
 def forces_under(glass: HeldGlass, external: ExternalForces) -> Array:
     """Return the (n,) forces that hold the flat mirror under external ones [N]."""
-    sensor, at, force = glass.mirror.sensor, external.at, external.force
+    sensor = glass.mirror.sensor
     bent = external.spread * glass.free.uniform_influence(glass.places, sensor=sensor)
-    bent += influence(glass.free, glass.places, at, sensor=sensor) @ force
-    flat = np.zeros(glass.places[0].size)
-    held = holding_forces(
-        glass.condensed, flat, glass.exchange @ bent, _resultants_on_glass(glass.mirror, external)
-    )
-    return held - external.local
+    bent += influence(glass.free, glass.places, external.at, sensor=sensor) @ external.force
+    straightened = glass.stiffness @ (glass.exchange @ bent)
+    borne = glass.condensed.reaction @ _resultants_on_glass(glass.mirror, external)
+    return np.asarray(-straightened - borne - external.local)
 
 
 def external_resultants(mirror: Mirror, external: ExternalForces) -> Array:

@@ -30,14 +30,8 @@ MOST_ROUNDS = 300  # of refinement; some ten are usual
 def shell_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) -> Mesh:
     """Mesh a glass; the edges of a ring are polygons of the circles' areas.
 
-    Parameters
-    ----------
-    shell
-        Gives radii or outline; an inner radius of 0 means a full disc.
-    x, y
-        (n,) positions of the actuators along the glass [m].
-    mesh_size
-        Length of the triangles' sides [m], shorter where actuators crowd.
+    An inner radius of 0 means a full disc. Of (n,) actuators at x and y along the glass [m] and
+    triangles of sides of the mesh size [m], as in `outline_mesh`.
 
     Raises
     ------
@@ -96,13 +90,13 @@ def outline_mesh(
     ])  # fmt: skip
     fixed = np.concatenate([places, *rims])
     points = _relaxed(fixed, _lattice(loops[0], mesh_size), loops, mesh_size)
-    return _refined(points, sides, loops, mesh_size, len(places))
+    return _refined(points, sides, loops, mesh_size)
 
 
 def _circle(radius: float, mesh_size: float) -> Array:
     """Return the polygon of a circle's area: its edge errs inward as much as outward."""
-    size = mesh_size if mesh_size > 0 else radius  # refused with the rest, further on
-    count = max(16, int(np.ceil(2 * np.pi * radius / max(size, 1e-4 * radius))))
+    finest = 1e-4 * radius  # in its stead what is no size at all, refused further on
+    count = max(16, int(np.ceil(2 * np.pi * radius / max(finest, mesh_size))))
     step = 2 * np.pi / count
     angle = step * np.arange(count)
     corner = radius * np.sqrt(step / np.sin(step))
@@ -155,12 +149,11 @@ def _relaxed(fixed: Array, free: Array, loops: list[Array], mesh_size: float) ->
     return np.concatenate([fixed, free])
 
 
-def _refined(
-    points: Array, sides: Indices, loops: list[Array], mesh_size: float, actuators: int
-) -> Mesh:
+def _refined(points: Array, sides: Indices, loops: list[Array], mesh_size: float) -> Mesh:
     """Add vertices until all triangles are good (Ruppert's algorithm, many vertices a round)."""
     for _ in range(MOST_ROUNDS):
-        middle, half = points[sides].mean(axis=1), _half_lengths(points, sides)
+        middle = points[sides].mean(axis=1)
+        half = 0.5 * np.linalg.norm(np.diff(points[sides], axis=1)[:, 0], axis=1)
         within = cKDTree(points).query_ball_point(middle, half * (1 - 1e-9), return_length=True)
         crowded = np.asarray(within) > 0
         new = np.zeros((0, 2))
@@ -171,7 +164,7 @@ def _refined(
             slender = side.min(axis=1) < 2 * radius * np.sin(np.radians(SMALLEST_ANGLE))
             bad = slender | (radius > WIDEST_CIRCLE * mesh_size)
             if not bad.any():
-                return Mesh(points, triangles, actuators)
+                return Mesh(points, triangles)
             new = _scattered(centre[bad], radius[bad])
             to_middle, near = cKDTree(new).query(middle)
             crowded = np.asarray(to_middle) < half
@@ -189,28 +182,22 @@ def _refined(
     )
 
 
-def _half_lengths(points: Array, sides: Indices) -> Array:
-    return np.asarray(0.5 * np.linalg.norm(np.diff(points[sides], axis=1)[:, 0], axis=1))
-
-
 def _triangles(points: Array, loops: list[Array], mesh_size: float) -> Indices:
     """Return Delaunay's triangles on the glass, counter-clockwise, slivers left out."""
     triangles = Delaunay(points).simplices.astype(np.int64)
-    a, b, c = np.moveaxis(points[triangles], 1, 0)
-    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    corners = points[triangles]
+    twice = np.linalg.det(corners[:, 1:] - corners[:, :1])
     triangles[twice < 0] = triangles[twice < 0][:, ::-1]
     sound = np.abs(twice) > 1e-9 * mesh_size**2
-    return np.asarray(triangles[sound & inside(loops, points[triangles].mean(axis=1))])
+    return np.asarray(triangles[sound & inside(loops, corners.mean(axis=1))])
 
 
 def _circles(corners: Array) -> tuple[Array, Array, Array]:
     """Return centre and radius of the circle around each triangle, and its area."""
-    one, other = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
-    twice = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    squares = np.stack([(one**2).sum(axis=1), (other**2).sum(axis=1)], axis=1)
-    x = (squares[:, 0] * other[:, 1] - squares[:, 1] * one[:, 1]) / (2 * twice)
-    y = (squares[:, 1] * one[:, 0] - squares[:, 0] * other[:, 0]) / (2 * twice)
-    return corners[:, 0] + np.stack([x, y], axis=1), np.hypot(x, y), 0.5 * np.abs(twice)
+    sides = corners[:, 1:] - corners[:, :1]
+    arm = np.linalg.solve(2 * sides, (sides**2).sum(axis=2, keepdims=True))[:, :, 0]
+    area = 0.5 * np.abs(np.linalg.det(sides))
+    return corners[:, 0] + arm, np.linalg.norm(arm, axis=1), area
 
 
 def _scattered(centre: Array, radius: Array) -> Array:

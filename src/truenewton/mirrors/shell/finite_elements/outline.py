@@ -18,18 +18,11 @@ CLOSEST = 0.02  # actuators to one another and to an edge, in mesh sizes
 
 
 def inside(loops: Sequence[Array], places: Array) -> NDArray[np.bool_]:
-    """Tell (n,) whether (n, 2) places lie within the first polygon and none of the others.
+    """Tell (n,) whether (n, 2) places lie within the first polygon and none of the others."""
+    from matplotlib.path import Path  # half a second that rings do not wait for
 
-    A line from each place to +x crosses the polygons an odd number of times.
-    """
-    x, y = places.T
-    odd = np.zeros(len(places), dtype=bool)
-    for loop in loops:
-        for (x_0, y_0), (x_1, y_1) in zip(loop, np.roll(loop, -1, axis=0), strict=True):
-            if y_0 != y_1:
-                spans = (y_0 > y) != (y_1 > y)
-                odd ^= spans & (x < x_0 + (y - y_0) * ((x_1 - x_0) / (y_1 - y_0)))
-    return odd
+    outer, *holes = (Path(loop).contains_points(places) for loop in loops)
+    return np.asarray(outer & ~np.any(holes, axis=0))
 
 
 def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array]:
@@ -57,8 +50,7 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
             remedy=f"give {coarser:.2g} m or more",
             got=mesh_size,
         )
-    start = np.concatenate(loops)
-    end = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
+    start, end = _sides(loops)
     for i in range(len(start)):
         met = _meets(start[i], end[i], start, end)
         if met.any():
@@ -74,6 +66,11 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
                 f"hole {i} does not lie in the glass", remedy="give holes within the outline, apart"
             )
     return loops
+
+
+def _sides(loops: Sequence[Array]) -> tuple[Array, Array]:
+    """Return (n_sides, 2) starts and ends of the sides of all polygons."""
+    return np.concatenate(loops), np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
 
 
 def checked_places(loops: Sequence[Array], x: ArrayLike, y: ArrayLike, mesh_size: float) -> Array:
@@ -160,10 +157,9 @@ def depth_inside(loops: Sequence[Array], places: Array) -> Array:
     Lengths as those of the places.
     """
     nearest = np.full(len(places), np.inf)
-    for loop in loops:
-        for start, end in zip(loop, np.roll(loop, -1, axis=0), strict=True):
-            along = end - start
-            part = np.clip((places - start) @ along / (along @ along), 0, 1)
-            gap = places - start - part[:, None] * along
-            nearest = np.minimum(nearest, np.hypot(*gap.T))
+    for start, end in zip(*_sides(loops), strict=True):
+        along = end - start
+        part = np.clip((places - start) @ along / (along @ along), 0, 1)
+        gap = places - start - part[:, None] * along
+        nearest = np.minimum(nearest, np.hypot(*gap.T))
     return np.where(inside(loops, places), nearest, -nearest)
