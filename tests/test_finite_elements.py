@@ -13,7 +13,8 @@ from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.shell.finite_elements.argyris import argyris, monomials, quadrature
 from truenewton.mirrors.shell.finite_elements.energy import elastic_energy
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
-from truenewton.mirrors.shell.finite_elements.meshing import outline_mesh, shell_mesh
+from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
+from truenewton.mirrors.shell.finite_elements.outline import checked_sides
 from truenewton.statics.layout import rings
 
 GLASS = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
@@ -48,6 +49,10 @@ def cut_to(shell, outline, holes=()):
         return tuple(map(tuple, polygon * shorter))
 
     return replace(shell, outline=Outline(seen(outline), tuple(map(seen, holes))))
+
+
+def outline_mesh(outline, x, y, *, mesh_size, holes=()):
+    return shell_mesh(replace(GLASS, outline=Outline(outline, holes)), x, y, mesh_size=mesh_size)
 
 
 def influence(shell, mesh, at, of):
@@ -466,4 +471,4 @@ def test_refused(change, words):
 )
 def test_refused_outlines(outline, holes, words):
     with pytest.raises(GeometryError, match=words):
-        outline_mesh(outline, NONE, NONE, mesh_size=20e-3, holes=holes)
+        checked_sides([outline, *holes], 20e-3)

@@ -11,10 +11,11 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.toml import filled, read_toml
-from truenewton.mirrors.glass import check_elasticity
+from truenewton.mirrors.glass import check_shell
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
 from truenewton.mirrors.shell.held_glass import tool_wedges
+from truenewton.mirrors.shell.places import SMALLEST_HOLE
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.statics.layout import Layout, layout
 
@@ -121,14 +122,7 @@ def check_glass(mirror: Mirror) -> None:
     GeometryError
     """
     shell = mirror.shell
-    hole = shell.inner_radius > 0 or (shell.outline is not None and shell.inner_radius == 0)
-    if not (hole and shell.inner_radius < shell.outer_radius < np.inf and shell.thickness > 0):
-        raise GeometryError(
-            f"the glass reaches from {shell.inner_radius:g} m to {shell.outer_radius:g} m, "
-            f"{shell.thickness:g} m thick",
-            remedy="give an inner radius below the outer one and a thickness",
-        )
-    check_elasticity(shell, shell.outer_radius)
+    check_shell(shell, 0.0 if shell.outline else SMALLEST_HOLE)
     at = shell.along(mirror.layout.x, mirror.layout.y)
     r, reach = np.hypot(*at), max(mirror.puck_radius, mirror.sensor.outer_radius)
     if shell.outline is None:

@@ -151,33 +151,40 @@ class Shell:
         return x * longer, y * longer
 
 
-def check_elasticity(shell: Shell, reach: float) -> None:
-    """Refuse material and curvature of a shell that no model can bend.
+def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
+    """Refuse radii, thickness, material and curvature that no shell can have.
 
     Parameters
     ----------
     shell
-        Its thickness, material and curvature.
-    reach
-        How far it reaches from its axis [m].
+        The glass.
+    smallest_hole
+        Least inner radius, in outer radii.
 
     Raises
     ------
     GeometryError
     """
+    a, b, curvature = shell.inner_radius, shell.outer_radius, shell.radius_of_curvature
+    if not smallest_hole * b <= a < b < np.inf:
+        raise GeometryError(
+            f"the glass reaches from {a:.6g} m to {b:.6g} m",
+            remedy="give an inner radius below the outer one; to a full disc a thousandth of it",
+            got=(a, b),
+        )
     stiffness, nu = shell.bending_stiffness, shell.poisson_ratio
     if not (0 < stiffness < np.inf and shell.thickness > 0 and -1 < nu < 0.5):
         raise GeometryError(
-            f"bending stiffness {stiffness:.6g} N m and Poisson ratio {nu:.6g}",
+            f"a glass {shell.thickness:.6g} m thick, bending stiffness {stiffness:.6g} N m and"
+            f" Poisson ratio {nu:.6g}",
             remedy="give positive thickness and Young's modulus, and a ratio in (-1, 0.5)",
         )
-    if not abs(shell.radius_of_curvature) > reach:
+    if not abs(curvature) > b:
         raise GeometryError(
-            f"radius of curvature {shell.radius_of_curvature:.6g} m cannot carry a shell that"
-            f" reaches {reach:.6g} m from its axis",
-            remedy="it is taken as shallow: give several times its reach, with sign; leave it out"
-            " for a plate",
-            got=shell.radius_of_curvature,
+            f"radius of curvature {curvature:.6g} m cannot carry a shell of {b:.6g} m",
+            remedy="it is taken as shallow: give several outer radii, with sign; leave it out for a"
+            " plate",
+            got=curvature,
         )
 
 

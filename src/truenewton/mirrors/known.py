@@ -8,7 +8,6 @@ engineering value nobody vouches for.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -214,12 +213,7 @@ def ring(actuators: int) -> Mirror:
     )
 
 
-KNOWN: dict[str, Callable[[], Mirror]] = {
-    "p45": p45,
-    "mmt336": mmt336,
-    "mag585": mag585,
-    "lbt672": lbt672,
-}
+KNOWN = {make.__name__: make for make in (p45, mmt336, mag585, lbt672)}
 
 
 def mirror(name: str) -> Mirror:

@@ -8,6 +8,6 @@ fourier              thin annular shell: Fourier in angle, p-elements in radius
 radial_elements      its elastic energy, harmonic by harmonic
 kernels              a point force on an endless shallow sphere, and means over circles
 places               where forces and sensors may stand, and how many harmonics they take
-loaded_shell         a shell prepared once for its forces, then read anywhere
+loaded_edges         its edges under forces, prepared once, and what they add where it is read
 finite_elements/     any outline, sharing nothing but the last step: for rings the check
 """

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Shell, check_elasticity
+from truenewton.mirrors.glass import Shell, check_shell
 
 Points = tuple[Array, Array]
+SMALLEST_HOLE = 1e-4  # in outer radii; in a finer one rounding eats more than eight digits
 MOST_HARMONICS = 5000  # more are wanted only where a force all but touches an edge
 
 
@@ -29,13 +30,7 @@ def on_glass(
         raise GeometryError(
             "a glass with an outline is no ring", remedy="take finite elements for it"
         )
-    if not 1e-4 * b <= a < b < np.inf:  # in a finer hole rounding eats more than eight digits
-        raise GeometryError(
-            f"the glass reaches from {a:.6g} m to {b:.6g} m",
-            remedy="give an inner radius below the outer one; to a full disc a thousandth of it",
-            got=(a, b),
-        )
-    check_elasticity(shell, b)
+    check_shell(shell, SMALLEST_HOLE)
     if not extent >= 0:
         raise GeometryError(f"a puck radius of {extent:.6g} m", remedy="give 0 m for a point")
     x, y = (np.asarray(coordinate, dtype=float) for coordinate in places)

@@ -21,7 +21,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Annulus, Shell, check_elasticity, rim
+from truenewton.mirrors.glass import Annulus, Shell, rim
 from truenewton.mirrors.shell.finite_elements.argyris import Argyris, argyris, quadrature
 from truenewton.mirrors.shell.finite_elements.energy import elastic_energy
 from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
@@ -42,18 +42,10 @@ class MeshedShell:
         Thickness, material and curvature.
     mesh
         From `shell_mesh`.
-
-    Raises
-    ------
-    GeometryError
-        A shell that cannot be.
     """
 
     shell: Shell
     mesh: Mesh
-
-    def __post_init__(self) -> None:
-        check_elasticity(self.shell, np.linalg.norm(self.mesh.points, axis=1).max())
 
     @cached_property
     def element(self) -> Argyris:
@@ -66,7 +58,13 @@ class MeshedShell:
         energy = elastic_energy(self.shell, self.mesh, self.element)
         held = _held_still(self.shell, self.mesh, self.element)
         free = np.setdiff1d(np.arange(energy.shape[0]), held)
-        return free, _factor(energy[free][:, free])
+        factor = splu(  # a positive matrix needs no pivoting
+            csc_array(energy[free][:, free]),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        return free, factor
 
     def influence_in_parts(
         self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
@@ -85,11 +83,8 @@ class MeshedShell:
 
     def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
         """Return (n_at,) displacement per unit force spread evenly over the glass [m/N]."""
-        element, areas = self.element, self.mesh.areas
-        barycentric, weights = quadrature(AREA_DEGREE)
-        shapes = element.shapes(np.arange(len(areas)), barycentric @ self.mesh.corners, (0, 0))
-        work = areas[:, None] * np.einsum("q,tqj->tj", weights, shapes) / areas.sum()
-        pushed = np.bincount(element.unknown.ravel(), work.ravel(), element.count)
+        places, areas = self.quadrature(at[0].size)
+        pushed = self._means(places, None).T @ (areas / areas.sum())
         return np.asarray(self._means(at, sensor) @ self._solved(csc_array(pushed[:, None])))[:, 0]
 
     def quadrature(self, actuators: int) -> tuple[Points, Array]:  # noqa: ARG002
@@ -140,16 +135,6 @@ def _annulus(sensor: Annulus) -> tuple[Array, Array]:
     angle = 2 * np.pi * np.arange(16) / 16
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return (radius[:, None, None] * ring).reshape(-1, 2), np.repeat(weight / 32, 16)
-
-
-def _factor(matrix: csc_array) -> SuperLU:
-    """Return the factors of a positive matrix, which needs no pivoting."""
-    return splu(
-        csc_array(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
 
 
 def _held_still(shell: Shell, mesh: Mesh, element: Argyris) -> Indices:

@@ -9,17 +9,20 @@ scipy's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, cKDTree
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Shell
+from truenewton.mirrors.glass import Shell, check_shell
 from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
-from truenewton.mirrors.shell.finite_elements.outline import checked_places, checked_sides, inside
+from truenewton.mirrors.shell.finite_elements.outline import (
+    checked_places,
+    checked_sides,
+    inside,
+    sides_of,
+)
 
 SMALLEST_ANGLE = 25.0  # of a triangle [deg]
 WIDEST_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
@@ -30,65 +33,33 @@ MOST_ROUNDS = 300  # of refinement; some ten are usual
 def shell_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) -> Mesh:
     """Mesh a glass; the edges of a ring are polygons of the circles' areas.
 
-    An inner radius of 0 means a full disc. Of (n,) actuators at x and y along the glass [m] and
-    triangles of sides of the mesh size [m], as in `outline_mesh`.
-
-    Raises
-    ------
-    GeometryError
-        Radii that cannot be; else as `outline_mesh`.
-    """
-    if shell.outline is not None:
-        edge, *holes = shell.polygons()
-        return outline_mesh(edge, x, y, mesh_size=mesh_size, holes=holes)
-    inner, outer = shell.inner_radius, shell.outer_radius
-    if not 0 <= inner < outer < np.inf:
-        raise GeometryError(
-            f"the glass reaches from {inner:.6g} m to {outer:.6g} m",
-            remedy="give an inner radius below the outer one; 0 for a full disc",
-            got=(inner, outer),
-        )
-    rounds = [_circle(radius, mesh_size) for radius in (outer, inner) if radius > 0]
-    return outline_mesh(rounds[0], x, y, mesh_size=mesh_size, holes=rounds[1:])
-
-
-def outline_mesh(
-    outline: ArrayLike,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    mesh_size: float,
-    holes: Sequence[ArrayLike] = (),
-) -> Mesh:
-    """Mesh a glass of any outline.
-
     Parameters
     ----------
-    outline
-        (n_vertices, 2) the polygon around the glass [m], convex or not, either way round.
+    shell
+        A ring or outlined; an inner radius of 0 means a full disc.
     x, y
-        (n,) positions of the actuators [m].
+        (n,) positions of the actuators along the glass [m].
     mesh_size
         Length of the triangles' sides [m], shorter where actuators crowd.
-    holes
-        Polygons, as the outline, where there is no glass.
 
     Raises
     ------
     GeometryError
-        A mesh size that is not positive or far too fine; polygons that cross themselves or one
-        another, or turn more sharply than triangles can follow; actuators off the glass, all but
-        on an edge, or all but at one place.
+        A shell that cannot be; a mesh size that is not positive or far too fine; polygons that
+        cross themselves or one another, or turn more sharply than triangles can follow; actuators
+        off the glass, all but on an edge, or all but at one place.
     """
-    loops = checked_sides([outline, *holes], mesh_size)
+    check_shell(shell)
+    polygons = shell.polygons()
+    if shell.outline is None:
+        radii = shell.outer_radius, shell.inner_radius
+        polygons = [_circle(radius, mesh_size) for radius in radii if radius > 0]
+    loops = checked_sides(polygons, mesh_size)
     places = checked_places(loops, x, y, mesh_size)
     rims = [_divided(loop, mesh_size) for loop in loops]
-    starts = len(places) + np.cumsum([0, *(len(rim) for rim in rims)])
-    sides = np.concatenate([
-        start + np.stack([np.arange(len(rim)), np.roll(np.arange(len(rim)), -1)], axis=1)
-        for start, rim in zip(starts[:-1], rims, strict=True)
-    ])  # fmt: skip
     fixed = np.concatenate([places, *rims])
+    numbers = np.split(np.arange(len(fixed)), np.cumsum([len(places), *map(len, rims)]))
+    sides = np.stack(sides_of(numbers[1:-1]), axis=1)
     points = _relaxed(fixed, _lattice(loops[0], mesh_size), loops, mesh_size)
     return _refined(points, sides, loops, mesh_size)
 
@@ -105,11 +76,11 @@ def _circle(radius: float, mesh_size: float) -> Array:
 
 def _divided(loop: Array, mesh_size: float) -> Array:
     """Return the vertices of a polygon with its sides divided evenly."""
-    to = np.roll(loop, -1, axis=0)
-    parts = np.ceil(np.linalg.norm(to - loop, axis=1) / mesh_size - 1e-9).astype(int)
+    starts, ends = sides_of([loop])
+    parts = np.ceil(np.linalg.norm(ends - starts, axis=1) / mesh_size - 1e-9).astype(int)
     return np.concatenate([
-        start + (end - start) * np.arange(n)[:, None] / n
-        for start, end, n in zip(loop, to, parts, strict=True)
+        np.linspace(start, end, part, endpoint=False)
+        for start, end, part in zip(starts, ends, parts, strict=True)
     ])  # fmt: skip
 
 

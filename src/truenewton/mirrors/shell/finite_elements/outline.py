@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,7 +51,7 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
             remedy=f"give {coarser:.2g} m or more",
             got=mesh_size,
         )
-    start, end = _sides(loops)
+    start, end = sides_of(loops)
     for i in range(len(start)):
         met = _meets(start[i], end[i], start, end)
         if met.any():
@@ -68,8 +69,8 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
     return loops
 
 
-def _sides(loops: Sequence[Array]) -> tuple[Array, Array]:
-    """Return (n_sides, 2) starts and ends of the sides of all polygons."""
+def sides_of(loops: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return starts and ends of the sides of all polygons, as their vertices: [m] or numbers."""
     return np.concatenate(loops), np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
 
 
@@ -157,7 +158,7 @@ def depth_inside(loops: Sequence[Array], places: Array) -> Array:
     Lengths as those of the places.
     """
     nearest = np.full(len(places), np.inf)
-    for start, end in zip(*_sides(loops), strict=True):
+    for start, end in zip(*sides_of(loops), strict=True):
         along = end - start
         part = np.clip((places - start) @ along / (along @ along), 0, 1)
         gap = places - start - part[:, None] * along
