@@ -33,7 +33,7 @@ from truenewton.mirrors.shell.condensation import condense, rigid_motions
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
-from truenewton.mirrors.shell.free_shell import FreeShell, influence
+from truenewton.mirrors.shell.held_glass import influence
 from truenewton.mirrors.shell.places import Points
 
 TWO_SIGMA = 1.959964
@@ -48,9 +48,9 @@ def timed(what: str, step: Callable[[], object]) -> object:
     return result
 
 
-def stiffness(free: FreeShell, at: Points, sensor: Annulus | None = None) -> Array:
+def stiffness(free: RoundShell | MeshedShell, at: Points, sensor: Annulus | None = None) -> Array:
     """Return force per displacement, as read, of a shell free to move along 1, x, y [N/m]."""
-    return condense(influence(free, at, at, sensor=sensor), rigid_motions(*at)).stiffness
+    return condense(influence(free, at, at, sensor), rigid_motions(*at)).stiffness
 
 
 def costs() -> None:

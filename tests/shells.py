@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 
 from truenewton.mirrors.glass import rim
-from truenewton.mirrors.shell import condensation, free_shell
+from truenewton.mirrors.shell import condensation, held_glass
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
 
 
 def influence(shell, at, of, *, digits=13, **reading):
-    return free_shell.influence(RoundShell(shell, digits), at, of, **reading)
+    return np.concatenate([*RoundShell(shell, digits).influence_in_parts(at, of, **reading)])
 
 
 def uniform_influence(shell, at, **reading):
@@ -31,7 +31,7 @@ def holding_forces(condensed, displacement, load_influence, load_resultants):
 
 
 def free_stiffness(free, at, *, sensor=None, puck_radius=0.0):
-    compliance = free_shell.influence(free, at, at, sensor=sensor, puck_radius=puck_radius)
+    compliance = held_glass.influence(free, at, at, sensor, puck_radius)
     condensing = condense if sensor == rim(puck_radius) else condensation.condense
     return condensing(compliance, condensation.rigid_motions(*at)).stiffness
 

@@ -2,7 +2,6 @@
 
 held_glass           a mirror's glass between its actuators, and what holds it under its loads
 moving_mass          static shapes between actuators, and the mass that moves with them
-free_shell           the model that a glass takes: Fourier for rings, else finite elements
 condensation         from influence to stiffness: the shell seen from its actuators alone
 fourier              thin annular shell: Fourier in angle, p-elements in radius
 radial_elements      its elastic energy, harmonic by harmonic

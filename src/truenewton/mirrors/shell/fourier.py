@@ -67,6 +67,23 @@ class RoundShell:
     ) -> Iterator[Array]:
         """Yield some rows of the (n_at, n_of) displacement per unit force [m/N].
 
+        Symmetric only where displacements are read just as forces act: at points under point
+        forces, or on a circle as wide as the puck.
+
+        Parameters
+        ----------
+        at
+            x and y, (n_at,) each, of the points where the displacement is read, edges included, or
+            of the centres of the sensors.
+        of
+            x and y, (n_of,) each, of the forces; off the edges.
+        sensor
+            Over which a reading is the mean; none reads at the points.
+        puck_radius
+            Radius of the circle on which the force enters the glass [m]; 0 for a point. A stiff
+            puck that is glued to the glass presses with its rim, for the glass under it does not
+            bend; that it stiffens the glass as well is not modelled.
+
         Raises
         ------
         GeometryError

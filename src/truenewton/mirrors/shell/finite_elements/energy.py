@@ -36,7 +36,9 @@ def elastic_energy(shell: Shell, mesh: Mesh, element: Argyris) -> csc_array:
     law = np.kron(np.diag([D, 12 * D / shell.thickness**2]), plane)  # 12 D / t^2 = C
     unknown = element.unknown
     if np.isfinite(shell.radius_of_curvature):
-        unknown = _with_membrane(mesh, element)
+        node = np.concatenate([mesh.triangles, len(mesh.points) + mesh.edge_of], axis=1)
+        u_x = element.count + 2 * node
+        unknown = np.concatenate([unknown, u_x, u_x + 1], axis=1)
 
     blocks, triangles = [], np.arange(len(mesh.triangles))
     for some in np.array_split(triangles, -(-triangles.size // TRIANGLES_AT_ONCE)):
@@ -50,13 +52,6 @@ def elastic_energy(shell: Shell, mesh: Mesh, element: Argyris) -> csc_array:
         unknown.astype(np.int32)[:, :, None], unknown.astype(np.int32)[:, None, :]
     )
     return csc_array((np.concatenate(blocks).ravel(), (rows.ravel(), columns.ravel())))
-
-
-def _with_membrane(mesh: Mesh, element: Argyris) -> Indices:
-    """Return (n_triangles, 33) the number of each unknown of w, of u_x and of u_y."""
-    node = np.concatenate([mesh.triangles, len(mesh.points) + mesh.edge_of], axis=1)
-    u_x = element.count + 2 * node
-    return np.concatenate([element.unknown, u_x, u_x + 1], axis=1)
 
 
 def _strains(

@@ -69,7 +69,7 @@ class MeshedShell:
     def influence_in_parts(
         self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
     ) -> Iterator[Array]:
-        """Yield (some of n_at, n_of) displacement per unit force [m/N].
+        """Yield some rows of the (n_at, n_of) displacement per unit force, as `RoundShell` [m/N].
 
         Raises
         ------
