@@ -28,7 +28,7 @@ class _Written(MirrorNumbers):
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
-    """Return a known mirror by its name, or the mirror that a TOML file describes.
+    """Return a known mirror by its name, or the one of a TOML file (docs/simulated-bench.md).
 
     Raises
     ------
@@ -43,16 +43,10 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
             remedy="give a known mirror, or a TOML file whose `actuators` names this one",
             path=name,
         )
-    return read_mirror(path)
+    return _mirror_in(path)
 
 
-def read_mirror(path: str | os.PathLike[str]) -> Mirror:
-    """Read a mirror from a TOML file (docs/simulated-bench.md).
-
-    Raises
-    ------
-    UnreadableFile, FormatError, GeometryError
-    """
+def _mirror_in(path: Path) -> Mirror:
     written = filled(_Written, read_toml(path), path)
     for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
                       ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0)):  # fmt: skip
@@ -71,8 +65,8 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
             path=path,
         )
     numbers = dict(vars(written))
-    actuators = Path(path).parent / numbers.pop("actuators")
-    made = Mirror(layout=read_actuators(actuators), **numbers)
+    actuators = path.parent / numbers.pop("actuators")
+    made = Mirror(layout=_layout_in(actuators), **numbers)
     try:
         check_glass(made)
     except GeometryError as error:
@@ -80,20 +74,16 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
     return made
 
 
-def read_actuators(path: str | os.PathLike[str]) -> Layout:
-    """Return the actuators of a table: columns X, Y, and ID, NZ, ENABLED where they stand.
+def _layout_in(path: Path) -> Layout:
+    """Return the actuators of a FITS file, or of a table whose lengths are metres unless it says.
 
-    A FITS file with ACTUATORS, or text (ECSV, CSV) whose lengths are metres unless it gives a unit.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, GeometryError
+    Its columns are X, Y, and ID, NZ, ENABLED where they stand.
     """
     if str(path).endswith(SUFFIXES):
         return read_layout(path)
     from astropy.table import QTable
 
-    form = "ascii.ecsv" if str(path).endswith(".ecsv") else "ascii.csv"
+    form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
     try:
         table = QTable.read(path, format=form)
         others = {"ID", "NZ", "ENABLED"} & set(table.colnames)
@@ -143,10 +133,8 @@ def check_glass(mirror: Mirror) -> None:
 def _depth_in_outline(mirror: Mirror, at: tuple[Array, Array]) -> Array:
     """Return (n,) how far from the edges places lie within an outlined glass; negative off it [m].
 
-    Raises
-    ------
-    GeometryError
-        Polygons that cannot be, that reach beyond the outer radius, or leave no glass for the tool.
+    Refuses polygons that cannot be, that reach beyond the outer radius, or leave no glass for the
+    weight tool.
     """
     shell = mirror.shell
     assert shell.outline is not None

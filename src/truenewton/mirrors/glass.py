@@ -154,12 +154,7 @@ class Shell:
 def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
     """Refuse radii, thickness, material and curvature that no shell can have.
 
-    Parameters
-    ----------
-    shell
-        The glass.
-    smallest_hole
-        Least inner radius, in outer radii.
+    The smallest hole is the least inner radius, in outer radii.
 
     Raises
     ------

@@ -105,5 +105,4 @@ def rearming(tilts: Array, arms: Array) -> Array:
     numpy.ndarray
         (n, n) J.
     """
-    exchanged: Array = np.eye(tilts.shape[1]) + (arms - tilts).T @ np.linalg.pinv(tilts).T
-    return exchanged
+    return np.asarray(np.eye(tilts.shape[1]) + (arms - tilts).T @ np.linalg.pinv(tilts).T)

@@ -53,13 +53,9 @@ def loaded_edge(
     outgoing = fading(edge, s)
     samples = 2 * harmonics(outgoing, digits, shell)
     count = harmonics(outgoing * fading(edge, radii), digits, shell)
-    tractions = np.concatenate(
-        [
-            kernel.edge_tractions(some, edge, shell.poisson_ratio, samples)[:count]
-            for some in np.array_split(s, -(-s.size // RINGS_AT_ONCE))
-        ],
-        axis=-1,
-    )
+    nu, groups = shell.poisson_ratio, np.array_split(s, -(-s.size // RINGS_AT_ONCE))
+    left = [kernel.edge_tractions(some, edge, nu, samples)[:count] for some in groups]
+    tractions = np.concatenate(left, axis=-1)
     tractions[1:] *= 2.0  # harmonics m and -m
     work = _edge_work(elements, edge)
     parts = np.array_split(np.arange(count, dtype=float), -(-count // HARMONICS_AT_ONCE))

@@ -73,8 +73,10 @@ class Mesh:
             A place further off the triangles than a circle is from its polygon.
         """
         triangle = np.asarray(self._finder(*places.T), dtype=np.int64)
+        along = np.roll(self.corners, -1, axis=1) - self.corners
         for i in np.flatnonzero(triangle < 0):
-            depth = _depth(places[i], self.corners)
+            areas = np.linalg.det(np.stack([along, places[i] - self.corners], axis=2))
+            depth = (areas / np.linalg.norm(along, axis=2)).min(axis=1)  # inward from all sides
             triangle[i] = depth.argmax()
             if not depth.max() > -0.05 * self.size:
                 x, y = places[i]
@@ -89,11 +91,3 @@ class Mesh:
         from matplotlib.tri import Triangulation  # half a second that rings do not wait for
 
         return Triangulation(self.points[:, 0], self.points[:, 1], self.triangles).get_trifinder()
-
-
-def _depth(place: Array, corners: Array) -> Array:
-    """Return (n,) the least distance inward from the sides of (n, 3, 2) triangles [m]."""
-    along = np.roll(corners, -1, axis=1) - corners
-    arm = place - corners
-    inward = along[..., 0] * arm[..., 1] - along[..., 1] * arm[..., 0]
-    return np.asarray((inward / np.linalg.norm(along, axis=-1)).min(axis=-1))

@@ -96,13 +96,12 @@ class MeshedShell:
     def _solved(self, pushed: csc_array) -> Array:
         """Return (unknowns of w, loads) for the work that (unknowns of w, loads) do."""
         free, factor = self._held
-        bending = free[: np.count_nonzero(free < self.element.count)]
+        bending = free[free < self.element.count]
         loads = csc_array(pushed)[bending]
         solved = np.zeros((self.element.count, loads.shape[1]))
         for first in range(0, loads.shape[1], AT_ONCE):
             some = slice(first, first + AT_ONCE)
-            given = np.zeros((free.size, loads[:, some].shape[1]))
-            given[: bending.size] = loads[:, some].toarray()
+            given = np.pad(loads[:, some].toarray(), ((0, free.size - bending.size), (0, 0)))
             solved[bending, some] = factor.solve(given)[: bending.size]
         return solved
 

@@ -53,16 +53,14 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
         )
     start, end = sides_of(loops)
     for i in range(len(start)):
-        met = _meets(start[i], end[i], start, end)
-        if met.any():
+        if _meets(start[i], end[i], start, end).any():
             raise GeometryError(
                 f"two sides of the outline meet near x = {start[i, 0]:.6g} m, "
                 f"y = {start[i, 1]:.6g} m",
                 remedy="give polygons that cross neither themselves nor one another",
             )
     for i, hole in enumerate(loops[1:]):
-        others = [loop for j, loop in enumerate(loops[1:]) if j != i]
-        if not inside([loops[0]], hole[:1])[0] or any(inside([o], hole[:1])[0] for o in others):
+        if not inside(loops[: i + 1] + loops[i + 2 :], hole[:1]).all():
             raise GeometryError(
                 f"hole {i} does not lie in the glass", remedy="give holes within the outline, apart"
             )
