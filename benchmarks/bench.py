@@ -23,13 +23,18 @@ import numpy as np
 from accuracy import bounds, campaigns, rms, simulation
 
 import truenewton as tn
+from truenewton.arrays import Array
 from truenewton.bench.simulated.loop_campaign import rest_displacement, run_loop_cycles
 from truenewton.bench.simulated.static import StaticBench, run_cycles, static_bench
 from truenewton.figures.style import CURVES, INK, STYLE, new_axes
+from truenewton.mirrors.glass import Annulus
 from truenewton.mirrors.known import lbt672, mmt336, p45, ring
-from truenewton.mirrors.shell.finite_elements.meshed_shell import meshed_shell
+from truenewton.mirrors.shell.condensation import condense, rigid_motions
+from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
-from truenewton.mirrors.shell.free_shell import stiffness
+from truenewton.mirrors.shell.held_glass import influence
+from truenewton.mirrors.shell.places import Points
 
 TWO_SIGMA = 1.959964
 
@@ -43,16 +48,21 @@ def timed(what: str, step: Callable[[], object]) -> object:
     return result
 
 
+def stiffness(free: RoundShell | MeshedShell, at: Points, sensor: Annulus | None = None) -> Array:
+    """Return force per displacement, as read, of a shell free to move along 1, x, y [N/m]."""
+    return condense(influence(free, at, at, sensor), rigid_motions(*at)).stiffness
+
+
 def costs() -> None:
     """Print times of the shell models and of the loop, and how well the models agree."""
     mirror = lbt672()
     at = mirror.shell.along(mirror.layout.x, mirror.layout.y)
     print("LBT672, stiffness between 672 actuators read by annulus sensors")
     shell, sensor = mirror.shell, mirror.sensor
-    series = timed("semi-analytic", lambda: stiffness(RoundShell(shell), at, sensor=sensor))
+    series = timed("semi-analytic", lambda: stiffness(RoundShell(shell), at, sensor))
     mesh = timed(
         "finite elements of 15 mm",
-        lambda: stiffness(meshed_shell(shell, *at, mesh_size=15e-3), at, sensor=sensor),
+        lambda: stiffness(MeshedShell(shell, shell_mesh(shell, *at, mesh_size=15e-3)), at, sensor),
     )
     one, other = (np.linalg.svd(k, compute_uv=False)[:-3] for k in (series, mesh))
     print(f"  their singular values agree to {np.abs(other / one - 1).max():.1e}")
@@ -207,9 +217,9 @@ def glass(path: str) -> None:
     measured = np.linalg.svd(matrix.stiffness, compute_uv=False)[::-1]
     flat = replace(mirror.shell, radius_of_curvature=np.inf)
     models = {
-        "model, curved, sensors": stiffness(RoundShell(mirror.shell), at, sensor=mirror.sensor),
+        "model, curved, sensors": stiffness(RoundShell(mirror.shell), at, mirror.sensor),
         "model, curved, points": stiffness(RoundShell(mirror.shell), at),
-        "model, flat, sensors": stiffness(RoundShell(flat), at, sensor=mirror.sensor),
+        "model, flat, sensors": stiffness(RoundShell(flat), at, mirror.sensor),
     }
     ax = new_axes(0.8)
     with mpl.rc_context(STYLE):

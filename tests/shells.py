@@ -1,24 +1,45 @@
 """The shell by either model, in one call."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from truenewton.mirrors.shell import free_shell
-from truenewton.mirrors.shell.finite_elements.meshed_shell import meshed_shell
+from truenewton.mirrors.glass import rim
+from truenewton.mirrors.shell import condensation, held_glass
+from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
 
 
 def influence(shell, at, of, *, digits=13, **reading):
-    return free_shell.influence(RoundShell(shell, digits), at, of, **reading)
+    return np.concatenate([*RoundShell(shell, digits).influence_in_parts(at, of, **reading)])
 
 
 def uniform_influence(shell, at, **reading):
     return RoundShell(shell).uniform_influence(at, **reading)
 
 
+def condense(compliance, tilts):
+    """Condense what is read just as forces act, so that the stiffness is symmetric."""
+    condensed = condensation.condense(compliance, tilts)
+    return replace(condensed, stiffness=0.5 * (condensed.stiffness + condensed.stiffness.T))
+
+
+def holding_forces(condensed, displacement, load_influence, load_resultants):
+    held = condensed.stiffness @ (displacement - load_influence)
+    return held - condensed.reaction @ load_resultants
+
+
+def free_stiffness(free, at, *, sensor=None, puck_radius=0.0):
+    compliance = held_glass.influence(free, at, at, sensor, puck_radius)
+    condensing = condense if sensor == rim(puck_radius) else condensation.condense
+    return condensing(compliance, condensation.rigid_motions(*at)).stiffness
+
+
 def stiffness(shell, x, y, *, digits=13, **reading):
-    return free_shell.stiffness(RoundShell(shell, digits), (x, y), **reading)
+    return free_stiffness(RoundShell(shell, digits), (x, y), **reading)
 
 
 def meshed_stiffness(shell, x, y, *, mesh_size, sensor=None):
-    free = meshed_shell(shell, x, y, mesh_size=mesh_size)
-    return free_shell.stiffness(free, (np.asarray(x), np.asarray(y)), sensor=sensor)
+    free = MeshedShell(shell, shell_mesh(shell, x, y, mesh_size=mesh_size))
+    return free_stiffness(free, (np.asarray(x), np.asarray(y)), sensor=sensor)

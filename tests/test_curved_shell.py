@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.special import ivp, kvp
-from shells import influence, stiffness, uniform_influence
+from shells import condense, holding_forces, influence, stiffness, uniform_influence
 
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import lbt672
-from truenewton.mirrors.shell.condensation import condense, holding_forces, rearming
+from truenewton.mirrors.shell.condensation import rearming
 from truenewton.reading import read_data
 from truenewton.statics.arms import arms
 from truenewton.statics.layout import rings

@@ -13,7 +13,8 @@ from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.shell.finite_elements.argyris import argyris, monomials, quadrature
 from truenewton.mirrors.shell.finite_elements.energy import elastic_energy
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
-from truenewton.mirrors.shell.finite_elements.meshing import outline_mesh, shell_mesh
+from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
+from truenewton.mirrors.shell.finite_elements.outline import checked_sides
 from truenewton.statics.layout import rings
 
 GLASS = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
@@ -50,9 +51,12 @@ def cut_to(shell, outline, holes=()):
     return replace(shell, outline=Outline(seen(outline), tuple(map(seen, holes))))
 
 
-def influence(shell, mesh, at):
+def outline_mesh(outline, x, y, *, mesh_size, holes=()):
+    return shell_mesh(replace(GLASS, outline=Outline(outline, holes)), x, y, mesh_size=mesh_size)
+
+
+def influence(shell, mesh, at, of):
     """Return the displacement at points per unit force at the actuators."""
-    of = tuple(mesh.points[: mesh.actuators].T)
     return np.concatenate([*MeshedShell(shell, mesh).influence_in_parts(at, of)])
 
 
@@ -330,7 +334,7 @@ def test_sensors_read_means():
     radii = np.sqrt(6e-3**2 + (11e-3**2 - 6e-3**2) * (np.arange(8) + 0.5) / 8)
     around = np.concatenate([curl(2 * np.pi * np.arange(40) / 40, r) for r in radii])
     at = (np.stack([X, Y], axis=1)[:, None] + around).reshape(-1, 2).T
-    compliance = influence(SPHERE, mesh, tuple(at)).reshape(X.size, -1, X.size).mean(axis=1)
+    compliance = influence(SPHERE, mesh, tuple(at), (X, Y)).reshape(X.size, -1, X.size).mean(axis=1)
     tilts = np.array([np.ones(X.size), X, Y])
     free = np.linalg.svd(tilts)[2][3:].T
     want = free @ np.linalg.inv(free.T @ compliance @ free) @ free.T
@@ -347,7 +351,7 @@ def test_influence_is_that_of_the_semi_analytic_model():
     at = tuple(curl(angle, 1.0).T * np.append(np.linspace(20e-3, 125e-3, 39), 125e-3))
     mesh = shell_mesh(GLASS, x, y, mesh_size=8e-3)
     f = np.linalg.svd(np.array([np.ones(7), x, y]))[2][3:].T
-    gap = (influence(GLASS, mesh, at) - round_influence(GLASS, at, (x, y))) @ f
+    gap = (influence(GLASS, mesh, at, (x, y)) - round_influence(GLASS, at, (x, y))) @ f
     tilts = np.array([np.ones(40), *at]).T
     gap -= tilts @ np.linalg.lstsq(tilts, gap, rcond=None)[0]
     bent = round_influence(GLASS, at, (x, y)) @ f
@@ -467,4 +471,4 @@ def test_refused(change, words):
 )
 def test_refused_outlines(outline, holes, words):
     with pytest.raises(GeometryError, match=words):
-        outline_mesh(outline, NONE, NONE, mesh_size=20e-3, holes=holes)
+        checked_sides([outline, *holes], 20e-3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter
-from shells import influence
+from shells import condense, influence
 from step_response import settling_time, step_responses
 
 from truenewton.bench.simulated.coils import Coils
@@ -19,7 +19,6 @@ from truenewton.bench.simulated.sensors import Sensors, draw_sensors
 from truenewton.bench.simulated.stability import closed_loop, roots, state_matrix
 from truenewton.errors import BenchFault, LoopUnstable
 from truenewton.mirrors.known import GRAVITY, p45
-from truenewton.mirrors.shell.condensation import condense
 from truenewton.statics.arms import arms
 from truenewton.statics.modes import stiffness_modes
 

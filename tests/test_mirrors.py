@@ -8,7 +8,7 @@ import pytest
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
 from truenewton.files.toml import read_toml
 from truenewton.mirrors import known
-from truenewton.mirrors.file import check_glass, mirror_from, read_mirror
+from truenewton.mirrors.file import check_glass, mirror_from
 from truenewton.mirrors.glass import Annulus, Shell
 
 MINE = """
@@ -88,7 +88,7 @@ def test_a_table_with_units_and_names(mine):
     table["X"].unit = table["Y"].unit = "mm"
     table.write(mine.parent / "actuators.ecsv")
     mine.write_text(MINE.replace(".csv", ".ecsv"))
-    layout = read_mirror(mine).layout
+    layout = mirror_from(mine).layout
     assert layout.id.tolist() == [7, 8, 9, 11]
     assert layout.y.tolist() == pytest.approx([0.0, 0.0, 0.05, -0.05])
     assert layout.enabled.tolist() == [True, True, False, True]
@@ -118,7 +118,7 @@ def test_a_table_with_units_and_names(mine):
 def test_what_is_wrong_with_a_file_is_said_in_one_line(mine, old, new, error, said):
     mine.write_text(MINE.replace(old, new, 1))
     with pytest.raises(error) as refused:
-        read_mirror(mine)
+        mirror_from(mine)
     assert said in str(refused.value)
     assert ".toml: " in str(refused.value) or ".csv: " in str(refused.value)
 

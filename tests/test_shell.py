@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shells import influence, stiffness, uniform_influence
+from shells import condense, holding_forces, influence, stiffness, uniform_influence
 
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Shell
 from truenewton.mirrors.known import lbt672, p45
-from truenewton.mirrors.shell.condensation import condense, holding_forces
 from truenewton.statics.layout import rings
 
 GLASS = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)

@@ -7,12 +7,11 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import iv, ivp, jv, jvp
-from shells import influence, stiffness, uniform_influence
+from shells import condense, influence, stiffness, uniform_influence
 
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import ring
-from truenewton.mirrors.shell.condensation import condense
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.moving_mass import moving_mass
 from truenewton.statics.layout import layout, rings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,11 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.toml import filled, read_toml
+from truenewton.mirrors.glass import check_shell
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
+from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
+from truenewton.mirrors.shell.held_glass import tool_wedges
+from truenewton.mirrors.shell.places import SMALLEST_HOLE
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.statics.layout import Layout, layout
 
@@ -24,7 +28,7 @@ class _Written(MirrorNumbers):
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
-    """Return a known mirror by its name, or the mirror that a TOML file describes.
+    """Return a known mirror by its name, or the one of a TOML file (docs/simulated-bench.md).
 
     Raises
     ------
@@ -39,16 +43,10 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
             remedy="give a known mirror, or a TOML file whose `actuators` names this one",
             path=name,
         )
-    return read_mirror(path)
+    return _mirror_in(path)
 
 
-def read_mirror(path: str | os.PathLike[str]) -> Mirror:
-    """Read a mirror from a TOML file (docs/simulated-bench.md).
-
-    Raises
-    ------
-    UnreadableFile, FormatError, GeometryError
-    """
+def _mirror_in(path: Path) -> Mirror:
     written = filled(_Written, read_toml(path), path)
     for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
                       ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0)):  # fmt: skip
@@ -66,8 +64,9 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
             remedy="give the lowest and highest alpha, positive",
             path=path,
         )
-    numbers = {part.name: getattr(written, part.name) for part in fields(MirrorNumbers)}
-    made = Mirror(layout=read_actuators(Path(path).parent / written.actuators), **numbers)
+    numbers = dict(vars(written))
+    actuators = path.parent / numbers.pop("actuators")
+    made = Mirror(layout=_layout_in(actuators), **numbers)
     try:
         check_glass(made)
     except GeometryError as error:
@@ -75,26 +74,20 @@ def read_mirror(path: str | os.PathLike[str]) -> Mirror:
     return made
 
 
-def read_actuators(path: str | os.PathLike[str]) -> Layout:
-    """Return the actuators of a table: columns X, Y, and ID, NZ, ENABLED where they stand.
+def _layout_in(path: Path) -> Layout:
+    """Return the actuators of a FITS file, or of a table whose lengths are metres unless it says.
 
-    A FITS file with ACTUATORS, or text (ECSV, CSV) whose lengths are metres unless it gives a unit.
-
-    Raises
-    ------
-    UnreadableFile, FormatError, GeometryError
+    Its columns are X, Y, and ID, NZ, ENABLED where they stand.
     """
     if str(path).endswith(SUFFIXES):
         return read_layout(path)
     from astropy.table import QTable
 
-    form = "ascii.ecsv" if str(path).endswith(".ecsv") else "ascii.csv"
+    form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
     try:
         table = QTable.read(path, format=form)
-        columns = {name: table[name] for name in ("ID", "NZ", "ENABLED") if name in table.colnames}
-        return layout(
-            table["X"], table["Y"], **{name.lower(): column for name, column in columns.items()}
-        )
+        others = {"ID", "NZ", "ENABLED"} & set(table.colnames)
+        return layout(table["X"], table["Y"], **{name.lower(): table[name] for name in others})
     except TrueNewtonError as error:
         raise located(error, path) from None
     except OSError as error:
@@ -119,20 +112,7 @@ def check_glass(mirror: Mirror) -> None:
     GeometryError
     """
     shell = mirror.shell
-    hole = shell.inner_radius > 0 or (shell.outline is not None and shell.inner_radius == 0)
-    if not (hole and shell.inner_radius < shell.outer_radius < np.inf and shell.thickness > 0):
-        raise GeometryError(
-            f"the glass reaches from {shell.inner_radius:g} m to {shell.outer_radius:g} m, "
-            f"{shell.thickness:g} m thick",
-            remedy="give an inner radius below the outer one and a thickness",
-        )
-    radius = abs(shell.radius_of_curvature)
-    if not radius > shell.outer_radius:
-        raise GeometryError(
-            f"a radius of curvature of {shell.radius_of_curvature:g} m cannot carry a shell of"
-            f" {shell.outer_radius:g} m",
-            remedy="give a larger one, with sign; leave it out for a plate",
-        )
+    check_shell(shell, 0.0 if shell.outline else SMALLEST_HOLE)
     at = shell.along(mirror.layout.x, mirror.layout.y)
     r, reach = np.hypot(*at), max(mirror.puck_radius, mirror.sensor.outer_radius)
     if shell.outline is None:
@@ -153,14 +133,9 @@ def check_glass(mirror: Mirror) -> None:
 def _depth_in_outline(mirror: Mirror, at: tuple[Array, Array]) -> Array:
     """Return (n,) how far from the edges places lie within an outlined glass; negative off it [m].
 
-    Raises
-    ------
-    GeometryError
-        Polygons that cannot be, that reach beyond the outer radius, or leave no glass for the tool.
+    Refuses polygons that cannot be, that reach beyond the outer radius, or leave no glass for the
+    weight tool.
     """
-    from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
-    from truenewton.mirrors.shell.held_glass import tool_wedges
-
     shell = mirror.shell
     assert shell.outline is not None
     loops = checked_sides(shell.polygons(), shell.outline.mesh_size)

@@ -43,6 +43,11 @@ class Annulus:
             )
 
 
+def rim(puck_radius: float) -> Annulus | None:
+    """Return the circle on which a puck presses; None of a point."""
+    return Annulus(puck_radius, puck_radius) if puck_radius else None
+
+
 Polygon = tuple[tuple[float, float], ...]
 
 
@@ -144,6 +149,38 @@ class Shell:
         # asin(s) / s, 1 at the axis
         longer = np.divide(np.arcsin(sine), sine, out=np.ones_like(sine), where=sine > 0)
         return x * longer, y * longer
+
+
+def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
+    """Refuse radii, thickness, material and curvature that no shell can have.
+
+    The smallest hole is the least inner radius, in outer radii.
+
+    Raises
+    ------
+    GeometryError
+    """
+    a, b, curvature = shell.inner_radius, shell.outer_radius, shell.radius_of_curvature
+    if not smallest_hole * b <= a < b < np.inf:
+        raise GeometryError(
+            f"the glass reaches from {a:.6g} m to {b:.6g} m",
+            remedy="give an inner radius below the outer one; to a full disc a thousandth of it",
+            got=(a, b),
+        )
+    stiffness, nu = shell.bending_stiffness, shell.poisson_ratio
+    if not (0 < stiffness < np.inf and shell.thickness > 0 and -1 < nu < 0.5):
+        raise GeometryError(
+            f"a glass {shell.thickness:.6g} m thick, bending stiffness {stiffness:.6g} N m and"
+            f" Poisson ratio {nu:.6g}",
+            remedy="give positive thickness and Young's modulus, and a ratio in (-1, 0.5)",
+        )
+    if not abs(curvature) > b:
+        raise GeometryError(
+            f"radius of curvature {curvature:.6g} m cannot carry a shell of {b:.6g} m",
+            remedy="it is taken as shallow: give several outer radii, with sign; leave it out for a"
+            " plate",
+            got=curvature,
+        )
 
 
 def areas_and_moments(loops: Sequence[Array]) -> Array:

@@ -8,8 +8,7 @@ engineering value nobody vouches for.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -20,15 +19,6 @@ from truenewton.statics.layout import Layout, spherical_rings
 
 GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
 MOST_ACTUATORS = 5352
-
-
-# Magnets and coils of the LBT [conf], which others are made after.
-LBT: dict[str, Any] = {
-    "bias_force": 0.097,
-    "magnet_mass": 2.75e-3,
-    "coil_gradient": 600.0,
-    "bias_gradient": 31.0,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,6 +76,32 @@ class Mirror(MirrorNumbers):
     layout: Layout
 
 
+# What the mirrors share: magnets and coils of the LBT [conf], weights [guess].
+SHARED: dict[str, Any] = {
+    "weight_error": 0.02,
+    "added_weight": -0.5,
+    "added_weight_error": 0.005,
+    "bias_force": 0.097,
+    "coil_gradient": 600.0,
+    "bias_gradient": 31.0,
+}
+
+
+def _mirror(name: str, layout: Layout, shell: Shell, **own: Any) -> Mirror:
+    """Return a mirror with the shared numbers and its own; of the weight of shell and magnets."""
+    magnets = MirrorNumbers.magnet_mass * layout.n
+    weight = -round((shell.mass + magnets) * GRAVITY, 2)
+    return Mirror(name=name, layout=layout, shell=shell, **{"weight": weight, **SHARED, **own})
+
+
+def _lbt_rings(name: str, count: int, outer_radius: float, **own: Any) -> Mirror:
+    """Return a mirror of the first rings of LBT672, 9 + 6k at 1.2615 + 0.8884 k degrees."""
+    k = np.arange(count)
+    layout = spherical_rings(list(np.radians(1.2615 + 0.8884 * k)), list(9 + 6 * k), 1.955)
+    shell = Shell(27.5e-3, outer_radius, 1.6e-3, radius_of_curvature=1.955)
+    return _mirror(name, layout, shell, **own)
+
+
 def p45() -> Mirror:
     """Return the paper's mirror.
 
@@ -94,24 +110,17 @@ def p45() -> Mirror:
     120.005 mm and 1955 mm of curvature [conf]; bias 97 mN an actuator, magnets 2.75 g [conf of LBT,
     same design]. The paper takes it for flat, nz = 1; here nz = 0.9998 to 0.9986.
     """
-    return Mirror(
-        name="P45",
-        layout=_lbt_rings(3),
-        shell=Shell(27.5e-3, 120.005e-3, 1.6e-3, radius_of_curvature=1.955),
+    return _lbt_rings(
+        "P45",
+        3,
+        120.005e-3,
         weight=-2.920,
         weight_error=0.005,
         added_weight=-0.289,
         added_weight_error=0.005,
-        **LBT,
         alpha_range=(0.70, 1.10),
         gap=68e-6,
     )
-
-
-def _lbt_rings(count: int) -> Layout:
-    """Return the first rings of an LBT secondary: 9 + 6k actuators at 1.2615 + 0.8884 k degrees."""
-    k = np.arange(count)
-    return spherical_rings(list(np.radians(1.2615 + 0.8884 * k)), list(9 + 6 * k), 1.955)
 
 
 def lbt672() -> Mirror:
@@ -122,18 +131,7 @@ def lbt672() -> Mirror:
     [derived]; alpha scatters by 2-5 % [derived from measured matrices]; a weight tool of -0.5 N, as
     much as its three wedges may bring to the inner ring, and all uncertainties [guess].
     """
-    return Mirror(
-        name="LBT672",
-        layout=_lbt_rings(14),
-        shell=Shell(27.5e-3, 455.5e-3, 1.6e-3, radius_of_curvature=1.955),
-        weight=-44.0,
-        weight_error=0.02,
-        added_weight=-0.5,
-        added_weight_error=0.005,
-        **LBT,
-        alpha_range=(0.90, 1.10),
-        gap=65e-6,
-    )
+    return _lbt_rings("LBT672", 14, 455.5e-3, weight=-44.0)
 
 
 def mag585() -> Mirror:
@@ -143,20 +141,7 @@ def mag585() -> Mirror:
     gap 60 um [conf]; alpha scatters by 3 % [derived]; the weight is that of shell and magnets; the
     weight tool and all uncertainties [guess].
     """
-    layout = _lbt_rings(13)
-    shell = Shell(27.5e-3, 425.35e-3, 1.6e-3, radius_of_curvature=1.955)
-    return Mirror(
-        name="MAG585",
-        layout=layout,
-        shell=shell,
-        weight=_weight(shell, layout),
-        weight_error=0.02,
-        added_weight=-0.5,
-        added_weight_error=0.005,
-        **LBT,
-        alpha_range=(0.95, 1.05),
-        gap=60e-6,
-    )
+    return _lbt_rings("MAG585", 13, 425.35e-3, alpha_range=(0.95, 1.05), gap=60e-6)
 
 
 def mmt336() -> Mirror:
@@ -172,21 +157,16 @@ def mmt336() -> Mirror:
     curvature, counts = 1.7, [6, 12, 18, 24, 30, 36, 42, 48, 60, 60]
     turned = [0.0] * 8 + [np.radians(3.0), 0.0]
     angles = np.arcsin(1e-3 * np.array(radii) / curvature)
-    layout = spherical_rings(list(angles), counts, curvature, turned=turned)
-    shell = Shell(27.5e-3, 321e-3, 2.0e-3, radius_of_curvature=-curvature)
-    return Mirror(
-        name="MMT336",
-        layout=layout,
-        shell=shell,
-        weight=_weight(shell, layout),
-        weight_error=0.02,
-        added_weight=-0.5,
-        added_weight_error=0.005,
+    return _mirror(
+        "MMT336",
+        spherical_rings(list(angles), counts, curvature, turned=turned),
+        Shell(27.5e-3, 321e-3, 2.0e-3, radius_of_curvature=-curvature),
+        bias_force=0.0,
+        bias_gradient=0.0,
         alpha_range=(0.915, 1.085),
         gap=40e-6,
         puck_radius=3e-3,
         sensor=Annulus(3.5e-3, 6e-3),
-        coil_gradient=600.0,
     )
 
 
@@ -219,36 +199,21 @@ def ring(actuators: int) -> Mirror:
         counts.append(min(9 + 6 * len(counts), actuators - sum(counts)))
     spacing = 1.955 * np.radians(0.8884)
     arc = 1.42 * spacing + spacing * np.arange(len(counts))
-    edge = arc[-1] + 18.4e-3
+    edge = float(arc[-1] + 18.4e-3)
     curvature = max(1.955, edge * 1.955 / 0.4555)
-    shell = Shell(27.5e-3, float(edge), 1.6e-3, radius_of_curvature=float(curvature))
-    layout = spherical_rings(list(arc / curvature), counts, float(curvature))
-    weight = _weight(shell, layout)
-    return Mirror(
-        name=f"RING{actuators}",
-        layout=layout,
-        shell=shell,
-        weight=weight,
-        weight_error=round(-weight * 5e-4, 4),
-        added_weight=round(max(-0.5, 0.1 * weight), 4),
-        added_weight_error=0.005,
-        **LBT,
-        alpha_range=(0.90, 1.10),
-        gap=65e-6,
+    made = _mirror(
+        f"RING{actuators}",
+        spherical_rings(list(arc / curvature), counts, curvature),
+        Shell(27.5e-3, edge, 1.6e-3, radius_of_curvature=curvature),
+    )
+    return replace(
+        made,
+        weight_error=round(-made.weight * 5e-4, 4),
+        added_weight=round(max(-0.5, 0.1 * made.weight), 4),
     )
 
 
-def _weight(shell: Shell, layout: Layout) -> float:
-    """Return the weight of shell and magnets of 2.75 g [N]."""
-    return -round((shell.mass + 2.75e-3 * layout.n) * GRAVITY, 2)
-
-
-KNOWN: dict[str, Callable[[], Mirror]] = {
-    "p45": p45,
-    "mmt336": mmt336,
-    "mag585": mag585,
-    "lbt672": lbt672,
-}
+KNOWN = {make.__name__: make for make in (p45, mmt336, mag585, lbt672)}
 
 
 def mirror(name: str) -> Mirror:

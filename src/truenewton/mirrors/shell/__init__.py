@@ -2,12 +2,11 @@
 
 held_glass           a mirror's glass between its actuators, and what holds it under its loads
 moving_mass          static shapes between actuators, and the mass that moves with them
-free_shell           the model that a glass takes: Fourier for rings, else finite elements
 condensation         from influence to stiffness: the shell seen from its actuators alone
 fourier              thin annular shell: Fourier in angle, p-elements in radius
 radial_elements      its elastic energy, harmonic by harmonic
 kernels              a point force on an endless shallow sphere, and means over circles
 places               where forces and sensors may stand, and how many harmonics they take
-loaded_shell         a shell prepared once for its forces, then read anywhere
+loaded_edges         its edges under forces, prepared once, and what they add where it is read
 finite_elements/     any outline, sharing nothing but the last step: for rings the check
 """

@@ -31,8 +31,19 @@ class Condensed:
     motion: Array
 
 
-def condense(compliance: Array, tilts: Array, *, reciprocal: bool = True) -> Condensed:
+def rigid_motions(x: Array, y: Array) -> Array:
+    """Return T, (3, n): how a shallow shell moves as a whole, 1, x, y at (n,) places [-, m, m]."""
+    return np.array([np.ones_like(x), x, y])
+
+
+def condense(compliance: Array, tilts: Array) -> Condensed:
     """Turn influences, right for balanced forces, into the forces that hold displacements.
+
+    Displacements z at the actuators, under a load that alone moves them by w_q and whose force and
+    moments are T_q, take the forces f = K (z - w_q) - R T_q. K is symmetric to rounding where
+    displacements are read just as forces act. Where sensors read it is not: a sensor sees another
+    mean of the shape than the force does, z = S w, and K = K_w S^-1 with K_w, symmetric, the
+    stiffness by the displacement w that the forces do work on.
 
     Inverts the bordered system [[G, T'], [T, 0]] (forces f and a rigid motion c such that
     G f + T' c = z and T f = 0) on the balanced forces alone.
@@ -44,13 +55,6 @@ def condense(compliance: Array, tilts: Array, *, reciprocal: bool = True) -> Con
     tilts
         (3, n) T, rows 1, x, y at the actuators [-, m, m]: the rigid motions, and the arms of the
         forces that the compliance is right for.
-    reciprocal
-        Whether displacements are read just as forces act, so that the stiffness is symmetric.
-
-    Returns
-    -------
-    Condensed
-        K and R of f = K (z - w_q) - R T_q.
 
     Raises
     ------
@@ -72,8 +76,6 @@ def condense(compliance: Array, tilts: Array, *, reciprocal: bool = True) -> Con
         )
     # The inverse, not a solve: balanced' tilts' = 0 then makes rigid motions free to rounding.
     stiffness: Array = balanced @ np.linalg.inv(flexibility) @ balanced.T
-    if reciprocal:
-        stiffness = 0.5 * (stiffness + stiffness.T)
     motion = arms.T - (arms.T @ compliance) @ stiffness
     return Condensed(stiffness, arms - stiffness @ (compliance @ arms), motion)
 
@@ -103,30 +105,4 @@ def rearming(tilts: Array, arms: Array) -> Array:
     numpy.ndarray
         (n, n) J.
     """
-    exchanged: Array = np.eye(tilts.shape[1]) + (arms - tilts).T @ np.linalg.pinv(tilts).T
-    return exchanged
-
-
-def holding_forces(
-    condensed: Condensed, displacement: Array, load_influence: Array, load_resultants: Array
-) -> Array:
-    """Return the forces that hold displacements under a load, f = K (z - w_q) - R T_q.
-
-    Parameters
-    ----------
-    condensed
-        From `condense`.
-    displacement
-        (n,) or (n, shapes) z at the actuators [m].
-    load_influence
-        (n,) or (n, shapes) w_q, displacement of the load alone [m], up to rigid motions.
-    load_resultants
-        (3,) or (3, shapes) T_q, force of the load [N] and its moments of x and of y [N m].
-
-    Returns
-    -------
-    numpy.ndarray
-        (n,) or (n, shapes) forces [N]; T f + T_q = 0.
-    """
-    held: Array = condensed.stiffness @ (displacement - load_influence)
-    return held - condensed.reaction @ load_resultants
+    return np.asarray(np.eye(tilts.shape[1]) + (arms - tilts).T @ np.linalg.pinv(tilts).T)

@@ -1,4 +1,10 @@
-"""A mirror's glass between its actuators: what forces hold it, under whatever hangs on it."""
+"""A mirror's glass between its actuators: what forces hold it, under whatever hangs on it.
+
+Its shell is free to move, by Fourier for rings, by finite elements for any outline. Displacements
+are along the normal, up to rigid motions, and right for every combination of forces whose sum and
+torques vanish. One force alone finds no equilibrium on a free shell; its column of an influence
+matrix means something only in such sums.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.mirrors.glass import Shell
+from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import GRAVITY, Mirror
-from truenewton.mirrors.shell.condensation import Condensed, condense, holding_forces, rearming
-from truenewton.mirrors.shell.free_shell import FreeShell, free_shell, influence
+from truenewton.mirrors.shell.condensation import Condensed, condense, rearming, rigid_motions
+from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
+from truenewton.mirrors.shell.fourier import RoundShell
 from truenewton.mirrors.shell.places import Points
 from truenewton.statics.arms import arms, resultants
 
@@ -30,6 +38,8 @@ class HeldGlass:
         The model of its shell.
     places
         x and y of the actuators along the glass [m].
+    compliance
+        (n, n) reading per true force [m/N], right for forces in balance on the shallow shell.
     exchange
         (n, n) J, from motions of the shallow shell to those of the sphere (`rearming`).
     condensed
@@ -37,8 +47,9 @@ class HeldGlass:
     """
 
     mirror: Mirror
-    free: FreeShell
+    free: RoundShell | MeshedShell
     places: Points
+    compliance: Array
     exchange: Array
     condensed: Condensed
 
@@ -54,17 +65,30 @@ def held_glass(mirror: Mirror) -> HeldGlass:
     Raises
     ------
     GeometryError
-        What `free_shell`, `influence` and `condense` raise.
+        What `RoundShell`, `shell_mesh`, `MeshedShell` and `condense` raise.
     """
-    places = mirror.shell.along(mirror.layout.x, mirror.layout.y)
-    free = free_shell(mirror.shell, places)
-    tilts, lever = np.array([np.ones_like(places[0]), *places]), arms(mirror.layout)
-    exchange = rearming(tilts, lever)
-    compliance = influence(
-        free, places, places, sensor=mirror.sensor, puck_radius=mirror.puck_radius
-    )
-    condensed = condense(exchange @ compliance @ exchange.T, lever, reciprocal=False)
-    return HeldGlass(mirror, free, places, exchange, condensed)
+    shell = mirror.shell
+    places = shell.along(mirror.layout.x, mirror.layout.y)
+    free: RoundShell | MeshedShell = RoundShell(shell)
+    if shell.outline is not None:
+        mesh = shell_mesh(shell, *places, mesh_size=shell.outline.mesh_size)
+        free = MeshedShell(shell, mesh)
+    compliance = influence(free, places, places, mirror.sensor, mirror.puck_radius)
+    exchange = rearming(rigid_motions(*places), arms(mirror.layout))
+    condensed = condense(exchange @ compliance @ exchange.T, arms(mirror.layout))
+    return HeldGlass(mirror, free, places, compliance, exchange, condensed)
+
+
+def influence(
+    free: RoundShell | MeshedShell,
+    at: Points,
+    of: Points,
+    sensor: Annulus | None,
+    puck_radius: float = 0.0,
+) -> Array:
+    """Return all rows of the (n_at, n_of) displacement or reading per unit force [m/N]."""
+    parts = free.influence_in_parts(at, of, sensor=sensor, puck_radius=puck_radius)
+    return np.concatenate([*parts])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,14 +157,12 @@ def tool_wedges(shell: Shell) -> Points:
 
 def forces_under(glass: HeldGlass, external: ExternalForces) -> Array:
     """Return the (n,) forces that hold the flat mirror under external ones [N]."""
-    sensor, at, force = glass.mirror.sensor, external.at, external.force
+    sensor = glass.mirror.sensor
     bent = external.spread * glass.free.uniform_influence(glass.places, sensor=sensor)
-    bent += influence(glass.free, glass.places, at, sensor=sensor) @ force
-    flat = np.zeros(glass.places[0].size)
-    held = holding_forces(
-        glass.condensed, flat, glass.exchange @ bent, _resultants_on_glass(glass.mirror, external)
-    )
-    return held - external.local
+    bent += influence(glass.free, glass.places, external.at, sensor) @ external.force
+    straightened = glass.stiffness @ (glass.exchange @ bent)
+    borne = glass.condensed.reaction @ _resultants_on_glass(glass.mirror, external)
+    return np.asarray(-straightened - borne - external.local)
 
 
 def external_resultants(mirror: Mirror, external: ExternalForces) -> Array:

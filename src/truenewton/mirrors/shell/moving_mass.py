@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.mirrors.shell.condensation import Condensed, condense
-from truenewton.mirrors.shell.free_shell import influence, rim
+from truenewton.mirrors.glass import Annulus, rim
+from truenewton.mirrors.shell.condensation import Condensed, condense, rigid_motions
 from truenewton.mirrors.shell.held_glass import HeldGlass
 from truenewton.mirrors.shell.places import Points
 
@@ -33,45 +33,30 @@ def moving_mass(glass: HeldGlass) -> tuple[Array, Array]:
     GeometryError
         What `held_glass` raises.
     """
-    mirror, places, n = glass.mirror, glass.places, glass.places[0].size
-    compliance = influence(
-        glass.free, places, places, sensor=mirror.sensor, puck_radius=mirror.puck_radius
-    )
-    condensed = condense(compliance, _tilts(places), reciprocal=False)
+    mirror, n = glass.mirror, glass.mirror.layout.n
+    condensed = condense(glass.compliance, rigid_motions(*glass.places))
     at, area = glass.free.quadrature(n)
-    mass = np.zeros((n, n))
-    first = 0
-    for shapes in _influence_functions(glass, condensed, at):
-        weighted = area[first : first + shapes.shape[0], None] * shapes
+    mass, first = np.zeros((n, n)), 0
+    for shapes in _influence_functions(glass, condensed, at, None):
+        weighted = area[first : first + len(shapes), None] * shapes
         mass += shapes.T @ weighted
-        first += shapes.shape[0]
+        first += len(shapes)
     mass *= mirror.shell.density * mirror.shell.thickness
-    pucks = _puck_motion(glass, condensed)
+    pucks, on_puck = np.eye(n), rim(mirror.puck_radius)
+    if mirror.sensor != on_puck:
+        pucks = np.concatenate([*_influence_functions(glass, condensed, glass.places, on_puck)])
     mass += mirror.magnet_mass * pucks.T @ pucks
     return 0.5 * (mass + mass.T), pucks
 
 
-def _influence_functions(glass: HeldGlass, condensed: Condensed, at: Points) -> Iterator[Array]:
+def _influence_functions(
+    glass: HeldGlass, condensed: Condensed, at: Points, sensor: Annulus | None
+) -> Iterator[Array]:
     """Yield (some points, n): the shapes of the glass when one actuator reads 1, the others 0."""
-    tilts, first = _tilts(at), 0
+    tilts, first = rigid_motions(*at), 0
     for read in glass.free.influence_in_parts(
-        at, glass.places, puck_radius=glass.mirror.puck_radius
+        at, glass.places, sensor=sensor, puck_radius=glass.mirror.puck_radius
     ):
         rigid = tilts[:, first : first + len(read)]
         yield read @ condensed.stiffness + rigid.T @ condensed.motion
         first += len(read)
-
-
-def _puck_motion(glass: HeldGlass, condensed: Condensed) -> Array:
-    """Return S, (n, n) displacement of each puck for that read at each actuator."""
-    mirror, places = glass.mirror, glass.places
-    on_puck = rim(mirror.puck_radius)
-    if mirror.sensor == on_puck:
-        return np.eye(places[0].size)
-    read = influence(glass.free, places, places, sensor=on_puck, puck_radius=mirror.puck_radius)
-    return read @ condensed.stiffness + _tilts(places).T @ condensed.motion
-
-
-def _tilts(at: Points) -> Array:
-    """Return (3, points) the rigid motions of a shallow shell, 1, x, y."""
-    return np.array([np.ones_like(at[0]), *at])

@@ -7,9 +7,10 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Shell
+from truenewton.mirrors.glass import Shell, check_shell
 
 Points = tuple[Array, Array]
+SMALLEST_HOLE = 1e-4  # in outer radii; in a finer one rounding eats more than eight digits
 MOST_HARMONICS = 5000  # more are wanted only where a force all but touches an edge
 
 
@@ -24,28 +25,12 @@ def on_glass(
     shell: Shell, places: Points, what: str, extent: float = 0.0
 ) -> NDArray[np.complex128]:
     """Return (n,) places as x + i y in units of the outer radius, once known to be on the glass."""
-    a, b, nu = shell.inner_radius, shell.outer_radius, shell.poisson_ratio
+    a, b = shell.inner_radius, shell.outer_radius
     if shell.outline is not None:
         raise GeometryError(
             "a glass with an outline is no ring", remedy="take finite elements for it"
         )
-    if not 1e-4 * b <= a < b < np.inf:  # in a finer hole rounding eats more than eight digits
-        raise GeometryError(
-            f"the glass reaches from {a:.6g} m to {b:.6g} m",
-            remedy="give an inner radius below the outer one; to a full disc a thousandth of it",
-            got=(a, b),
-        )
-    if not (0 < shell.bending_stiffness < np.inf and -1 < nu < 0.5):
-        raise GeometryError(
-            f"bending stiffness {shell.bending_stiffness:.6g} N m and Poisson ratio {nu:.6g}",
-            remedy="give positive thickness and Young's modulus, and a ratio in (-1, 0.5)",
-        )
-    if not abs(shell.radius_of_curvature) > b:
-        raise GeometryError(
-            f"radius of curvature {shell.radius_of_curvature:.6g} m of a glass of {b:.6g} m",
-            remedy="the shell is taken as shallow: give several outer radii, or infinity",
-            got=shell.radius_of_curvature,
-        )
+    check_shell(shell, SMALLEST_HOLE)
     if not extent >= 0:
         raise GeometryError(f"a puck radius of {extent:.6g} m", remedy="give 0 m for a point")
     x, y = (np.asarray(coordinate, dtype=float) for coordinate in places)

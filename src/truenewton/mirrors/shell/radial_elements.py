@@ -208,8 +208,6 @@ class RadialElements:
         if self.shallowness:
             joined[loose, -1, -1] += 1
         at_nodes = np.linalg.solve(joined, right)
-        ends = np.stack(
-            [at_nodes[:, n * e : n * e + shared] for e in range(elements)], axis=1
-        )  # fmt: skip
+        ends = at_nodes[:, n * np.arange(elements)[:, None] + np.arange(shared)]
         bubbles = inner[..., shared:] - inner[..., :shared] @ ends
         return np.concatenate([ends, bubbles], axis=2)

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import roots_sh_jacobi
+from scipy.special import perm, roots_sh_jacobi
 
 from truenewton.arrays import Array
 from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
@@ -103,9 +103,7 @@ def monomials(places: Array, derivative: tuple[int, int]) -> Array:
     values = np.ones(())
     for axis, order in enumerate(derivative):
         power = POWERS[:, axis]
-        factor = np.prod(
-            [power - k for k in range(order)], axis=0
-        )  # 0 where it differentiates away
+        factor = perm(power, order)  # 0 where it differentiates away
         values = values * (factor * ladders[..., np.maximum(power - order, 0), axis])
     return values
 

@@ -13,7 +13,7 @@ u = (x, y)/R, (x^2 - y^2, 2 x y)/2R, (2 x y, y^2 - x^2)/2R, which quadratics hol
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import csc_array
 
 from truenewton.arrays import Array
 from truenewton.mirrors.glass import Shell
@@ -34,31 +34,24 @@ def elastic_energy(shell: Shell, mesh: Mesh, element: Argyris) -> csc_array:
     nu, D = shell.poisson_ratio, shell.bending_stiffness
     plane = np.array([[1, nu, 0], [nu, 1, 0], [0, 0, (1 - nu) / 2]])
     law = np.kron(np.diag([D, 12 * D / shell.thickness**2]), plane)  # 12 D / t^2 = C
-    curved = np.isfinite(shell.radius_of_curvature)
+    unknown = element.unknown
+    if np.isfinite(shell.radius_of_curvature):
+        node = np.concatenate([mesh.triangles, len(mesh.points) + mesh.edge_of], axis=1)
+        u_x = element.count + 2 * node
+        unknown = np.concatenate([unknown, u_x, u_x + 1], axis=1)
 
-    blocks = []
-    for some in _portions(mesh):
+    blocks, triangles = [], np.arange(len(mesh.triangles))
+    for some in np.array_split(triangles, -(-triangles.size // TRIANGLES_AT_ONCE)):
         strains = _strains(shell, mesh, element, some, barycentric)
         n, q, rows, width = strains.shape
         areas = (mesh.areas[some, None] * weights)[:, :, None, None]
         stresses = areas * (law[:rows, :rows] @ strains)
         flat = (n, q * rows, width)
         blocks.append(np.swapaxes(strains.reshape(flat), 1, 2) @ stresses.reshape(flat))
-    unknown = _with_membrane(mesh, element) if curved else element.unknown
-    return _assembled(np.concatenate(blocks), unknown, unknowns(shell, mesh, element))
-
-
-def unknowns(shell: Shell, mesh: Mesh, element: Argyris) -> int:
-    """Return how many unknowns the energy of a glass has."""
-    in_plane = 2 * (len(mesh.points) + len(mesh.edges))
-    return element.count + (in_plane if np.isfinite(shell.radius_of_curvature) else 0)
-
-
-def _with_membrane(mesh: Mesh, element: Argyris) -> Indices:
-    """Return (n_triangles, 33) the number of each unknown of w, of u_x and of u_y."""
-    node = np.concatenate([mesh.triangles, len(mesh.points) + mesh.edge_of], axis=1)
-    u_x = element.count + 2 * node
-    return np.concatenate([element.unknown, u_x, u_x + 1], axis=1)
+    rows, columns = np.broadcast_arrays(
+        unknown.astype(np.int32)[:, :, None], unknown.astype(np.int32)[:, None, :]
+    )
+    return csc_array((np.concatenate(blocks).ravel(), (rows.ravel(), columns.ravel())))
 
 
 def _strains(
@@ -91,15 +84,3 @@ def _quadratic_slopes(corners: Array, areas: Array, barycentric: Array) -> tuple
         [(4 * s - 1) * slope, 4 * (s * next_slope + next_s * slope)], axis=-1
     )
     return along_x, along_y
-
-
-def _portions(mesh: Mesh) -> list[Indices]:
-    triangles = np.arange(len(mesh.triangles))
-    return np.array_split(triangles, -(-triangles.size // TRIANGLES_AT_ONCE))
-
-
-def _assembled(blocks: Array, unknown: Indices, count: int) -> csc_array:
-    numbers = unknown.astype(np.int32)
-    rows = np.broadcast_to(numbers[:, :, None], blocks.shape).ravel()
-    columns = np.broadcast_to(numbers[:, None, :], blocks.shape).ravel()
-    return csc_array(coo_array((blocks.ravel(), (rows, columns)), shape=(count, count)))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
+
+if TYPE_CHECKING:
+    from matplotlib.tri import TriFinder
 
 Indices = NDArray[np.int64]
 
@@ -25,13 +28,10 @@ class Mesh:
         (n_points, 2) vertices [m]; the actuators come first, in their order.
     triangles
         (n_triangles, 3) vertices of each triangle, counter-clockwise.
-    actuators
-        How many actuators there are.
     """
 
     points: Array
     triangles: Indices
-    actuators: int
 
     @cached_property
     def edges(self) -> Indices:
@@ -62,8 +62,7 @@ class Mesh:
     @property
     def areas(self) -> Array:
         """(n_triangles,) [m2]."""
-        one, other = np.moveaxis(self.corners[:, 1:] - self.corners[:, :1], 1, 0)
-        return np.asarray(0.5 * (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]))
+        return np.asarray(0.5 * np.linalg.det(self.corners[:, 1:] - self.corners[:, :1]))
 
     def triangle_at(self, places: Array) -> Indices:
         """Return (n,) the triangle around each of (n, 2) places, beside it past a round edge.
@@ -73,34 +72,22 @@ class Mesh:
         GeometryError
             A place further off the triangles than a circle is from its polygon.
         """
-        corners = self.corners
-        centres = corners.mean(axis=1)
-        reach = np.linalg.norm(corners - centres[:, None], axis=2).max()
-        tree = cKDTree(centres)
-        triangle = np.zeros(len(places), dtype=np.int64)
-        depth = np.zeros(len(places))
-        count, left = 8, np.arange(len(places))
-        while left.size:  # until all centres within reach of a place have been looked at
-            count = min(count, len(centres))
-            nearest = tree.query(places[left], np.arange(1, count + 1))
-            away, near = np.asarray(nearest[0]), np.asarray(nearest[1])
-            inward = _depth(places[left, None], corners[near])
-            pick = np.arange(left.size), inward.argmax(axis=1)
-            triangle[left], depth[left] = near[pick], inward[pick]
-            unsure = (inward[pick] < -1e-9 * self.size) & (away[:, -1] < reach)
-            left = left[unsure] if count < len(centres) else left[:0]
-            count *= 4
-        for i in np.flatnonzero(depth < -0.05 * self.size):
-            raise GeometryError(
-                f"point {i} at x = {places[i, 0]:.6g} m, y = {places[i, 1]:.6g} m is off the glass",
-                remedy="bring it within the edges",
-            )
+        triangle = np.asarray(self._finder(*places.T), dtype=np.int64)
+        along = np.roll(self.corners, -1, axis=1) - self.corners
+        for i in np.flatnonzero(triangle < 0):
+            areas = np.linalg.det(np.stack([along, places[i] - self.corners], axis=2))
+            depth = (areas / np.linalg.norm(along, axis=2)).min(axis=1)  # inward from all sides
+            triangle[i] = depth.argmax()
+            if not depth.max() > -0.05 * self.size:
+                x, y = places[i]
+                raise GeometryError(
+                    f"point {i} at x = {x:.6g} m, y = {y:.6g} m is off the glass",
+                    remedy="bring it within the edges",
+                )
         return triangle
 
+    @cached_property
+    def _finder(self) -> TriFinder:
+        from matplotlib.tri import Triangulation  # half a second that rings do not wait for
 
-def _depth(places: Array, corners: Array) -> Array:
-    """Return (...) the least distance [m] inward from the sides of triangles (..., 3, 2)."""
-    along = np.roll(corners, -1, axis=-2) - corners
-    arm = places[..., None, :] - corners
-    inward = along[..., 0] * arm[..., 1] - along[..., 1] * arm[..., 0]
-    return np.asarray((inward / np.linalg.norm(along, axis=-1)).min(axis=-1))
+        return Triangulation(self.points[:, 0], self.points[:, 1], self.triangles).get_trifinder()

@@ -16,17 +16,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.sparse import coo_array, csc_array, csr_array
+from scipy.sparse import csc_array, csr_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.glass import Annulus, Shell, rim
 from truenewton.mirrors.shell.finite_elements.argyris import Argyris, argyris, quadrature
-from truenewton.mirrors.shell.finite_elements.energy import elastic_energy, unknowns
+from truenewton.mirrors.shell.finite_elements.energy import elastic_energy
 from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
-from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.places import Points
 
 AT_ONCE = 64  # forces, which bounds the memory of the solutions
@@ -34,30 +32,9 @@ POINTS_AT_ONCE = 4096  # read from them
 AREA_DEGREE = 6  # of the quadrature over the glass
 
 
-def meshed_shell(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) -> MeshedShell:
-    """Return a free glass with a vertex of its mesh at every actuator.
-
-    Parameters
-    ----------
-    shell
-        The glass, a ring or outlined; an inner radius of 0 means a full disc.
-    x, y
-        (n,) positions of the actuators along the glass [m].
-    mesh_size
-        Length of the triangles' sides [m].
-
-    Raises
-    ------
-    GeometryError
-        A shell or a mesh size that cannot be; polygons that cross, or have corners below 45
-        degrees; actuators off the glass, all but on an edge, or all but at one place.
-    """
-    return MeshedShell(shell, shell_mesh(shell, x, y, mesh_size=mesh_size))
-
-
 @dataclass(frozen=True, eq=False)
 class MeshedShell:
-    """A free glass on a mesh, as `free_shell.FreeShell` has it.
+    """A free glass on a mesh.
 
     Attributes
     ----------
@@ -65,18 +42,10 @@ class MeshedShell:
         Thickness, material and curvature.
     mesh
         From `shell_mesh`.
-
-    Raises
-    ------
-    GeometryError
-        A shell that cannot be.
     """
 
     shell: Shell
     mesh: Mesh
-
-    def __post_init__(self) -> None:
-        _check(self.shell, self.mesh)
 
     @cached_property
     def element(self) -> Argyris:
@@ -86,34 +55,36 @@ class MeshedShell:
     @cached_property
     def _held(self) -> tuple[Indices, SuperLU]:
         """The unknowns left free where three vertices hold what is not balanced; the factors."""
-        shell, mesh, element = self.shell, self.mesh, self.element
-        held = np.concatenate([6 * _apart(mesh), _held_in_plane(shell, mesh, element)])
-        free = np.setdiff1d(np.arange(unknowns(shell, mesh, element)), held)
-        return free, _factor(elastic_energy(shell, mesh, element)[free][:, free])
+        energy = elastic_energy(self.shell, self.mesh, self.element)
+        held = _held_still(self.shell, self.mesh, self.element)
+        free = np.setdiff1d(np.arange(energy.shape[0]), held)
+        factor = splu(  # a positive matrix needs no pivoting
+            csc_array(energy[free][:, free]),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        return free, factor
 
     def influence_in_parts(
         self, at: Points, of: Points, *, sensor: Annulus | None = None, puck_radius: float = 0.0
     ) -> Iterator[Array]:
-        """Yield (some of n_at, n_of) displacement per unit force [m/N].
+        """Yield some rows of the (n_at, n_of) displacement per unit force, as `RoundShell` [m/N].
 
         Raises
         ------
         GeometryError
             A point, a puck or a sensor off the glass.
         """
-        puck = Annulus(puck_radius, puck_radius) if puck_radius else None
-        solved = self._solved(self._means(of, puck).T)
+        solved = self._solved(self._means(of, rim(puck_radius)).T)
         for first in range(0, at[0].size, POINTS_AT_ONCE):
             some = slice(first, first + POINTS_AT_ONCE)
             yield self._means((at[0][some], at[1][some]), sensor) @ solved
 
     def uniform_influence(self, at: Points, *, sensor: Annulus | None = None) -> Array:
         """Return (n_at,) displacement per unit force spread evenly over the glass [m/N]."""
-        element, areas = self.element, self.mesh.areas
-        barycentric, weights = quadrature(AREA_DEGREE)
-        shapes = element.shapes(np.arange(len(areas)), barycentric @ self.mesh.corners, (0, 0))
-        work = areas[:, None] * np.einsum("q,tqj->tj", weights, shapes) / areas.sum()
-        pushed = np.bincount(element.unknown.ravel(), work.ravel(), element.count)
+        places, areas = self.quadrature(at[0].size)
+        pushed = self._means(places, None).T @ (areas / areas.sum())
         return np.asarray(self._means(at, sensor) @ self._solved(csc_array(pushed[:, None])))[:, 0]
 
     def quadrature(self, actuators: int) -> tuple[Points, Array]:  # noqa: ARG002
@@ -125,13 +96,12 @@ class MeshedShell:
     def _solved(self, pushed: csc_array) -> Array:
         """Return (unknowns of w, loads) for the work that (unknowns of w, loads) do."""
         free, factor = self._held
-        bending = free[: np.count_nonzero(free < self.element.count)]
+        bending = free[free < self.element.count]
         loads = csc_array(pushed)[bending]
         solved = np.zeros((self.element.count, loads.shape[1]))
         for first in range(0, loads.shape[1], AT_ONCE):
             some = slice(first, first + AT_ONCE)
-            given = np.zeros((free.size, loads[:, some].shape[1]))
-            given[: bending.size] = loads[:, some].toarray()
+            given = np.pad(loads[:, some].toarray(), ((0, free.size - bending.size), (0, 0)))
             solved[bending, some] = factor.solve(given)[: bending.size]
         return solved
 
@@ -153,7 +123,7 @@ class MeshedShell:
         shapes = self.element.shapes(triangle, places.reshape(-1, 1, 2), (0, 0)).reshape(n, q, 21)
         values = (weights[:, None] * shapes).ravel()
         rows, columns = np.repeat(np.arange(n), 21 * q), self.element.unknown[triangle].ravel()
-        return csr_array(coo_array((values, (rows, columns)), shape=(n, self.element.count)))
+        return csr_array((values, (rows, columns)), shape=(n, self.element.count))
 
 
 def _annulus(sensor: Annulus) -> tuple[Array, Array]:
@@ -166,48 +136,21 @@ def _annulus(sensor: Annulus) -> tuple[Array, Array]:
     return (radius[:, None, None] * ring).reshape(-1, 2), np.repeat(weight / 32, 16)
 
 
-def _factor(matrix: csc_array) -> SuperLU:
-    """Return the factors of a positive matrix, which needs no pivoting."""
-    return splu(
-        csc_array(matrix),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
+def _held_still(shell: Shell, mesh: Mesh, element: Argyris) -> Indices:
+    """Return the unknowns that, held, keep a glass from moving as a whole.
 
-
-def _apart(mesh: Mesh) -> Indices:
-    """Return three vertices that stand far apart and off one line."""
+    That is w at three vertices, far apart and off one line; where the glass is curved, sliding and
+    turning too.
+    """
     points = mesh.points - mesh.points.mean(axis=0)
     first = np.linalg.norm(points, axis=1).argmax()
     arm = points - points[first]
     second = np.linalg.norm(arm, axis=1).argmax()
     third = np.abs(arm[:, 0] * arm[second, 1] - arm[:, 1] * arm[second, 0]).argmax()
-    return np.array([first, second, third])
-
-
-def _held_in_plane(shell: Shell, mesh: Mesh, element: Argyris) -> Indices:
-    """Return the unknowns that, held, keep a curved glass from sliding and turning."""
+    bending = 6 * np.array([first, second, third])
     if not np.isfinite(shell.radius_of_curvature):
-        return np.zeros(0, dtype=np.int64)
-    first, second, _ = _apart(mesh)
-    across, up = np.abs(mesh.points[second] - mesh.points[first])
+        return bending
+    across, up = np.abs(arm[second])
     turning = 2 * second + (1 if across > up else 0)  # u_y turns what lies along x
-    return np.asarray(element.count + np.array([2 * first, 2 * first + 1, turning]))
-
-
-def _check(shell: Shell, mesh: Mesh) -> None:
-    stiff, nu = shell.bending_stiffness, shell.poisson_ratio
-    if not (0 < stiff < np.inf and shell.thickness > 0 and -1 < nu < 0.5):
-        raise GeometryError(
-            f"bending stiffness {stiff:.6g} N m and Poisson ratio {nu:.6g}",
-            remedy="give positive thickness and Young's modulus, and a ratio in (-1, 0.5)",
-        )
-    reach = np.linalg.norm(mesh.points, axis=1).max()
-    if not abs(shell.radius_of_curvature) > reach:
-        raise GeometryError(
-            f"radius of curvature {shell.radius_of_curvature:.6g} m of a glass that reaches "
-            f"{reach:.6g} m from its vertex",
-            remedy="the shell is taken as shallow: give several times its reach, or infinity",
-            got=shell.radius_of_curvature,
-        )
+    in_plane = element.count + np.array([2 * first, 2 * first + 1, turning])
+    return np.concatenate([bending, in_plane])

@@ -9,17 +9,20 @@ scipy's.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, cKDTree
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Shell
+from truenewton.mirrors.glass import Shell, check_shell
 from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
-from truenewton.mirrors.shell.finite_elements.outline import checked_places, checked_sides, inside
+from truenewton.mirrors.shell.finite_elements.outline import (
+    checked_places,
+    checked_sides,
+    inside,
+    sides_of,
+)
 
 SMALLEST_ANGLE = 25.0  # of a triangle [deg]
 WIDEST_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
@@ -33,7 +36,7 @@ def shell_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) ->
     Parameters
     ----------
     shell
-        Gives radii or outline; an inner radius of 0 means a full disc.
+        A ring or outlined; an inner radius of 0 means a full disc.
     x, y
         (n,) positions of the actuators along the glass [m].
     mesh_size
@@ -42,67 +45,29 @@ def shell_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) ->
     Raises
     ------
     GeometryError
-        Radii that cannot be; else as `outline_mesh`.
+        A shell that cannot be; a mesh size that is not positive or far too fine; polygons that
+        cross themselves or one another, or turn more sharply than triangles can follow; actuators
+        off the glass, all but on an edge, or all but at one place.
     """
-    if shell.outline is not None:
-        edge, *holes = shell.polygons()
-        return outline_mesh(edge, x, y, mesh_size=mesh_size, holes=holes)
-    inner, outer = shell.inner_radius, shell.outer_radius
-    if not 0 <= inner < outer < np.inf:
-        raise GeometryError(
-            f"the glass reaches from {inner:.6g} m to {outer:.6g} m",
-            remedy="give an inner radius below the outer one; 0 for a full disc",
-            got=(inner, outer),
-        )
-    rounds = [_circle(radius, mesh_size) for radius in (outer, inner) if radius > 0]
-    return outline_mesh(rounds[0], x, y, mesh_size=mesh_size, holes=rounds[1:])
-
-
-def outline_mesh(
-    outline: ArrayLike,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    mesh_size: float,
-    holes: Sequence[ArrayLike] = (),
-) -> Mesh:
-    """Mesh a glass of any outline.
-
-    Parameters
-    ----------
-    outline
-        (n_vertices, 2) the polygon around the glass [m], convex or not, either way round.
-    x, y
-        (n,) positions of the actuators [m].
-    mesh_size
-        Length of the triangles' sides [m], shorter where actuators crowd.
-    holes
-        Polygons, as the outline, where there is no glass.
-
-    Raises
-    ------
-    GeometryError
-        A mesh size that is not positive or far too fine; polygons that cross themselves or one
-        another, or turn more sharply than triangles can follow; actuators off the glass, all but
-        on an edge, or all but at one place.
-    """
-    loops = checked_sides([outline, *holes], mesh_size)
+    check_shell(shell)
+    polygons = shell.polygons()
+    if shell.outline is None:
+        radii = shell.outer_radius, shell.inner_radius
+        polygons = [_circle(radius, mesh_size) for radius in radii if radius > 0]
+    loops = checked_sides(polygons, mesh_size)
     places = checked_places(loops, x, y, mesh_size)
     rims = [_divided(loop, mesh_size) for loop in loops]
-    starts = len(places) + np.cumsum([0, *(len(rim) for rim in rims)])
-    sides = np.concatenate([
-        start + np.stack([np.arange(len(rim)), np.roll(np.arange(len(rim)), -1)], axis=1)
-        for start, rim in zip(starts[:-1], rims, strict=True)
-    ])  # fmt: skip
     fixed = np.concatenate([places, *rims])
+    numbers = np.split(np.arange(len(fixed)), np.cumsum([len(places), *map(len, rims)]))
+    sides = np.stack(sides_of(numbers[1:-1]), axis=1)
     points = _relaxed(fixed, _lattice(loops[0], mesh_size), loops, mesh_size)
-    return _refined(points, sides, loops, mesh_size, len(places))
+    return _refined(points, sides, loops, mesh_size)
 
 
 def _circle(radius: float, mesh_size: float) -> Array:
     """Return the polygon of a circle's area: its edge errs inward as much as outward."""
-    size = mesh_size if mesh_size > 0 else radius  # refused with the rest, further on
-    count = max(16, int(np.ceil(2 * np.pi * radius / max(size, 1e-4 * radius))))
+    finest = 1e-4 * radius  # in its stead what is no size at all, refused further on
+    count = max(16, int(np.ceil(2 * np.pi * radius / max(finest, mesh_size))))
     step = 2 * np.pi / count
     angle = step * np.arange(count)
     corner = radius * np.sqrt(step / np.sin(step))
@@ -111,11 +76,11 @@ def _circle(radius: float, mesh_size: float) -> Array:
 
 def _divided(loop: Array, mesh_size: float) -> Array:
     """Return the vertices of a polygon with its sides divided evenly."""
-    to = np.roll(loop, -1, axis=0)
-    parts = np.ceil(np.linalg.norm(to - loop, axis=1) / mesh_size - 1e-9).astype(int)
+    starts, ends = sides_of([loop])
+    parts = np.ceil(np.linalg.norm(ends - starts, axis=1) / mesh_size - 1e-9).astype(int)
     return np.concatenate([
-        start + (end - start) * np.arange(n)[:, None] / n
-        for start, end, n in zip(loop, to, parts, strict=True)
+        np.linspace(start, end, part, endpoint=False)
+        for start, end, part in zip(starts, ends, parts, strict=True)
     ])  # fmt: skip
 
 
@@ -155,12 +120,11 @@ def _relaxed(fixed: Array, free: Array, loops: list[Array], mesh_size: float) ->
     return np.concatenate([fixed, free])
 
 
-def _refined(
-    points: Array, sides: Indices, loops: list[Array], mesh_size: float, actuators: int
-) -> Mesh:
+def _refined(points: Array, sides: Indices, loops: list[Array], mesh_size: float) -> Mesh:
     """Add vertices until all triangles are good (Ruppert's algorithm, many vertices a round)."""
     for _ in range(MOST_ROUNDS):
-        middle, half = points[sides].mean(axis=1), _half_lengths(points, sides)
+        middle = points[sides].mean(axis=1)
+        half = 0.5 * np.linalg.norm(np.diff(points[sides], axis=1)[:, 0], axis=1)
         within = cKDTree(points).query_ball_point(middle, half * (1 - 1e-9), return_length=True)
         crowded = np.asarray(within) > 0
         new = np.zeros((0, 2))
@@ -171,7 +135,7 @@ def _refined(
             slender = side.min(axis=1) < 2 * radius * np.sin(np.radians(SMALLEST_ANGLE))
             bad = slender | (radius > WIDEST_CIRCLE * mesh_size)
             if not bad.any():
-                return Mesh(points, triangles, actuators)
+                return Mesh(points, triangles)
             new = _scattered(centre[bad], radius[bad])
             to_middle, near = cKDTree(new).query(middle)
             crowded = np.asarray(to_middle) < half
@@ -189,28 +153,22 @@ def _refined(
     )
 
 
-def _half_lengths(points: Array, sides: Indices) -> Array:
-    return np.asarray(0.5 * np.linalg.norm(np.diff(points[sides], axis=1)[:, 0], axis=1))
-
-
 def _triangles(points: Array, loops: list[Array], mesh_size: float) -> Indices:
     """Return Delaunay's triangles on the glass, counter-clockwise, slivers left out."""
     triangles = Delaunay(points).simplices.astype(np.int64)
-    a, b, c = np.moveaxis(points[triangles], 1, 0)
-    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    corners = points[triangles]
+    twice = np.linalg.det(corners[:, 1:] - corners[:, :1])
     triangles[twice < 0] = triangles[twice < 0][:, ::-1]
     sound = np.abs(twice) > 1e-9 * mesh_size**2
-    return np.asarray(triangles[sound & inside(loops, points[triangles].mean(axis=1))])
+    return np.asarray(triangles[sound & inside(loops, corners.mean(axis=1))])
 
 
 def _circles(corners: Array) -> tuple[Array, Array, Array]:
     """Return centre and radius of the circle around each triangle, and its area."""
-    one, other = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
-    twice = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    squares = np.stack([(one**2).sum(axis=1), (other**2).sum(axis=1)], axis=1)
-    x = (squares[:, 0] * other[:, 1] - squares[:, 1] * one[:, 1]) / (2 * twice)
-    y = (squares[:, 1] * one[:, 0] - squares[:, 0] * other[:, 0]) / (2 * twice)
-    return corners[:, 0] + np.stack([x, y], axis=1), np.hypot(x, y), 0.5 * np.abs(twice)
+    sides = corners[:, 1:] - corners[:, :1]
+    arm = np.linalg.solve(2 * sides, (sides**2).sum(axis=2, keepdims=True))[:, :, 0]
+    area = 0.5 * np.abs(np.linalg.det(sides))
+    return corners[:, 0] + arm, np.linalg.norm(arm, axis=1), area
 
 
 def _scattered(centre: Array, radius: Array) -> Array:

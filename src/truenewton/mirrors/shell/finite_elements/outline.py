@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,18 +19,11 @@ CLOSEST = 0.02  # actuators to one another and to an edge, in mesh sizes
 
 
 def inside(loops: Sequence[Array], places: Array) -> NDArray[np.bool_]:
-    """Tell (n,) whether (n, 2) places lie within the first polygon and none of the others.
+    """Tell (n,) whether (n, 2) places lie within the first polygon and none of the others."""
+    from matplotlib.path import Path  # half a second that rings do not wait for
 
-    A line from each place to +x crosses the polygons an odd number of times.
-    """
-    x, y = places.T
-    odd = np.zeros(len(places), dtype=bool)
-    for loop in loops:
-        for (x_0, y_0), (x_1, y_1) in zip(loop, np.roll(loop, -1, axis=0), strict=True):
-            if y_0 != y_1:
-                spans = (y_0 > y) != (y_1 > y)
-                odd ^= spans & (x < x_0 + (y - y_0) * ((x_1 - x_0) / (y_1 - y_0)))
-    return odd
+    outer, *holes = (Path(loop).contains_points(places) for loop in loops)
+    return np.asarray(outer & ~np.any(holes, axis=0))
 
 
 def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array]:
@@ -57,23 +51,25 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
             remedy=f"give {coarser:.2g} m or more",
             got=mesh_size,
         )
-    start = np.concatenate(loops)
-    end = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
+    start, end = sides_of(loops)
     for i in range(len(start)):
-        met = _meets(start[i], end[i], start, end)
-        if met.any():
+        if _meets(start[i], end[i], start, end).any():
             raise GeometryError(
                 f"two sides of the outline meet near x = {start[i, 0]:.6g} m, "
                 f"y = {start[i, 1]:.6g} m",
                 remedy="give polygons that cross neither themselves nor one another",
             )
     for i, hole in enumerate(loops[1:]):
-        others = [loop for j, loop in enumerate(loops[1:]) if j != i]
-        if not inside([loops[0]], hole[:1])[0] or any(inside([o], hole[:1])[0] for o in others):
+        if not inside(loops[: i + 1] + loops[i + 2 :], hole[:1]).all():
             raise GeometryError(
                 f"hole {i} does not lie in the glass", remedy="give holes within the outline, apart"
             )
     return loops
+
+
+def sides_of(loops: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return starts and ends of the sides of all polygons, as their vertices: [m] or numbers."""
+    return np.concatenate(loops), np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
 
 
 def checked_places(loops: Sequence[Array], x: ArrayLike, y: ArrayLike, mesh_size: float) -> Array:
@@ -160,10 +156,9 @@ def depth_inside(loops: Sequence[Array], places: Array) -> Array:
     Lengths as those of the places.
     """
     nearest = np.full(len(places), np.inf)
-    for loop in loops:
-        for start, end in zip(loop, np.roll(loop, -1, axis=0), strict=True):
-            along = end - start
-            part = np.clip((places - start) @ along / (along @ along), 0, 1)
-            gap = places - start - part[:, None] * along
-            nearest = np.minimum(nearest, np.hypot(*gap.T))
+    for start, end in zip(*sides_of(loops), strict=True):
+        along = end - start
+        part = np.clip((places - start) @ along / (along @ along), 0, 1)
+        gap = places - start - part[:, None] * along
+        nearest = np.minimum(nearest, np.hypot(*gap.T))
     return np.where(inside(loops, places), nearest, -nearest)
