@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
@@ -26,10 +26,6 @@ from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.words import stiffness_text
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 NANOMETRE = 1e-9
 ACROSS = 4  # maps of modes beside each other

@@ -20,7 +20,9 @@ def noll_orders(count: int) -> tuple[Integers, Integers]:
 
 
 def zernike(count: int, x: Array, y: Array) -> Array:
-    """Return Noll's Zernike polynomials j = 1 .. count on points, one a column.
+    """Return the (p, count) values of Noll's Zernike polynomials j = 1 .. count, one a column.
+
+    Over the unit disc each has mean square 1, and the product of two mean 0.
 
     Parameters
     ----------
@@ -28,10 +30,6 @@ def zernike(count: int, x: Array, y: Array) -> Array:
         How many.
     x, y
         (p,) points in units of the pupil's radius.
-
-    Returns
-    -------
-    (p, count) values; over the unit disc each has mean square 1, and the product of two mean 0.
 
     Notes
     -----
