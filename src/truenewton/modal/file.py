@@ -25,18 +25,17 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 @dataclass(frozen=True, eq=False)
 class _Written:
-    """What goes into the files; (N, N) true and commanded forces per true displacement [N/m]."""
+    """What goes into the files, ``cost`` being that of the stiffness modes.
+
+    ``true`` and ``commanded`` are (N, N) forces per true displacement [N/m].
+    """
 
     findings: ModalFindings
     base: ModalBase
+    cost: Dissipation
     limits: Budget
     true: Array
     commanded: Array
-
-    @property
-    def cost(self) -> Dissipation:
-        """Of the stiffness modes."""
-        return self.base.costs[0]
 
 
 def _over_actuators(quantity: str, cost: int = 0) -> Callable[[_Written], Array]:
@@ -174,7 +173,7 @@ def write_modes(
     matrix = StiffnessMatrix(
         base.matrix.instrument, base.matrix.date, replace(base.layout, enabled=acts), true
     )
-    written = _Written(findings, base, limits or Budget(), true, commanded)
+    written = _Written(findings, base, base.costs[0], limits or Budget(), true, commanded)
     with files_together(paths, overwrite=overwrite) as folder:
         target, for_true, for_commanded, *plain = (folder / path.name for path in paths)
         write_fits(target, MODES, written)

@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 
-Integers = NDArray[np.int64]
 
-
-def noll_orders(count: int) -> tuple[Integers, Integers]:
+def noll_orders(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the radial order n and the azimuthal order m of Noll's j = 1 .. count."""
     j = np.arange(1, count + 1)
     n = (np.sqrt(8 * j - 7).astype(np.int64) - 1) // 2
