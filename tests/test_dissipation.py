@@ -30,9 +30,7 @@ def stiffness_of(forces, shapes, alpha, commanded):
 
 def seen(wavefront, commanded):
     m = int(commanded.sum())
-    return SeenTurbulence(
-        Atmosphere(1.0), Pupil(0.1, 1.0), commanded, wavefront, np.eye(m), np.eye(m)
-    )
+    return SeenTurbulence(Atmosphere(1.0), Pupil(0.1, 1.0), wavefront, np.eye(m), np.eye(m))
 
 
 @pytest.fixture(scope="module")

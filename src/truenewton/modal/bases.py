@@ -15,7 +15,7 @@ LOTS = 8  # Zernikes tried, in units of the number of actuators
 
 
 def zernike_modes(x: Array, y: Array) -> Array:
-    """Return the orthonormal basis that Noll's Zernikes span on n actuators, in their order.
+    """Return (n, n) orthonormal modes, a column each, that Noll's Zernikes span in their order.
 
     Each mode is what a Zernike adds to those before it, of unit length and with the sign of its
     Zernike; the first is piston. On n points only n Zernikes are independent, and hardly ever the
@@ -26,10 +26,6 @@ def zernike_modes(x: Array, y: Array) -> Array:
     ----------
     x, y
         (n,) actuators in units of the pupil's radius.
-
-    Returns
-    -------
-    (n, n) modes, one a column.
 
     Raises
     ------
@@ -67,20 +63,13 @@ def _less(vectors: Array, modes: Array) -> Array:
 
 
 def karhunen_loeve_modes(covariance: Array) -> Array:
-    """Return piston, then the eigenvectors of a covariance without it, largest variance first.
+    """Return (n, n) orthonormal modes, one a column: piston, then by falling variance.
 
-    Parameters
-    ----------
-    covariance
-        (n, n), its rows without mean, as `wavefront_covariance` gives it.
-
-    Returns
-    -------
-    (n, n) orthonormal modes, one a column; in equals, and in sign, the same on every machine.
+    These are the eigenvectors of an (n, n) covariance whose rows have no mean, as
+    `wavefront_covariance` gives it; in equals, and in sign, the same on every machine.
     """
     n = len(covariance)
     # Piston moves from the eigenvalue 0 to the far end, and keeps off the faintest modes.
     values, vectors = np.linalg.eigh(covariance - np.trace(covariance) / n)
     values, vectors = values[:0:-1], vectors[:, :0:-1]
-    apart = -np.diff(values) > 1e-11 * values[0] + 1e-6 * values[1:]
-    return np.column_stack([np.full(n, n**-0.5), settled(vectors, apart)])
+    return np.column_stack([np.full(n, n**-0.5), settled(vectors, values)])

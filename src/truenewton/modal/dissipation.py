@@ -13,6 +13,7 @@ margin to saturation feel the true one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +95,7 @@ class Dissipation:
     force: Array
     static: Array
     alpha: Array
-    efficiency: float = EFFICIENCY
+    efficiency: float
 
     def __post_init__(self) -> None:
         freeze(self, "modes", "residual", "force", "static", "alpha")
@@ -137,6 +138,17 @@ class Dissipation:
         return int(np.argmax(beyond)) if beyond.any() else beyond.size
 
 
+# What stands for the first N = 1..m modes in files and for scripts: name, unit, (m,) values.
+SUMMARIES: tuple[tuple[str, str, Callable[[Dissipation], Array]], ...] = (
+    ("residual", "m", lambda cost: cost.residual),
+    ("force_rms", "N", lambda cost: np.sqrt(np.mean(cost.force**2, axis=0))),
+    ("force_worst", "N", lambda cost: cost.force.max(axis=0)),
+    ("reach", "N", lambda cost: cost.reach.max(axis=0)),
+    ("power_mean", "W", lambda cost: cost.power.mean(axis=0)),
+    ("power_worst", "W", lambda cost: cost.power.max(axis=0)),
+)
+
+
 def dissipation(
     base: str,
     modes: Array,
@@ -149,8 +161,8 @@ def dissipation(
 
     Parameters
     ----------
-    base
-        Name of the modes.
+    base, static, efficiency
+        As in `Dissipation`.
     modes
         (m, m) V, orthonormal on the commanded actuators.
     stiffness
@@ -158,10 +170,8 @@ def dissipation(
         commanded.
     seen
         The turbulence at all n actuators.
-    static, efficiency
-        See `Dissipation`.
     """
-    on, C = seen.commanded, seen.wavefront
+    on, C = stiffness.commanded, seen.wavefront
     amplitudes = modes.T @ C[np.ix_(on, on)] @ modes
     own = np.diag(amplitudes)
     # Summed from the end: the little that the last modes leave is no difference of large numbers.

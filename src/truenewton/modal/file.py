@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.files.fits import write_fits
 from truenewton.files.format import Attribute, Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import files_together
-from truenewton.modal.dissipation import Budget, Dissipation
+from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.records.file import ACTUATORS, SOURCES, write_stiffness
@@ -23,18 +25,17 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 @dataclass(frozen=True, eq=False)
 class _Written:
-    """What goes into the files; (N, N) true and commanded forces per true displacement [N/m]."""
+    """What goes into the files, ``cost`` being that of the stiffness modes.
+
+    ``true`` and ``commanded`` are (N, N) forces per true displacement [N/m].
+    """
 
     findings: ModalFindings
     base: ModalBase
+    cost: Dissipation
     limits: Budget
     true: Array
     commanded: Array
-
-    @property
-    def cost(self) -> Dissipation:
-        """Of the stiffness modes."""
-        return self.base.costs[0]
 
 
 def _over_actuators(quantity: str, cost: int = 0) -> Callable[[_Written], Array]:
@@ -47,36 +48,23 @@ def _over_actuators(quantity: str, cost: int = 0) -> Callable[[_Written], Array]
     return values
 
 
-def _states(base: ModalBase) -> list[str]:
-    """Return what the optics make of each actuator."""
-    stiffness, names = base.stiffness, base.layout.id
-    known = (
-        (stiffness.layout.id, "commanded"),
-        (stiffness.enabled.id[~stiffness.acts], "off"),
-        (stiffness.enabled.id, "slaved"),
-    )
-    return [next((word for ids, word in known if name in ids), "disabled") for name in names]
+def _states(base: ModalBase) -> NDArray[np.str_]:
+    """Return (N,) what the optics make of each actuator."""
+    followers = np.where(base.stiffness.acts, "slaved", "off")
+    states = np.full(base.layout.n, "disabled", dtype="U9")
+    states[base.layout.enabled] = np.where(base.stiffness.commanded, "commanded", followers)
+    return states
 
 
-def _budget(name: str, cost: int, *more: Column) -> TableFormat:
+def _budget(name: str, base: int, *more: Column) -> TableFormat:
     """Return the table of the first N modes of a base, a row for each N."""
 
     def of(values: Callable[[Dissipation], Any]) -> Callable[[_Written], Any]:
-        return lambda written: values(written.base.costs[cost])
+        return lambda written: values(written.base.costs[base])
 
-    return TableFormat(
-        name,
-        (
-            Column("N", of(lambda c: np.arange(1, c.residual.size + 1)), kind="int"),
-            *more,
-            Column("RESIDUAL", of(lambda c: c.residual), "m"),
-            Column("FORCE_RMS", of(lambda c: np.sqrt(np.mean(c.force**2, axis=0))), "N"),
-            Column("FORCE_WORST", of(lambda c: c.force.max(axis=0)), "N"),
-            Column("REACH", of(lambda c: c.reach.max(axis=0)), "N"),
-            Column("POWER_MEAN", of(lambda c: c.power.mean(axis=0)), "W"),
-            Column("POWER_WORST", of(lambda c: c.power.max(axis=0)), "W"),
-        ),
-    )
+    number = Column("N", of(lambda cost: np.arange(1, cost.residual.size + 1)), kind="int")
+    summaries = (Column(key.upper(), of(values), unit) for key, unit, values in SUMMARIES)
+    return TableFormat(name, (number, *more, *summaries))
 
 
 def _plain(axis: str, meaning: str, unit: str | None, matrix: Attribute) -> FileFormat:
@@ -85,15 +73,18 @@ def _plain(axis: str, meaning: str, unit: str | None, matrix: Attribute) -> File
         (
             INSTRUMENT,
             Keyword("DATE-OBS", "base.matrix.date", "UTC", kind="date"),
-            Keyword("CTYPE1", lambda _: axis, f"columns: {meaning}", kind="str"),
-            Keyword("CTYPE2", lambda _: "ACTUATOR", "rows, axis 0 in numpy", kind="str"),
-            Keyword("BUNIT", lambda _: unit, "of the matrix", kind="str"),
+            _text("CTYPE1", lambda _: axis, f"columns: {meaning}"),
+            _text("CTYPE2", lambda _: "ACTUATOR", "rows, axis 0 in numpy"),
+            _text("BUNIT", lambda _: unit, "of the matrix"),
         ),
         matrix=matrix,
     )
 
 
-INSTRUMENT = Keyword("INSTRUME", "base.matrix.instrument", "mirror", kind="str")
+_text = partial(Keyword, kind="str")
+_integer = partial(Keyword, kind="int")
+_finite = partial(Keyword, absent=np.inf)
+INSTRUMENT = _text("INSTRUME", "base.matrix.instrument", "mirror")
 STATE = Column("STATE", _states, kind="str", width=9)
 MODES = FileFormat(
     (
@@ -101,41 +92,21 @@ MODES = FileFormat(
         Keyword("DATE-OBS", "base.matrix.date", "UTC, of the stiffness", kind="date"),
         Keyword("MISFIT", "findings.measured.misfit", "variance of shapes over repeats"),
         Keyword("RELERR", "findings.measured.relative_error", "of the stiffness, by noise"),
-        Keyword(
-            "RIGID", "findings.measured.rigid_assumed", "motions taken to cost nothing", kind="int"
-        ),
-        Keyword("METHOD", "findings.calibration.method", "estimator of alpha", kind="str"),
-        Keyword(
-            "SCALE",
-            "findings.calibration.scale",
-            "what fixes the common scale of alpha",
-            kind="str",
-        ),
+        _integer("RIGID", "findings.measured.rigid_assumed", "motions taken to cost nothing"),
+        _text("METHOD", "findings.calibration.method", "estimator of alpha"),
+        _text("SCALE", "findings.calibration.scale", "what fixes the common scale of alpha"),
         Keyword("SEEING", "base.seen.atmosphere.seeing", "at 500 nm", "arcsec"),
         Keyword("R0", "base.seen.atmosphere.fried_parameter", "at 500 nm", "m"),
-        Keyword(
-            "L0",
-            "base.seen.atmosphere.outer_scale",
-            "outer scale; absent if infinite",
-            "m",
-            absent=np.inf,
-        ),
+        _finite("L0", "base.seen.atmosphere.outer_scale", "outer scale; absent if infinite", "m"),
         Keyword("DIAMETER", "base.seen.pupil.diameter", "entrance pupil", "m"),
         Keyword("RADIUS", "base.seen.pupil.radius", "of the mirror that fills it", "m"),
         Keyword("FITTING", "base.seen.fitting_error", "rms wavefront between actuators", "m"),
         Keyword("EFFICIEN", "cost.efficiency", "commanded force per root of power", "N/W^1/2"),
-        Keyword("MAXPOWER", "limits.power", "most that a coil may dissipate", "W", absent=np.inf),
-        Keyword(
-            "MAXTOTAL", "limits.total", "most that all coils may dissipate", "W", absent=np.inf
-        ),
-        Keyword(
-            "MAXFORCE", "limits.force", "most true force, static and 3 sigma", "N", absent=np.inf
-        ),
-        Keyword(
-            "NMODES",
-            lambda w: w.cost.modes_within(w.limits),
-            "stiffness modes within these limits",
-            kind="int",
+        _finite("MAXPOWER", "limits.power", "most that a coil may dissipate", "W"),
+        _finite("MAXTOTAL", "limits.total", "most that all coils may dissipate", "W"),
+        _finite("MAXFORCE", "limits.force", "most true force, static and 3 sigma", "N"),
+        _integer(
+            "NMODES", lambda w: w.cost.modes_within(w.limits), "stiffness modes within these limits"
         ),
     ),
     (
@@ -181,16 +152,11 @@ def write_modes(
     *,
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write the modal base, and the feed-forward and the modes as others read them.
+    """Write the modal base, and feed-forward and modes as others read them; return the paths.
 
     Beside MODES.fits stand MODES.true.fits and MODES.commanded.fits, stiffness files of the force
     per true displacement in true and in commanded Newtons; and MODES.ff_v_matrix.fits (the modes),
     MODES.ff_matrix.fits (commanded) and MODES.ff_matrix_true.fits, one plain matrix each.
-
-    Returns
-    -------
-    list of Path
-        What was written.
 
     Raises
     ------
@@ -198,13 +164,16 @@ def write_modes(
     """
     paths = modes_paths(path)
     base, stiffness = findings.after, findings.after.stiffness
-    true = _square(base, stiffness.acting_stiffness)
-    commanded = _square(base, stiffness.acting_stiffness / stiffness.enabled_alpha[:, None])
+    forces = stiffness.acting_stiffness
+    true, commanded = (
+        base.on_all_actuators(base.on_all_actuators(each).T).T
+        for each in (forces, forces / stiffness.enabled_alpha[:, None])
+    )
     acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     matrix = StiffnessMatrix(
         base.matrix.instrument, base.matrix.date, replace(base.layout, enabled=acts), true
     )
-    written = _Written(findings, base, limits or Budget(), true, commanded)
+    written = _Written(findings, base, base.costs[0], limits or Budget(), true, commanded)
     with files_together(paths, overwrite=overwrite) as folder:
         target, for_true, for_commanded, *plain = (folder / path.name for path in paths)
         write_fits(target, MODES, written)
@@ -213,11 +182,3 @@ def write_modes(
         for target, form in zip(plain, PLAIN.values(), strict=True):
             write_fits(target, form, written)
     return list(paths)
-
-
-def _square(base: ModalBase, forces: Array) -> Array:
-    """Return (N, N) forces per displacement over all actuators from (n, n) over the enabled."""
-    on = base.layout.enabled
-    square = np.zeros((on.size, on.size))
-    square[:, on] = base.on_all_actuators(forces)
-    return square

@@ -64,24 +64,24 @@ class ModalFindings:
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
-        warnings: tuple[Fault, ...] = ()
+        warnings = []
         if self.measured is not None and self.measured.misfit > MISFIT:
-            warnings += (
+            warnings.append(
                 Fault(
                     "shapes leave forces that no stiffness explains,"
                     f" {np.sqrt(self.measured.misfit):.2g} times what repeats scatter",
                     "look for actuators that act but are disabled, or for a mirror that drifted",
-                ),
+                )
             )
         before, after = self.before.stiffness, self.after.stiffness
         if after.asymmetry > before.asymmetry and after.imbalance > before.imbalance:
-            warnings += (
+            warnings.append(
                 Fault(
                     "with alpha the stiffness is less symmetric and less balanced than without",
                     "give alpha of this very mirror, and its stiffness in commanded Newtons",
-                ),
+                )
             )
-        return warnings
+        return tuple(warnings)
 
     def modes_between(self, cost: Dissipation, limits: Budget) -> tuple[int, int]:
         """Return the number of modes within limits, were alpha one E_ALPHA higher, and lower."""

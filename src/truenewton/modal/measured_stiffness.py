@@ -82,9 +82,7 @@ class MeasuredStiffness:
 
 
 def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
-    """Find commanded force per reading from the cycles that hold POSITION.
-
-    Others take no part.
+    """Find commanded force per reading from the cycles that hold POSITION; others take no part.
 
     Raises
     ------

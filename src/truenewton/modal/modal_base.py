@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.modal.dissipation import EFFICIENCY, Dissipation, dissipation
+from truenewton.modal.dissipation import Dissipation, dissipation
 from truenewton.modal.pupil import SeenTurbulence
 from truenewton.modal.true_stiffness import TrueStiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -37,7 +37,7 @@ class ModalBase:
     stiffness: TrueStiffness
     modes: StiffnessModes
     seen: SeenTurbulence
-    costs: tuple[Dissipation, Dissipation, Dissipation]
+    costs: tuple[Dissipation, ...]
 
     def __repr__(self) -> str:
         return f"<ModalBase of {self.matrix.instrument}: {self.modes.stiffness.size} modes>"
@@ -60,7 +60,7 @@ def modal_base(
     stiffness: TrueStiffness,
     seen: SeenTurbulence,
     static: Array,
-    efficiency: float = EFFICIENCY,
+    efficiency: float,
 ) -> ModalBase:
     """Return the modal base of a stiffness.
 
@@ -68,10 +68,8 @@ def modal_base(
     ----------
     matrix, stiffness, seen
         As in `ModalBase`.
-    static
-        (n,) true static force of the enabled actuators [N], see `static_force`.
-    efficiency
-        Commanded force per root of power [N/W^1/2].
+    static, efficiency
+        As in `Dissipation`: (n,) [N], see `static_force`; one number [N/W^1/2].
 
     Raises
     ------
@@ -79,12 +77,13 @@ def modal_base(
         An efficiency that cannot be.
     """
     modes = stiffness.modes
-    bases = (
-        ("stiffness", modes.modes),
-        ("Zernike", seen.zernike),
-        ("Karhunen-Loeve", seen.karhunen_loeve),
+    bases = {
+        "stiffness": modes.modes,
+        "Zernike": seen.zernike,
+        "Karhunen-Loeve": seen.karhunen_loeve,
+    }
+    costs = (
+        dissipation(name, vectors, stiffness, seen, static, efficiency)
+        for name, vectors in bases.items()
     )
-    costs = tuple(
-        dissipation(name, vectors, stiffness, seen, static, efficiency) for name, vectors in bases
-    )
-    return ModalBase(matrix, stiffness, modes, seen, (costs[0], costs[1], costs[2]))
+    return ModalBase(matrix, stiffness, modes, seen, tuple(costs))

@@ -66,30 +66,26 @@ def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SeenTurbulence:
-    """Turbulence at the n actuators of a mirror, and the two bases that optics have for it.
+    """Turbulence at n actuators of which m are commanded, and two bases that optics have for it.
 
     Attributes
     ----------
     atmosphere, pupil
         The turbulence, and what of it the mirror sees.
-    commanded
-        (n,) which m of the actuators the optics command.
     wavefront
-        (n, n) covariance of the wavefront, counted from its mean over these [m^2].
+        (n, n) covariance of the wavefront, counted from its mean over the commanded [m^2].
     zernike, karhunen_loeve
         (m, m) modes, orthonormal on these, one a column.
     """
 
     atmosphere: Atmosphere
     pupil: Pupil
-    commanded: NDArray[np.bool_]
     wavefront: Array
     zernike: Array
     karhunen_loeve: Array
 
     def __post_init__(self) -> None:
         freeze(self, "wavefront", "zernike", "karhunen_loeve")
-        freeze(self, "commanded", dtype=bool)
 
     def __repr__(self) -> str:
         return f"<SeenTurbulence at {len(self.wavefront)} actuators, {self.atmosphere}>"
@@ -119,7 +115,7 @@ def seen_turbulence(
     commanded
         (n,) which of them the optics command.
     atmosphere, pupil
-        The turbulence, and where it meets the mirror.
+        As in `SeenTurbulence`.
 
     Raises
     ------
@@ -134,7 +130,6 @@ def seen_turbulence(
     return SeenTurbulence(
         atmosphere,
         pupil,
-        commanded,
         wavefront,
         zernike_modes(x[commanded], y[commanded]),
         karhunen_loeve_modes(wavefront[np.ix_(commanded, commanded)]),

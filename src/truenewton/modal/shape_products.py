@@ -21,18 +21,11 @@ from truenewton.files.stored_rows import blocks
 from truenewton.records.campaign import Campaign
 
 
-@dataclass(eq=False)
 class Products:
-    """Sums over rows of c_i^2 (n,), c z' and z z' (n, n)."""
+    """Sums over rows of c_i^2 (n,), c z' and z z' (n, n); at first over none."""
 
-    cc: Array
-    cz: Array
-    zz: Array
-
-    @classmethod
-    def zeros(cls, n: int) -> Products:
-        """Return sums over no row."""
-        return cls(np.zeros(n), *np.zeros((2, n, n)))
+    def __init__(self, n: int) -> None:
+        self.cc, (self.cz, self.zz) = np.zeros(n), np.zeros((2, n, n))
 
     def add(self, c: Array, z: Array) -> None:
         """Count (m, n) rows in."""
@@ -111,8 +104,7 @@ class MotionReader:
             self._groups = dict(zip(positioned, groups, strict=True))
             self._weights = dict(zip(positioned, row_weights(of_these), strict=True))
             self._force, self._position = np.zeros((2, len(self._labels), n))  # means
-            self._weight, self._number = np.zeros(len(self._labels)), 0
-            self._within = Products.zeros(n)
+            self._weight, self._within = np.zeros(len(self._labels)), Products(n)
         self._begin_cycle()
 
     def _begin_cycle(self) -> None:
@@ -158,7 +150,6 @@ class MotionReader:
         self._sum += float(size @ missing**2)
         self._unshifted[group] = missing * (1.0 - share)
         self._weight[group] += weight
-        self._number += len(group)
 
     def _end_cycle(self, cycle_index: int) -> None:
         """Count the rows of the cycle from its own rest."""
@@ -185,7 +176,7 @@ class MotionReader:
         edge = np.flatnonzero(np.append(True, (label[1:, :2] != label[:-1, :2]).any(axis=1)))
         ends = np.append(edge, len(label))
         signed, total = label[:, 2] * heavy, np.add.reduceat(heavy, edge)
-        between, uneven = Products.zeros(n), 0.0
+        between, uneven = Products(n), 0.0
         for some in blocks(len(edge), 4 * 8 * n):
             rows = slice(ends[some.start], ends[some.stop])
             force, position = self._force[rows], self._position[rows]
@@ -197,14 +188,15 @@ class MotionReader:
             )
             between.add(c, z)
             uneven -= float(np.sum(z**2))
-        alike, within = self._number - len(edge), self._within
+        count, within = sum(map(len, self._groups.values())), self._within
+        alike = count - len(edge)
         loads = {cycle.load.key for cycle in self.positioned}
         return ShapeProducts(
             between=between,
             within=within,
             shapes=len(edge),
-            rows=self._number,
-            spare=self._number - len(label) - (len(self.positioned) - len(loads)),
+            rows=count,
+            spare=count - len(label) - (len(self.positioned) - len(loads)),
             weight=float(heavy.sum()),
             position_variance=(
                 (float(np.trace(within.zz)) + uneven) / (n * alike) if alike else np.nan

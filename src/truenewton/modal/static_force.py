@@ -11,7 +11,7 @@ from truenewton.statics.arms import arms, effective_weight, external_load
 
 
 def static_force(
-    stiffness: TrueStiffness, calibration: Calibration | None, at_rest: Array | None = None
+    stiffness: TrueStiffness, calibration: Calibration, at_rest: Array | None
 ) -> Array:
     """Return (n,) the true static force of the enabled actuators [N].
 
@@ -22,17 +22,17 @@ def static_force(
     stiffness
         Tells alpha, and who acts.
     calibration
-        Its weight and bias count where nobody knows the forces at rest; without it they are 0.
+        Its weight and bias count where nobody knows the forces at rest; if it has none, they are 0.
     at_rest
         (n,) commanded force of the enabled actuators at rest [N], see
         `MotionReader.force_at_rest`.
     """
     layout, on = stiffness.enabled, stiffness.acts
-    A = arms(layout)
+    A, c = arms(layout), calibration
     if at_rest is not None:
         force = stiffness.enabled_alpha * at_rest
-    elif calibration is not None and calibration.loads and np.isfinite(calibration.bias_force):
-        c, first = calibration, calibration.loads[0]
+    elif c.loads and np.isfinite(c.bias_force):
+        first = c.loads[0]
         weight = effective_weight(c.weight, first.added, first.tilt)
         k = external_load(weight, c.bias_force, c.torque_y[0], c.torque_x[0])
         force = -np.linalg.pinv(A) @ k

@@ -20,7 +20,7 @@ shell model that knows nothing of it, by up to a third for the softest (docs/sti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import scipy.linalg
@@ -191,8 +191,7 @@ def _following(
         Those that float are not held.
     """
     active = ~floats
-    shapes = np.zeros((len(k), int(np.count_nonzero(active))))
-    shapes[active] = np.eye(shapes.shape[1])
+    shapes = np.eye(len(k))[:, active]
     if floats.any():
         try:
             held = scipy.linalg.cho_factor(k[np.ix_(floats, floats)])
@@ -208,8 +207,6 @@ def _following(
     acting_stiffness = np.zeros_like(k)
     acting_stiffness[:, active] = forces
     slaves = follows[active]
-    if not slaves.any():
-        return shapes, forces, acting_stiffness
     answer = np.linalg.lstsq(forces[:, slaves], -forces[:, ~slaves], rcond=None)[0]
     return (
         shapes[:, ~slaves] + shapes[:, slaves] @ answer,
@@ -220,5 +217,4 @@ def _following(
 
 def _some(layout: Layout, chosen: NDArray[np.bool_]) -> Layout:
     """Return the actuators of a layout that are chosen, (n,)."""
-    names = ("id", "x", "y", "nz", "enabled")
-    return Layout(**{name: getattr(layout, name)[chosen] for name in names})
+    return Layout(*(getattr(layout, field.name)[chosen] for field in fields(layout)))

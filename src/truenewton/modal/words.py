@@ -10,7 +10,7 @@ import numpy as np
 
 from truenewton.calibration.words import row, warning_lines
 from truenewton.modal.comparison import ModesComparison
-from truenewton.modal.dissipation import Budget, Dissipation
+from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import ModalBase
@@ -177,17 +177,13 @@ def _within(findings: ModalFindings, limits: Budget) -> list[str]:
 
 def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
     """Return the same figures for a script."""
-    base, measured, c = findings.after, findings.measured, findings.comparison
+    base, measured = findings.after, findings.measured
     values: dict[str, Any] = {
         "instrument": base.matrix.instrument,
         "date": base.matrix.date.isoformat(),
-        "method": findings.calibration.method,
-        "scale": findings.calibration.scale,
-        "seeing": base.seen.atmosphere.seeing,
-        "fried_parameter": base.seen.atmosphere.fried_parameter,
-        "outer_scale": base.seen.atmosphere.outer_scale,
-        "diameter": base.seen.pupil.diameter,
-        "radius": base.seen.pupil.radius,
+        **_attributes(findings.calibration, "method", "scale"),
+        **_attributes(base.seen.atmosphere, "seeing", "fried_parameter", "outer_scale"),
+        **_attributes(base.seen.pupil, "diameter", "radius"),
         "efficiency": base.costs[0].efficiency,
         "fitting_error": base.seen.fitting_error,
         "static_force": base.costs[0].static,
@@ -195,20 +191,15 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         "asymmetry": [x.stiffness.asymmetry for x in (findings.before, base)],
         "imbalance": [x.stiffness.imbalance for x in (findings.before, base)],
         "rigid_stiffness": base.stiffness.rigid_stiffness,
-        "uncalibrated_modes": {
-            name: getattr(c, name) for name in ("distance", "overlap", "orders", "largest_angle")
-        },
+        "uncalibrated_modes": _attributes(
+            findings.comparison, "distance", "overlap", "orders", "largest_angle"
+        ),
         "limits": asdict(limits),
         "warnings": [list(warning) for warning in findings.warnings],
         "bases": [
             {
                 "base": cost.base,
-                "residual": cost.residual,
-                "force_rms": np.sqrt(np.mean(cost.force**2, axis=0)),
-                "force_worst": cost.force.max(axis=0),
-                "reach": cost.reach.max(axis=0),
-                "power_mean": cost.power.mean(axis=0),
-                "power_worst": cost.power.max(axis=0),
+                **{name: summary(cost) for name, _, summary in SUMMARIES},
                 "modes_within": cost.modes_within(limits),
                 "modes_between": findings.modes_between(cost, limits),
                 "modes_within_uncalibrated": uncalibrated.modes_within(limits),
@@ -217,7 +208,12 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         ],
     }
     if measured is not None:
-        names = ("shapes", "rows", "residual", "misfit", "relative_error", "rigid_assumed")
-        values["measured"] = {name: getattr(measured, name) for name in names}
-        values["measured"]["rejected"] = len(measured.rejected)
+        values["measured"] = _attributes(
+            measured, "shapes", "rows", "residual", "misfit", "relative_error", "rigid_assumed"
+        ) | {"rejected": len(measured.rejected)}
     return values
+
+
+def _attributes(record: object, *names: str) -> dict[str, Any]:
+    """Return some attributes of a record by their names."""
+    return {name: getattr(record, name) for name in names}

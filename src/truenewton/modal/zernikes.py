@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 
-Integers = NDArray[np.int64]
 
-
-def noll_orders(count: int) -> tuple[Integers, Integers]:
+def noll_orders(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the radial order n and the azimuthal order m of Noll's j = 1 .. count."""
     j = np.arange(1, count + 1)
     n = (np.sqrt(8 * j - 7).astype(np.int64) - 1) // 2
@@ -20,7 +18,9 @@ def noll_orders(count: int) -> tuple[Integers, Integers]:
 
 
 def zernike(count: int, x: Array, y: Array) -> Array:
-    """Return Noll's Zernike polynomials j = 1 .. count on points, one a column.
+    """Return the (p, count) values of Noll's Zernike polynomials j = 1 .. count, one a column.
+
+    Over the unit disc each has mean square 1, and the product of two mean 0.
 
     Parameters
     ----------
@@ -28,10 +28,6 @@ def zernike(count: int, x: Array, y: Array) -> Array:
         How many.
     x, y
         (p,) points in units of the pupil's radius.
-
-    Returns
-    -------
-    (p, count) values; over the unit disc each has mean square 1, and the product of two mean 0.
 
     Notes
     -----

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 
@@ -46,9 +45,7 @@ def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessMo
         first[np.argsort(-part, kind="stable")[: rigid.shape[1]]] = True
         order = np.concatenate([order[first[order]], order[~first[order]]])
     values, vectors = values[order], vectors[:, order]
-    largest = np.abs(values).max()
-    apart = np.abs(np.diff(values)) > 1e-11 * largest + 1e-6 * np.abs(values[1:])
-    modes = settled(vectors, apart)
+    modes = settled(vectors, values)
     if rigid is not None:
         r = rigid.shape[1]
         turn = _nearest_rotation(vectors[:, :r].T @ (names * np.sign(np.diag(upright))))
@@ -57,7 +54,7 @@ def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessMo
     return StiffnessModes(values, modes)
 
 
-def settled(vectors: Array, apart: NDArray[np.bool_]) -> Array:
+def settled(vectors: Array, values: Array) -> Array:
     """Return eigenvectors, one a column, of which rounding chooses neither sign nor rotation.
 
     Among equal eigenvalues rounding would choose the vectors. So each set of equals gets the basis
@@ -67,10 +64,12 @@ def settled(vectors: Array, apart: NDArray[np.bool_]) -> Array:
     Parameters
     ----------
     vectors
-        (n, k), one of unit length a column, in the order of their eigenvalues.
-    apart
-        (k - 1,) whether an eigenvalue and the next one differ.
+        (n, k), one of unit length a column.
+    values
+        (k,) their eigenvalues, equals beside each other.
     """
+    rounding = 1e-11 * np.abs(values).max() + 1e-6 * np.abs(values[1:])
+    apart = np.abs(np.diff(values)) > rounding
     n, count = vectors.shape
     reference = np.random.default_rng(0).standard_normal((n, count))
     modes = np.empty_like(vectors)
