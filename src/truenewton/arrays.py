@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return a read-only contiguous copy of the same shape; the values if they are that already."""
+    """Return a read-only contiguous copy, (...,) as given; the values if they are that already."""
     if (
         isinstance(values, np.ndarray)
         and values.dtype == dtype

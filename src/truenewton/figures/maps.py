@@ -1,4 +1,4 @@
-"""The paper's figures: the actuators (2), alpha with errors (5), alpha on the map (6).
+"""Maps of a mirror: the actuators (paper, fig. 2), alpha or another value at each (fig. 6).
 
 Drawn at the width of a journal's column. Every call takes axes or makes its own, and returns them.
 """
@@ -26,7 +26,7 @@ def numbers_by_ring(layout: Layout) -> NDArray[np.int64]:
 
 
 def ring_edges(layout: Layout) -> Array:
-    """Return where rings part on an axis of actuators, counted from 1 ring by ring."""
+    """Return (rings - 1,) where rings part on an axis of actuators, counted from 1 ring by ring."""
     return np.asarray(np.cumsum(np.bincount(ring_of(layout)))[:-1] + 0.5)
 
 

@@ -178,7 +178,7 @@ class FitsFile:
         return date.astimezone(datetime.UTC)
 
     def pixels(self, name: str, unit: str | None = None) -> NDArray[np.float64]:
-        """Return the pixels of an image in numpy order as float64, converted to ``unit``.
+        """Return the (rows, columns) pixels of an image in numpy order, converted to ``unit``.
 
         Raises
         ------

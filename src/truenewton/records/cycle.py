@@ -176,7 +176,7 @@ class Cycle:
         return None if self.valid.all() else np.flatnonzero(self.valid)
 
     def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
-        """Return FORCE or POSITION of some of the rows that count, enabled actuators only."""
+        """Return FORCE [N] or POSITION [m] of some rows that count, (rows, n_enabled)."""
         chosen = values[rows if self._counting is None else self._counting[rows]]
         return chosen if self.layout.enabled.all() else chosen[:, self.layout.enabled]
 

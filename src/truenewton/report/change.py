@@ -47,7 +47,7 @@ class Change:
 
     @property
     def changed(self) -> NDArray[np.int64]:
-        """Indices of the actuators beyond the limit, the farthest first."""
+        """(changed,) indices of the actuators beyond the limit, the farthest first."""
         size = np.nan_to_num(np.abs(self.sigmas))
         order = np.argsort(-size, kind="stable")
         return np.asarray(order[size[order] > self.limit])

@@ -123,7 +123,7 @@ def layout(
 ) -> Layout:
     """Make a layout; names count from 1, forces point along +z, all enabled, unless told.
 
-    ``x`` and ``y`` are numbers in metres or Quantities of any length.
+    ``x`` and ``y`` are (n,) numbers in metres or Quantities of any length; the others (n,) too.
     """
     n = np.size(x)
     return Layout(
