@@ -8,8 +8,9 @@ import pytest
 from balanced import RING, campaign_of, gradients
 
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.moments import campaign_moments, chosen_groups
+from truenewton.estimation.moments import chosen_groups
 from truenewton.estimation.repeats import RepeatSums, row_groups
+from truenewton.estimation.sifted import campaign_moments
 from truenewton.linalg import mirrored
 from truenewton.records.campaign import Campaign
 

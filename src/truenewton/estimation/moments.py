@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.repeats import RepeatSums
 from truenewton.estimation.shape_sums import ShapeSums, shape_sums
-from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
 
 
@@ -84,25 +82,6 @@ class Moments:
         """The sums over groups; taken once."""
         load = self.labels[:, 0]
         return shape_sums(self.mean, self.weight, self.known, load, len(self.loads))
-
-
-def campaign_moments(campaign: Campaign) -> Moments:
-    """Return the moments of a campaign's valid rows, read once."""
-    return moments_of(RepeatSums(campaign))
-
-
-def moments_of(sums: RepeatSums) -> Moments:
-    """Return the moments that are made up of sums over repeats."""
-    return Moments(
-        loads=sums.campaign.loads,
-        labels=sums.labels,
-        rows=sums.rows,
-        weight=sums.weight,
-        mean=sums.mean,
-        known=sums.known,
-        scatter=sums.scatter,
-        reference=sums.reference,
-    )
 
 
 def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:
