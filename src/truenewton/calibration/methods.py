@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -89,14 +89,13 @@ def held_out(
     matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
 ) -> tuple[stiffness_svd.Imbalance, ...]:
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
-    if method == "svd":
-        return stiffness_svd.imbalances(
-            matrix, lambda modes, a: stiffness_svd.balance_modes(modes, a)[0]
-        )
-    return stiffness_svd.imbalances(
-        matrix,
-        lambda modes, a: stiffness_ml.likeliest(modes, a, population=population).alpha,
-    )
+
+    def alpha_of(modes: Array, a: Array) -> Array:
+        if method == "svd":
+            return stiffness_svd.balance_modes(modes, a)[0]
+        return stiffness_ml.likeliest(modes, a, population=population).alpha
+
+    return stiffness_svd.imbalances(matrix, alpha_of)
 
 
 def calibration_of(
@@ -110,7 +109,7 @@ def calibration_of(
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(campaign.cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
     read_rows(campaign, (cycle_errors.take, *readers))
-    warnings = estimate.diagnosis.warnings + _implausible(estimate.values[unknowns.alpha])
+    warnings = (*estimate.diagnosis.warnings, *_implausible(estimate.values[unknowns.alpha]))
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
@@ -198,23 +197,18 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _implausible(alpha: Array) -> tuple[Fault, ...]:
+def _implausible(alpha: Array) -> Iterator[Fault]:
     """Warn of an alpha that only a slip of a unit or a sign explains."""
     if (alpha <= 0).any():
-        return (
-            Fault(
-                f"alpha is negative for {np.count_nonzero(alpha <= 0)} actuators",
-                "check the signs of FORCE, WEIGHT and ADDED: z points up",
-            ),
+        yield Fault(
+            f"alpha is negative for {np.count_nonzero(alpha <= 0)} actuators",
+            "check the signs of FORCE, WEIGHT and ADDED: z points up",
         )
-    if not 0.2 < np.median(alpha) < 5.0:
-        return (
-            Fault(
-                f"alpha is about {np.median(alpha):.2g}",
-                "check the units of FORCE, WEIGHT and ADDED: they are Newton",
-            ),
+    elif not 0.2 < np.median(alpha) < 5.0:
+        yield Fault(
+            f"alpha is about {np.median(alpha):.2g}",
+            "check the units of FORCE, WEIGHT and ADDED: they are Newton",
         )
-    return ()
 
 
 def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:

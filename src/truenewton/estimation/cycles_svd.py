@@ -6,7 +6,7 @@ noisy readings it is biased, and its errors here are scatter and weights, withou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -185,18 +185,15 @@ def bias(campaign: Campaign, fit: Fit, variance: Array) -> Array:
     return np.asarray(-fit.solved.inverse[:, :n] @ (d * fit.solved.solution[:n]))
 
 
-def bias_warning(biased: Array, scatter: Array) -> tuple[Fault, ...]:
+def _bias_warnings(biased: Array, scatter: Array) -> Iterator[Fault]:
     """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
     size = np.sqrt(np.mean(biased**2))
-    if not size > 0.2 * np.sqrt(np.mean(scatter**2)):
-        return ()
-    return (
-        Fault(
+    if size > 0.2 * np.sqrt(np.mean(scatter**2)):
+        yield Fault(
             f"svd is biased by {100 * size:.2g} % (RMS over actuators, to first order), which its"
             " errors leave out",
             "use ml",
-        ),
-    )
+        )
 
 
 def find(campaign: Campaign, moments: Moments) -> Estimate:
@@ -215,8 +212,8 @@ def find(campaign: Campaign, moments: Moments) -> Estimate:
     changes = weight_changes(fitted, errors)
     if moments.repeats:
         biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
-        warnings = bias_warning(biased, np.sqrt(np.diag(reading_covariance)[:n]))
-        diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
+        warnings = _bias_warnings(biased, np.sqrt(np.diag(reading_covariance)[:n]))
+        diagnosis = replace(diagnosis, warnings=tuple(warnings))
     return Estimate(
         method="svd",
         scale=Scale.WEIGHTS,

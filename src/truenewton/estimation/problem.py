@@ -21,7 +21,7 @@ from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import Noise, least_variance
 from truenewton.estimation.outliers import MEDIAN_CHI2
 from truenewton.estimation.sifted import Sifted
-from truenewton.estimation.stiffness_ml import likeliest, mode_data, population_prior
+from truenewton.estimation.stiffness_ml import likeliest, mode_data
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError, weight_errors
@@ -108,11 +108,6 @@ class Problem:
         rho, s = self.imbalance(values, moments)
         ids = self.campaign.layout.id[self.campaign.layout.enabled]
         return np.asarray(ids[standing_out(rho, self.a * values[: self.n], s)])
-
-    def with_population(self, spread: float) -> Problem:
-        """Return the problem with alpha drawn from a normal population of unknown mean."""
-        of_population = population_prior(self.n, spread).information
-        return replace(self, prior=self.prior.with_more(of_population))
 
 
 def problem_of(campaign: Campaign, noise: Noise) -> Problem:

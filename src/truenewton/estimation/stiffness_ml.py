@@ -9,7 +9,7 @@ import scipy.optimize
 
 from truenewton.arrays import Array
 from truenewton.estimation.estimate import Estimate
-from truenewton.estimation.identifiability import geometry_faults, refuse
+from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Prior
 from truenewton.estimation.shape_sums import shape_sums
@@ -141,7 +141,7 @@ def find(matrix: StiffnessMatrix, population: bool) -> Estimate:
     ------
     RankDeficient, NotConverged
     """
-    refuse(geometry_faults(enabled_arms(matrix.layout)))
+    refuse([geometry_fault(enabled_arms(matrix.layout))])
     fit = likeliest(elastic_modes(matrix), comparable_arms(matrix), population=population)
     method = f"ml, population {fit.spread:.2g}" if population else "ml"
     return relative_estimate(matrix, method, fit.alpha, fit.covariance, fit.singular_values)

@@ -7,7 +7,7 @@ smallest singular vector of the stacked A diag(u), its mean set to 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.estimate import Estimate, Scale
-from truenewton.estimation.identifiability import geometry_faults, refuse
+from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.fault import Fault
@@ -141,7 +141,7 @@ def find(matrix: StiffnessMatrix) -> Estimate:
     ------
     RankDeficient
     """
-    refuse(geometry_faults(enabled_arms(matrix.layout)))
+    refuse([geometry_fault(enabled_arms(matrix.layout))])
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
     (alpha, singular_values), n = balance_modes(modes, a), a.shape[1]
     covariance = mode_covariance(modes, a, alpha, np.eye(3), np.zeros((n, n)))
@@ -163,27 +163,25 @@ def relative_estimate(
         condition=float(singular_values[-1] / singular_values[1]),
         rank=n - 1,
         diagnosis=Diagnosis(
-            tuple((singular_values**2).tolist()), 0, (), orientation_warning(matrix)
+            eigenvalues=tuple((singular_values**2).tolist()),
+            warnings=tuple(_orientation_warnings(matrix)),
         ),
     )
 
 
-def orientation_warning(matrix: StiffnessMatrix) -> tuple[Fault, ...]:
+def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
     """Warn of a transposed matrix: a rigid displacement must cost little force.
 
     K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
     {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
     """
     k, rigid = matrix.used_stiffness, np.linalg.qr(enabled_arms(matrix.layout).T)[0]
-    if np.linalg.norm(rigid.T @ k) >= 0.5 * np.linalg.norm(k @ rigid):
-        return ()
-    return (
-        Fault(
+    if np.linalg.norm(rigid.T @ k) < 0.5 * np.linalg.norm(k @ rigid):
+        yield Fault(
             "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
             " balance",
             "store [i, j], the force of actuator i per displacement of sensor j",
-        ),
-    )
+        )
 
 
 def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
