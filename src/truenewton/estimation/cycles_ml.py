@@ -27,17 +27,16 @@ from truenewton.estimation.likelihood import chi2_at, gram_of_e
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import Noise, reading_noise
-from truenewton.estimation.outliers import against_balance, refuse_too_many, rows_of
+from truenewton.estimation.outliers import Fitted, balancing_groups, rows_of
 from truenewton.estimation.problem import (
     Problem,
     load_data,
     problem_of,
-    roughly_scaled,
     with_noise_from_minimum,
     with_share_in_balance,
 )
 from truenewton.estimation.repeats import WEIGHED_NOISE
-from truenewton.estimation.sifted import Sifted
+from truenewton.estimation.sifted import Sifted, refuse_too_many
 from truenewton.estimation.stiffness_ml import population_prior, population_spread
 from truenewton.estimation.undetermined import (
     tolerable,
@@ -100,9 +99,6 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     return estimate
 
 
-Fitted = tuple[Problem, Minimum]
-
-
 def _fitted(
     problem: Problem, campaign: Campaign, moments: Moments
 ) -> tuple[NDArray[np.bool_], Array, Fitted, Array]:
@@ -112,7 +108,7 @@ def _fitted(
     """
     nothing = np.empty((problem.n, 0))
     try:
-        return *fitted_groups(problem, moments), nothing
+        return *balancing_groups(problem, moments), nothing
     except (RankDeficient, NotConverged, TooManyOutliers):
         diagnosis = diagnose(campaign, moments)  # which knows better what is missing
         if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
@@ -121,26 +117,11 @@ def _fitted(
     for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
         patterns = undetermined_patterns(problem, moments, count)
         try:
-            return *fitted_groups(with_patterns_held(problem, patterns), moments), patterns
+            return *balancing_groups(with_patterns_held(problem, patterns), moments), patterns
         except (RankDeficient, NotConverged):
             continue
     fault, remedy = diagnosis.faults[0]
     raise RankDeficient(fault, remedy=remedy, got=diagnosis.undetermined, want=0)
-
-
-def fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:
-    """Fit the groups that belong; return these, the distances of all, and the fit."""
-
-    def fit(groups: Moments) -> Fitted:
-        scaled = roughly_scaled(problem, groups)
-        return scaled, scaled.fitted(groups)
-
-    def distances(fitted: Fitted) -> Array:
-        scaled, minimum = fitted
-        return scaled.distances(minimum.values, moments)
-
-    known = problem.noise.source != NoiseSource.MINIMUM
-    return against_balance(moments, fit, distances, noise_known=known)
 
 
 def estimate_of(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.imbalance import (
+    MEDIAN_CHI2,
     imbalance_covariance,
     squared_distances,
     standing_out,
@@ -19,7 +20,6 @@ from truenewton.estimation.likelihood import minimise, start_values
 from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import Noise, least_variance
-from truenewton.estimation.outliers import MEDIAN_CHI2
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_ml import likeliest, mode_data
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes

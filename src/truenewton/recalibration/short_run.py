@@ -19,18 +19,17 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.cycles_ml import fitted_groups
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.minimum import Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import Noise, reading_noise
-from truenewton.estimation.outliers import refuse_too_many, rows_of
+from truenewton.estimation.outliers import balancing_groups, rows_of
 from truenewton.estimation.problem import (
     Problem,
     with_noise_from_minimum,
     with_share_in_balance,
 )
-from truenewton.estimation.sifted import Sifted
+from truenewton.estimation.sifted import Sifted, refuse_too_many
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError
 from truenewton.linalg import mirrored
@@ -95,13 +94,13 @@ def balancing(
     noise = reading_noise(run.campaign, moments)
     try:
         posed = run.problem(noise, run.loose(new))
-        belongs, distance, (problem, minimum) = fitted_groups(posed, moments)
+        belongs, distance, (problem, minimum) = balancing_groups(posed, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
         posed = run.problem(noise, run.tight(~new))
-        belongs, distance, (problem, minimum) = fitted_groups(posed, moments)
+        belongs, distance, (problem, minimum) = balancing_groups(posed, moments)
     shared = with_share_in_balance(posed, sifted, minimum.values[: problem.n])
     if shared.noise.share != 1.0:
-        belongs, distance, (problem, minimum) = fitted_groups(shared, moments)
+        belongs, distance, (problem, minimum) = balancing_groups(shared, moments)
     lost: list[RejectedRow] = []
     if not belongs.all():
         actuator = problem.standing_out(minimum.values, moments)
