@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +59,7 @@ def calibrate(
     if isinstance(data, Campaign):
         return calibration_of(data, find_alpha(sift(data), method, population=population))
     if isinstance(data, StiffnessMatrix):
-        svd = method == "svd"
-        estimate = stiffness_svd.find(data) if svd else stiffness_ml.find(data, population)
-        return _from_stiffness(data, estimate)
+        return _from_stiffness(data, stiffness_svd.find(data, _elastic_method(method, population)))
     raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
 
 
@@ -89,13 +88,13 @@ def held_out(
     matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
 ) -> tuple[stiffness_svd.Imbalance, ...]:
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
+    return stiffness_svd.imbalances(matrix, _elastic_method(method, population))
 
-    def alpha_of(modes: Array, a: Array) -> Array:
-        if method == "svd":
-            return stiffness_svd.balance_modes(modes, a)[0]
-        return stiffness_ml.likeliest(modes, a, population=population).alpha
 
-    return stiffness_svd.imbalances(matrix, alpha_of)
+def _elastic_method(method: str, population: bool) -> stiffness_svd.ElasticMethod:
+    if method == "svd":
+        return stiffness_svd.singular_fit
+    return partial(stiffness_ml.likeliest, population=population)
 
 
 def calibration_of(
