@@ -154,7 +154,7 @@ def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
     root = np.linalg.inv(np.linalg.cholesky((a * alpha * bench.force_noise**2) @ (a * alpha).T))
     errors = weight_errors(next(campaigns(simulated, 1, 1))[0])
     unknowns = Unknowns(n, loads, len(errors))
-    beside = unknowns.external_load_derivative([error.change for error in errors])
+    beside = unknowns.external_load_derivative(tuple(errors.values()))
     information = np.zeros((unknowns.total, unknowns.total))
     for forces, beside_alpha in zip(shapes, beside, strict=True):
         jacobian = np.empty((len(forces), 3, unknowns.total))

@@ -101,19 +101,20 @@ def calibration_of(
     campaign: Campaign, estimate: Estimate, readers: Sequence[RowReader] = ()
 ) -> Calibration:
     """Return an estimate as a calibration; the rows are read for E_CYCLE, and for more readers."""
-    layout, on = campaign.layout, campaign.layout.enabled
+    layout, cycles, on = campaign.layout, campaign.cycles, campaign.layout.enabled
     unknowns = Unknowns(int(on.sum()), len(campaign.loads))
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
-    start, end, temperature = _times(campaign)
-    lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(campaign.cycles))]
+    lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
     read_rows(campaign, (cycle_errors.take, *readers))
     warnings = (*estimate.diagnosis.warnings, *_implausible(estimate.values[unknowns.alpha]))
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
-        date=start,
-        date_end=end,
+        date=min(c.date for c in cycles),
+        date_end=max(
+            c.date + datetime.timedelta(seconds=float(c.time[c.valid].max())) for c in cycles
+        ),
         layout=layout,
         loads=campaign.loads,
         cycle_error=spread(cycle_errors.errors, on),
@@ -122,13 +123,13 @@ def calibration_of(
         torque_x=torques[:, 1],
         weight=campaign.weight,
         weight_error=campaign.weight_error,
-        temperature=temperature,
-        shapes_used=sum(int(c.valid.sum()) for c in campaign.cycles) - len(estimate.rejected),
+        temperature=mean_temperature(cycles),
+        shapes_used=sum(int(c.valid.sum()) for c in cycles) - len(estimate.rejected),
         rejected=len(estimate.rejected),
-        invalid=sum(int((~c.valid).sum()) for c in campaign.cycles),
+        invalid=sum(int((~c.valid).sum()) for c in cycles),
         sources=tuple(
             Source(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()) - less, less)
-            for c, less in zip(campaign.cycles, lost, strict=True)
+            for c, less in zip(cycles, lost, strict=True)
             if c.source
         )
         + (_matrix_source(matrix) if matrix else ()),
@@ -216,11 +217,3 @@ def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
     out = spread_square(values, np.concatenate([on, rest]))
     out.setflags(write=False)  # so that the calibration need not copy it
     return out
-
-
-def _times(campaign: Campaign) -> tuple[datetime.datetime, datetime.datetime, float]:
-    """Return when the rows used begin and end, and their mean temperature."""
-    cycles = campaign.cycles
-    start = min(c.date for c in cycles)
-    end = max(c.date + datetime.timedelta(seconds=float(c.time[c.valid].max())) for c in cycles)
-    return start, end, mean_temperature(cycles)

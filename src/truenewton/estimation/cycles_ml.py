@@ -258,7 +258,7 @@ def condition(campaign: Campaign, moments: Moments, reading_covariance: Array) -
     units.
     """
     a = arms_in_units_of_rms(campaign.layout)
-    gram = gram_of_e(a, load_data(campaign, moments, np.ones(a.shape[1]), ()))
+    gram = gram_of_e(a, load_data(campaign, moments, np.ones(a.shape[1]), {}))
     unit = np.ones(len(gram))
     for axis in (1, 2):
         unit[a.shape[1] + axis :: 2] = np.sqrt(np.mean(enabled_arms(campaign.layout)[axis] ** 2))

@@ -6,7 +6,7 @@ noisy readings it is biased, and its errors here are scatter and weights, withou
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from truenewton.estimation.identifiability import diagnose, refuse
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.repeats import row_groups
 from truenewton.estimation.systems import system_e
-from truenewton.estimation.weights import WeightError, scale_errors, weight_errors
+from truenewton.estimation.weights import WeightErrors, scale_errors, weight_errors
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -135,14 +135,12 @@ def scatter_covariance(campaign: Campaign, solved: SingularSolution) -> Array:
     return np.asarray(solved.inverse @ (pull.T @ pull) @ solved.inverse)
 
 
-def weight_changes(
-    campaign: Campaign, solved: SingularSolution, errors: Sequence[WeightError]
-) -> Array:
+def weight_changes(campaign: Campaign, solved: SingularSolution, errors: WeightErrors) -> Array:
     """Return (errors, unknowns) the change of the solution by each error of the weights."""
     by_load = np.stack(  # d solution / d W of each load
         [solved.inverse @ e[0].sum(axis=0) for e in _by_load(campaign, solved.matrix)]
     )
-    changes = [error.change @ by_load for error in errors]
+    changes = [change @ by_load for change in errors.values()]
     return np.array(changes).reshape(-1, len(solved.solution))
 
 
