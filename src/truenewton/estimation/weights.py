@@ -20,7 +20,7 @@ WeightErrors = Mapping[ErrorSource, Array]
 
 
 def weight_errors(campaign: Campaign) -> dict[ErrorSource, Array]:
-    """Return the independent sources of error of W = (P + Q) cos(tilt) (docs/files.md).
+    """Return (L,) changes [N] by each source of error of W = (P + Q) cos(tilt) (docs/files.md).
 
     The error of P is common to all loads; loads with the same TOOL share one error of their added
     weight, each in proportion to its own; every other error is independent.
