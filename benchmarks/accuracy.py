@@ -154,7 +154,7 @@ def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
     root = np.linalg.inv(np.linalg.cholesky((a * alpha * bench.force_noise**2) @ (a * alpha).T))
     errors = weight_errors(next(campaigns(simulated, 1, 1))[0])
     unknowns = Unknowns(n, loads, len(errors))
-    beside = unknowns.external_load_derivative([error.change for error in errors])
+    beside = unknowns.external_load_derivative(tuple(errors.values()))
     information = np.zeros((unknowns.total, unknowns.total))
     for forces, beside_alpha in zip(shapes, beside, strict=True):
         jacobian = np.empty((len(forces), 3, unknowns.total))
@@ -189,15 +189,12 @@ def by_ml(campaign: tn.Campaign) -> Answer:
 
 
 def _least_squares(campaign: tn.Campaign, a: Array) -> Answer:
-    e, r = system_e(campaign, a)
-    rows = len(e) // 3 // len(campaign.loads)
-    blocks = tuple((3 * rows * place, rows) for place in range(len(campaign.loads)))
-    fit = cycles_svd.Fit(e, r, cycles_svd.solve(e, r), blocks)
+    solved = cycles_svd.solve(*system_e(campaign, a))
     n = a.shape[1]
-    reading_covariance = np.diag(cycles_svd.scatter_covariance(campaign, fit))[:n]
-    changes = cycles_svd.weight_changes(fit, weight_errors(campaign))[:, :n]
+    reading_covariance = np.diag(cycles_svd.scatter_covariance(campaign, solved))[:n]
+    changes = cycles_svd.weight_changes(campaign, solved, weight_errors(campaign))[:, :n]
     whole = reading_covariance + np.sum(changes**2, axis=0)
-    return Answer(fit.solved.solution[:n], np.sqrt(reading_covariance), np.sqrt(whole))
+    return Answer(solved.solution[:n], np.sqrt(reading_covariance), np.sqrt(whole))
 
 
 def by_svd(campaign: tn.Campaign) -> Answer:

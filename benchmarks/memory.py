@@ -109,7 +109,7 @@ def calibrate(folder: Path) -> None:
         ("tn.read: checksums, SHA256, checks", truenewton.reading, "read_data"),
         ("means of repeats, rows far from them", methods, "sift"),
         ("  a minimisation", problem, "minimise"),
-        ("shapes against the balance", cycles_ml, "against_balance"),
+        ("shapes against the balance", cycles_ml, "balancing_groups"),
         ("maximum likelihood, all of it", cycles_ml, "find"),
         ("E_CYCLE", methods, "read_rows"),
         ("calibrate, all of it", methods, "calibrate"),

@@ -11,7 +11,7 @@ from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration import methods
 from truenewton.errors import RankDeficient
 from truenewton.estimation.cycles_svd import solve
-from truenewton.estimation.identifiability import diagnose, geometry_faults
+from truenewton.estimation.identifiability import diagnose, geometry_fault
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.systems import system_e
 from truenewton.mirrors.known import p45
@@ -116,8 +116,8 @@ def test_a_line_and_one_beside_it_are_a_conic_that_leaves_alpha_free():
     y = np.array([-1.0, 0.0, 1.0, 0.5])
     x = np.array([0.0, 0.0, 0.0, 1.0])
     a = np.array([np.ones(4), x, y])
-    assert geometry_faults(a)[0][0].startswith("the actuators stand on a conic")
-    assert geometry_faults(np.array([np.ones(14), LAYOUT.x, LAYOUT.y])) == ()
+    assert geometry_fault(a).fault.startswith("the actuators stand on a conic")
+    assert geometry_fault(np.array([np.ones(14), LAYOUT.x, LAYOUT.y])) is None
 
 
 def test_shapes_that_drown_in_noise_are_said_to():

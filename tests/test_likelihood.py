@@ -281,7 +281,7 @@ def information(quiet, truth, sigma, weights=None):
         of_load = np.zeros((3, total.shape[0] - n))
         of_load[0, 0] = 1.0
         of_load[1, 1 + 2 * place], of_load[2, 2 + 2 * place] = 1.0, -1.0
-        of_load[0, 1 + 2 * loads :] = [e.change[place] for e in errors]
+        of_load[0, 1 + 2 * loads :] = [change[place] for change in errors.values()]
         whitening = np.sqrt(weights[k] if weights else 1.0) / sigma
         # Of the coordinates: their span in units of noise, orthonormal.
         span = np.linalg.qr(free * whitening[:, None])[0]

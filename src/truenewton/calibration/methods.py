@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +59,7 @@ def calibrate(
     if isinstance(data, Campaign):
         return calibration_of(data, find_alpha(sift(data), method, population=population))
     if isinstance(data, StiffnessMatrix):
-        svd = method == "svd"
-        estimate = stiffness_svd.find(data) if svd else stiffness_ml.find(data, population)
-        return _from_stiffness(data, estimate)
+        return _from_stiffness(data, stiffness_svd.find(data, _elastic_method(method, population)))
     raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
 
 
@@ -89,33 +88,33 @@ def held_out(
     matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
 ) -> tuple[stiffness_svd.Imbalance, ...]:
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
+    return stiffness_svd.imbalances(matrix, _elastic_method(method, population))
+
+
+def _elastic_method(method: str, population: bool) -> stiffness_svd.ElasticMethod:
     if method == "svd":
-        return stiffness_svd.imbalances(
-            matrix, lambda modes, a: stiffness_svd.balance_modes(modes, a)[0]
-        )
-    return stiffness_svd.imbalances(
-        matrix,
-        lambda modes, a: stiffness_ml.likeliest(modes, a, population=population).alpha,
-    )
+        return stiffness_svd.singular_fit
+    return partial(stiffness_ml.likeliest, population=population)
 
 
 def calibration_of(
     campaign: Campaign, estimate: Estimate, readers: Sequence[RowReader] = ()
 ) -> Calibration:
     """Return an estimate as a calibration; the rows are read for E_CYCLE, and for more readers."""
-    layout, on = campaign.layout, campaign.layout.enabled
+    layout, cycles, on = campaign.layout, campaign.cycles, campaign.layout.enabled
     unknowns = Unknowns(int(on.sum()), len(campaign.loads))
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
-    start, end, temperature = _times(campaign)
-    lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(campaign.cycles))]
+    lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
     read_rows(campaign, (cycle_errors.take, *readers))
-    warnings = estimate.diagnosis.warnings + _implausible(estimate.values[unknowns.alpha])
+    warnings = (*estimate.diagnosis.warnings, *_implausible(estimate.values[unknowns.alpha]))
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
-        date=start,
-        date_end=end,
+        date=min(c.date for c in cycles),
+        date_end=max(
+            c.date + datetime.timedelta(seconds=float(c.time[c.valid].max())) for c in cycles
+        ),
         layout=layout,
         loads=campaign.loads,
         cycle_error=spread(cycle_errors.errors, on),
@@ -124,13 +123,13 @@ def calibration_of(
         torque_x=torques[:, 1],
         weight=campaign.weight,
         weight_error=campaign.weight_error,
-        temperature=temperature,
-        shapes_used=sum(int(c.valid.sum()) for c in campaign.cycles) - len(estimate.rejected),
+        temperature=mean_temperature(cycles),
+        shapes_used=sum(int(c.valid.sum()) for c in cycles) - len(estimate.rejected),
         rejected=len(estimate.rejected),
-        invalid=sum(int((~c.valid).sum()) for c in campaign.cycles),
+        invalid=sum(int((~c.valid).sum()) for c in cycles),
         sources=tuple(
             Source(Path(c.source.file).name, c.source.sha256, int(c.valid.sum()) - less, less)
-            for c, less in zip(campaign.cycles, lost, strict=True)
+            for c, less in zip(cycles, lost, strict=True)
             if c.source
         )
         + (_matrix_source(matrix) if matrix else ()),
@@ -198,23 +197,18 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
     }
 
 
-def _implausible(alpha: Array) -> tuple[Fault, ...]:
+def _implausible(alpha: Array) -> Iterator[Fault]:
     """Warn of an alpha that only a slip of a unit or a sign explains."""
     if (alpha <= 0).any():
-        return (
-            Fault(
-                f"alpha is negative for {np.count_nonzero(alpha <= 0)} actuators",
-                "check the signs of FORCE, WEIGHT and ADDED: z points up",
-            ),
+        yield Fault(
+            f"alpha is negative for {np.count_nonzero(alpha <= 0)} actuators",
+            "check the signs of FORCE, WEIGHT and ADDED: z points up",
         )
-    if not 0.2 < np.median(alpha) < 5.0:
-        return (
-            Fault(
-                f"alpha is about {np.median(alpha):.2g}",
-                "check the units of FORCE, WEIGHT and ADDED: they are Newton",
-            ),
+    elif not 0.2 < np.median(alpha) < 5.0:
+        yield Fault(
+            f"alpha is about {np.median(alpha):.2g}",
+            "check the units of FORCE, WEIGHT and ADDED: they are Newton",
         )
-    return ()
 
 
 def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
@@ -223,11 +217,3 @@ def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
     out = spread_square(values, np.concatenate([on, rest]))
     out.setflags(write=False)  # so that the calibration need not copy it
     return out
-
-
-def _times(campaign: Campaign) -> tuple[datetime.datetime, datetime.datetime, float]:
-    """Return when the rows used begin and end, and their mean temperature."""
-    cycles = campaign.cycles
-    start = min(c.date for c in cycles)
-    end = max(c.date + datetime.timedelta(seconds=float(c.time[c.valid].max())) for c in cycles)
-    return start, end, mean_temperature(cycles)

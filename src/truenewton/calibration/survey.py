@@ -84,9 +84,9 @@ def survey_stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str]
     """Return what a stiffness file holds, for scripts and for people."""
     values, off = modal_stiffness(matrix), int(np.count_nonzero(~matrix.layout.enabled))
     try:
-        diagnosis = calibrate(matrix).diagnosis or Diagnosis((), 0, ())
+        diagnosis = calibrate(matrix).diagnosis or Diagnosis()
     except RankDeficient as error:
-        diagnosis = Diagnosis((), 0, (Fault(error.fault, error.remedy),))
+        diagnosis = Diagnosis(faults=(Fault(error.fault, error.remedy),))
     facts = {
         "holds": "stiffness",
         "instrument": matrix.instrument,

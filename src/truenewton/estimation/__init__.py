@@ -26,12 +26,12 @@ files, in the order in which data pass through them:
     row_readers      the second reading of the rows, once for all who want to see them
     shape_sums       sums over shapes: what the likelihood needs of the means
     imbalance        what a reading is out of balance by, in terms of its noise
-    outliers         shapes that do not balance
     multiple_tests   what chance alone does to one of many
     noise            of one reading: from repeats, as declared, or left to the fit
     weights          errors of the weights, and the budget of the common scale
     problem          what the likelihood is asked: data, noise, unknowns, priors
     likelihood       maximum likelihood itself: score, information, minimisation
+    outliers         shapes that do not balance
     minimum          what goes into the likelihood, and what comes out
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors

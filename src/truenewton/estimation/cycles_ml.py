@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -26,18 +27,17 @@ from truenewton.estimation.likelihood import chi2_at, gram_of_e
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import Noise, reading_noise
-from truenewton.estimation.outliers import against_balance, refuse_too_many, rows_of
+from truenewton.estimation.outliers import Fitted, balancing_groups, rows_of
 from truenewton.estimation.problem import (
     Problem,
     load_data,
     problem_of,
-    roughly_scaled,
     with_noise_from_minimum,
     with_share_in_balance,
 )
 from truenewton.estimation.repeats import WEIGHED_NOISE
-from truenewton.estimation.sifted import Sifted
-from truenewton.estimation.stiffness_ml import population_spread
+from truenewton.estimation.sifted import Sifted, refuse_too_many
+from truenewton.estimation.stiffness_ml import population_prior, population_spread
 from truenewton.estimation.undetermined import (
     tolerable,
     undetermined_patterns,
@@ -87,7 +87,8 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     if population:
         covariance = minimum.reading_covariance[: problem.n, : problem.n]
         spread = population_spread(minimum.values[: problem.n], covariance)
-        problem = replace(problem, prior=free.prior).with_population(spread)
+        of_population = population_prior(problem.n, spread).information
+        problem = replace(problem, prior=free.prior.with_more(of_population))
         minimum = problem.fitted(moments, minimum.values)
         method = f"ml, population {spread:.2g}"
     estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1])
@@ -96,9 +97,6 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         if 3 * diagnosis.span < problem.n - 1:  # not even without noise
             refuse(diagnosis.faults, diagnosis.undetermined)
     return estimate
-
-
-Fitted = tuple[Problem, Minimum]
 
 
 def _fitted(
@@ -110,7 +108,7 @@ def _fitted(
     """
     nothing = np.empty((problem.n, 0))
     try:
-        return *fitted_groups(problem, moments), nothing
+        return *balancing_groups(problem, moments), nothing
     except (RankDeficient, NotConverged, TooManyOutliers):
         diagnosis = diagnose(campaign, moments)  # which knows better what is missing
         if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
@@ -119,26 +117,11 @@ def _fitted(
     for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
         patterns = undetermined_patterns(problem, moments, count)
         try:
-            return *fitted_groups(with_patterns_held(problem, patterns), moments), patterns
+            return *balancing_groups(with_patterns_held(problem, patterns), moments), patterns
         except (RankDeficient, NotConverged):
             continue
     fault, remedy = diagnosis.faults[0]
     raise RankDeficient(fault, remedy=remedy, got=diagnosis.undetermined, want=0)
-
-
-def fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:
-    """Fit the groups that belong; return these, the distances of all, and the fit."""
-
-    def fit(groups: Moments) -> Fitted:
-        scaled = roughly_scaled(problem, groups)
-        return scaled, scaled.fitted(groups)
-
-    def distances(fitted: Fitted) -> Array:
-        scaled, minimum = fitted
-        return scaled.distances(minimum.values, moments)
-
-    known = problem.noise.source != NoiseSource.MINIMUM
-    return against_balance(moments, fit, distances, noise_known=known)
 
 
 def estimate_of(
@@ -161,9 +144,6 @@ def estimate_of(
         at_declared = load_data(campaign, moments, same, problem.errors)
         declared = chi2_at(problem.a, [at_declared], minimum.values)
     diagnosis = _diagnosis(problem, moments, minimum, held)
-    warnings = weights_warning(minimum.values[unknowns.weights], len(campaign.loads))
-    warnings += zeros_warning(campaign, moments)
-    diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
     e_condition = condition(campaign, moments, minimum.reading_covariance)  # while there is room
     return Estimate(
         method=method,
@@ -194,41 +174,6 @@ def _probability(chi2: float, freedom: int, noise: Noise) -> float:
     return float(scipy.stats.f.sf(chi2 / freedom, freedom, noise.share_freedom))
 
 
-def weights_warning(errors: Array, loads: int) -> tuple[Fault, ...]:
-    """Warn of weights that disagree more than their errors allow; two loads cannot tell.
-
-    Parameters
-    ----------
-    errors
-        Of the weights as the data have them, in units of their standard uncertainties.
-    loads
-        L: the common scale and B take up two of them.
-    """
-    size = float(np.sum(errors**2))
-    if loads < 3 or scipy.stats.chi2.sf(size, loads - 2) > 1e-3:
-        return ()
-    return (
-        Fault(
-            f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
-            "check ADDED, TILT and their errors",
-        ),
-    )
-
-
-def zeros_warning(campaign: Campaign, moments: Moments) -> tuple[Fault, ...]:
-    """Warn of sensors whose zero was set anew: how far the glass moved meanwhile is not known."""
-    anew = int(np.count_nonzero(np.isnan(moments.reference)))
-    if not anew or not any(map(is_displaced, campaign.cycles)):
-        return ()
-    return (
-        Fault(
-            f"the zeros of {anew} sensors were set anew between files: these count from each"
-            " file's own mean, and E_STAT knows nothing of motion between files",
-            "keep the zeros of the sensors through a campaign",
-        ),
-    )
-
-
 def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) -> Diagnosis:
     """Judge alpha by what its information stands above what noise feigns, and name what is weak.
 
@@ -239,34 +184,52 @@ def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) 
     free = held + patterns_near_noise(minimum, moments.groups)
     value, vector = largest_eigenvalue(covariance)
     weakest = in_words(vector, layout)
-    warnings: tuple[Fault, ...] = ()
-    if free:
-        patterns = "pattern of alpha stands" if free == 1 else "patterns of alpha stand"
-        warnings = (
-            Fault(
-                f"{free} {patterns} hardly above the noise, the weakest {weakest}",
-                "repeat more often, use larger forces, or add a stiffness matrix",
-            ),
-        )
-    if held:
-        error = np.sqrt(value / n)
-        each = "pattern of alpha drowns" if held == 1 else "patterns of alpha drown"
-        warnings += (
-            Fault(
-                f"{held} {each} in noise: held even over the mirror, each uncertain by as much as"
-                f" alpha varies otherwise, {100 * error:.2g} % of it RMS",
-                "trust E_ALPHA, and differences along other patterns by COVARIANCE",
-            ),
-        )
+    warnings = (
+        *_noise_warnings(free, weakest, held, float(np.sqrt(value / n))),
+        *_campaign_warnings(problem, moments, minimum),
+    )
     return Diagnosis(
-        eigenvalues=(),
         undetermined=free,
-        faults=(),
         warnings=warnings,
         weakest=weakest,
         weakest_share=value / float(np.trace(covariance)),
         leverage=tuple(leverage(problem.a * minimum.values[:n], problem.noise.variance).tolist()),
     )
+
+
+def _noise_warnings(free: int, weakest: str, held: int, error: float) -> Iterator[Fault]:
+    """Warn of patterns hardly above the noise, and of those held, with the error of each."""
+    if free:
+        patterns = "pattern of alpha stands" if free == 1 else "patterns of alpha stand"
+        yield Fault(
+            f"{free} {patterns} hardly above the noise, the weakest {weakest}",
+            "repeat more often, use larger forces, or add a stiffness matrix",
+        )
+    if held:
+        each = "pattern of alpha drowns" if held == 1 else "patterns of alpha drown"
+        yield Fault(
+            f"{held} {each} in noise: held even over the mirror, each uncertain by as much as"
+            f" alpha varies otherwise, {100 * error:.2g} % of it RMS",
+            "trust E_ALPHA, and differences along other patterns by COVARIANCE",
+        )
+
+
+def _campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Fault]:
+    """Warn of weights that disagree more than their errors allow, and of sensors set anew."""
+    loads = len(problem.campaign.loads)  # the common scale and B take up two of them
+    size = float(np.sum(minimum.values[problem.unknowns.weights] ** 2))
+    if loads > 2 and scipy.stats.chi2.sf(size, loads - 2) <= 1e-3:
+        yield Fault(
+            f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
+            "check ADDED, TILT and their errors",
+        )
+    anew = int(np.count_nonzero(np.isnan(moments.reference)))
+    if anew and any(map(is_displaced, problem.campaign.cycles)):
+        yield Fault(
+            f"the zeros of {anew} sensors were set anew between files: these count from each"
+            " file's own mean, and E_STAT knows nothing of motion between files",
+            "keep the zeros of the sensors through a campaign",
+        )
 
 
 def patterns_near_noise(minimum: Minimum, shapes: int) -> int:
@@ -295,7 +258,7 @@ def condition(campaign: Campaign, moments: Moments, reading_covariance: Array) -
     units.
     """
     a = arms_in_units_of_rms(campaign.layout)
-    gram = gram_of_e(a, load_data(campaign, moments, np.ones(a.shape[1]), ()))
+    gram = gram_of_e(a, load_data(campaign, moments, np.ones(a.shape[1]), {}))
     unit = np.ones(len(gram))
     for axis in (1, 2):
         unit[a.shape[1] + axis :: 2] = np.sqrt(np.mean(enabled_arms(campaign.layout)[axis] ** 2))

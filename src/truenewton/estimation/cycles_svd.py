@@ -6,7 +6,7 @@ noisy readings it is biased, and its errors here are scatter and weights, withou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from truenewton.estimation.identifiability import diagnose, refuse
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.repeats import row_groups
 from truenewton.estimation.systems import system_e
-from truenewton.estimation.weights import WeightError, scale_errors, weight_errors
+from truenewton.estimation.weights import WeightErrors, scale_errors, weight_errors
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -32,29 +32,29 @@ class SingularSolution:
 
     Attributes
     ----------
+    matrix, right_side
+        (equations, unknowns) and (equations,).
     solution
         (unknowns,).
     singular_values
         (unknowns,) descending.
+    rank
+        Singular values above rounding: says nothing of noisy data.
     inverse
         (unknowns, unknowns) of E' E.
     """
 
+    matrix: Array
+    right_side: Array
     solution: Array
     singular_values: Array
+    rank: int
     inverse: Array
 
     @property
     def condition(self) -> float:
         """Largest over smallest singular value."""
-        smallest = self.singular_values[-1]
-        return float(self.singular_values[0] / smallest) if smallest > 0 else float("inf")
-
-    @property
-    def rank(self) -> int:
-        """Singular values above rounding: says nothing of noisy data."""
-        limit = self.singular_values[0] * np.finfo(float).eps * len(self.singular_values)
-        return int(np.count_nonzero(self.singular_values > limit))
+        return float(self.singular_values[0] / self.singular_values[-1])
 
 
 def solve(matrix: Array, right_side: Array) -> SingularSolution:
@@ -77,7 +77,7 @@ def solve(matrix: Array, right_side: Array) -> SingularSolution:
         )
     triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
     left, values, right = singular_values_and_vectors(triangle[:, :-1])
-    rank = SingularSolution(np.empty(0), values, np.empty((0, 0))).rank
+    rank = int(np.count_nonzero(values > values[0] * np.finfo(float).eps * unknowns))
     if rank < unknowns:
         raise RankDeficient(
             f"the system has rank {rank} of {unknowns}",
@@ -87,47 +87,34 @@ def solve(matrix: Array, right_side: Array) -> SingularSolution:
         )
     pseudo_inverse = right.T / values
     return SingularSolution(
+        matrix=matrix,
+        right_side=right_side,
         solution=pseudo_inverse @ (left.T @ triangle[:, -1]),
         singular_values=values,
+        rank=rank,
         inverse=pseudo_inverse @ pseudo_inverse.T,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """E alpha' = r of a campaign, solved.
-
-    Attributes
-    ----------
-    e, r
-        The system.
-    solved
-        Its solution.
-    blocks
-        Of each load, its first equation and its number of rows.
-    """
-
-    e: Array
-    r: Array
-    solved: SingularSolution
-    blocks: tuple[tuple[int, int], ...]
-
-
-def fit(campaign: Campaign) -> Fit:
+def fit(campaign: Campaign) -> SingularSolution:
     """Solve E alpha' = r, rows unweighted and torques in N m, as the paper writes it.
 
     Raises
     ------
     RankDeficient
     """
-    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    return solve(*system_e(campaign, enabled_arms(campaign.layout)))
+
+
+def _by_load(campaign: Campaign, equations: Array) -> list[Array]:
+    """Part (equations, ...) of E or r into loads, each (3, rows, ...)."""
     counts = [np.count_nonzero(cycle.valid) for cycle in campaign.cycles]
-    rows = np.bincount(campaign.load_index, counts).astype(int).tolist()
-    starts = 3 * np.cumsum([0, *rows])[:-1]
-    return Fit(e, r, solve(e, r), tuple(zip(starts.tolist(), rows, strict=True)))
+    ends = 3 * np.cumsum(np.bincount(campaign.load_index, counts).astype(int))
+    parts = np.split(equations, ends[:-1])
+    return [part.reshape(3, -1, *part.shape[1:]) for part in parts]
 
 
-def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
+def scatter_covariance(campaign: Campaign, solved: SingularSolution) -> Array:
     """Return the covariance of the solution about its own mean, from the scatter of the rows.
 
     The three equations of a row share its noise, and that noise is in the matrix: residuals are
@@ -135,17 +122,9 @@ def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
     repeats, whatever the form of the noise (the sandwich of Huber and White); a row without a
     repeat counts with all of its pull.
     """
-    residual = fit.r - fit.e @ fit.solved.solution
-    pull = np.concatenate(
-        [
-            np.einsum(
-                "krp,kr->rp",
-                fit.e[start : start + 3 * rows].reshape(3, rows, -1),
-                residual[start : start + 3 * rows].reshape(3, rows),
-            )
-            for start, rows in fit.blocks
-        ]
-    )
+    residual = solved.right_side - solved.matrix @ solved.solution
+    loads = zip(_by_load(campaign, solved.matrix), _by_load(campaign, residual), strict=True)
+    pull = np.concatenate([np.einsum("krp,kr->rp", e, remainder) for e, remainder in loads])
     member = np.concatenate(row_groups(campaign)[2])  # campaigns stand in the order of E
     count = np.bincount(member)
     mean = np.zeros((len(count), pull.shape[1]))
@@ -153,16 +132,16 @@ def scatter_covariance(campaign: Campaign, fit: Fit) -> Array:
     mean /= count[:, None]
     pull -= np.where((count > 1)[:, None], mean, 0.0)[member]
     pull *= np.sqrt(count / np.maximum(count - 1, 1))[member, None]
-    return np.asarray(fit.solved.inverse @ (pull.T @ pull) @ fit.solved.inverse)
+    return np.asarray(solved.inverse @ (pull.T @ pull) @ solved.inverse)
 
 
-def weight_changes(fit: Fit, errors: Sequence[WeightError]) -> Array:
+def weight_changes(campaign: Campaign, solved: SingularSolution, errors: WeightErrors) -> Array:
     """Return (errors, unknowns) the change of the solution by each error of the weights."""
     by_load = np.stack(  # d solution / d W of each load
-        [fit.solved.inverse @ fit.e[start : start + rows].sum(axis=0) for start, rows in fit.blocks]
+        [solved.inverse @ e[0].sum(axis=0) for e in _by_load(campaign, solved.matrix)]
     )
-    changes = [error.change @ by_load for error in errors]
-    return np.array(changes).reshape(-1, len(fit.solved.solution))
+    changes = [change @ by_load for change in errors.values()]
+    return np.array(changes).reshape(-1, len(solved.solution))
 
 
 def condition_in_units_of_rms(campaign: Campaign) -> float:
@@ -172,7 +151,7 @@ def condition_in_units_of_rms(campaign: Campaign) -> float:
     return float(values[0] / values[-1])
 
 
-def bias(campaign: Campaign, fit: Fit, variance: Array) -> Array:
+def bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array:
     """Return the bias of the solution to first order: -(E'E)^-1 D alpha.
 
     Noise of variance s_i^2 in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2) to E'E and
@@ -180,23 +159,19 @@ def bias(campaign: Campaign, fit: Fit, variance: Array) -> Array:
     """
     a = enabled_arms(campaign.layout)
     n = a.shape[1]
-    rows = sum(rows for _, rows in fit.blocks)
-    d = rows * variance * np.sum(a**2, axis=0)
-    return np.asarray(-fit.solved.inverse[:, :n] @ (d * fit.solved.solution[:n]))
+    d = len(solved.matrix) // 3 * variance * np.sum(a**2, axis=0)
+    return np.asarray(-solved.inverse[:, :n] @ (d * solved.solution[:n]))
 
 
-def bias_warning(biased: Array, scatter: Array) -> tuple[Fault, ...]:
+def _bias_warnings(biased: Array, scatter: Array) -> Iterator[Fault]:
     """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
     size = np.sqrt(np.mean(biased**2))
-    if not size > 0.2 * np.sqrt(np.mean(scatter**2)):
-        return ()
-    return (
-        Fault(
+    if size > 0.2 * np.sqrt(np.mean(scatter**2)):
+        yield Fault(
             f"svd is biased by {100 * size:.2g} % (RMS over actuators, to first order), which its"
             " errors leave out",
             "use ml",
-        ),
-    )
+        )
 
 
 def find(campaign: Campaign, moments: Moments) -> Estimate:
@@ -209,14 +184,14 @@ def find(campaign: Campaign, moments: Moments) -> Estimate:
     diagnosis = diagnose(campaign, moments)
     refuse(diagnosis.faults, diagnosis.undetermined)
     fitted, errors = fit(campaign), weight_errors(campaign)
-    solution = fitted.solved.solution
+    solution = fitted.solution
     n = int(campaign.layout.enabled.sum())
     reading_covariance = scatter_covariance(campaign, fitted)
-    changes = weight_changes(fitted, errors)
+    changes = weight_changes(campaign, fitted, errors)
     if moments.repeats:
         biased = bias(campaign, fitted, moments.noise**2 * np.ones(n))[:n]
-        warnings = bias_warning(biased, np.sqrt(np.diag(reading_covariance)[:n]))
-        diagnosis = replace(diagnosis, warnings=diagnosis.warnings + warnings)
+        warnings = _bias_warnings(biased, np.sqrt(np.diag(reading_covariance)[:n]))
+        diagnosis = replace(diagnosis, warnings=tuple(warnings))
     return Estimate(
         method="svd",
         scale=Scale.WEIGHTS,

@@ -46,9 +46,9 @@ class Diagnosis:
         Elastic directions in which the shapes stand above the noise; -1 where that was not asked.
     """
 
-    eigenvalues: tuple[float, ...]
-    undetermined: int
-    faults: tuple[Fault, ...]
+    eigenvalues: tuple[float, ...] = ()
+    undetermined: int = 0
+    faults: tuple[Fault, ...] = ()
     warnings: tuple[Fault, ...] = ()
     weakest: str = ""
     weakest_share: float = float("nan")

@@ -14,7 +14,7 @@ does not stand apart from it is a direction that only noise decides (docs/method
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import scipy.linalg
@@ -87,8 +87,8 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
     a = enabled_arms(campaign.layout)
     faults = structural_faults(campaign, moments)
     n, distinct = a.shape[1], _distinct_shapes(moments)
-    if geometry_faults(a) or 3 * distinct < n - 1:
-        return Diagnosis((), max(n - 1 - 3 * distinct, 0), faults)
+    if geometry_fault(a) or 3 * distinct < n - 1:
+        return Diagnosis(undetermined=max(n - 1 - 3 * distinct, 0), faults=faults)
     centred = centred_means(moments)
     variance = np.ones(n)
     known = moments.repeats >= ENOUGH_REPEATS and bool((moments.scatter > 0).all())
@@ -106,16 +106,13 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
 def structural_faults(campaign: Campaign, moments: Moments) -> tuple[Fault, ...]:
     """Name what is missing whatever the noise: actuators, loads, the number of shapes."""
     a = enabled_arms(campaign.layout)
-    faults = geometry_faults(a) + load_faults(campaign)
     n, distinct = a.shape[1], _distinct_shapes(moments)
-    if 3 * distinct < n - 1:
-        faults += (
-            Fault(
-                f"there are too few shapes: {distinct} for {n} actuators",
-                f"apply {n} independent shapes, both signs",
-            ),
-        )
-    return faults
+    too_few = Fault(
+        f"there are too few shapes: {distinct} for {n} actuators",
+        f"apply {n} independent shapes, both signs",
+    )
+    faults = (geometry_fault(a), load_fault(campaign), too_few if 3 * distinct < n - 1 else None)
+    return tuple(fault for fault in faults if fault)
 
 
 def _distinct_shapes(moments: Moments) -> int:
@@ -151,32 +148,26 @@ def _span(centred: Array, noise: float) -> int:
     return int(min(above, centred.shape[1] - 3))
 
 
-def geometry_faults(a: Array) -> tuple[Fault, ...]:
+def geometry_fault(a: Array) -> Fault | None:
     """Name what no shape could mend in (3, n) arms: too few, or all on one line or conic."""
     n = a.shape[1]
     if n < 4:
-        return (
-            Fault(f"only {n} actuators take part", "three hold the mirror; enable four at least"),
-        )
+        return Fault(f"only {n} actuators take part", "three hold the mirror; enable four at least")
     x, y = a[1], a[2]
     values = np.linalg.svd(np.stack([x - x.mean(), y - y.mean()]), compute_uv=False)
     if values[1] <= 1e-6 * values[0]:
-        return (
-            Fault(
-                "the actuators are collinear",
-                "a mirror on one line has no torque about it; check X and Y",
-            ),
+        return Fault(
+            "the actuators are collinear",
+            "a mirror on one line has no torque about it; check X and Y",
         )
     # v A lies in the span of A if v' F v = 0 with F = sum_k diag(q_k) (1 - Q Q') diag(q_k); beside
     # the constants that happens on certain conics only.
     if _all_on_a_conic(np.linalg.qr(a.T)[0]):
-        return (
-            Fault(
-                "the actuators stand on a conic on which balance leaves alpha free",
-                "add an actuator off it",
-            ),
+        return Fault(
+            "the actuators stand on a conic on which balance leaves alpha free",
+            "add an actuator off it",
         )
-    return ()
+    return None
 
 
 def _all_on_a_conic(q: Array) -> bool:
@@ -196,24 +187,20 @@ def _all_on_a_conic(q: Array) -> bool:
     return int(np.count_nonzero(np.linalg.eigvalsh(k) < 0.0)) > 1
 
 
-def load_faults(campaign: Campaign) -> tuple[Fault, ...]:
+def load_fault(campaign: Campaign) -> Fault | None:
     """Judge the weights themselves: with noise, equal weights leave no trace in the rank."""
     weights = campaign.effective_weights
     if len(weights) == 1:
-        return (
-            Fault(
-                f"there is only one load, '{campaign.loads[0].name}', so the common scale is free",
-                "add cycles under a load of another known weight",
-            ),
+        return Fault(
+            f"there is only one load, '{campaign.loads[0].name}', so the common scale is free",
+            "add cycles under a load of another known weight",
         )
     if np.ptp(weights) <= 1e-6 * np.abs(weights).max():
-        return (
-            Fault(
-                f"the {len(weights)} loads have the same weight, so the common scale is free",
-                "add a load that differs",
-            ),
+        return Fault(
+            f"the {len(weights)} loads have the same weight, so the common scale is free",
+            "add a load that differs",
         )
-    return ()
+    return None
 
 
 def _undetermined_fault(span: int, free: int, n: int) -> Fault:
@@ -225,11 +212,10 @@ def _undetermined_fault(span: int, free: int, n: int) -> Fault:
     )
 
 
-def refuse(faults: Sequence[Fault], undetermined: int = 0) -> None:
+def refuse(faults: Iterable[Fault | None], undetermined: int = 0) -> None:
     """Raise RankDeficient with the first fault, where there is one."""
-    if faults:
-        fault, remedy = faults[0]
-        raise RankDeficient(fault, remedy=remedy, got=undetermined, want=0)
+    for fault in filter(None, faults):
+        raise RankDeficient(fault.fault, remedy=fault.remedy, got=undetermined, want=0)
 
 
 def leverage(scaled_arms: Array, variance: Array) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.estimation.cycles_ml import patterns_near_noise
 from truenewton.estimation.diagnosis import Diagnosis, ScaleError
-from truenewton.estimation.identifiability import in_words, load_faults, refuse, structural_faults
+from truenewton.estimation.identifiability import in_words, load_fault, refuse, structural_faults
 from truenewton.estimation.likelihood import expected
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
@@ -108,8 +108,8 @@ def predict(
     RankDeficient
         The shapes or the actuators cannot fix alpha, whatever the noise.
     """
-    free = load_faults(campaign)
-    refuse([fault for fault in structural_faults(campaign, moments) if fault not in free])
+    free = load_fault(campaign)
+    refuse(fault for fault in structural_faults(campaign, moments) if fault != free)
     problem = problem_of(campaign, reading_noise(campaign, moments))
     n = problem.n
     alpha = np.ones(n) if alpha is None else alpha
@@ -121,6 +121,7 @@ def predict(
     minimum = expected(problem.a, data, problem.prior, values)
     reading_covariance, changes = minimum.reading_covariance[:n, :n], minimum.changes[:n]
     undetermined = patterns_near_noise(minimum, of_loads.sums.shapes)
+    warnings = (free, _undetermined_warning(undetermined, n))
     value, vector = largest_eigenvalue(reading_covariance)
     return Prediction(
         layout=campaign.layout,
@@ -131,10 +132,8 @@ def predict(
         if free
         else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
         diagnosis=Diagnosis(
-            eigenvalues=(),
             undetermined=undetermined,
-            faults=(),
-            warnings=free + _warn_of_undetermined(undetermined, n),
+            warnings=tuple(warning for warning in warnings if warning),
             weakest=in_words(vector, campaign.layout),
             weakest_share=value / float(np.trace(reading_covariance)),
         ),
@@ -160,12 +159,12 @@ def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
     return replace(sums, **{name: cycles * getattr(sums, name) for name in names})
 
 
-def _warn_of_undetermined(undetermined: int, n: int) -> tuple[Fault, ...]:
+def _undetermined_warning(undetermined: int, n: int) -> Fault | None:
     """Warn of patterns that noise will decide, and of a campaign that will be refused for it."""
     if not undetermined:
-        return ()
+        return None
     patterns = "pattern of alpha stands" if undetermined == 1 else "patterns of alpha stand"
     fault = f"{undetermined} {patterns} hardly above the noise"
-    if not tolerable(Diagnosis((), undetermined, (), span=n), n):
+    if not tolerable(Diagnosis(undetermined=undetermined, span=n), n):
         fault += ", so many that the campaign will be refused"
-    return (Fault(fault, "repeat more often, use larger forces, or add shapes"),)
+    return Fault(fault, "repeat more often, use larger forces, or add shapes")

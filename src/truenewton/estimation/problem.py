@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.imbalance import (
+    MEDIAN_CHI2,
     imbalance_covariance,
     squared_distances,
     standing_out,
@@ -19,22 +21,21 @@ from truenewton.estimation.likelihood import minimise, start_values
 from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import Noise, least_variance
-from truenewton.estimation.outliers import MEDIAN_CHI2
 from truenewton.estimation.sifted import Sifted
-from truenewton.estimation.stiffness_ml import likeliest, mode_data, population_prior
+from truenewton.estimation.stiffness_ml import likeliest, mode_data
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
 from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import WeightError, weight_errors
+from truenewton.estimation.weights import WeightErrors, weight_errors
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms, external_load
 
 
 def load_data(
-    campaign: Campaign, moments: Moments, variance: Array, errors: Sequence[WeightError]
+    campaign: Campaign, moments: Moments, variance: Array, errors: WeightErrors
 ) -> DataSet:
     """Return the shapes of all loads, whose readings have the (n,) variance [N^2], with weights."""
     unknowns = Unknowns(len(variance), len(campaign.loads), len(errors))
-    nuisance = unknowns.external_load_derivative([error.change for error in errors])
+    nuisance = unknowns.external_load_derivative(tuple(errors.values()))
     known = external_load(campaign.effective_weights, 0.0, 0.0, 0.0)
     return DataSet(moments.sums, variance, known, nuisance)
 
@@ -45,8 +46,8 @@ class Problem:
 
     Attributes
     ----------
-    campaign, a
-        The campaign and the (3, n) arms of its enabled actuators.
+    campaign
+        The campaign.
     errors
         Of the weights; their size is the last of the unknowns.
     noise
@@ -58,11 +59,15 @@ class Problem:
     """
 
     campaign: Campaign
-    a: Array
-    errors: tuple[WeightError, ...]
+    errors: WeightErrors
     noise: Noise
     prior: Prior
-    elastic: tuple[DataSet, ...]
+    elastic: tuple[DataSet, ...] = ()
+
+    @cached_property
+    def a(self) -> Array:
+        """(3, n) arms of the enabled actuators."""
+        return enabled_arms(self.campaign.layout)
 
     @property
     def n(self) -> int:
@@ -109,25 +114,20 @@ class Problem:
         ids = self.campaign.layout.id[self.campaign.layout.enabled]
         return np.asarray(ids[standing_out(rho, self.a * values[: self.n], s)])
 
-    def with_population(self, spread: float) -> Problem:
-        """Return the problem with alpha drawn from a normal population of unknown mean."""
-        of_population = population_prior(self.n, spread).information
-        return replace(self, prior=self.prior.with_more(of_population))
-
 
 def problem_of(campaign: Campaign, noise: Noise) -> Problem:
     """Pose the problem of a campaign."""
     errors = weight_errors(campaign)
-    a = enabled_arms(campaign.layout)
-    unknowns = Unknowns(a.shape[1], len(campaign.loads), len(errors))
+    n = int(campaign.layout.enabled.sum())
+    unknowns = Unknowns(n, len(campaign.loads), len(errors))
     elastic: tuple[DataSet, ...] = ()
     if campaign.stiffness is not None:
         modes = elastic_modes(campaign.stiffness)
         data = mode_data(modes, likeliest(modes, comparable_arms(campaign.stiffness)).variance)
-        elastic = (replace(data, nuisance=np.zeros((1, 3, unknowns.total - a.shape[1]))),)
+        elastic = (replace(data, nuisance=np.zeros((1, 3, unknowns.total - n))),)
     mean, nothing = np.zeros(unknowns.total), np.zeros((0, 0))
     prior = Prior(mean, nothing, len(errors), held=len(campaign.loads) < 3)
-    return Problem(campaign, a, errors, noise, prior, elastic)
+    return Problem(campaign, errors, noise, prior, elastic)
 
 
 def roughly_scaled(problem: Problem, moments: Moments) -> Problem:

@@ -9,20 +9,21 @@ once in a hundred campaigns.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.stats
 
 from truenewton.arrays import Array
+from truenewton.errors import TooManyOutliers
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
-from truenewton.estimation.outliers import without
 from truenewton.estimation.repeats import BlockRows, RepeatSums
 from truenewton.records.campaign import Campaign
 
 MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
+MOST = 0.3  # of the rows; beyond this the campaign is refused
 QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 
 
@@ -85,6 +86,25 @@ def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Mome
     return RepeatSums(campaign, reference).moments
 
 
+def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
+    """Return the campaign with some rows marked as not valid.
+
+    Raises
+    ------
+    TooManyOutliers
+        A cycle would lose all its rows.
+    """
+    cycles = list(campaign.cycles)
+    for k in {row.cycle for row in rows}:
+        valid = cycles[k].valid.copy()
+        valid[[row.row for row in rows if row.cycle == k]] = False
+        if not valid.any():
+            lost = int(cycles[k].valid.sum())
+            raise _too_many(lost, lost, f" in {cycles[k]!r}")
+        cycles[k] = replace(cycles[k], valid=valid)
+    return Campaign(tuple(cycles))
+
+
 def _leave_out_worst(sums: RepeatSums) -> list[RejectedRow]:
     """Leave out the worst row of each group that has one too far out; both rows of a pair."""
     moments, rejected = sums.moments, list[RejectedRow]()
@@ -135,3 +155,18 @@ def _robust(samples: Sequence[Array]) -> Array:
     count = ordered.shape[1]
     middle = slice((count - 1) // 2, count // 2 + 1)
     return np.asarray(ordered[:, middle].mean(axis=1) / QUARTILE)
+
+
+def refuse_too_many(rejected: int, rows: int) -> None:
+    """Refuse a campaign that has lost more rows than can be explained by accidents."""
+    if rejected > MOST * rows:
+        raise _too_many(rejected, rows)
+
+
+def _too_many(rejected: int, rows: int, where: str = "") -> TooManyOutliers:
+    return TooManyOutliers(
+        f"{rejected} of {rows} rows{where} do not fit their repeats or the balance",
+        remedy="look at what happened during the run, or mark the bad rows as not VALID",
+        got=rejected / rows,
+        want=MOST,
+    )

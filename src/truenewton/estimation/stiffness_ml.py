@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import scipy.optimize
 
 from truenewton.arrays import Array
-from truenewton.estimation.estimate import Estimate
-from truenewton.estimation.identifiability import geometry_faults, refuse
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Prior
 from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.stiffness_svd import (
+    ElasticFit,
     balance_modes,
-    comparable_arms,
-    elastic_modes,
     mode_covariance,
-    relative_estimate,
 )
 from truenewton.estimation.systems import balance_rows
-from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.arms import enabled_arms
 
 
 def mode_data(modes: Array, variance: float) -> DataSet:
@@ -30,29 +24,6 @@ def mode_data(modes: Array, variance: float) -> DataSet:
     m, n = modes.shape
     sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.zeros(m, dtype=np.int64))
     return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))
-
-
-@dataclass(frozen=True, eq=False)
-class ElasticFit:
-    """The likeliest relative alpha of elastic modes.
-
-    Attributes
-    ----------
-    alpha, covariance
-        (n,) with mean 1, and its (n, n) covariance.
-    variance
-        Of the noise of one element of a mode, from the minimum.
-    spread
-        Of the population that alpha was taken from; infinite for none.
-    singular_values
-        (n,) of the balance of the modes, ascending; the first belongs to alpha.
-    """
-
-    alpha: Array
-    covariance: Array
-    variance: float
-    spread: float
-    singular_values: Array
 
 
 def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit:
@@ -74,7 +45,8 @@ def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit
     if not population:
         return fit
     spread = population_spread(fit.alpha, fit.covariance)
-    return _at_spread(modes, a, spread, start, singular_values)
+    fit = _at_spread(modes, a, spread, start, singular_values)
+    return replace(fit, method=f"ml, population {spread:.2g}")
 
 
 def _at_spread(
@@ -97,7 +69,7 @@ def _at_spread(
     s = (a * values**2) @ a.T
     pull = population_prior(n, spread).information * variance
     covariance = mode_covariance(modes, a, values, s, pull)
-    return ElasticFit(values, covariance, variance, spread, singular_values)
+    return ElasticFit("ml", values, covariance, singular_values, variance)
 
 
 def population_prior(n: int, spread: float, scale: float = 0.0) -> Prior:
@@ -132,16 +104,3 @@ def population_spread(alpha: Array, covariance: Array) -> float:
         minus_log_likelihood, bounds=(np.log(1e-5), np.log(1.0)), method="bounded"
     ).x
     return float(np.exp(likeliest_log))
-
-
-def find(matrix: StiffnessMatrix, population: bool) -> Estimate:
-    """Find relative alpha by maximum likelihood, with a population if asked for.
-
-    Raises
-    ------
-    RankDeficient, NotConverged
-    """
-    refuse(geometry_faults(enabled_arms(matrix.layout)))
-    fit = likeliest(elastic_modes(matrix), comparable_arms(matrix), population=population)
-    method = f"ml, population {fit.spread:.2g}" if population else "ml"
-    return relative_estimate(matrix, method, fit.alpha, fit.covariance, fit.singular_values)

@@ -7,7 +7,7 @@ smallest singular vector of the stacked A diag(u), its mean set to 1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.estimate import Estimate, Scale
-from truenewton.estimation.identifiability import geometry_faults, refuse
+from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.fault import Fault
@@ -35,6 +35,33 @@ class Imbalance:
     modes: str
     before: float
     after: float
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticFit:
+    """Relative alpha of elastic modes.
+
+    Attributes
+    ----------
+    method
+        As it stands in the calibration file.
+    alpha, covariance
+        (n,) with mean 1, and its (n, n) covariance.
+    singular_values
+        (n,) of the balance of the modes, ascending; the first belongs to alpha.
+    variance
+        Of the noise of one element of a mode, from the minimum; NaN where no method needs it.
+    """
+
+    method: str
+    alpha: Array
+    covariance: Array
+    singular_values: Array
+    variance: float = float("nan")
+
+
+# From (m, n) modes of unit length and (3, n) arms.
+ElasticMethod = Callable[[Array, Array], ElasticFit]
 
 
 def elastic_modes(matrix: StiffnessMatrix) -> Array:
@@ -134,56 +161,57 @@ def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array
     return np.asarray(moved.T @ moved)
 
 
-def find(matrix: StiffnessMatrix) -> Estimate:
-    """Find relative alpha as the smallest singular vector of the balance of the modes.
+def singular_fit(modes: Array, a: Array) -> ElasticFit:
+    """Balance (m, n) modes, with (3, n) arms, by the smallest singular vector of them all.
 
     Raises
     ------
     RankDeficient
     """
-    refuse(geometry_faults(enabled_arms(matrix.layout)))
-    modes, a = elastic_modes(matrix), comparable_arms(matrix)
     (alpha, singular_values), n = balance_modes(modes, a), a.shape[1]
     covariance = mode_covariance(modes, a, alpha, np.eye(3), np.zeros((n, n)))
-    return relative_estimate(matrix, "svd", alpha, covariance, singular_values)
+    return ElasticFit("svd", alpha, covariance, singular_values)
 
 
-def relative_estimate(
-    matrix: StiffnessMatrix, method: str, alpha: Array, covariance: Array, singular_values: Array
-) -> Estimate:
-    """Put (n,) relative alpha, its (n, n) covariance and values into what all methods share."""
-    n = len(alpha)
+def find(matrix: StiffnessMatrix, fit: ElasticMethod) -> Estimate:
+    """Find relative alpha from the balance of the modes.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    refuse([geometry_fault(enabled_arms(matrix.layout))])
+    fitted = fit(elastic_modes(matrix), comparable_arms(matrix))
+    n, singular_values = len(fitted.alpha), fitted.singular_values
     return Estimate(
-        method=method,
+        method=fitted.method,
         scale=Scale.MEAN_ONE,
-        values=alpha,
-        reading_covariance=covariance,
+        values=fitted.alpha,
+        reading_covariance=fitted.covariance,
         systematic_covariance=np.zeros((n, n)),
         noise=float("nan"),
         condition=float(singular_values[-1] / singular_values[1]),
         rank=n - 1,
         diagnosis=Diagnosis(
-            tuple((singular_values**2).tolist()), 0, (), orientation_warning(matrix)
+            eigenvalues=tuple((singular_values**2).tolist()),
+            warnings=tuple(_orientation_warnings(matrix)),
         ),
     )
 
 
-def orientation_warning(matrix: StiffnessMatrix) -> tuple[Fault, ...]:
+def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
     """Warn of a transposed matrix: a rigid displacement must cost little force.
 
     K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
     {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
     """
     k, rigid = matrix.used_stiffness, np.linalg.qr(enabled_arms(matrix.layout).T)[0]
-    if np.linalg.norm(rigid.T @ k) >= 0.5 * np.linalg.norm(k @ rigid):
-        return ()
-    return (
-        Fault(
+    if np.linalg.norm(rigid.T @ k) < 0.5 * np.linalg.norm(k @ rigid):
+        yield Fault(
             "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
             " balance",
             "store [i, j], the force of actuator i per displacement of sensor j",
-        ),
-    )
+        )
 
 
 def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
@@ -191,19 +219,10 @@ def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
     return float(np.sqrt(np.mean((modes * alpha @ a.T) ** 2)))
 
 
-def imbalances(
-    matrix: StiffnessMatrix, fit: Callable[[Array, Array], Array]
-) -> tuple[Imbalance, ...]:
+def imbalances(matrix: StiffnessMatrix, fit: ElasticMethod) -> tuple[Imbalance, ...]:
     """Return the imbalance with alpha = 1 and with alpha fitted: on all modes, and held out.
 
     Held out: fitted on every second mode and judged on the others, both ways round.
-
-    Parameters
-    ----------
-    matrix
-        The stiffness.
-    fit
-        Returns (n,) alpha from (m, n) modes and (3, n) arms.
     """
     modes, a = elastic_modes(matrix), comparable_arms(matrix)
     ones, even, odd = np.ones(a.shape[1]), modes[0::2], modes[1::2]
@@ -213,6 +232,8 @@ def imbalances(
         ("even modes, fitted on the odd", odd, even),
     )
     return tuple(
-        Imbalance(name, rms_imbalance(judged, ones, a), rms_imbalance(judged, fit(fitted, a), a))
+        Imbalance(
+            name, rms_imbalance(judged, ones, a), rms_imbalance(judged, fit(fitted, a).alpha, a)
+        )
         for name, fitted, judged in tests
     )

@@ -27,15 +27,6 @@ def undetermined_patterns(problem: Problem, moments: Moments, count: int) -> Arr
 
     One pattern more than ``count`` cannot be told from alpha; of all that these make up together,
     those without a mean leave alpha as even as can be.
-
-    Parameters
-    ----------
-    problem
-        With its noise.
-    moments
-        All groups.
-    count
-        How many are undetermined.
     """
     centred = centred_means(moments)
     _, patterns = balance_patterns(centred, problem.a, problem.noise.variance, count + 1)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -14,24 +15,12 @@ from truenewton.statics.load import Load
 READINGS = ErrorSource(ErrorKind.READINGS)
 
 
-@dataclass(frozen=True, eq=False)
-class WeightError:
-    """One independent source of error of the weights.
-
-    Attributes
-    ----------
-    source
-        E_WEIGHT, E_ADDED of a tool, or E_TILT of a load.
-    change
-        (L,) change of W of each load by one standard uncertainty [N].
-    """
-
-    source: ErrorSource
-    change: Array
+# For each independent source, (L,) change of W of each load by one standard uncertainty [N].
+WeightErrors = Mapping[ErrorSource, Array]
 
 
-def weight_errors(campaign: Campaign) -> tuple[WeightError, ...]:
-    """Return the independent sources of error of W = (P + Q) cos(tilt) (docs/files.md).
+def weight_errors(campaign: Campaign) -> dict[ErrorSource, Array]:
+    """Return (L,) changes [N] by each source of error of W = (P + Q) cos(tilt) (docs/files.md).
 
     The error of P is common to all loads; loads with the same TOOL share one error of their added
     weight, each in proportion to its own; every other error is independent.
@@ -39,18 +28,17 @@ def weight_errors(campaign: Campaign) -> tuple[WeightError, ...]:
     loads = campaign.loads
     cosine = np.cos(np.radians([load.tilt for load in loads]))
     sine = np.sin(np.radians([load.tilt for load in loads]))
-    errors = [WeightError(ErrorSource(ErrorKind.MIRROR), campaign.weight_error * cosine)]
-    for source in dict.fromkeys(added_source(load) for load in loads if load.added_error > 0):
-        shared = [added_source(load) == source for load in loads]
-        change = np.where(shared, [load.added_error for load in loads], 0.0) * cosine
-        errors.append(WeightError(source, change))
+    errors = defaultdict[ErrorSource, Array](lambda: np.zeros(len(loads)))
+    errors[ErrorSource(ErrorKind.MIRROR)] = campaign.weight_error * cosine
+    for load_index, load in enumerate(loads):
+        if load.added_error > 0:
+            errors[added_source(load)][load_index] = load.added_error * cosine[load_index]
     for load_index, load in enumerate(loads):
         if load.tilt_error > 0:
-            change = np.zeros(len(loads))
-            total = campaign.weight + load.added
-            change[load_index] = -total * sine[load_index] * np.radians(load.tilt_error)
-            errors.append(WeightError(ErrorSource(ErrorKind.TILT, load.name), change))
-    return tuple(error for error in errors if np.any(error.change))
+            by_angle = -(campaign.weight + load.added) * sine[load_index]
+            source = ErrorSource(ErrorKind.TILT, load.name)
+            errors[source][load_index] = by_angle * np.radians(load.tilt_error)
+    return {source: change for source, change in errors.items() if change.any()}
 
 
 def added_source(load: Load) -> ErrorSource:
@@ -61,7 +49,7 @@ def added_source(load: Load) -> ErrorSource:
 
 
 def scale_errors(
-    alpha: Array, reading_covariance: Array, changes: Array, sources: tuple[WeightError, ...]
+    alpha: Array, reading_covariance: Array, changes: Array, sources: Iterable[ErrorSource]
 ) -> tuple[ScaleError, ...]:
     """Return what each source does to the common scale of alpha, largest first.
 
@@ -72,12 +60,12 @@ def scale_errors(
     changes
         (sources, n) change of alpha by one standard uncertainty of each source.
     sources
-        The errors of the weights.
+        Of the errors of the weights.
     """
     direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
     lines = [scale_error_from_readings(alpha, reading_covariance)]
     lines += [
-        ScaleError(source.source, abs(float(direction @ change)))
+        ScaleError(source, abs(float(direction @ change)))
         for source, change in zip(sources, changes, strict=True)
     ]
     return tuple(sorted(lines, key=lambda line: -line.relative))

@@ -23,7 +23,7 @@ from truenewton.errors import FormatError, RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
 from truenewton.estimation.diagnosis import Goodness, NoiseSource, RejectedRow, ScaleError
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.identifiability import geometry_faults
+from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
@@ -193,9 +193,7 @@ def _new(
 
 
 def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
-    faults = geometry_faults(enabled_arms(campaign.layout))
-    if faults:
-        raise RankDeficient(faults[0][0], remedy=faults[0][1])
+    refuse([geometry_fault(enabled_arms(campaign.layout))])
     wanted = Unknowns(new, len(campaign.loads)).count
     if 3 * len(moments.rows) <= wanted:
         raise RankDeficient(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
-from itertools import starmap
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.weights import WeightError, added_source, weight_errors
+from truenewton.estimation.weights import WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.reading import read
@@ -147,9 +146,7 @@ def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[floa
     return scale, np.asarray(turned[:, np.abs(turned).max(axis=0) > 1e-6 * scale])
 
 
-def shared_errors(
-    known: EarlierCalibration, campaign: Campaign
-) -> tuple[tuple[WeightError, ...], float]:
+def shared_errors(known: EarlierCalibration, campaign: Campaign) -> tuple[WeightErrors, float]:
     """Return the errors of the weights of a run, seen by who takes the earlier scale for true.
 
     With alpha, B and the torques all divided by 1 + s e, s e being the error of the earlier scale,
@@ -158,7 +155,7 @@ def shared_errors(
     takes up. The first of the sources is the earlier scale.
     """
     weights = campaign.effective_weights
-    errors = {error.source: error.change for error in weight_errors(campaign)}
+    errors = weight_errors(campaign)
     scale, change = known.scale, -known.scale * weights
     shared = _shared_source(known, campaign)
     if shared is not None:
@@ -168,7 +165,7 @@ def shared_errors(
     if abs(away) > SAME_TEMPERATURE:
         # All alphas have changed alike; the earlier scale holds at the earlier temperature.
         errors[ErrorSource(ErrorKind.TEMPERATURE)] = MAGNETS * away * weights
-    return tuple(starmap(WeightError, ({EARLIER: change} | errors).items())), scale
+    return {EARLIER: change} | errors, scale
 
 
 def _shared_source(known: EarlierCalibration, campaign: Campaign) -> ErrorSource | None:

@@ -19,24 +19,23 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.cycles_ml import fitted_groups
 from truenewton.estimation.diagnosis import RejectedRow
+from truenewton.estimation.identifiability import load_fault
 from truenewton.estimation.minimum import Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import Noise, reading_noise
-from truenewton.estimation.outliers import refuse_too_many, rows_of
+from truenewton.estimation.outliers import balancing_groups, rows_of
 from truenewton.estimation.problem import (
     Problem,
     with_noise_from_minimum,
     with_share_in_balance,
 )
-from truenewton.estimation.sifted import Sifted
+from truenewton.estimation.sifted import Sifted, refuse_too_many
 from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import WeightError
+from truenewton.estimation.weights import WeightErrors
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
 from truenewton.records.campaign import Campaign
-from truenewton.statics.arms import enabled_arms
 
 LOOSE = 0.2  # relative, of a prior that lets everyone move: bad rows are judged by it
 SCALE_HELD = 1e-4  # of the common scale in it
@@ -49,15 +48,14 @@ class ShortRun:
 
     known: EarlierCalibration
     campaign: Campaign
-    errors: tuple[WeightError, ...]
+    errors: WeightErrors
     alpha: Array
     covariance: Array
 
     @property
     def held(self) -> bool:
         """Whether B takes up every error of a weight: all loads weigh the same."""
-        weights = self.campaign.effective_weights
-        return bool(np.ptp(weights) <= 1e-6 * np.abs(weights).max())
+        return load_fault(self.campaign) is not None
 
     def problem(self, noise: Noise, information: Array) -> Problem:
         """Pose the problem with (n, n) information on alpha."""
@@ -66,8 +64,7 @@ class ShortRun:
         mean = np.zeros(unknowns.total)
         mean[unknowns.alpha] = self.alpha
         prior = Prior(mean, information, errors, self.held)
-        a = enabled_arms(self.campaign.layout)
-        return Problem(self.campaign, a, self.errors, noise, prior, ())
+        return Problem(self.campaign, self.errors, noise, prior)
 
     def tight(self, stay: NDArray[np.bool_]) -> Array:
         """Return the (n, n) information of the earlier calibration on the (n,) who stay."""
@@ -95,13 +92,13 @@ def balancing(
     noise = reading_noise(run.campaign, moments)
     try:
         posed = run.problem(noise, run.loose(new))
-        belongs, distance, (problem, minimum) = fitted_groups(posed, moments)
+        belongs, distance, (problem, minimum) = balancing_groups(posed, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
         posed = run.problem(noise, run.tight(~new))
-        belongs, distance, (problem, minimum) = fitted_groups(posed, moments)
+        belongs, distance, (problem, minimum) = balancing_groups(posed, moments)
     shared = with_share_in_balance(posed, sifted, minimum.values[: problem.n])
     if shared.noise.share != 1.0:
-        belongs, distance, (problem, minimum) = fitted_groups(shared, moments)
+        belongs, distance, (problem, minimum) = balancing_groups(shared, moments)
     lost: list[RejectedRow] = []
     if not belongs.all():
         actuator = problem.standing_out(minimum.values, moments)

@@ -21,11 +21,10 @@ from truenewton.estimation.identifiability import balance_spectrum, centred_mean
 from truenewton.estimation.imbalance import imbalance_covariance, squared_distances
 from truenewton.estimation.moments import chosen_groups
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.outliers import without
 from truenewton.estimation.problem import problem_of, with_share_in_balance
 from truenewton.estimation.repeats import row_groups, row_weights
 from truenewton.estimation.row_readers import RowBlock
-from truenewton.estimation.sifted import Sifted
+from truenewton.estimation.sifted import Sifted, without
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes, modal_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix

@@ -201,10 +201,7 @@ def spherical_rings(
 def ring_of(layout: Layout) -> NDArray[np.int64]:
     """Return (n,) the ring of each actuator, 0 the innermost, by radius to a tenth of a millimetre.
 
-    Returns
-    -------
-    numpy.ndarray
-        All zeros where the actuators stand on no rings (as many radii as half the actuators).
+    All zeros where the actuators stand on no rings (as many radii as half the actuators).
     """
     radius = np.hypot(layout.x, layout.y)
     order = np.argsort(radius, kind="stable")

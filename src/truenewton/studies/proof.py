@@ -17,7 +17,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.estimation.cycles_svd import solve
-from truenewton.estimation.identifiability import geometry_faults
+from truenewton.estimation.identifiability import geometry_fault
 from truenewton.estimation.systems import system_c, system_e
 from truenewton.mirrors.known import Mirror
 from truenewton.records.campaign import Campaign
@@ -93,9 +93,8 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
     """
     a = enabled_arms(mirror.layout)
     n = a.shape[1]
-    faults = geometry_faults(a)
-    if faults:
-        raise GeometryError(faults[0][0], remedy=faults[0][1])
+    if fault := geometry_fault(a):
+        raise GeometryError(fault.fault, remedy=fault.remedy)
     if np.linalg.cond(a[:, -3:] / np.abs(a).max(axis=1)[:, None]) > 1e8:
         raise GeometryError(
             "the last three actuators are collinear",

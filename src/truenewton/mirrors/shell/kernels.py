@@ -178,10 +178,10 @@ class Kernel:
         return mean
 
     def edge_tractions(self, s: Array, edge: float, nu: float, samples: int) -> Array:
-        """Return harmonics of what the kernel leaves on an edge, (samples // 2 + 1, 2 or 4, len(s)).
+        """Return (samples // 2 + 1, 2 or 4, forces) harmonics of what is left on an edge.
 
-        On the circle of radius ``edge`` [m], for forces at radii s [m] and angle 0: the moment k_r + nu k_t
-        and Kirchhoff's shear d(lap)/dr + (1 - nu) d(k_rt)/(r dt), and on a curved shell the
+        On the circle of radius ``edge`` [m], for forces at radii s [m] and angle 0: the moment
+        k_r + nu k_t and Kirchhoff's shear d(lap)/dr + (1 - nu) d(k_rt)/(r dt), and on a curved shell the
         membrane's N_r and N_rt divided by the root of its stiffness, `radial_elements.stretch`.
         N_rt goes with sines, the rest with cosines.
         """

@@ -48,7 +48,7 @@ def loaded_edge(
     radii: Array,
     digits: int,
 ) -> LoadedEdge:
-    """Return an edge at radius ``edge`` [m] with as many harmonics as reading at radii [m] takes."""
+    """Return an edge with as many harmonics as reading at (radii,) distances [m] takes."""
     s, ring = np.unique(np.abs(forces), return_inverse=True)
     outgoing = fading(edge, s)
     samples = 2 * harmonics(outgoing, digits, shell)
