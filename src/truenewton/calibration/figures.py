@@ -5,21 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 
+from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
 from truenewton.figures.maps import ALPHA_LABEL, mark_rings, plot_layout, plot_map
 from truenewton.figures.style import ACCENT, INK, NAMED, STYLE, new_axes
 from truenewton.figures.writing import write_drawn
 from truenewton.statics.layout import ring_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from truenewton.calibration.result import Calibration
 
 
 def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:

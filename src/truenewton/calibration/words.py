@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
-from truenewton.estimation.diagnosis import ErrorKind
+from truenewton.calibration.result import Calibration
+from truenewton.estimation.diagnosis import ErrorKind, RejectedRow
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load
+from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
-
-if TYPE_CHECKING:
-    from truenewton.calibration.result import Calibration
-    from truenewton.estimation.diagnosis import RejectedRow
-    from truenewton.estimation.stiffness_svd import Imbalance
-    from truenewton.records.campaign import Campaign
 
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 
@@ -83,11 +81,9 @@ def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -
         "bias_force": c.bias_force,
         "e_bias_force": c.bias_force_error,
         "loads": [
-            {"load": load.name, "torque_y": my, "e_torque_y": e[0], "torque_x": mx,
-             "e_torque_x": e[1]}
-            for load, my, mx, e in zip(
-                c.loads, c.torque_y.tolist(), c.torque_x.tolist(), c.torque_errors.tolist(),
-                strict=True,
+            {"load": load.name, "torque_y": my, "e_torque_y": ey, "torque_x": mx, "e_torque_x": ex}
+            for load, my, mx, (ey, ex) in zip(
+                c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
             )
         ],
         "actuators": {
@@ -100,20 +96,13 @@ def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -
         },
         "chi2": c.chi2,
         "degrees_of_freedom": c.degrees_of_freedom,
-        "goodness": None if c.goodness is None else {
-            "chi2": c.goodness.chi2,
-            "degrees_of_freedom": c.goodness.degrees_of_freedom,
-            "against": c.goodness.against,
-            "probability": c.goodness.probability,
-        },
+        "goodness": asdict(c.goodness) if c.goodness else None,
         "scale_errors": [
             {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
-        "imbalance": [
-            {"modes": line.modes, "before": line.before, "after": line.after} for line in judged
-        ],
-    }  # fmt: skip
+        "imbalance": [asdict(line) for line in judged],
+    }
 
 
 def headline(calibration: Calibration) -> str:
@@ -122,8 +111,7 @@ def headline(calibration: Calibration) -> str:
     return (
         f"{c.instrument}, {c.date:%Y-%m-%d}: {on.sum()} actuators"
         + (f" ({(~on).sum()} disabled)" if not on.all() else "")
-        + f", {c.shapes_used} {'rows' if c.loads else 'elastic modes'}"
-        + (f" under {len(c.loads)} loads" if c.loads else "")
+        + f", {c.shapes_used} {f'rows under {len(c.loads)} loads' if c.loads else 'elastic modes'}"
         + (f", {c.invalid} rows not valid left out" if c.invalid else "")
     )
 

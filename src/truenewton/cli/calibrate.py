@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
-
-if TYPE_CHECKING:
-    from truenewton.estimation.stiffness_svd import Imbalance
-
 
 NAME = "calibrate"
 
@@ -38,7 +33,7 @@ def run(
         summary_lines,
         summary_values,
     )
-    from truenewton.cli.terminal import print_json, print_result
+    from truenewton.cli.terminal import print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
     from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -47,15 +42,11 @@ def run(
         refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     calibration = calibrate(data, method, population=population)
-    judged: tuple[Imbalance, ...] = ()
-    if isinstance(data, StiffnessMatrix):
-        judged = held_out(data, method, population=population)
     if output is not None:
         calibration.write(output, overwrite=overwrite)
-    if json:
-        print_json(summary_values(calibration, judged))
-        return
-    lines = [*summary_lines(calibration), *imbalance_lines(judged)]
-    if not isinstance(data, StiffnessMatrix):
-        lines += rejected_lines(data, calibration.rejected_rows)
-    print_result(lines, [output] if output else [], saved=output is not None)
+    if isinstance(data, StiffnessMatrix):
+        judged = held_out(data, method, population=population)
+        values, more = summary_values(calibration, judged), imbalance_lines(judged)
+    else:
+        values, more = summary_values(calibration), rejected_lines(data, calibration.rejected_rows)
+    print_result(values, [*summary_lines(calibration), *more], output, json=json)

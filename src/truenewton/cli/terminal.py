@@ -30,13 +30,23 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def print_result(lines: Iterable[str], written: Iterable[Path], *, saved: bool) -> None:
-    """Print what was found, and the files that hold it, or how to have one."""
+def print_result(
+    values: Mapping[str, Any],
+    lines: Iterable[str],
+    output: Path | None,
+    more: Iterable[Path] = (),
+    *,
+    json: bool,
+) -> None:
+    """Print values for a script; or lines, the files that hold them, and how to have the first."""
+    if json:
+        print_json(values)
+        return
     for line in lines:
         print(line)
-    for path in written:
+    for path in (*([output] if output else []), *more):
         print(f"written: {path}")
-    if not saved:
+    if output is None:
         print("not written; -o FILE keeps it")
 
 

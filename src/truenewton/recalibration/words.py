@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from truenewton.calibration.words import summary_lines, summary_values
+from truenewton.recalibration.fit import Recalibration
 from truenewton.rounding import by_chance, with_error
-
-if TYPE_CHECKING:
-    from truenewton.recalibration.fit import Recalibration
 
 
 def lines(made: Recalibration) -> list[str]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.figures.maps import mark_rings
@@ -15,10 +15,6 @@ from truenewton.figures.style import ACCENT, FAINT, INK, NAMED, STYLE, new_axes
 from truenewton.statics.layout import ring_of
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 OUTLYING = "#b2182b"
 PERCENT = 1e2

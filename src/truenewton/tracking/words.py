@@ -5,15 +5,12 @@ from __future__ import annotations
 import datetime
 import math
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from truenewton.calibration.words import row
 from truenewton.rounding import by_chance, with_error
-
-if TYPE_CHECKING:
-    from truenewton.tracking.law import Tracking
-    from truenewton.tracking.validity import Validity
-
+from truenewton.tracking.law import Tracking
+from truenewton.tracking.validity import Validity
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
