@@ -115,9 +115,11 @@ class Problem:
         return replace(self, prior=self.prior.with_more(of_population))
 
 
-def problem_of(campaign: Campaign, noise: Noise) -> Problem:
-    """Pose the problem of a campaign."""
-    errors = weight_errors(campaign)
+def problem_of(
+    campaign: Campaign, noise: Noise, errors: tuple[WeightError, ...] | None = None
+) -> Problem:
+    """Pose the problem of a campaign, whose weights have their declared errors unless given."""
+    errors = weight_errors(campaign) if errors is None else errors
     a = enabled_arms(campaign.layout)
     unknowns = Unknowns(a.shape[1], len(campaign.loads), len(errors))
     elastic: tuple[DataSet, ...] = ()

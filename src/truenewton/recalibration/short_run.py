@@ -21,21 +21,20 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.cycles_ml import fitted_groups
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.minimum import Minimum, Prior
+from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.outliers import refuse_too_many, rows_of
 from truenewton.estimation.problem import (
     Problem,
+    problem_of,
     with_noise_from_minimum,
     with_share_in_balance,
 )
 from truenewton.estimation.sifted import Sifted
-from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightError
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
-from truenewton.statics.arms import enabled_arms
 
 LOOSE = 0.2  # relative, of a prior that lets everyone move: bad rows are judged by it
 SCALE_HELD = 1e-4  # of the common scale in it
@@ -47,17 +46,14 @@ def posed_problem(
 ) -> Problem:
     """Pose the problem of a run about the earlier alpha, of which nothing is held yet."""
     campaign = sifted.sound
+    problem = problem_of(campaign, reading_noise(campaign, sifted.moments), errors)
     alpha = np.where(np.isfinite(known.alpha), known.alpha, np.nanmean(known.alpha))
-    alpha = alpha[campaign.layout.enabled]
-    unknowns = Unknowns(len(alpha), len(campaign.loads), len(errors))
-    mean = np.zeros(unknowns.total)
-    mean[unknowns.alpha] = alpha
+    mean = np.zeros(problem.unknowns.total)
+    mean[problem.unknowns.alpha] = alpha[campaign.layout.enabled]
     weights = campaign.effective_weights
     # Where all loads weigh the same, B takes up every error of a weight.
     held = bool(np.ptp(weights) <= 1e-6 * np.abs(weights).max())
-    prior = Prior(mean, np.zeros((0, 0)), len(errors), held)
-    noise = reading_noise(campaign, sifted.moments)
-    return Problem(campaign, enabled_arms(campaign.layout), errors, noise, prior, ())
+    return replace(problem, prior=replace(problem.prior, mean=mean, held=held))
 
 
 def held_to(problem: Problem, known: EarlierCalibration, stay: NDArray[np.bool_]) -> Problem:

@@ -37,18 +37,17 @@ class LinearFit:
     root
         ((1 + q) n, u) covariance of a, then of the effects, is root root'; its first (1 + q) n
         columns are the part from the readings, the others the errors of the weights.
-    chi2, degrees_of_freedom
+    chi2
         Of the days about their lines.
     actuator_chi2, actuator_degrees
         (n,) the share of each actuator, chi-squared distributed given all others; its degrees of
-        freedom.
+        freedom, days less parameters.
     """
 
     alpha: Array
     effects: Array
     root: Array
     chi2: float
-    degrees_of_freedom: int
     actuator_chi2: Array
     actuator_degrees: int
 
@@ -127,7 +126,6 @@ def linear_fit(
         effects=effects,
         root=root.reshape((1 + q) * n, -1),
         chi2=solution.chi2,
-        degrees_of_freedom=count * n - (1 + q) * n,
         actuator_chi2=actuator_chi2,
         actuator_degrees=actuator_degrees,
     )
