@@ -13,7 +13,8 @@ from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.dissipation import Budget, Dissipation, dissipation
-from truenewton.modal.findings import ModalFindings, modes_reader
+from truenewton.modal.findings import ModalFindings
+from truenewton.modal.measured_stiffness import motion_reader
 from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.static_force import static_force
 from truenewton.modal.true_stiffness import true_stiffness
@@ -55,8 +56,8 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
     )
     calibration = replace(found.calibration, alpha=truth.alpha)
     stiffness = true_stiffness(matrix, calibration)
-    reader = modes_reader(sift(campaign))
-    read_rows(campaign, (reader,))
+    reader = motion_reader(sift(campaign))
+    read_rows(campaign, (reader.take,))
     static = static_force(stiffness, calibration, reader.force_at_rest)
     return modal_base(matrix, stiffness, found.after.seen, static, found.after.costs[0].efficiency)
 

@@ -247,7 +247,7 @@ def measure(n: int, repeats: int) -> None:
     errors = steps_of_errors(campaign)
     main = {**reference, **errors, "calibrate": lambda: without_cycle_errors(campaign)}
     taken = least(main, repeats)
-    beside = {"E_CYCLE": lambda: read_rows(campaign, (CycleErrors(campaign, values),))}
+    beside = {"E_CYCLE": lambda: read_rows(campaign, (CycleErrors(campaign, values).take,))}
     if n <= GELSD_UP_TO:
         beside["gelsd on E"] = gelsd_on_e(campaign)
     taken |= least(beside, min(repeats, 3))

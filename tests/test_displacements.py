@@ -8,8 +8,7 @@ from balanced import BIAS, LAYOUT, arms_of, gradients
 
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.displaced_rows import BalancedRows, common_reference
-from truenewton.estimation.moments import campaign_moments
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.records.campaign import Campaign
 from truenewton.report.investigate import investigate
 from truenewton.statics.arms import enabled_arms

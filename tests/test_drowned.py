@@ -8,9 +8,9 @@ from balanced import p45_bench, ungraded
 
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import problem_of
+from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.undetermined import (
     undetermined_patterns,
     with_patterns_held,

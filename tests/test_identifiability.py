@@ -12,7 +12,7 @@ from truenewton.calibration import methods
 from truenewton.errors import RankDeficient
 from truenewton.estimation.cycles_svd import solve
 from truenewton.estimation.identifiability import diagnose, geometry_faults
-from truenewton.estimation.moments import campaign_moments
+from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.systems import system_e
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign

@@ -1,15 +1,20 @@
-"""Moments: equal to two passes of plain numpy, whatever rows are left out."""
+"""Moments: the same however the rows are split, equal to two passes of plain numpy."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, reduce
 
 import numpy as np
 import pytest
 from balanced import RING, campaign_of, gradients
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from truenewton.calibration.methods import calibrate
-from truenewton.estimation.moments import campaign_moments, chosen_groups
+from truenewton.errors import CampaignMismatch
+from truenewton.estimation.displaced_rows import common_reference
+from truenewton.estimation.moments import chosen_groups, merge
 from truenewton.estimation.repeats import RepeatSums, row_groups
+from truenewton.estimation.sifted import campaign_moments
 from truenewton.linalg import mirrored
 from truenewton.records.campaign import Campaign
 
@@ -108,6 +113,83 @@ def test_the_furthest_row_is_seen_from_the_others_of_its_group(errors):
 def test_cycles_weigh_by_their_declared_noise():
     campaign = with_noises(noisy(), [1e-3, 2e-3, 5e-4])
     check(campaign_moments(campaign), *two_passes(campaign, [1.0, 0.25, 4.0] * 2))
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    st.lists(st.integers(0, 3), min_size=6 * 28, max_size=6 * 28),
+    st.permutations(range(4)),
+    st.booleans(),
+    st.booleans(),
+)
+def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(owner, order, repeated, tree):
+    whole = with_repeats_in_a_cycle(noisy()) if repeated else noisy()
+    owner = np.reshape(owner, (6, 28))
+    parts = []
+    for part in order:
+        mine = [c.valid & (owner[k] == part) for k, c in enumerate(whole.cycles)]
+        cycles = [replace(c, valid=v) for c, v in zip(whole.cycles, mine, strict=True) if v.any()]
+        if cycles:
+            parts.append(campaign_moments(Campaign(tuple(cycles))))
+    if tree and len(parts) > 2:
+        parts = [merge(parts[0], parts[1]), reduce(merge, parts[2:])]
+    merged, expected = reduce(merge, parts), campaign_moments(whole)
+    check(
+        merged, expected.labels.tolist(), expected.rows, expected.weight, expected.mean,
+        expected.scatter,
+    )  # fmt: skip
+    assert [load.name for load in merged.loads] == ["bare", "ring"]
+    assert merged.known == pytest.approx(expected.known, abs=1e-18)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.permutations(range(6)))
+def test_cycles_with_positions_merge_in_any_order(order):
+    campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
+    expected, rest = campaign_moments(campaign), common_reference(campaign)
+    parts = [campaign_moments(Campaign((campaign.cycles[k],)), rest) for k in order]
+    merged = reduce(merge, parts)
+    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
+    assert merged.known == pytest.approx(expected.known, rel=1e-9, abs=1e-15)
+    assert np.abs(expected.known).max() > 1e-6  # there is something to merge
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.lists(st.integers(0, 2), min_size=6 * 28, max_size=6 * 28), st.permutations(range(3)))
+def test_rows_with_positions_split_in_any_way_give_the_same(owner, order):
+    """Even where a part has but one sign of a shape: its own mean would be no rest."""
+    whole, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
+    rest, owner, parts = common_reference(whole), np.reshape(owner, (6, 28)), []
+    for part in order:
+        mine = [(c, c.valid & (owner[k] == part)) for k, c in enumerate(whole.cycles)]
+        cycles = tuple(replace(c, valid=valid) for c, valid in mine if valid.any())
+        if cycles:
+            parts.append(campaign_moments(Campaign(cycles), rest))
+    merged, expected = reduce(merge, parts), campaign_moments(whole)
+    check(
+        merged, expected.labels.tolist(), expected.rows, expected.weight, expected.mean,
+        expected.scatter,
+    )  # fmt: skip
+    assert merged.known == pytest.approx(expected.known, rel=1e-9, abs=1e-15)
+    assert (merged.reference == rest).all()
+
+
+def test_parts_that_count_from_different_readings_are_not_merged():
+    campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
+    bare, ring = (Campaign(campaign.cycles[k : k + 3]) for k in (0, 3))
+    with pytest.raises(CampaignMismatch, match=r"different readings; give .* the common_reference"):
+        merge(campaign_moments(bare), campaign_moments(ring))
+    anew, _ = gradients(seed=3, noise=1e-3, offset=1e-5, zeros=1e-5)
+    parts = [campaign_moments(Campaign((c,)), common_reference(anew)) for c in anew.cycles]
+    merged, expected = reduce(merge, parts), campaign_moments(anew)
+    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
+
+
+def test_parts_whose_files_declare_other_noises_merge_to_the_same():
+    campaign = with_noises(noisy(), [1e-3, 2e-3, 5e-4])
+    parts = [campaign_moments(Campaign((c,))) for c in campaign.cycles]
+    merged, expected = reduce(merge, parts), campaign_moments(campaign)
+    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
 
 
 def test_noise_of_each_actuator_comes_from_repeats():

@@ -6,16 +6,21 @@ import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
-from truenewton.figures.maps import ALPHA_LABEL, mark_rings, plot_layout, plot_map
-from truenewton.figures.style import ACCENT, INK, NAMED, STYLE, new_axes
+from truenewton.figures.maps import (
+    ALPHA_LABEL,
+    mark_rings,
+    name_point,
+    numbers_by_ring,
+    plot_layout,
+    plot_map,
+)
+from truenewton.figures.style import ACCENT, INK, NAMED, styled_axes
 from truenewton.figures.writing import write_drawn
-from truenewton.statics.layout import ring_of
 
 
 def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
@@ -24,23 +29,17 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
     The bars are three standard uncertainties from the readings (3 E_STAT), the paper's level. The
     error of the common scale moves all points together: it stands above.
     """
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.75)
+    with styled_axes(ax, 0.75) as ax:
         layout, alpha = calibration.layout, calibration.alpha
-        bars = 3 * calibration.reading_error
-        order = np.argsort(ring_of(layout), kind="stable")
-        number = np.arange(1, layout.n + 1)
-        few = layout.n <= NAMED
+        numbers, few = numbers_by_ring(layout), layout.n <= NAMED
         ax.errorbar(
-            number, alpha[order], yerr=bars[order], fmt="o", color=ACCENT, ecolor=INK,
+            numbers, alpha, yerr=3 * calibration.reading_error, fmt="o", color=ACCENT, ecolor=INK,
             markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
         )  # fmt: skip
         mark_rings(ax, layout)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         for extreme in (np.nanargmin(alpha), np.nanargmax(alpha)):
-            at = (number[order == extreme][0], alpha[extreme])
-            ax.annotate(str(layout.id[extreme]), at, xytext=(3, 0), textcoords="offset points",
-                        fontsize=6.0, va="center")  # fmt: skip
+            name_point(ax, layout.id[extreme], numbers[extreme], alpha[extreme])
         ax.set_ylabel(ALPHA_LABEL)
         ax.margins(y=0.12)
         note = "bars: 3σ, readings"

@@ -17,9 +17,8 @@ from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.estimate import Estimate
-from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.row_readers import RowReader, read_rows
-from truenewton.estimation.sifted import Sifted, sift
+from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
@@ -56,20 +55,16 @@ def calibrate(
         The data are neither.
     """
     refuse_method(data, method, population=population)
-    if isinstance(data, StiffnessMatrix):
-        if method == "svd":
-            return _from_stiffness(data, stiffness_svd.find(data))
-        return _from_stiffness(data, stiffness_ml.find(data, population))
     if isinstance(data, Campaign):
-        if method == "svd":  # takes all rows as they are
-            return calibration_of(data, cycles_svd.find(data, campaign_moments(data)))
-        return calibration_of(data, cycles_ml.find(sift(data), population))
+        return calibration_of(data, find_alpha(sift(data), method, population=population))
+    if isinstance(data, StiffnessMatrix):
+        svd = method == "svd"
+        estimate = stiffness_svd.find(data) if svd else stiffness_ml.find(data, population)
+        return _from_stiffness(data, estimate)
     raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
 
 
-def refuse_method(
-    data: Campaign | StiffnessMatrix, method: str, *, population: bool = False
-) -> None:
+def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: bool) -> None:
     """Raise UnknownName where there is no such method, or it takes no such data."""
     if method not in METHODS:
         raise UnknownName(
@@ -82,13 +77,12 @@ def refuse_method(
 
 
 def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
-    """Find alpha of a campaign that was sifted, as `calibrate` does; see `calibration_of`."""
-    if method != "svd":
+    """Find alpha of a campaign that was sifted, as `calibrate` does; 'ml' reads no row."""
+    if method == "ml":
         return cycles_ml.find(sifted, population)
-    campaign = sifted.campaign
-    return cycles_svd.find(
-        campaign, campaign_moments(campaign) if sifted.rejected else sifted.moments
-    )
+    campaign = sifted.campaign  # all of its rows count
+    moments = campaign_moments(campaign) if sifted.rejected else sifted.moments
+    return cycles_svd.find(campaign, moments)
 
 
 def held_out(
@@ -115,7 +109,7 @@ def calibration_of(
     start, end, temperature = _times(campaign)
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(campaign.cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
-    read_rows(campaign, (cycle_errors, *readers))
+    read_rows(campaign, (cycle_errors.take, *readers))
     warnings = estimate.diagnosis.warnings + _implausible(estimate.values[unknowns.alpha])
     matrix = campaign.stiffness
     return Calibration(

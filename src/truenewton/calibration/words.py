@@ -53,16 +53,18 @@ def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Itera
         yield f"  and {len(rows) - 5} rows more"
 
 
-def imbalance_lines(judged: Sequence[Imbalance]) -> Iterator[str]:
+def imbalance_lines(imbalances: Sequence[Imbalance]) -> Iterator[str]:
     """Yield a table of the imbalance of elastic modes before and after, if there are any."""
-    if judged:
+    if imbalances:
         yield "  rms imbalance of elastic modes, force and torques, per unit of force:"
         yield f"    {'':<32}alpha = 1   calibrated"
-        for line in judged:
+        for line in imbalances:
             yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
 
 
-def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -> dict[str, Any]:
+def summary_values(
+    calibration: Calibration, imbalances: Sequence[Imbalance] = ()
+) -> dict[str, Any]:
     """Return the same figures for a script."""
     c = calibration
     return {
@@ -101,7 +103,7 @@ def summary_values(calibration: Calibration, judged: Sequence[Imbalance] = ()) -
             {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
-        "imbalance": [asdict(line) for line in judged],
+        "imbalance": [asdict(line) for line in imbalances],
     }
 
 

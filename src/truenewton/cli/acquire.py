@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from truenewton.statics.load import Load
 
 
-NAME = "acquire"
-
-
 def run(
     plan: Path = typer.Argument(..., metavar="PLAN", help="The plan of the campaign (TOML)."),
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the cycle files."),

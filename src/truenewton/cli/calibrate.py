@@ -8,8 +8,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "calibrate"
-
 
 def run(
     paths: list[Path] = typer.Argument(
@@ -49,4 +47,5 @@ def run(
         values, more = summary_values(calibration, judged), imbalance_lines(judged)
     else:
         values, more = summary_values(calibration), rejected_lines(data, calibration.rejected_rows)
-    print_result(values, [*summary_lines(calibration), *more], output, json=json)
+    lines = [*summary_lines(calibration), *more]
+    print_result(lines, output, values=values if json else None)

@@ -9,8 +9,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "demo"
-
 
 def run(
     output: Path = typer.Option(

@@ -8,8 +8,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "figures"
-
 
 def run(
     paths: list[Path] = options.PATHS,

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from truenewton.cli import options
 
-NAME = "info"
-
 
 def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
     """Say what files hold, and whether alpha can be had from them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 import os
 import sys
@@ -9,22 +10,6 @@ from typing import Any
 
 import typer
 
-from truenewton.cli import (
-    acquire,
-    calibrate,
-    demo,
-    figures,
-    info,
-    mirrors,
-    modes,
-    plan,
-    prove,
-    recalibrate,
-    report,
-    serve,
-    simulate,
-    track,
-)
 from truenewton.errors import TrueNewtonError
 
 # The base of what typer raises for a wrong command line; it comes from click, or from typer's own
@@ -37,12 +22,12 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-COMMANDS = (
-    demo, calibrate, info, report, figures, plan, acquire, track, recalibrate, modes, simulate,
-    serve, prove, mirrors,
+COMMANDS = (  # modules of this package, in the order of --help
+    "demo", "calibrate", "info", "report", "figures", "plan", "acquire", "track", "recalibrate",
+    "modes", "simulate", "serve", "prove", "mirrors",
 )  # fmt: skip
-for command in COMMANDS:
-    app.command(name=command.NAME)(command.run)
+for name in COMMANDS:
+    app.command(name=name)(importlib.import_module(f"truenewton.cli.{name}").run)
 
 
 def _version(asked: bool) -> None:

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from truenewton.mirrors.known import Mirror
 
 
-NAME = "mirrors"
-
-
 def run(
     mirror: str = typer.Argument("", help="A mirror to tell more of: its name, or a TOML file."),
     plot: bool = typer.Option(False, "--plot", help="Draw its actuators (figure 2) as PNG."),

@@ -9,8 +9,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "modes"
-
 
 def run(
     paths: list[Path] = typer.Argument(
@@ -82,4 +80,5 @@ def run(
             more += write_modes(modes, output, limits, overwrite=overwrite)[1:]
         if figures is not None:
             more += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
-    print_result(values(modes, limits), lines(modes, limits), output, more, json=json)
+    as_values = values(modes, limits) if json else None
+    print_result(lines(modes, limits), output, more, values=as_values)

@@ -8,8 +8,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "plan"
-
 
 def run(
     path: Path | None = typer.Argument(None, metavar="FILE", help="The plan (TOML)."),

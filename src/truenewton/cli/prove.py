@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+from pathlib import Path
+
 import typer
 
 from truenewton.cli import options
-
-NAME = "prove"
 
 
 def run(
@@ -20,10 +21,16 @@ def run(
     Exit code 1 if a system has not full rank or errs by more than 20 eps cond.
     """
     from truenewton.cli.terminal import print_json, print_table, track
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.known import p45
+    from truenewton.records.file import SUFFIXES, read_layout
     from truenewton.studies.proof import prove
     from truenewton.studies.words import PROOF_HEAD, proof_rows, proof_values, proof_verdict
 
-    known = options.mirror_or_file(mirror)
+    if mirror.endswith(SUFFIXES) and Path(mirror).exists():  # P45's numbers on another layout
+        known = dataclasses.replace(p45(), name=Path(mirror).name, layout=read_layout(mirror))
+    else:
+        known = mirror_from(mirror)
     proofs = [p for s in track(range(seed, seed + seeds), "proving") for p in prove(known, s)]
     if json:
         print_json(proof_values(known.name, proofs))

@@ -8,8 +8,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "recalibrate"
-
 
 def run(
     paths: list[Path] = typer.Argument(
@@ -42,4 +40,4 @@ def run(
     made = recalibrate(data, known, ids)
     if output is not None:
         made.calibration.write(output, overwrite=overwrite)
-    print_result(values(made), lines(made), output, json=json)
+    print_result(lines(made), output, values=values(made) if json else None)

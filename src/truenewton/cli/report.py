@@ -4,18 +4,10 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
-
-if TYPE_CHECKING:
-    from truenewton.report.change import Change
-    from truenewton.report.investigate import Findings
-
-
-NAME = "report"
 
 
 def run(
@@ -32,9 +24,11 @@ def run(
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
-    from truenewton.cli.terminal import busy
+    from truenewton.cli.terminal import busy, print_result
     from truenewton.files.outputs import refuse_existing
-    from truenewton.report.change import Change
+    from truenewton.reading import read, read_calibrations
+    from truenewton.report.change import Change, change
+    from truenewton.report.investigate import investigate
     from truenewton.report.page.page import write_report
     from truenewton.report.verdict import verdict, verdict_on_change
 
@@ -42,24 +36,13 @@ def run(
         raise typer.BadParameter("the page is HTML: let -o end in .html (a browser prints it)")
     refuse_existing(output, overwrite=overwrite)
     with busy("looking into it"):
-        findings = _findings(paths, method, population=population)
+        pair = read_calibrations(*paths) if len(paths) == 2 else ()
+        findings = (
+            change(*pair) if pair else investigate(read(*paths), method, population=population)
+        )
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method != "ml" else []
     words += ["--population"] if population else []
     write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
     judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)
-    for line in judged.lines():
-        print(line)
-    print(f"written: {output}")
-
-
-def _findings(paths: list[Path], method: str, *, population: bool) -> Findings | Change:
-    """Return what is known of data or a calibration, or what changed between two."""
-    from truenewton.reading import read, read_calibrations
-    from truenewton.report.change import change
-    from truenewton.report.investigate import investigate
-
-    pair = read_calibrations(*paths) if len(paths) == 2 else ()
-    if pair:
-        return change(*pair)
-    return investigate(read(*paths), method, population=population)
+    print_result(judged.lines(), output)

@@ -11,9 +11,6 @@ if TYPE_CHECKING:
     from truenewton.bench.opcua.server import ServedBench
 
 
-NAME = "serve"
-
-
 def run(
     mirror: str = typer.Argument(..., help="A known mirror, or its TOML file."),
     keys: Path = typer.Option(

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from truenewton.records.cycle import Cycle
 
 
-NAME = "simulate"
-
-
 def run(
     mirror: str = typer.Argument(..., help="A known mirror, or its TOML file."),
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the cycle files."),

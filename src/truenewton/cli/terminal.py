@@ -31,15 +31,14 @@ def _plain(value: Any) -> Any:
 
 
 def print_result(
-    values: Mapping[str, Any],
     lines: Iterable[str],
     output: Path | None,
     more: Iterable[Path] = (),
     *,
-    json: bool,
+    values: Mapping[str, Any] | None = None,
 ) -> None:
-    """Print values for a script; or lines, the files that hold them, and how to have the first."""
-    if json:
+    """Print lines and the files that hold them, or how to have the first; or values instead."""
+    if values is not None:
         print_json(values)
         return
     for line in lines:

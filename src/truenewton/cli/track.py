@@ -8,8 +8,6 @@ import typer
 
 from truenewton.cli import options
 
-NAME = "track"
-
 
 def run(
     paths: list[Path] = typer.Argument(
@@ -45,4 +43,5 @@ def run(
         tracking.write(output, overwrite=overwrite)
     if figures is not None:
         drawn = write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
-    print_result(values(tracking, validity), lines(tracking, validity), output, drawn, json=json)
+    as_values = values(tracking, validity) if json else None
+    print_result(lines(tracking, validity), output, drawn, values=as_values)

@@ -20,13 +20,13 @@ files, in the order in which data pass through them:
     cycles_svd       the paper's method: E alpha' = r by singular value decomposition
     cycle_errors     the paper's error: each cycle solved alone
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
-    row_readers      one walk through the rows, for all who want to see them
-    repeats          rows by the group that they repeat, in one reading
-    sifted           rows far from their repeats left out; what the reading leaves behind
+    repeats          rows by the group that they repeat, a block of groups after the other
     moments          repeats put together: number, mean, scatter
+    sifted           rows far from their repeats left out; what one reading of the rows leaves
+    row_readers      the second reading of the rows, once for all who want to see them
     shape_sums       sums over shapes: what the likelihood needs of the means
     imbalance        what a reading is out of balance by, in terms of its noise
-    outliers         rows that do not belong
+    outliers         shapes that do not balance
     multiple_tests   what chance alone does to one of many
     noise            of one reading: from repeats, as declared, or left to the fit
     weights          errors of the weights, and the budget of the common scale

@@ -19,55 +19,41 @@ from truenewton.statics.arms import enabled_arms, external_load
 class CycleErrors:
     """The paper's error: each file alone, B and torques held, three sigma of the mean.
 
-    C alpha = p (eq. 3) is solved for each cycle as soon as its rows have been read, from
+    C alpha = p (eq. 3) is solved for each cycle once its rows have been taken in, from
     C' C = (A' A) o (sum of c c') where that is far from singular, which costs a tenth; else by
     singular values. Either way a block of rows after the other, so that C is never whole.
 
     Parameters
     ----------
-    campaign
-        Whose rows are going to be read.
-    solution
-        (n + 1 + 2 L,) alpha, B, then M_y, M_x of each load.
+    campaign, solution
+        Whose rows come; (n + 1 + 2 L,) alpha, B, then M_y, M_x of each load.
     """
 
     def __init__(self, campaign: Campaign, solution: Array) -> None:
-        self._campaign, self._a = campaign, enabled_arms(campaign.layout)
-        unknowns = Unknowns(self._n, len(campaign.loads))
-        self._bias_force = float(solution[unknowns.bias])
-        self._torques = solution[unknowns.torques].reshape(-1, 2)
+        self._a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
+        unknowns = Unknowns(n, len(campaign.loads))
+        weights, bias_force = campaign.effective_weights.tolist(), float(solution[unknowns.bias])
+        torques = solution[unknowns.torques].reshape(-1, 2).tolist()
+        self._external = [(weights[k], bias_force, *torques[k]) for k in campaign.load_index]
+        self._square, self._total = np.zeros((n, n), order="F"), np.zeros(n)
         self._alphas: list[Array] = []
-        self._begin_cycle()
-
-    @property
-    def _n(self) -> int:
-        return int(self._a.shape[1])
-
-    def _begin_cycle(self) -> None:
-        self._square, self._total = np.zeros((self._n, self._n), order="F"), np.zeros(self._n)
 
     def take(self, block: RowBlock) -> None:
-        """Add rows to sum c c' (its upper triangle) and sum c."""
+        """Take the next rows in; a cycle that was broken off says nothing of alpha alone."""
         force = block.force
-        self._square = dsyrk(1.0, force.T, beta=1.0, c=self._square, overwrite_c=True)
+        self._square = dsyrk(1.0, force.T, beta=1.0, c=self._square, overwrite_c=True)  # its upper
         self._total += force.sum(axis=0)
+        if block.last:
+            external = self._external[block.cycle_index]
+            alpha = self._from_square(external)
+            if alpha is None:
+                alpha = from_rows(block.cycle, self._a, external)
+            if alpha is not None:
+                self._alphas.append(alpha)
+            self._square[:], self._total[:] = 0.0, 0.0
 
-    def end_cycle(self, cycle_index: int) -> None:
-        """Solve the cycle; one that was broken off says nothing of alpha alone."""
-        campaign = self._campaign
-        load_index = campaign.load_index[cycle_index]
-        weight = float(campaign.effective_weights[load_index])
-        external = (weight, self._bias_force, *self._torques[load_index].tolist())
-        alpha = self._from_square(external)
-        if alpha is None:
-            self._square = np.empty((0, 0))
-            alpha = from_rows(campaign.cycles[cycle_index], self._a, external)
-        if alpha is not None:
-            self._alphas.append(alpha)
-        self._begin_cycle()
-
-    def _from_square(self, external: tuple[float, float, float, float]) -> Array | None:
-        """Solve C' C alpha = C' p; None where it is close to singular."""
+    def _from_square(self, external: tuple[float, ...]) -> Array | None:
+        """Solve C' C alpha = C' p in place; None where it is close to singular."""
         a, square = self._a, self._square
         square *= a.T @ a
         right = -np.sum(a * external_load(*external)[:, None], axis=0) * self._total
@@ -80,12 +66,13 @@ class CycleErrors:
     @property
     def errors(self) -> Array:
         """(n,) three times the standard deviation over the cycles over the root of their number."""
-        if len(self._alphas) < 2:
-            return np.full(self._n, np.nan)
-        return np.asarray(3.0 * np.std(self._alphas, axis=0, ddof=1) / np.sqrt(len(self._alphas)))
+        count = len(self._alphas)
+        if count < 2:
+            return np.full(len(self._total), np.nan)
+        return np.asarray(3.0 * np.std(self._alphas, axis=0, ddof=1) / np.sqrt(count))
 
 
-def from_rows(cycle: Cycle, a: Array, external: tuple[float, float, float, float]) -> Array | None:
+def from_rows(cycle: Cycle, a: Array, external: tuple[float, ...]) -> Array | None:
     """Solve C alpha = p of one cycle by singular values; None where its rank is short.
 
     Parameters

@@ -92,9 +92,9 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         method = f"ml, population {spread:.2g}"
     estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1])
     if estimate.diagnosis.undetermined:
-        judged = diagnose(sound, moments)
-        if 3 * judged.span < problem.n - 1:  # not even without noise
-            refuse(judged.faults, judged.undetermined)
+        diagnosis = diagnose(sound, moments)
+        if 3 * diagnosis.span < problem.n - 1:  # not even without noise
+            refuse(diagnosis.faults, diagnosis.undetermined)
     return estimate
 
 
@@ -112,18 +112,18 @@ def _fitted(
     try:
         return *fitted_groups(problem, moments), nothing
     except (RankDeficient, NotConverged, TooManyOutliers):
-        judged = diagnose(campaign, moments)  # which knows better what is missing
-        if not judged.undetermined or not tolerable(judged, problem.n):
-            refuse(judged.faults, judged.undetermined)
+        diagnosis = diagnose(campaign, moments)  # which knows better what is missing
+        if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
+            refuse(diagnosis.faults, diagnosis.undetermined)
             raise
-    for count in range(judged.undetermined, 2 * judged.undetermined + 2):
+    for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
         patterns = undetermined_patterns(problem, moments, count)
         try:
             return *fitted_groups(with_patterns_held(problem, patterns), moments), patterns
         except (RankDeficient, NotConverged):
             continue
-    fault, remedy = judged.faults[0]
-    raise RankDeficient(fault, remedy=remedy, got=judged.undetermined, want=0)
+    fault, remedy = diagnosis.faults[0]
+    raise RankDeficient(fault, remedy=remedy, got=diagnosis.undetermined, want=0)
 
 
 def fitted_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.bool_], Array, Fitted]:

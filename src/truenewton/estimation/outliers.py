@@ -74,7 +74,7 @@ def against_balance(
 
     Returns
     -------
-    kept, distance, fit
+    belongs, distance, fit
         (g,) true for groups that belong; (g,) squared distances from the fit to those; that fit.
 
     Raises
@@ -82,12 +82,12 @@ def against_balance(
     RankDeficient, NotConverged, TooManyOutliers
     """
     limit = scipy.stats.chi2.isf(FALSE_ALARM / len(moments.rows), 3)
-    kept = np.ones(len(moments.rows), dtype=bool)
+    belongs = np.ones(len(moments.rows), dtype=bool)
     try:
         fitted = fit(moments)
         distance = _scaled(distances(fitted), noise_known)
         if distance.max() <= limit:
-            return kept, distance, fitted
+            return belongs, distance, fitted
         del fitted  # an estimate holds matrices of all unknowns; the next one needs their room
         core = alike_opposites(moments)
     except (RankDeficient, NotConverged):
@@ -97,14 +97,14 @@ def against_balance(
     for _ in range(5):
         distance = _scaled(distances(fit(chosen_groups(moments, core))), noise_known)
         core = distance <= np.quantile(distance, CORE)
-    kept, passes = distance <= limit, 1
+    belongs, passes = distance <= limit, 1
     while True:
-        refuse_too_many(int(np.count_nonzero(~kept)), len(kept))
-        fitted = fit(chosen_groups(moments, kept))
+        refuse_too_many(int(np.count_nonzero(~belongs)), len(belongs))
+        fitted = fit(chosen_groups(moments, belongs))
         distance = _scaled(distances(fitted), noise_known)
-        if passes == MOST_PASSES or np.array_equal(distance <= limit, kept):
-            return kept, distance, fitted
-        kept, passes = distance <= limit, passes + 1
+        if passes == MOST_PASSES or np.array_equal(distance <= limit, belongs):
+            return belongs, distance, fitted
+        belongs, passes = distance <= limit, passes + 1
         del fitted
 
 

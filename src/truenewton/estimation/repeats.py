@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.displaced_rows import BalancedRows, common_reference, is_displaced
+from truenewton.estimation.moments import Moments
 from truenewton.files.stored_rows import BLOCK_BYTES
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
@@ -71,41 +72,26 @@ class BlockRows:
     ----------
     cycle_index, rows
         The cycle, and (m,) which of its rows that count.
-    group
+    at
         (m,) their groups, from the first of the block.
     force, known
         (m, n) c (1 + COILGRAD z) [N], and (m, 3) A (BIASGRAD z) or None.
     weight
         Of a row.
-    whole
-        Whether every group of the block has a row.
     """
 
     cycle_index: int
     rows: NDArray[np.int64]
-    group: NDArray[np.int64]
+    at: slice | NDArray[np.int64]
     force: Array
     known: Array | None
     weight: float
-    whole: bool
 
-    @property
-    def at(self) -> slice | NDArray[np.int64]:
-        """The same as ``group``, for indexing: without a copy where it can be."""
-        return slice(None) if self.whole else self.group
-
-    def only(self, some: NDArray[np.bool_]) -> BlockRows:
-        """Return (m,) some of the rows."""
-        if some.all():
-            return self
-        return replace(
-            self,
-            rows=self.rows[some],
-            group=self.group[some],
-            force=self.force[some],
-            known=None if self.known is None else self.known[some],
-            whole=False,
-        )
+    def without(self, lost: NDArray[np.bool_]) -> BlockRows:
+        """Return the rows that are not (m,) lost."""
+        known = None if self.known is None else self.known[~lost]
+        at = np.arange(len(lost))[~lost] if isinstance(self.at, slice) else self.at[~lost]
+        return replace(self, rows=self.rows[~lost], at=at, force=self.force[~lost], known=known)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,10 +114,11 @@ class DistinctRows:
         first, end = self.group.searchsorted((block.start, block.stop)).tolist()
         if first == end:
             return None
-        rows, group = self.rows[first:end], self.group[first:end] - block.start
-        force, known = self.balanced.at(slice(rows[0], rows[-1] + 1) if self.inorder else rows)
         whole = end - first == block.stop - block.start
-        return BlockRows(self.cycle_index, rows, group, force, known, self.weight, whole)
+        at = slice(None) if whole else self.group[first:end] - block.start  # a slice copies nothing
+        rows = self.rows[first:end]
+        force, known = self.balanced.at(slice(rows[0], rows[-1] + 1) if self.inorder else rows)
+        return BlockRows(self.cycle_index, rows, at, force, known, self.weight)
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
@@ -148,14 +135,8 @@ class RepeatSums:
 
     Attributes
     ----------
-    campaign, reference
-        The campaign; (n,) readings from which displacements count [m], see `common_reference`.
-    labels
-        (g, 3) load, SHAPE, SIGN of the groups; sorted.
-    mean, known
-        (g, n) and (g, 3) mean of force and of the balance known beforehand, see `Moments`.
-    scatter
-        (n,) weighted sum of squared deviations of rows from their group's mean [N^2].
+    campaign
+        The campaign.
     furthest
         (blocks, n) largest distance of a row from its group's mean, as seen from the rest of the
         group and divided by its noise over that of a row of weight 1 [N].
@@ -167,39 +148,50 @@ class RepeatSums:
         of the rest anew.
     """
 
-    def __init__(self, campaign: Campaign) -> None:
-        self.campaign, self.reference, self.stale = campaign, common_reference(campaign), False
-        self.labels, first, groups_of_rows = row_groups(campaign)
+    def __init__(self, campaign: Campaign, reference: Array | None = None) -> None:
+        self.campaign, self.stale = campaign, False
+        self._reference = common_reference(campaign) if reference is None else reference
+        self._lost = list[RejectedRow]()
+        self._labels, first, groups_of_rows = row_groups(campaign)
         self._coming = np.argsort(first)  # groups, as they come
         turn = np.argsort(self._coming)
-        turns = [turn[group] for group in groups_of_rows]
-        self._layers = list(_layers(campaign, self.reference, turns))
-        groups, n = len(self.labels), len(self.reference)
+        a, weights = enabled_arms(campaign.layout), row_weights(campaign)
+        self._layers = [
+            DistinctRows(k, balanced, rows, turn[group[rows]], weights[k])
+            for k, (cycle, group) in enumerate(zip(campaign.cycles, groups_of_rows, strict=True))
+            for balanced in [BalancedRows(cycle, a, self._reference)]
+            for rows in distinct(turn[group])
+        ]
+        groups, n = len(first), a.shape[1]
         self._number, self._weight = np.zeros(groups, dtype=np.int64), np.zeros(groups)
         for layer in self._layers:
             self._number[layer.group] += 1
             self._weight[layer.group] += layer.weight
         self._stride = max(1, self._number.sum() // SAMPLE_ROWS)
-        self._lost: list[RejectedRow] = []
-        self.mean, self.known = np.empty((groups, n)), np.zeros((groups, 3))
+        self._mean, self._known = np.empty((groups, n)), np.zeros((groups, 3))
         most = int(np.clip(BLOCK_BYTES // (8 * n * self._number.max()), 1, ROWS_AT_ONCE))
         starts = range(0, groups, most)
         self._blocks = [slice(start, min(start + most, groups)) for start in starts]
-        self.scatter, self._scatter_of = np.zeros(n), np.zeros((len(self._blocks), n))
-        self.furthest = np.zeros((len(self._blocks), n))
-        self.samples = [np.empty((0, n))] * len(self._blocks)
-        for block in range(len(self._blocks)):
+        self._scatter, self._scatter_of = np.zeros(n), np.zeros((len(starts), n))
+        self.furthest = np.zeros((len(starts), n))
+        self.samples = [np.empty((0, n))] * len(starts)
+        for block in range(len(starts)):
             self._sum(block, self.read(block))
 
     @property
-    def rows(self) -> NDArray[np.int64]:
-        """(g,) number of rows."""
-        return self._number[np.argsort(self._coming)]
-
-    @property
-    def weight(self) -> Array:
-        """(g,) sum of the weights of the rows."""
-        return self._weight[np.argsort(self._coming)]
+    def moments(self) -> Moments:
+        """What the sums make up."""
+        turn = np.argsort(self._coming)
+        return Moments(
+            loads=self.campaign.loads,
+            labels=self._labels,
+            rows=self._number[turn],
+            weight=self._weight[turn],
+            mean=self._mean,
+            known=self._known,
+            scatter=self._scatter,
+            reference=self._reference,
+        )
 
     def read(self, block: int) -> list[BlockRows]:
         """Read the rows of a block of groups that are not left out."""
@@ -208,15 +200,19 @@ class RepeatSums:
 
     def _without(self, part: BlockRows, rejected: list[RejectedRow]) -> BlockRows:
         here = [row.row for row in rejected if row.cycle == part.cycle_index]
-        return part.only(~np.isin(self.row(part), here)) if here else part
+        return part.without(np.isin(self.row(part), here)) if here else part
 
     def row(self, part: BlockRows) -> NDArray[np.int64]:
         """Return (m,) rows of MEASUREMENTS."""
         return np.flatnonzero(self.campaign.cycles[part.cycle_index].valid)[part.rows]
 
+    def group(self, block: int, part: BlockRows) -> NDArray[np.int64]:
+        """Return (m,) which of the groups, as they come."""
+        return np.arange(len(self._number))[self._blocks[block]][part.at]
+
     def number(self, block: int, part: BlockRows) -> NDArray[np.int64]:
         """Return (m,) the number of rows in the groups of some rows."""
-        return self._number[self._blocks[block]][part.group]
+        return self._number[self._blocks[block]][part.at]
 
     def deviations(self, block: int, part: BlockRows) -> Array:
         """Return (m, n) deviations of rows from the others of their groups, at weight 1 [N].
@@ -224,7 +220,7 @@ class RepeatSums:
         The mean holds the row itself: seen from the others it lies further out, so that these have
         the variance of a reading of weight 1. 0 for a row without others.
         """
-        mean = self.mean[self._coming[self._blocks[block]]]
+        mean = self._mean[self._coming[self._blocks[block]]]
         further = np.sqrt(self._further(block, part.weight))
         return np.asarray((part.force - mean[part.at]) * further[part.at][:, None])
 
@@ -236,41 +232,40 @@ class RepeatSums:
     def leave_out(self, block: int, read: list[BlockRows], rejected: list[RejectedRow]) -> None:
         """Leave some rows out of what was read of a block, and sum the rest anew."""
         self._lost += rejected
-        kept = [self._without(part, rejected) for part in read]
+        rest = [self._without(part, rejected) for part in read]
         number, weight = self._number[self._blocks[block]], self._weight[self._blocks[block]]
         number[:], weight[:] = 0, 0.0
-        for part in kept:
-            number[part.group] += 1
-            weight[part.group] += part.weight
+        for part in rest:
+            number[part.at] += 1
+            weight[part.at] += part.weight
         displaced = any(is_displaced(self.campaign.cycles[row.cycle]) for row in rejected)
         self.stale |= displaced or not number.all()
         if not self.stale:
-            self._sum(block, kept)
-            self.scatter = self._scatter_of.sum(axis=0)
+            self._sum(block, rest)
+            self._scatter = self._scatter_of.sum(axis=0)
 
     def _sum(self, block: int, read: list[BlockRows]) -> None:
         """Sum over the rows that were read of a block of groups."""
-        groups = self._blocks[block]
-        weight, size = self._weight[groups], groups.stop - groups.start
-        heaviest = max(layer.weight for layer in self._layers)
-        centre, known = np.zeros((size, self.mean.shape[1])), np.zeros((size, 3))
+        groups, n = self._blocks[block], len(self._scatter)
+        weight, heaviest = self._weight[groups], max(layer.weight for layer in self._layers)
+        centre, known = np.zeros((len(weight), n)), np.zeros((len(weight), 3))
         for part in read:
             share = part.weight / heaviest
             centre[part.at] += part.force if share == 1.0 else share * part.force
             if part.known is not None:
                 known[part.at] += part.weight * part.known
         centre *= (heaviest / weight)[:, None]
-        self.mean[self._coming[groups]] = centre
-        self.known[self._coming[groups]] = known / weight[:, None]
+        self._mean[self._coming[groups]] = centre
+        self._known[self._coming[groups]] = known / weight[:, None]
         self._scatter_of[block], self.furthest[block], sample = 0.0, 0.0, []
         for part in reversed(read):  # the last are in the cache still
             further = self._further(block, part.weight)
             apart = part.force - centre[part.at]
             chosen = (part.rows % self._stride == 0) & (self.number(block, part) > 1)
-            sample.append(apart[chosen] * np.sqrt(further[part.group[chosen]])[:, None])
+            sample.append(apart[chosen] * np.sqrt(further[part.at][chosen])[:, None])
             apart *= apart
             scatter = part.weight * (np.ones(len(apart)) @ apart)
-            self.scatter += scatter
+            self._scatter += scatter
             self._scatter_of[block] += scatter
             if not (further == further[0]).all():
                 apart *= further[part.at][:, None]
@@ -278,14 +273,3 @@ class RepeatSums:
             furthest = np.sqrt(apart.max(axis=0, initial=0.0) * further[0])
             np.maximum(self.furthest[block], furthest, out=self.furthest[block])
         self.samples[block] = np.concatenate(sample)
-
-
-def _layers(
-    campaign: Campaign, reference: Array, turns: list[NDArray[np.int64]]
-) -> Iterator[DistinctRows]:
-    """Yield the rows of each cycle, which come when the (N,) turn of their group comes."""
-    a, weights = enabled_arms(campaign.layout), row_weights(campaign)
-    for k, (cycle, group) in enumerate(zip(campaign.cycles, turns, strict=True)):
-        balanced = BalancedRows(cycle, a, reference)
-        for rows in distinct(group):
-            yield DistinctRows(k, balanced, rows, group[rows], weights[k])

@@ -1,11 +1,10 @@
-"""One walk through the rows of a campaign, for all who want to see them."""
+"""The second reading of the rows of a campaign, once for all who want to see them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 from truenewton.arrays import Array
 from truenewton.records.campaign import Campaign
@@ -20,8 +19,8 @@ class RowBlock:
     ----------
     cycle_index, cycle
         The cycle in its campaign.
-    rows
-        Which of its rows that count.
+    rows, last
+        Which of its rows that count; whether these are the last of them.
     force
         (m, n) commanded forces of the enabled actuators [N].
     """
@@ -29,6 +28,7 @@ class RowBlock:
     cycle_index: int
     cycle: Cycle
     rows: slice
+    last: bool
     force: Array
 
     @cached_property
@@ -39,22 +39,14 @@ class RowBlock:
         return self.cycle.used(self.cycle.position, self.rows)
 
 
-class RowReader(Protocol):
-    """Sums up what it wants of the rows, which come a cycle after the other."""
-
-    def take(self, block: RowBlock) -> None:
-        """Take the next rows in."""
-
-    def end_cycle(self, cycle_index: int) -> None:
-        """Conclude a cycle: all of its rows that count have come."""
+RowReader = Callable[[RowBlock], None]
 
 
 def read_rows(campaign: Campaign, readers: Sequence[RowReader]) -> None:
-    """Read the rows that count once, a block of some megabytes after the other."""
+    """Read the rows that count once: cycle after cycle, some megabytes at a time."""
     for k, cycle in enumerate(campaign.cycles):
+        count = int(cycle.valid.sum())
         for rows in cycle.used_blocks():
-            block = RowBlock(k, cycle, rows, cycle.used(cycle.force, rows))
-            for reader in readers:
-                reader.take(block)
-        for reader in readers:
-            reader.end_cycle(k)
+            block = RowBlock(k, cycle, rows, rows.stop == count, cycle.used(cycle.force, rows))
+            for take in readers:
+                take(block)

@@ -16,7 +16,7 @@ import scipy.stats
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.moments import Moments, moments_of
+from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.outliers import without
 from truenewton.estimation.repeats import BlockRows, RepeatSums
@@ -68,26 +68,39 @@ def sift(campaign: Campaign) -> Sifted:
         if sums.stale:
             del sums  # there is no room for two where the mirror is large
             sums = RepeatSums(sound)
-    return Sifted(campaign, sound, tuple(rejected), moments_of(sums), tuple(sums.samples))
+    return Sifted(campaign, sound, tuple(rejected), sums.moments, tuple(sums.samples))
+
+
+def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
+    """Return the moments of all rows of a campaign that count, whatever they hold.
+
+    Parameters
+    ----------
+    campaign
+        The campaign, or a part of it.
+    reference
+        (n,) readings from which displacements count [m]: of a part the `common_reference` of the
+        whole campaign, else no `merge` is exact. Where it is NaN, a part must hold whole cycles.
+    """
+    return RepeatSums(campaign, reference).moments
 
 
 def _leave_out_worst(sums: RepeatSums) -> list[RejectedRow]:
     """Leave out the worst row of each group that has one too far out; both rows of a pair."""
-    rows, n = sums.rows, sums.mean.shape[1]
-    repeats = int(rows.sum() - np.count_nonzero(rows))
-    if repeats < 2:
-        return []
-    noise, robust = np.sqrt(sums.scatter / repeats), _robust(sums.samples)
+    moments, rejected = sums.moments, list[RejectedRow]()
+    if moments.repeats < 2:
+        return rejected
+    noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(sums.samples)
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(noise > 1.5 * robust, robust, noise)
-    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / (rows.sum() * n), max(repeats - 1, 1))
+    tests = moments.rows.sum() * len(noise)
+    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / tests, moments.repeats - 1)
     suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
-    noise = np.maximum(noise, 1e-12 * max(sums.mean.max(), -sums.mean.min()))  # of rounding
-    rejected: list[RejectedRow] = []
+    if suspicious.size:  # noise of rounding
+        noise = np.maximum(noise, 1e-12 * max(moments.mean.max(), -moments.mean.min()))
     for block in suspicious.tolist():
         read = sums.read(block)
-        worst = _worst_rows(sums, block, read, noise, limit)
-        if worst:
+        if worst := _worst_rows(sums, block, read, noise, limit):
             sums.leave_out(block, read, worst)
             rejected += worst
     return rejected
@@ -101,11 +114,10 @@ def _worst_rows(
     worst: dict[int, RejectedRow] = {}
     pairs: list[RejectedRow] = []
     for part in read:
-        sigmas = np.abs(sums.deviations(block, part))
-        sigmas /= noise
-        number, rows = sums.number(block, part), sums.row(part)
+        sigmas = np.abs(sums.deviations(block, part)) / noise
+        group, number, rows = sums.group(block, part), sums.number(block, part), sums.row(part)
         for at in np.flatnonzero(sigmas.max(axis=1, initial=0.0) > limit).tolist():
-            i, g = int(sigmas[at].argmax()), int(part.group[at])
+            i, g = int(sigmas[at].argmax()), int(group[at])
             far = float(sigmas[at, i])
             row = RejectedRow(part.cycle_index, int(rows[at]), int(ids[i]), far, "repeats")
             if number[at] == 2:

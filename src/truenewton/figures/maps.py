@@ -5,22 +5,24 @@ Drawn at the width of a journal's column. Every call takes axes or makes its own
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, STYLE, new_axes
+from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, styled_axes
 from truenewton.statics.layout import Layout, ring_of
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
+
+
+def numbers_by_ring(layout: Layout) -> NDArray[np.int64]:
+    """Return (n,) the number of each actuator, counted from 1 ring by ring from the centre."""
+    return np.argsort(np.argsort(ring_of(layout), kind="stable")) + 1
 
 
 def ring_edges(layout: Layout) -> Array:
@@ -30,8 +32,7 @@ def ring_edges(layout: Layout) -> Array:
 
 def ring_label(layout: Layout) -> str:
     """Return what an axis of actuators ring by ring is called."""
-    rings = ring_edges(layout).size
-    return "actuator, ring by ring from the centre" if rings else "actuator"
+    return "actuator, ring by ring from the centre" if ring_edges(layout).size else "actuator"
 
 
 def mark_rings(ax: Axes, layout: Layout) -> None:
@@ -41,10 +42,15 @@ def mark_rings(ax: Axes, layout: Layout) -> None:
     ax.set_xlabel(ring_label(layout))
 
 
+def name_point(ax: Axes, name: object, x: float, y: float, points: int = 3, **looks: Any) -> None:
+    """Write a name so many points to the right of a mark."""
+    ax.annotate(str(name), (x, y), xytext=(points, 0), textcoords="offset points", fontsize=6.0,
+                va="center", **looks)  # fmt: skip
+
+
 def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
     """Draw the actuators with their names, rings and axes (paper, fig. 2)."""
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(1.0)
+    with styled_axes(ax, 1.0) as ax:
         _frame(layout, ax)
         ax.add_collection(
             PatchCollection(_circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
@@ -70,8 +76,7 @@ def plot_map(
     An actuator without a value (disabled) is an open circle. Among many, the few farthest out take
     up no colours of their own, unless ``limits`` say where the colours end.
     """
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(1.02)
+    with styled_axes(ax, 1.02) as ax:
         _frame(layout, ax)
         known = np.isfinite(values)
         patches = np.array(_circles(layout), dtype=object)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
+import matplotlib as mpl
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 COLUMN = 8.4 / 2.54  # width of the paper's column [inch]
 MILLIMETRE = 1e-3
@@ -42,6 +42,13 @@ def new_axes(height: float) -> Axes:
     figure = Figure(figsize=(COLUMN, height * COLUMN), layout="constrained")
     FigureCanvasAgg(figure)
     return figure.add_subplot()
+
+
+@contextmanager
+def styled_axes(ax: Axes | None, height: float) -> Iterator[Axes]:
+    """Yield the axes given, or new ones ``height`` columns high, and let what is drawn look so."""
+    with mpl.rc_context(STYLE):
+        yield ax or new_axes(height)
 
 
 def legend_above(ax: Axes) -> None:

@@ -7,22 +7,19 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.collections import Collection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from truenewton.errors import OutputFailed
 from truenewton.files.outputs import file_beside, folder_beside
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 SVG, XLINK = "{http://www.w3.org/2000/svg}", "{http://www.w3.org/1999/xlink}"
 REFERENCE = re.compile(r"^(url\()?#")  # of one element of an SVG to another
@@ -48,14 +45,13 @@ def write_drawn(
     ------
     OutputExists, OutputFailed
     """
-    names = []
-    with folder_beside(folder, (".pdf", ".png"), overwrite=overwrite) as temporary:
+    suffixes = (".pdf", ".png")
+    with folder_beside(folder, suffixes, overwrite=overwrite) as temporary:
         for name, draw in figures.items():
             figure = _figure_of(draw())
-            for suffix in (".pdf", ".png"):
-                _save(figure, temporary / (name + suffix))
-                names.append(name + suffix)
-    return [Path(folder) / name for name in names]
+            for suffix in suffixes:
+                _save(figure, temporary / f"{name}{suffix}")
+    return [Path(folder) / f"{name}{suffix}" for name in figures for suffix in suffixes]
 
 
 def write_figure(ax: Axes, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
@@ -19,17 +18,12 @@ from truenewton.figures.style import (
     MILLIMETRE,
     NAMED,
     SIGNED_COLOURS,
-    STYLE,
-    new_axes,
+    styled_axes,
 )
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.words import stiffness_text
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 NANOMETRE = 1e-9
 ACROSS = 4  # maps of modes beside each other
@@ -54,9 +48,8 @@ def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
     reach = float(np.hypot(layout.x, layout.y).max()) / MILLIMETRE + radius
     down, across = np.divmod(np.arange(len(shown)), ACROSS)
     right, up = WIDE * reach * across, -HIGH * reach * down
-    with mpl.rc_context(STYLE):
-        rows = down[-1] + 1
-        ax = ax or new_axes(HIGH * rows / (WIDE * ACROSS))
+    rows = down[-1] + 1
+    with styled_axes(ax, HIGH * rows / (WIDE * ACROSS)) as ax:
         modes = base.modes.modes[:, shown]
         dots = EllipseCollection(
             [2 * radius], [2 * radius], [0.0], units="xy", offset_transform=ax.transData,
@@ -80,8 +73,7 @@ def plot_modes(base: ModalBase, ax: Axes | None = None) -> Axes:
 
 def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
     """Draw the wavefront that the first N modes of each base leave."""
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.7)
+    with styled_axes(ax, 0.7) as ax:
         for cost, colour, line in zip(base.costs, CURVES, LINES, strict=False):
             left = cost.residual[:-1] / NANOMETRE  # all modes leave nothing on the actuators
             ax.loglog(np.arange(1, left.size + 1), left, line, color=colour, label=cost.base)
@@ -97,8 +89,7 @@ def plot_residual(base: ModalBase, ax: Axes | None = None) -> Axes:
 
 def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
     """Draw the power of the worst coil and the mean, static force included, against modes."""
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.7)
+    with styled_axes(ax, 0.7) as ax:
         number = np.arange(1, base.modes.stiffness.size + 1)
         powers = {cost.base: cost.power for cost in base.costs}
         for (name, power), colour in zip(powers.items(), CURVES, strict=False):
@@ -119,8 +110,7 @@ def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
 def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
     """Draw how far the modes taken with alpha = 1 lie from those with alpha as it is."""
     c = modes.comparison
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.7)
+    with styled_axes(ax, 0.7) as ax:
         number = np.arange(1, c.rms_angle.size)
         uncut = ~c.cuts[:-1]
         ax.semilogy(number[uncut], np.degrees(c.rms_angle[:-1][uncut]), "o", color=CURVES[0],

@@ -13,7 +13,7 @@ from truenewton.calibration.methods import calibrate, calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import Sifted, sift
+from truenewton.estimation.sifted import sift
 from truenewton.modal.actuator_roles import indices_of
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
@@ -122,7 +122,7 @@ def find_modes(
     sensor_gain, off, slaved
         As in `true_stiffness`.
     reader
-        What has read the cycles already, see `modes_reader`; they are read where None.
+        What has read the cycles already, see `motion_reader`; they are read where None.
 
     Raises
     ------
@@ -135,16 +135,23 @@ def find_modes(
     UnknownName
         An ID that no enabled actuator has, or that is both off and slaved.
     """
-    if isinstance(data, Campaign) and reader is None:
-        sifted = sift(data)
-        reader = modes_reader(sifted)
-        if calibration is None:
-            calibration = calibration_of(data, cycles_ml.find(sifted), (reader,))
+    measured, at_rest = None, None
+    if isinstance(data, StiffnessMatrix):
+        matrix = data
+    else:
+        if reader is None:
+            sifted = sift(data)
+            reader = motion_reader(sifted)
+            if calibration is None:
+                calibration = calibration_of(data, cycles_ml.find(sifted), (reader.take,))
+            else:
+                read_rows(data, (reader.take,))
+        at_rest = reader.force_at_rest
+        if data.stiffness is not None:
+            matrix = data.stiffness
         else:
-            read_rows(data, (reader,))
-    measured = stiffness_of(reader) if reader is not None and reader.positioned else None
-    at_rest = None if reader is None else reader.force_at_rest
-    matrix = measured.matrix if measured is not None else _given_matrix(data)
+            measured = stiffness_of(reader)
+            matrix = measured.matrix
     calibration = calibration or calibrate(data)
     stiffnesses = [
         true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)
@@ -163,26 +170,6 @@ def find_modes(
     comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
     sources = _sources(reader, matrix)
     return ModalFindings(measured, calibration, before, after, comparison, sources)
-
-
-def modes_reader(sifted: Sifted) -> MotionReader:
-    """Return who reads what modes need of cycles: the stiffness, unless it stands among them.
-
-    Raises
-    ------
-    RankDeficient, TooManyOutliers
-        The cycles tell no stiffness.
-    """
-    if sifted.campaign.stiffness is not None:
-        return MotionReader(sifted.campaign, sifted.sound)
-    return motion_reader(sifted)
-
-
-def _given_matrix(data: Campaign | StiffnessMatrix) -> StiffnessMatrix:
-    matrix = data.stiffness if isinstance(data, Campaign) else data
-    if matrix is None:
-        raise ValueError("neither a stiffness nor cycles with POSITION")
-    return matrix
 
 
 def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:

@@ -93,13 +93,15 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     TooManyOutliers
         So many rows stand off from their repeats that the rest cannot be trusted.
     """
-    reader = motion_reader(sift(campaign))
-    read_rows(campaign, (reader,))
+    reader = motion_reader(sift(replace(campaign, stiffness=None)))
+    read_rows(campaign, (reader.take,))
     return stiffness_of(reader)
 
 
 def motion_reader(sifted: Sifted) -> MotionReader:
     """Return who reads force and displacement of all rows that stand off in neither.
+
+    Where a stiffness stands among the cycles, only the force at rest is read.
 
     Raises
     ------
@@ -108,8 +110,20 @@ def motion_reader(sifted: Sifted) -> MotionReader:
     TooManyOutliers
         So many rows stand off from their repeats that the rest cannot be trusted.
     """
-    campaign = sifted.campaign
-    positioned = positioned_cycles(campaign)
+    campaign, on = sifted.campaign, sifted.campaign.layout.enabled
+    if campaign.stiffness is not None:
+        return MotionReader(campaign, sifted.sound)
+    positioned = [
+        k
+        for k, cycle in enumerate(campaign.cycles)  # zeros may stand in place of POSITION
+        if cycle.position is not None and largest_in_rows(cycle.position, on)[cycle.valid].any()
+    ]
+    if not positioned:
+        raise RankDeficient(
+            "no cycle holds POSITION, so nothing tells the stiffness",
+            remedy="record the sensors' readings, or give a measured stiffness file",
+            got=0,
+        )
     if len(positioned) < len(campaign.cycles):  # others tell nothing of these
         by_force = sift(Campaign(tuple(campaign.cycles[k] for k in positioned)))
     else:
@@ -126,29 +140,6 @@ def motion_reader(sifted: Sifted) -> MotionReader:
         cycles[k] = cycle if cycle.valid is other.valid else replace(cycle, valid=other.valid)
     rejected = by_force.rejected + by_position.rejected
     return MotionReader(campaign, Campaign(tuple(cycles)), positioned, rejected)
-
-
-def positioned_cycles(campaign: Campaign) -> tuple[int, ...]:
-    """Return which cycles hold POSITION, and not zeros in its place.
-
-    Raises
-    ------
-    RankDeficient
-        None does.
-    """
-    on = campaign.layout.enabled
-    positioned = tuple(
-        k
-        for k, cycle in enumerate(campaign.cycles)
-        if cycle.position is not None and largest_in_rows(cycle.position, on)[cycle.valid].any()
-    )
-    if not positioned:
-        raise RankDeficient(
-            "no cycle holds POSITION, so nothing tells the stiffness",
-            remedy="record the sensors' readings, or give a measured stiffness file",
-            got=0,
-        )
-    return positioned
 
 
 def stiffness_of(reader: MotionReader) -> MeasuredStiffness:

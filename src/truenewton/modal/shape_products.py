@@ -141,6 +141,8 @@ class MotionReader:
             group = self._groups[k][own]
             for rows in distinct(group):
                 self._add(force[rows], z[rows], group[rows], self._weights[k])
+        if block.last:
+            self._end_cycle(k)
 
     def _add(self, force: Array, position: Array, group: NDArray[np.int64], weight: float) -> None:
         """Add (m, n) rows of one cycle, no group twice."""
@@ -158,7 +160,7 @@ class MotionReader:
         self._weight[group] += weight
         self._number += len(group)
 
-    def end_cycle(self, cycle_index: int) -> None:
+    def _end_cycle(self, cycle_index: int) -> None:
         """Count the rows of the cycle from its own rest."""
         rest = self._rest[cycle_index]
         rest /= np.count_nonzero(self.sound.cycles[cycle_index].rest_rows)

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from truenewton.arrays import Array
 from truenewton.figures.style import ACCENT, COLUMN, FAINT, INK, STYLE
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from truenewton.planning.outlook import Curve, Outlook
+from truenewton.planning.outlook import Curve, Outlook
 
 
 def plot_outlook(outlook: Outlook, target: float | None = None) -> Axes:

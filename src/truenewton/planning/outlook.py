@@ -14,8 +14,8 @@ from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.bench.simulated.control import Control
 from truenewton.errors import LimitExceeded, TrueNewtonError, located
-from truenewton.estimation.moments import campaign_moments
 from truenewton.estimation.prediction import Prediction, predict, typical
+from truenewton.estimation.sifted import campaign_moments
 from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain
 from truenewton.records.fault import Fault
 

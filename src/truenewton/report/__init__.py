@@ -6,7 +6,6 @@ change       what changed between two calibrations
 verdict      the verdict in words and three numbers, and what to do
 budget       the error budget
 layers       what is known of each actuator, one layer a quantity
-series       rows of a campaign as figures draw them
 figures      figures of the evidence, for papers and the page
 page/        the same on one page that opens without network
 """

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.stats
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -16,9 +16,6 @@ from truenewton.errors import CampaignMismatch
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.report.budget import typical
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +52,6 @@ class Change:
         order = np.argsort(-size, kind="stable")
         return np.asarray(order[size[order] > self.limit])
 
-    @property
-    def same_files(self) -> bool:
-        """Whether both rest on the same data, so that their errors are not independent."""
-        one, other = ({s.sha256 for s in c.sources} for c in (self.one, self.other))
-        return one == other  # a recalibration has files of its own beside those it inherits
-
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas on the map of the actuators; return the axes."""
         from truenewton.report.figures import plot_change_map
@@ -87,9 +78,8 @@ def change(one: Calibration, other: Calibration) -> Change:
         The calibrations are not of the same actuators.
     """
     a, b = one.layout, other.layout
-    alike = np.array_equal(a.id, b.id) and all(
-        np.allclose(getattr(a, name), getattr(b, name), rtol=0.0, atol=1e-9) for name in ("x", "y")
-    )
+    # Which are enabled may differ, and what was taken for their direction.
+    alike = a.n == b.n and a.same_as(replace(b, enabled=a.enabled, nz=a.nz))
     both = a.enabled & b.enabled if alike else np.zeros(0, dtype=bool)
     if not both.any():
         raise CampaignMismatch(

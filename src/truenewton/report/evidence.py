@@ -137,9 +137,6 @@ class RowImbalance:
         for arms, parts in self._kinds:
             parts.append(force @ arms.T + (0.0 if known is None else known))
 
-    def end_cycle(self, cycle_index: int) -> None:
-        """Nothing is concluded with a cycle."""
-
     def before_and_after(
         self, load: NDArray[np.int64], kept: NDArray[np.bool_]
     ) -> tuple[Array, Array]:
@@ -163,18 +160,14 @@ def campaign_evidence(
     scaled_arms = a * calibration.alpha[on]
     rows = [np.flatnonzero(cycle.valid) for cycle in campaign.cycles]
     cycle = np.repeat(np.arange(len(rows)), [len(some) for some in rows])
-    sound = without(campaign, list(calibration.rejected_rows))
-    kept = np.concatenate(
-        [sound.cycles[k].valid[some] for k, some in enumerate(rows)]  # what was rejected is not
+    balancing = without(campaign, list(calibration.rejected_rows))
+    kept, sound = (
+        np.concatenate([c.valid[some] for c, some in zip(part.cycles, rows, strict=True)])
+        for part in (balancing, sifted.sound)
     )
-    still = [
-        group[c.valid[before.valid]]
-        for group, c, before in zip(
-            row_groups(sifted.sound)[2], sound.cycles, sifted.sound.cycles, strict=True
-        )
-    ]
-    there = np.bincount(np.concatenate(still), minlength=len(sifted.moments.rows)) > 0
-    moments = chosen_groups(sifted.moments, there)
+    group = np.concatenate(row_groups(sifted.sound)[2])
+    belongs = np.bincount(group[kept[sound]], minlength=len(sifted.moments.rows)) > 0
+    moments = chosen_groups(sifted.moments, belongs)
     noise = reading_noise(sifted.sound, sifted.moments)
     weight, load = np.array(row_weights(campaign))[cycle], np.array(campaign.load_index)[cycle]
     before, after = imbalance.before_and_after(load, kept)

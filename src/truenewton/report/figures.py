@@ -5,19 +5,19 @@ Every call takes axes or makes its own, and returns them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import datetime
+from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from truenewton.calibration.result import Calibration
-from truenewton.errors import UnknownName
-from truenewton.figures.maps import mark_rings, plot_map
+from truenewton.arrays import Array
+from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring, plot_map
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
@@ -25,27 +25,22 @@ from truenewton.figures.style import (
     CURVES,
     FAINT,
     SIGNED_COLOURS,
-    STYLE,
     legend_above,
-    new_axes,
     plain,
+    styled_axes,
 )
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import modes_figures
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
 from truenewton.report.budget import error_budget
 from truenewton.report.change import Change
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.investigate import Findings
 from truenewton.report.layers import calibration_layers, change_layers
-from truenewton.report.series import by_signed_shape, columns_of_shapes, cycle_times
 from truenewton.rounding import percent
-from truenewton.statics.layout import ring_of
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-
+POINTS = 200  # of a cycle over time; more cannot be told apart
 MAPS = ("map-e-stat", "map-leverage", "map-residual")  # written; that of alpha is the paper's
 
 
@@ -57,8 +52,8 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
         for layer in calibration_layers(findings):
             name = f"map-{layer.key.replace('_', '-')}"
             drawn[name] = partial(plot_map, c.layout, layer.values, label=layer.title)
-        if error_budget(c):
-            drawn["budget"] = partial(plot_budget, c)
+        if budget := error_budget(c):
+            drawn["budget"] = partial(plot_budget, budget)
     if evidence is not None:
         drawn["residuals"] = partial(plot_residuals, evidence.residuals)
         drawn["singular-values"] = partial(plot_singular_values, evidence)
@@ -72,32 +67,8 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
 
 def still_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
     """Return the figures that are written beside the paper's, by name."""
-    if findings.calibration is None:
-        return {}
     drawn = figures_of(findings)
     return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
-
-
-def plot(findings: Findings, name: str, ax: Axes | None = None) -> Axes:
-    """Draw a figure by its name, and return the axes.
-
-    Raises
-    ------
-    UnknownName
-        There is no such figure; the message names those that are.
-    ValueError
-        What was found does not hold what the figure shows.
-    """
-    drawn = figures_of(findings)
-    if name in drawn:
-        return drawn[name](ax=ax)
-    if name in ("residuals", "singular-values", "balance"):
-        raise ValueError("a calibration file holds no residuals; give the cycles")
-    if name == "temperatures":
-        raise ValueError("only the cycles of a campaign have times")
-    if name.startswith("modes"):
-        raise ValueError(findings.no_modes or "a calibration file tells no modes; give the data")
-    raise UnknownName(f"there is no figure '{name}'", remedy=f"choose {', '.join(drawn)}", got=name)
 
 
 def plot_change_map(change: Change, ax: Axes | None = None) -> Axes:
@@ -111,35 +82,27 @@ def plot_change_map(change: Change, ax: Axes | None = None) -> Axes:
 
 def plot_change(change: Change, ax: Axes | None = None) -> Axes:
     """Draw the change per actuator in sigmas, ring by ring, and how far chance alone reaches."""
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.75)
-        layout = change.one.layout
-        order = np.argsort(ring_of(layout), kind="stable")
-        number = np.arange(1, layout.n + 1)
+    layout = change.one.layout
+    with styled_axes(ax, 0.75) as ax:
+        numbers = numbers_by_ring(layout)
         ax.axhspan(-change.limit, change.limit, color=FAINT, alpha=0.2, linewidth=0)
         ax.axhline(0.0, color=FAINT, linewidth=0.5)
-        ax.plot(number, change.sigmas[order], "o", color=ACCENT, markersize=2.0)
+        ax.plot(numbers, change.sigmas, "o", color=ACCENT, markersize=2.0)
         mark_rings(ax, layout)
         for far in change.changed[:10]:
-            at = (float(number[order == far][0]), float(change.sigmas[far]))
-            ax.annotate(str(layout.id[far]), at, xytext=(3, 0), textcoords="offset points",
-                        fontsize=6.0, va="center")  # fmt: skip
+            name_point(ax, layout.id[far], numbers[far], change.sigmas[far])
         ax.set_ylabel("change (sigma)")
         ax.set_title("band: chance alone, 1 % for all")
     return ax
 
 
-def plot_budget(calibration: Calibration, ax: Axes | None = None) -> Axes:
+def plot_budget(budget: Mapping[str, float], ax: Axes | None = None) -> Axes:
     """Draw the error budget: of a typical actuator, and of the common scale by source."""
-    budget = error_budget(calibration)
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.12 + 0.09 * len(budget))
-        sizes = [100 * size for size in budget.values()]
-        ax.barh(range(len(sizes)), sizes, color=ACCENT, height=0.6)
-        for k, size in enumerate(budget.values()):
-            ax.annotate(percent(size), (100 * size, k), xytext=(2, 0),
-                        textcoords="offset points", va="center", fontsize=6.5)  # fmt: skip
-        ax.set_yticks(range(len(sizes)), [plain(name) for name in budget])
+    with styled_axes(ax, 0.12 + 0.09 * len(budget)) as ax:
+        bars = ax.barh(range(len(budget)), [100 * size for size in budget.values()], color=ACCENT,
+                       height=0.6)  # fmt: skip
+        ax.bar_label(bars, [percent(size) for size in budget.values()], padding=2, fontsize=6.5)
+        ax.set_yticks(range(len(budget)), [plain(name) for name in budget])
         ax.invert_yaxis()
         ax.margins(x=0.15)
         ax.set_xlabel("error of alpha (%)")
@@ -155,8 +118,7 @@ def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = No
     cycles, reach = int(residuals.cycle.max()) + 1, int(np.abs(column).max())
     image = np.full((cycles, 2 * reach + 1), np.nan)
     np.fmax.at(image, (residuals.cycle, column + reach), residuals.after)
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.62)
+    with styled_axes(ax, 0.62) as ax:
         shown = ax.imshow(
             image, aspect="auto", cmap=COLOURS, vmin=0.0, vmax=4.0, interpolation="nearest",
             extent=(-reach - 0.5, reach + 0.5, cycles + 0.5, 0.5),
@@ -173,10 +135,20 @@ def plot_residuals(residuals: RowResiduals | ModeResiduals, ax: Axes | None = No
     return ax
 
 
+def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
+    """Return (N,) where rows stand on an axis of signed shapes, and what the axis is called.
+
+    SHAPE with its SIGN; where shapes are numbered with wide gaps, their place among all instead.
+    """
+    names, index = np.unique(residuals.shape, return_inverse=True)
+    if names[-1] <= 4 * names.size:
+        return residuals.shape * residuals.sign, "shape, with its sign"
+    return (index + 1) * residuals.sign, "place of the shape, with its sign"
+
+
 def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
     """Draw the imbalance of shapes or modes with alpha = 1 and with alpha as found."""
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.7)
+    with styled_axes(ax, 0.7) as ax:
         if isinstance(residuals, ModeResiduals):
             x: NDArray[Any] = residuals.stiffness
             before, after = residuals.before, residuals.after
@@ -184,7 +156,7 @@ def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None
             ax.set_xlabel("stiffness of the mode (N/m)")
             ax.set_ylabel("imbalance / force")
         else:
-            x, before, after, name = by_signed_shape(residuals)
+            x, before, after, name = _by_signed_shape(residuals)
             ax.set_xlabel(name)
             ax.set_ylabel("imbalance / noise")
         ax.set_yscale("log")
@@ -196,11 +168,21 @@ def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None
     return ax
 
 
+def _by_signed_shape(residuals: RowResiduals) -> tuple[NDArray[np.int64], Array, Array, str]:
+    """Return signed shapes, their rms imbalance over kept rows before and after, and the axis."""
+    column, name = columns_of_shapes(residuals)
+    shapes, member = np.unique(column[residuals.kept], return_inverse=True)
+    before, after = (
+        np.sqrt(np.bincount(member, values[residuals.kept] ** 2) / np.bincount(member))
+        for values in (residuals.before, residuals.after)
+    )
+    return shapes, before, after, name
+
+
 def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
     """Draw how clearly the data hold each pattern of alpha."""
     values = np.maximum(evidence.singular_values, 1e-16 * evidence.singular_values[-1])
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.62)
+    with styled_axes(ax, 0.62) as ax:
         ax.semilogy(np.arange(1, values.size + 1), values, "o", color=ACCENT, markersize=1.8)
         ax.semilogy([1], values[:1], "D", color=ALARM, markerfacecolor="none", markersize=5.0)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -213,10 +195,9 @@ def plot_singular_values(evidence: Evidence, ax: Axes | None = None) -> Axes:
 def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
     """Draw when the cycles ran, and how warm it was where that is known."""
     known = any(cycle.temperature is not None for cycle in campaign.cycles)
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.55)
+    with styled_axes(ax, 0.55) as ax:
         for k, cycle in enumerate(campaign.cycles):
-            time, temperature = cycle_times(cycle)
+            time, temperature = _times(cycle)
             load = campaign.load_index[k]
             colour = CURVES[load % len(CURVES)]
             first = campaign.load_index.index(load) == k
@@ -232,3 +213,15 @@ def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
         ax.set_ylabel("temperature (°C)" if known else "cycle")
         legend_above(ax)
     return ax
+
+
+def _times(cycle: Cycle) -> tuple[NDArray[Any], Array | None]:
+    """Return times (UTC, datetime64) and temperatures [deg C] of a cycle, a few hundred at most."""
+    valid = np.flatnonzero(cycle.valid)
+    valid = valid[np.argsort(cycle.time[valid], kind="stable")]
+    some = valid[np.linspace(0, valid.size - 1, min(valid.size, POINTS)).round().astype(int)]
+    start = cycle.date
+    if start.tzinfo is not None:
+        start = start.astimezone(datetime.UTC).replace(tzinfo=None)
+    time = np.datetime64(start, "ms") + (1e3 * cycle.time[some]).astype("timedelta64[ms]")
+    return time, None if cycle.temperature is None else cycle.temperature[some]

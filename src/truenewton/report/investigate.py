@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TypeVar
+
+from matplotlib.axes import Axes
 
 from truenewton.calibration.methods import (
     calibrate,
@@ -12,11 +15,18 @@ from truenewton.calibration.methods import (
     refuse_method,
 )
 from truenewton.calibration.result import Calibration
-from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers, TrueNewtonError
+from truenewton.errors import (
+    NotConverged,
+    RankDeficient,
+    TooManyOutliers,
+    TrueNewtonError,
+    UnknownName,
+)
+from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import Sifted, sift
-from truenewton.modal.findings import ModalFindings, find_modes, modes_reader
-from truenewton.modal.shape_products import MotionReader
+from truenewton.modal.findings import ModalFindings, find_modes
+from truenewton.modal.measured_stiffness import motion_reader
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.source import Source
@@ -27,10 +37,6 @@ from truenewton.report.evidence import (
     campaign_evidence,
     stiffness_evidence,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 MOST_MODES = 1500  # eigenmodes of thousands of actuators take minutes
 
@@ -73,9 +79,9 @@ class Findings:
         """The files: those that went into the calibration, or those that did not suffice."""
         if self.calibration is not None:
             return self.calibration.sources
-        if isinstance(self.data, Campaign):
-            return tuple(c.source for c in self.data.cycles if c.source)
-        return (self.data.source,) if self.data and self.data.source else ()
+        records = self.data.cycles if isinstance(self.data, Campaign) else (self.data,)
+        sources = [record.source for record in records if record is not None]
+        return tuple(source for source in sources if source)
 
     def plot(self, name: str, ax: Axes | None = None) -> Axes:
         """Draw a figure by its name, as 'budget', 'map-leverage' or 'modes'; return the axes.
@@ -87,9 +93,19 @@ class Findings:
         ValueError
             These findings do not hold what it shows.
         """
-        from truenewton.report.figures import plot
+        from truenewton.report.figures import figures_of
 
-        return plot(self, name, ax)
+        drawn = figures_of(self)
+        if name in drawn:
+            return drawn[name](ax=ax)
+        if name in ("residuals", "singular-values", "balance"):
+            raise ValueError("a calibration file holds no residuals; give the cycles")
+        if name == "temperatures":
+            raise ValueError("only the cycles of a campaign have times")
+        if name.startswith("modes"):
+            raise ValueError(self.no_modes or "a calibration file tells no modes; give the data")
+        remedy = f"choose {', '.join(drawn)}"
+        raise UnknownName(f"there is no figure '{name}'", remedy=remedy, got=name)
 
 
 def investigate(
@@ -115,63 +131,44 @@ def investigate(
     sifted: Sifted | None = None
     try:
         if isinstance(data, StiffnessMatrix):
-            return _of_stiffness(data, method, population=population)
+            calibration = calibrate(data, method, population=population)
+            evidence = stiffness_evidence(data, calibration, method, population=population)
+            modes, no_modes = _modes(data, lambda: find_modes(data, calibration))
+            return Findings(data, calibration, evidence, modes=modes, no_modes=no_modes)
         sifted = sift(data)
-        return _of_campaign(sifted, method, population=population)
+        estimate = find_alpha(sifted, method, population=population)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         # The estimator names the first fault only.
         faults = diagnose(sifted.sound, sifted.moments).faults if sifted is not None else ()
         return Findings(data, None, faults=faults or (Fault(error.fault, error.remedy),))
+    return _findings_of(sifted, estimate)
 
 
-def _of_stiffness(matrix: StiffnessMatrix, method: str, *, population: bool) -> Findings:
-    calibration = calibrate(matrix, method, population=population)
-    evidence = stiffness_evidence(matrix, calibration, method, population=population)
-    modes, no_modes = _modes(matrix, calibration)
-    return Findings(matrix, calibration, evidence, modes=modes, no_modes=no_modes)
-
-
-def _of_campaign(sifted: Sifted, method: str, *, population: bool) -> Findings:
-    """Calibrate a campaign; its rows are read once more, for all that is told of them."""
-    campaign = sifted.campaign
-    estimate = find_alpha(sifted, method, population=population)
-    imbalance = RowImbalance(sifted, estimate.values[: int(campaign.layout.enabled.sum())])
-    reader, no_modes = _modes_reader(sifted)
-    readers = (imbalance,) if reader is None else (imbalance, reader)
+def _findings_of(sifted: Sifted, estimate: Estimate) -> Findings:
+    """Return all that is told of a campaign; its rows are read once more for it."""
+    campaign, n = sifted.campaign, int(sifted.campaign.layout.enabled.sum())
+    imbalance = RowImbalance(sifted, estimate.values[:n])
+    reader, no_modes = _modes(campaign, lambda: motion_reader(sifted))
+    readers = [imbalance.take] if reader is None else [imbalance.take, reader.take]
     calibration = calibration_of(campaign, estimate, readers)
-    evidence = campaign_evidence(sifted, calibration, imbalance)
-    modes = None
+    evidence, modes = campaign_evidence(sifted, calibration, imbalance), None
     if reader is not None:
-        modes, no_modes = _modes(campaign, calibration, reader)
+        modes, no_modes = _modes(campaign, lambda: find_modes(campaign, calibration, reader=reader))
     return Findings(campaign, calibration, evidence, modes=modes, no_modes=no_modes)
 
 
-def _modes_reader(sifted: Sifted) -> tuple[MotionReader | None, str]:
-    """Return who reads what modes need, or why there are none."""
-    if sifted.campaign.layout.n > MOST_MODES:
-        return None, _too_many(sifted.campaign)
-    try:
-        return modes_reader(sifted), ""
-    except TrueNewtonError as error:
-        return None, _no_modes(error)
+Modal = TypeVar("Modal")
 
 
-def _modes(
-    data: Campaign | StiffnessMatrix, calibration: Calibration, reader: MotionReader | None = None
-) -> tuple[ModalFindings | None, str]:
-    """Return the modal base, or why there is none."""
+def _modes(data: Campaign | StiffnessMatrix, find: Callable[[], Modal]) -> tuple[Modal | None, str]:
+    """Return what is found towards the modal base, or why there is none."""
     if data.layout.n > MOST_MODES:
-        return None, _too_many(data)
+        return (
+            None,
+            f"Those of {data.layout.n} actuators take a while: truenewton modes finds them.",
+        )
     try:
-        return find_modes(data, calibration, reader=reader), ""
+        return find(), ""
     except TrueNewtonError as error:
-        return None, _no_modes(error)
-
-
-def _too_many(data: Campaign | StiffnessMatrix) -> str:
-    return f"Those of {data.layout.n} actuators take a while: truenewton modes finds them."
-
-
-def _no_modes(error: TrueNewtonError) -> str:
-    why = "; ".join(filter(None, (error.fault, error.remedy)))
-    return f"The data do not tell them: {why}."
+        why = "; ".join(filter(None, (error.fault, error.remedy)))
+        return None, f"The data do not tell them: {why}."

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import leverage
@@ -26,10 +26,10 @@ class Layer:
         For programs; for people; '' where there is none.
     values
         (n,), NaN where unknown.
-    texts
-        (n,) as people read them.
     meaning
         One sentence.
+    errors
+        (n,) how far the values are to be read; None for two digits of each.
     signed
         Whether zero is the middle of its colours.
     reach
@@ -40,8 +40,8 @@ class Layer:
     name: str
     unit: str
     values: Array
-    texts: tuple[str, ...]
     meaning: str
+    errors: Array | None = None
     signed: bool = False
     reach: float = float("nan")
 
@@ -49,6 +49,15 @@ class Layer:
     def title(self) -> str:
         """Name and unit."""
         return f"{self.name} ({self.unit})" if self.unit else self.name
+
+    @property
+    def texts(self) -> tuple[str, ...]:
+        """(n,) as people read them."""
+        if self.errors is not None:
+            return tuple(map(with_error, self.values.tolist(), self.errors.tolist()))
+        sign = "+" if self.signed else ""
+        values = self.values.tolist()
+        return tuple((sign if value > 0 else "") + significant(value) for value in values)
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -79,51 +88,45 @@ def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
         raise ValueError("there is no calibration")
     layers = [
         alpha_layer(c, "alpha", "alpha"),
-        _plain("e_stat", "error from readings", "", c.reading_error,
-               "E_STAT: what the noise of the readings gives alpha, one sigma."),
-        _plain("e_alpha", "error, all", "", c.error,
-               "E_ALPHA: readings and weights together, one sigma."),
+        Layer("e_stat", "error from readings", "", c.reading_error,
+              "E_STAT: what the noise of the readings gives alpha, one sigma."),
+        Layer("e_alpha", "error, all", "", c.error,
+              "E_ALPHA: readings and weights together, one sigma."),
     ]  # fmt: skip
     if c.scale != Scale.MEAN_ONE:
         layers.append(
-            _plain("e_syst", "error from weights", "", c.systematic_error,
-                   "E_SYST: the errors of the weights, which move all alphas together.")
+            Layer("e_syst", "error from weights", "", c.systematic_error,
+                  "E_SYST: the errors of the weights, which move all alphas together.")
         )  # fmt: skip
-    if np.isfinite(c.cycle_error).any():
-        layers.append(
-            _plain("e_cycle", "error of the paper", "", c.cycle_error,
-                   "E_CYCLE: from the scatter of the cycles, three sigma.")
-        )  # fmt: skip
-    layers.append(
-        _plain("leverage", "leverage", "", _leverage(c),
-               "Share of the actuator in the noise of the balance; all together make 3. Where it"
-               " is small, a fault of the actuator is hard to see.")
-    )  # fmt: skip
+    layers += [
+        Layer("e_cycle", "error of the paper", "", c.cycle_error,
+              "E_CYCLE: from the scatter of the cycles, three sigma."),
+        Layer("leverage", "leverage", "", _leverage(c),
+              "Share of the actuator in the noise of the balance; all together make 3. Where it"
+              " is small, a fault of the actuator is hard to see."),
+    ]  # fmt: skip
     if evidence is not None:
-        layers.append(
-            _plain("residual", "residual", "", evidence.actuator_residual,
-                   "How far the imbalance pulls the actuator's reading, rms over rows, in terms"
-                   " of its noise; noise alone gives 1.")
-        )  # fmt: skip
-        if np.isfinite(evidence.actuator_noise).any():
-            layers.append(
-                _plain("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
-                       "Standard deviation of one reading among repeats of its shape.")
-            )  # fmt: skip
-    return tuple(layers)
+        layers += [
+            Layer("residual", "residual", "", evidence.actuator_residual,
+                  "How far the imbalance pulls the actuator's reading, rms over rows, in terms"
+                  " of its noise; noise alone gives 1."),
+            Layer("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
+                  "Standard deviation of one reading among repeats of its shape."),
+        ]  # fmt: skip
+    return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
 
 def change_layers(change: Change) -> tuple[Layer, ...]:
     """Return what changed of the actuators."""
     largest = float(np.nanmax(np.abs(change.sigmas)))
-    sigmas = _plain("sigmas", "change", "sigma", change.sigmas,
-                    "Change of alpha beside the common ratio, in terms of the readings' errors.",
-                    signed=True)  # fmt: skip
+    # Noise shall not look like a change, nor one large change hide the others.
+    reach = float(np.clip(largest, change.limit, 3 * change.limit))
     return (
-        # Noise shall not look like a change, nor one large change hide the others.
-        replace(sigmas, reach=float(np.clip(largest, change.limit, 3 * change.limit))),
-        _plain("relative", "change", "%", 100 * change.relative,
-               "Change of alpha beside the common ratio.", signed=True),
+        Layer("sigmas", "change", "sigma", change.sigmas,
+              "Change of alpha beside the common ratio, in terms of the readings' errors.",
+              signed=True, reach=reach),
+        Layer("relative", "change", "%", 100 * change.relative,
+              "Change of alpha beside the common ratio.", signed=True),
         alpha_layer(change.one, "alpha_one", "alpha, first"),
         alpha_layer(change.other, "alpha_other", "alpha, second"),
     )  # fmt: skip
@@ -131,30 +134,14 @@ def change_layers(change: Change) -> tuple[Layer, ...]:
 
 def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:
     """Return alpha, as far as the errors of the readings go."""
-    c = calibration
-    texts = tuple(
-        with_error(value, error)
-        for value, error in zip(c.alpha.tolist(), c.reading_error.tolist(), strict=True)
-    )
-    meaning = "True Newton per commanded Newton, with the error from the readings (E_STAT)."
-    return Layer(key, name, "true N / commanded N", c.alpha, texts, meaning)
-
-
-def _plain(
-    key: str, name: str, unit: str, values: Array, meaning: str, *, signed: bool = False
-) -> Layer:
-    sign = "+" if signed else ""
-    texts = tuple(
-        (sign if value > 0 else "") + significant(value) for value in np.asarray(values).tolist()
-    )
-    return Layer(key, name, unit, np.asarray(values), texts, meaning, signed)
+    return Layer(key, name, "true N / commanded N", calibration.alpha,
+                 "True Newton per commanded Newton, with the error from the readings (E_STAT).",
+                 calibration.reading_error)  # fmt: skip
 
 
 def _leverage(c: Calibration) -> Array:
     """Return (n,) leverage: as diagnosed, else with even noise; NaN where disabled."""
-    on = c.layout.enabled
-    known = c.diagnosis.leverage if c.diagnosis else ()
-    out = np.full(on.size, np.nan)
-    scaled_arms = arms_in_units_of_rms(c.layout) * c.alpha[on]
-    out[on] = known or leverage(scaled_arms, np.ones(int(on.sum())))
-    return out
+    if c.diagnosis and c.diagnosis.leverage:
+        return spread(np.array(c.diagnosis.leverage), c.layout.enabled)
+    scaled_arms = arms_in_units_of_rms(c.layout) * c.alpha[c.layout.enabled]
+    return spread(leverage(scaled_arms, np.ones(scaled_arms.shape[1])), c.layout.enabled)

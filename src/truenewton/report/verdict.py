@@ -24,13 +24,9 @@ from truenewton.rounding import percent, significant, to_digits, with_error
 FAR = 5.0  # robust standard deviations, for an actuator off the others
 IMPROBABLE = 1e-3  # of a fit; as weights are warned of
 MANY = 0.02  # of the rows left out
-SOUND, LIMITED, CARE, NONE = "sound", "limited", "care", "none"
-LEVELS = {
-    SOUND: "Sound",
-    LIMITED: "Sound, within a limit",
-    CARE: "To be used with care",
-    NONE: "No alpha",
-}
+# Level and title.
+SOUND, LIMITED = ("sound", "Sound"), ("limited", "Sound, within a limit")
+CARE, NONE = ("care", "To be used with care"), ("none", "No alpha")
 
 
 @dataclass(frozen=True)
@@ -49,7 +45,7 @@ class Verdict:
     Attributes
     ----------
     level, title
-        One of LEVELS, and in words.
+        'sound', 'limited', 'care' or 'none'; the same in words.
     sentences
         The verdict.
     numbers
@@ -81,12 +77,12 @@ def verdict(findings: Findings) -> Verdict:
     if c is None:
         mirror, faults = findings.instrument, findings.faults
         sentence = f"These data of {mirror} cannot give alpha."
-        return Verdict(NONE, LEVELS[NONE], (sentence,), (), faults)
+        return Verdict(*NONE, (sentence,), (), faults)
     limits, cares = list(_limits(findings, c)), list(_cares(c))
     level = CARE if cares else LIMITED if limits else SOUND
     known = "Alpha" if c.scale != Scale.MEAN_ONE else "Relative alpha"
     sentence = f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c))}."
-    return Verdict(level, LEVELS[level], (sentence,), _numbers(c), tuple(cares + limits))
+    return Verdict(*level, (sentence,), _numbers(c), tuple(cares + limits))
 
 
 def verdict_on_change(change: Change) -> Verdict:
@@ -94,26 +90,26 @@ def verdict_on_change(change: Change) -> Verdict:
     ids, changed = change.one.layout.id, change.changed
     compared = int(np.isfinite(change.sigmas).sum())
     words = f"of {compared} actuators changed by more than {change.limit:.1f} sigma"
-    level, title, count = SOUND, "No change", f"None {words}: the calibrations agree."
-    if changed.size:
-        level, title = LIMITED, "Changed"
-        count = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
-    farthest = int(np.nanargmax(np.abs(change.sigmas)))
+    level, title, count = "sound", "No change", f"None {words}: the calibrations agree."
     advice: list[Fault] = []
     if changed.size:
+        level, title = "limited", "Changed"
+        count = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
         advice.append(
             Fault(
                 f"changed: {_names(ids[changed])}",
                 "calibrate anew before use, unless the change is known, as after a replacement",
             )
         )
-    if change.same_files:
+    one, other = ({s.sha256 for s in c.sources} for c in (change.one, change.other))
+    if one == other:  # a recalibration has files of its own beside those it inherits
         advice.append(
             Fault(
                 "both calibrations rest on the same files, so most of their errors is common",
                 "read the changes as those of the method; they scatter by less than a sigma",
             )
         )
+    farthest = int(np.nanargmax(np.abs(change.sigmas)))
     numbers = (
         Number("changed actuators", f"{changed.size} of {compared}",
                f"beyond {change.limit:.1f} sigma"),

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from truenewton.figures.maps import mark_rings
-from truenewton.figures.style import ACCENT, FAINT, INK, NAMED, STYLE, new_axes
-from truenewton.statics.layout import ring_of
+from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
+from truenewton.figures.style import ACCENT, FAINT, INK, NAMED, styled_axes
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
 
@@ -57,8 +55,7 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
     ends = np.array([x.min() - reach, x.max() + reach])
     family = next(f for f in t.families if f.effect == effect)
     shown_x, shown_ends = origin + unit * x, origin + unit * ends
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.8)
+    with styled_axes(ax, 0.8) as ax:
         inside = np.linspace(ends[0], ends[1], 41)
         low = PERCENT * (family.mean * inside - 2 * family.spread * np.abs(inside))
         high = PERCENT * (family.mean * inside + 2 * family.spread * np.abs(inside))
@@ -73,10 +70,11 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
         ax.set_xlim(first, last + 0.06 * (last - first))  # room for names
         order = np.argsort(x)
         for one in np.flatnonzero(outlying):
-            ax.plot(shown_ends, PERCENT * slope[one] * ends, color=OUTLYING, linewidth=0.6)
+            line = PERCENT * slope[one] * ends
+            ax.plot(shown_ends, line, color=OUTLYING, linewidth=0.6)
             ax.errorbar(shown_x[order], y[order, one], yerr=error[order, one], fmt="o",
                         color=OUTLYING, markersize=2.0, elinewidth=0.6, capsize=1.5)  # fmt: skip
-            _name(ax, t.layout.id[one], shown_ends[1], PERCENT * slope[one] * ends[1], 2)
+            name_point(ax, t.layout.id[one], last, line[-1], 2, color=OUTLYING)
         ax.set_xlabel(label)
         ax.set_ylabel(r"change of $\alpha$ (%)")
         ax.set_title("band: family, mean ± 2 spreads")
@@ -86,39 +84,28 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
 def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
     """Draw one effect of every actuator, ring by ring, and its family.
 
-    Bars are one standard uncertainty; the band is the family, mean and twice its spread.
-
-    Parameters
-    ----------
-    tracking
-        Whose days determine the effect.
-    effect
-        'temperature' or 'drift'.
-    ax
-        Axes to draw on; their own unless given.
+    Bars are one standard uncertainty; the band is the family, mean and twice its spread. The
+    parameters are those of `plot_law`.
     """
     errors, layout = tracking.errors, tracking.layout
     values = tracking.coefficient if effect == "temperature" else tracking.drift / tracking.alpha
     error = errors[1] if effect == "temperature" else errors[2] / tracking.alpha
     outlying = _outlying(tracking, effect)
     family = next(f for f in tracking.families if f.effect == effect)
-    with mpl.rc_context(STYLE):
-        ax = ax or new_axes(0.75)
-        order = np.argsort(ring_of(layout), kind="stable")
-        position = np.arange(1, layout.n + 1)
+    with styled_axes(ax, 0.75) as ax:
+        numbers = numbers_by_ring(layout)
         low, high = family.mean - 2 * family.spread, family.mean + 2 * family.spread
         ax.axhspan(PERCENT * low, PERCENT * high, color=FAINT, alpha=0.35, linewidth=0)
         ax.axhline(PERCENT * family.mean, color=INK, linewidth=0.8)
         few = layout.n <= NAMED
         for some, colour in ((~outlying, ACCENT), (outlying, OUTLYING)):
-            at = some[order]
-            ax.errorbar(position[at], PERCENT * values[order][at], yerr=PERCENT * error[order][at],
+            ax.errorbar(numbers[some], PERCENT * values[some], yerr=PERCENT * error[some],
                         fmt="o", color=colour, ecolor=INK if colour == ACCENT else colour,
                         markersize=1.8 if few else 1.0, elinewidth=0.5,
                         capsize=1.2 if few else 0.0)  # fmt: skip
         mark_rings(ax, layout)
-        for k in np.flatnonzero(outlying[order]):
-            _name(ax, layout.id[order][k], position[k], PERCENT * values[order][k], 3)
+        for k in np.flatnonzero(outlying):
+            name_point(ax, layout.id[k], numbers[k], PERCENT * values[k], 3, color=OUTLYING)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         ax.margins(y=0.12)
         ax.set_ylabel(LABEL[effect])
@@ -140,9 +127,3 @@ def _outlying(tracking: Tracking, effect: str) -> NDArray[np.bool_]:
     """Return (n,) who left the family by its effect, or lies on no line."""
     left = [one.actuator for one in tracking.outliers if one.effect in (effect, "line")]
     return np.isin(tracking.layout.id, left)
-
-
-def _name(ax: Axes, actuator: int, x: float, y: float, points: int) -> None:
-    """Write an actuator's ID so many points to the right of its mark."""
-    ax.annotate(str(actuator), (x, y), xytext=(points, 0), textcoords="offset points",
-                fontsize=6.0, va="center", color=OUTLYING)  # fmt: skip

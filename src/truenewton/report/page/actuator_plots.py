@@ -28,7 +28,7 @@ from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
 from truenewton.calibration.result import Calibration
-from truenewton.figures.maps import dot_radius, ring_edges, ring_label
+from truenewton.figures.maps import dot_radius, numbers_by_ring, ring_edges, ring_label
 from truenewton.figures.style import ACCENT, ALARM, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
@@ -41,15 +41,12 @@ Plot = Any  # a figure of Bokeh, whose stubs lack many options
 
 def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSource:
     """Return what all views of the actuators share: positions, values and texts of every layer."""
-    ring = ring_of(layout)
-    number = np.empty(layout.n, dtype=np.int32)  # ring by ring from the centre
-    number[np.argsort(ring, kind="stable")] = np.arange(1, layout.n + 1)
     columns: dict[str, Any] = {
         "id": layout.id.astype(np.int32),
-        "ring": (ring + 1).astype(np.int32),
+        "ring": (ring_of(layout) + 1).astype(np.int32),
         "x": layout.x / MILLIMETRE,
         "y": layout.y / MILLIMETRE,
-        "number": number,
+        "number": numbers_by_ring(layout).astype(np.int32),
         "shown": layers[0].values.copy(),
         "ink": ["#000000"] * layout.n,  # of the name on its dot; the page sets it
     }
@@ -164,4 +161,3 @@ def _add_actuator_tools(plot: Plot, dots: Any, layers: tuple[Layer, ...]) -> Non
         BoxSelectTool(renderers=[dots]),
         LassoSelectTool(renderers=[dots]),
     )
-    plot.toolbar.active_drag = None

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truenewton.figures.writing import inline_svg
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import chosen_modes, plot_modes, plot_power, plot_residual
 from truenewton.modal.findings import ModalFindings
@@ -64,7 +63,7 @@ def _modes(modes: ModalFindings) -> Section:
         f" {'; '.join(drawn)}."
     )
     table = TextTable("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
-    figure = inline_svg(plot_modes(modes.after), "modes")
+    figure = plot_modes(modes.after)
     return Section("modes", "Stiffness modes", tuple(words), figure, caption, (table,))
 
 
@@ -77,8 +76,7 @@ def _turbulence(base: ModalBase) -> Section:
         f" {half} of {count}: {left}."
     )
     words = (f"For {turbulence_text(base)}.", f"Between actuators: {fitting_error_text(base)}.")
-    figure = inline_svg(plot_residual(base), "turbulence")
-    return Section("turbulence", "Turbulence", words, figure, caption)
+    return Section("turbulence", "Turbulence", words, plot_residual(base), caption)
 
 
 def _dissipation(base: ModalBase) -> Section:
@@ -99,5 +97,5 @@ def _dissipation(base: ModalBase) -> Section:
         "Rms wavefront that N modes of each base leave; force and power of N stiffness modes",
         head, tuple(cost_rows(base)),
     )  # fmt: skip
-    figure = inline_svg(plot_power(base, Budget()), "dissipation")
+    figure = plot_power(base, Budget())
     return Section("dissipation", "Dissipation", words, figure, caption, (table,))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-from importlib import metadata
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ from truenewton.files.outputs import file_beside
 from truenewton.records.source import Source
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
-from truenewton.report.layers import Layer
 from truenewton.report.page.actuator_plots import palette
 from truenewton.report.page.modal_sections import modal_sections
 from truenewton.report.page.section import TextTable
@@ -29,6 +27,8 @@ from truenewton.report.page.sections import evidence_sections, times
 from truenewton.report.page.views import Actuators, calibration_views, change_views
 from truenewton.report.verdict import verdict, verdict_on_change
 
+# Bokeh's script, which stands in the page; only what figures need.
+BOKEH = Resources(mode="inline", components=["bokeh"], minified=True)
 LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
 
 
@@ -69,8 +69,8 @@ def page(findings: Findings | Change, command: str = "") -> str:
             verdict=verdict_on_change(findings),
             actuators=change_views(findings),
             sections=(),
-            tables=(_summaries(findings), *_files(findings.one.sources, "First calibration: files"),
-                    *_files(findings.other.sources, "Second calibration: files")),
+            tables=(_summaries(findings), _files(findings.one.sources, "First calibration: files"),
+                    _files(findings.other.sources, "Second calibration: files")),
             command=command,
         )  # fmt: skip
     c = findings.calibration
@@ -80,13 +80,14 @@ def page(findings: Findings | Change, command: str = "") -> str:
         verdict=verdict(findings),
         actuators=calibration_views(findings, c) if c else None,
         sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
-        tables=(*((_summary(c),) if c else ()), *_files(findings.inputs, "Files")),
+        tables=(_summary(c), _files(findings.inputs, "Files")),
         command=command,
     )
 
 
-def _summary(c: Calibration) -> TextTable:
-    return TextTable("All figures", ("figure", "value", "note"), tuple(summary_rows(c)), wraps=True)
+def _summary(c: Calibration | None) -> TextTable:
+    rows = tuple(summary_rows(c)) if c else ()
+    return TextTable("All figures", ("figure", "value", "note"), rows, wraps=True)
 
 
 def _summaries(change: Change) -> TextTable:
@@ -98,11 +99,11 @@ def _summaries(change: Change) -> TextTable:
     return TextTable("All figures", ("figure", "first", "second"), tuple(rows), wraps=True)
 
 
-def _files(sources: tuple[Source, ...], caption: str) -> tuple[TextTable, ...]:
+def _files(sources: tuple[Source, ...], caption: str) -> TextTable:
     rows = tuple(
         (s.file, str(s.rows) if s.rows else "none", str(s.rejected), s.sha256) for s in sources
     )
-    return (TextTable(caption, ("file", "rows used", "rejected", "SHA256"), rows),) if rows else ()
+    return TextTable(caption, ("file", "rows used", "rejected", "SHA256"), rows)
 
 
 def _rendered(actuators: Actuators | None, **content: Any) -> str:
@@ -118,7 +119,7 @@ def _rendered(actuators: Actuators | None, **content: Any) -> str:
         versions=_versions(),
         style=(templates / "report.css").read_text(encoding="utf-8"),
         script=(templates / "report.js").read_text(encoding="utf-8"),
-        bokeh=_bokeh() if actuators else "",
+        bokeh="\n".join(BOKEH.js_raw),
         payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )
 
@@ -132,24 +133,14 @@ def _payload(actuators: Actuators) -> dict[str, Any]:
     return {
         "documents": {"report": document.to_json(deferred=False)},
         "places": [{"docid": "report", "roots": hosts, "root_ids": list(hosts)}],
-        "layers": [_layer_data(layer) for layer in actuators.layers],
+        "layers": [
+            {name: getattr(layer, name) for name in ("key", "name", "unit", "title", "meaning")}
+            | {"low": layer.limits[0], "high": layer.limits[1], "palette": list(palette(layer))}
+            for layer in actuators.layers
+        ],
     }
 
 
-def _layer_data(layer: Layer) -> dict[str, Any]:
-    low, high = layer.limits
-    return {
-        "key": layer.key, "name": layer.name, "unit": layer.unit, "title": layer.title,
-        "meaning": layer.meaning, "low": low, "high": high,
-        "palette": list(palette(layer)),
-    }  # fmt: skip
-
-
-def _bokeh() -> str:
-    """Return Bokeh's script, which stands in the page; only what figures need."""
-    return "\n".join(Resources(mode="inline", components=["bokeh"], minified=True).js_raw)
-
-
 def _versions() -> str:
-    libraries = ", ".join(f"{name} {metadata.version(name)}" for name in LIBRARIES)
+    libraries = ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
     return f"truenewton {version('truenewton')}, Python {platform.python_version()}, {libraries}"

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from matplotlib.axes import Axes
+
+from truenewton.figures.writing import inline_svg
+
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table of text; its first column is a name; long cells wrap where ``wraps``."""
+    """A table of text, not shown without rows.
+
+    Its first column is a name; long cells wrap where ``wraps``.
+    """
 
     caption: str
     head: tuple[str, ...]
@@ -26,7 +33,7 @@ class Section:
     words
         Paragraphs.
     figure
-        An SVG element, or nothing.
+        What is drawn, if anything is.
     caption
         What the figure shows, in words: its alternative for who cannot see it.
     tables
@@ -36,6 +43,11 @@ class Section:
     key: str
     title: str
     words: tuple[str, ...] = ()
-    figure: str = ""
+    figure: Axes | None = None
     caption: str = ""
     tables: tuple[TextTable, ...] = ()
+
+    @property
+    def svg(self) -> str:
+        """The figure as an SVG element; empty where there is none."""
+        return "" if self.figure is None else inline_svg(self.figure, self.key)

@@ -11,11 +11,11 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import rejected_values
-from truenewton.figures.writing import inline_svg
 from truenewton.records.campaign import Campaign
 from truenewton.report.budget import error_budget, typical
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.figures import (
+    columns_of_shapes,
     plot_balance,
     plot_budget,
     plot_residuals,
@@ -24,7 +24,6 @@ from truenewton.report.figures import (
 )
 from truenewton.report.investigate import Findings
 from truenewton.report.page.section import Section, TextTable
-from truenewton.report.series import columns_of_shapes
 from truenewton.rounding import percent, significant
 
 NO_DATA = "This page was made from a calibration file, which does not hold them: give the cycles."
@@ -34,17 +33,18 @@ MOST_REJECTED = 50  # rows listed
 def evidence_sections(findings: Findings) -> Iterator[Section]:
     """Yield what supports or explains alpha, in the order of the page."""
     c, evidence = findings.calibration, findings.evidence
-    if c is not None:
-        yield _budget(c)
-    if evidence is None and c is not None:
+    if c is None:
+        return
+    yield _budget(c)
+    if evidence is None:
         yield Section("residuals", "Residuals, singular values and balance", (NO_DATA,))
-    elif evidence is not None:
-        if isinstance(evidence.residuals, RowResiduals):
-            yield _rows(findings, evidence.residuals)
-        else:
-            yield _modes(evidence.residuals)
-        yield _singular_values(evidence)
-        yield _balance(evidence)
+        return
+    if isinstance(evidence.residuals, ModeResiduals):
+        yield _modes(evidence.residuals)
+    elif isinstance(findings.data, Campaign):
+        yield _rows(findings.data, c, evidence.residuals)
+    yield _singular_values(evidence)
+    yield _balance(evidence)
 
 
 def _budget(c: Calibration) -> Section:
@@ -58,13 +58,10 @@ def _budget(c: Calibration) -> Section:
         f"Relative standard uncertainties of alpha. {parts[:1].upper()}{parts[1:]}. The readings'"
         " part shrinks with more cycles, the weights' part with better weights."
     )
-    return Section(key, title, (), inline_svg(plot_budget(c), key), caption)
+    return Section(key, title, (), plot_budget(budget), caption)
 
 
-def _rows(findings: Findings, residuals: RowResiduals) -> Section:
-    campaign, c = findings.data, findings.calibration
-    if not isinstance(campaign, Campaign) or c is None:
-        raise ValueError("residuals of rows belong to a campaign")
+def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Section:
     after, rejected = residuals.after[residuals.kept], int(np.count_nonzero(~residuals.kept))
     farthest = int(np.argmax(after))
     shape = columns_of_shapes(residuals)[0][residuals.kept][farthest]
@@ -77,18 +74,16 @@ def _rows(findings: Findings, residuals: RowResiduals) -> Section:
         + (", marked by crosses." if rejected else ".")
     )
     listed = rejected_values(campaign, c.rejected_rows)
-    tables: tuple[TextTable, ...] = ()
-    if listed:
-        rows = tuple(
-            (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
-             str(row["against"]), str(row["actuator"]))
-            for row in listed[:MOST_REJECTED]
-        )  # fmt: skip
-        more = f"; the farthest {MOST_REJECTED}" if len(listed) > MOST_REJECTED else ""
-        head = ("file", "row", "sigma", "against", "actuator that stands out")
-        tables = (TextTable(f"Rejected rows: {len(listed)}{more}", head, rows),)
-    figure = inline_svg(plot_residuals(residuals), "residuals")
-    return Section("residuals", "Residuals by shape and cycle", (), figure, caption, tables)
+    rows = tuple(
+        (Path(str(row["file"])).name, str(row["row"]), f"{row['sigmas']:.1f}",
+         str(row["against"]), str(row["actuator"]))
+        for row in listed[:MOST_REJECTED]
+    )  # fmt: skip
+    more = f"; the farthest {MOST_REJECTED}" if len(listed) > MOST_REJECTED else ""
+    head = ("file", "row", "sigma", "against", "actuator that stands out")
+    table = TextTable(f"Rejected rows: {len(listed)}{more}", head, rows)
+    title, figure = "Residuals by shape and cycle", plot_residuals(residuals)
+    return Section("residuals", title, (), figure, caption, (table,))
 
 
 def _rms(values: Array) -> float:
@@ -101,8 +96,7 @@ def _modes(residuals: ModeResiduals) -> Section:
         f"Imbalance of {residuals.after.size} elastic modes per unit of force against their"
         f" stiffness: {before} rms with alpha = 1, {after} calibrated."
     )
-    figure = inline_svg(plot_residuals(residuals), "residuals")
-    return Section("residuals", "Residuals by mode", (), figure, caption)
+    return Section("residuals", "Residuals by mode", (), plot_residuals(residuals), caption)
 
 
 def _singular_values(evidence: Evidence) -> Section:
@@ -113,7 +107,7 @@ def _singular_values(evidence: Evidence) -> Section:
         f" itself; the second is {significant(ratio)} times larger. Patterns that come near the"
         " first are hardly known; were it no larger, noise would choose between them."
     )
-    figure = inline_svg(plot_singular_values(evidence), "singular-values")
+    figure = plot_singular_values(evidence)
     return Section("singular-values", "Singular values", (), figure, caption)
 
 
@@ -140,16 +134,15 @@ def _balance(evidence: Evidence) -> Section:
         "Imbalance of every shape, with its sign, in terms of its noise:"
         f" {before} rms with alpha = 1, {after} calibrated."
     )
-    figure = inline_svg(plot_balance(evidence.residuals), "balance")
-    return Section("balance", title, (), figure, caption, (table,))
+    return Section("balance", title, (), plot_balance(evidence.residuals), caption, (table,))
 
 
 def times(findings: Findings) -> Section:
     """Return when the data were taken, and how warm it was."""
     title, c, data = "Temperatures and times", findings.calibration, findings.data
     if not isinstance(data, Campaign):
-        date = c.date if c is not None else data.date if data is not None else None
-        words = f"Measured on {date:%Y-%m-%d %H:%M} UTC" if date else "Unknown"
+        known = c or data
+        words = f"Measured on {known.date:%Y-%m-%d %H:%M} UTC" if known else "Unknown"
         if c is not None and c.date_end != c.date:
             words += f" to {c.date_end:%Y-%m-%d %H:%M} UTC"
         if c is not None and np.isfinite(c.temperature):
@@ -175,5 +168,5 @@ def times(findings: Findings) -> Section:
     caption = f"{len(rows)} cycles, started between {min(starts):%Y-%m-%d %H:%M} and"
     caption += f" {max(starts):%Y-%m-%d %H:%M} UTC"
     caption += f", at {min(warm):.2f} to {max(warm):.2f} °C." if warm else "."
-    figure = inline_svg(plot_temperatures(data), "times")
-    return Section("times", title, (), figure, caption, (TextTable("Cycles", head, tuple(rows)),))
+    tables = (TextTable("Cycles", head, tuple(rows)),)
+    return Section("times", title, (), plot_temperatures(data), caption, tables)

@@ -54,42 +54,37 @@ def calibration_views(findings: Findings, c: Calibration) -> Actuators:
     """Return the views of alpha."""
     layers = calibration_layers(findings)
     source = actuator_source(c.layout, layers)
-    plot, by_ring = mirror_map(source, c.layout, layers), alpha_by_ring(source, c, layers)
-    return Actuators(
-        c.layout,
-        layers,
-        (
-            View("map", "Map of the mirror", plot, _map_caption(c)),
-            View("rings", "Alpha by ring", by_ring, _ring_caption(c)),
-        ),
-    )
+    views = (
+        View("map", "Map of the mirror", mirror_map(source, c.layout, layers),
+             _map_caption(c.layout, _extremes(c))),
+        View("rings", "Alpha by ring", alpha_by_ring(source, c, layers), _ring_caption(c)),
+    )  # fmt: skip
+    return Actuators(c.layout, layers, views)
 
 
 def change_views(change: Change) -> Actuators:
     """Return the views of what changed."""
     layers, layout = change_layers(change), change.one.layout
     source = actuator_source(layout, layers)
-    plot, by_ring = mirror_map(source, layout, layers), change_by_ring(source, change, layers)
-    map_caption = (
-        f"Map of the {layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
-        " above. The table of actuators holds every value."
-    )
     ring_caption = (
         "Change of each actuator in sigmas, ring by ring from the centre. Between the dashed lines"
         f" ({change.limit:.1f} sigma) chance alone explains it."
     )
-    return Actuators(
-        layout,
-        layers,
-        (
-            View("map", "Map of the change", plot, map_caption),
-            View("rings", "Change by ring", by_ring, ring_caption),
-        ),
+    views = (
+        View("map", "Map of the change", mirror_map(source, layout, layers), _map_caption(layout)),
+        View("rings", "Change by ring", change_by_ring(source, change, layers), ring_caption),
+    )
+    return Actuators(layout, layers, views)
+
+
+def _map_caption(layout: Layout, extremes: str = "") -> str:
+    return (
+        f"Map of the {layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
+        f" above.{extremes} The table of actuators holds every value."
     )
 
 
-def _map_caption(c: Calibration) -> str:
-    """Say in words what the map of alpha shows."""
+def _extremes(c: Calibration) -> str:
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ring = ring_of(c.layout) + 1
     lowest, highest = (
@@ -97,11 +92,7 @@ def _map_caption(c: Calibration) -> str:
         f" ({to_digits(float(c.alpha[k]), float(c.reading_error[k]))})"
         for k in (low, high)
     )
-    return (
-        f"Map of the {c.layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
-        f" above. Alpha is lowest at {lowest} and highest at {highest}. The table of actuators"
-        " holds every value."
-    )
+    return f" Alpha is lowest at {lowest} and highest at {highest}."
 
 
 def _ring_caption(c: Calibration) -> str:
