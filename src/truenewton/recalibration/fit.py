@@ -8,7 +8,7 @@ suffices. The error of the earlier scale stays common to all (see `known.shared_
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -157,7 +157,7 @@ def recalibrate(
         chi2=chi2,
         degrees_of_freedom=degrees,
         probability=probability,
-        limits=_limits(before, data, probability),
+        limits=tuple(_limits(before, data, probability)),
     )
 
 
@@ -230,20 +230,19 @@ def _calibration(
     return replace(made, temperature=temperature, sources=(*made.sources, *known.sources))
 
 
-def _limits(known: EarlierCalibration, campaign: Campaign, probability: float) -> tuple[str, ...]:
-    limits: tuple[str, ...] = ()
+def _limits(known: EarlierCalibration, campaign: Campaign, probability: float) -> Iterator[str]:
+    """Yield what cannot be said."""
     if probability < ALL_TOGETHER:
-        limits += (
+        yield (
             "all others together disagree with their earlier calibration, though none stands out:"
-            " calibrate anew",
+            " calibrate anew"
         )
     then, now = known.temperature, mean_temperature(campaign.cycles)
     if not (np.isfinite(then) and np.isfinite(now)):
-        limits += ("the temperatures are not all known: others may seem to have moved",)
+        yield "the temperatures are not all known: others may seem to have moved"
     elif abs(now - then) > SAME_TEMPERATURE:
-        limits += (
+        yield (
             f"the earlier calibration holds at {then:.1f} deg C, the run was at {now:.1f}: others"
             f" may seem to have moved; alpha is given at {then:.1f} deg C (a tracking file as"
-            " --known takes temperature into account)",
+            " --known takes temperature into account)"
         )
-    return limits
