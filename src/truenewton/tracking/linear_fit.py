@@ -89,15 +89,9 @@ def linear_fit(
     # Relative to the mean, all actuators weigh alike in one matrix.
     mean = alpha.mean(axis=0)
     y = alpha / mean
-    each_mean = np.outer(mean, mean)
-    roots = np.array(
-        [
-            _inverse_root(
-                day, covariances(day.calibration, on)[0] / each_mean + np.diag(scatter**2)
-            )
-            for day in days
-        ]
-    )
+    each_mean, own = np.outer(mean, mean), np.diag(scatter**2)
+    readings = (covariances(day.calibration, on)[0] / each_mean + own for day in days)
+    roots = np.array([*map(_inverse_root, days, readings)])
     whitened = np.einsum("jab,jk->jakb", roots, design).reshape(count * n, (1 + q) * n)
     # Errors of the weights multiply the law; taken from the readings they would carry noise.
     law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
