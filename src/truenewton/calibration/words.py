@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
-from truenewton.estimation.diagnosis import ErrorKind
+from truenewton.calibration.result import Calibration
+from truenewton.estimation.diagnosis import ErrorKind, RejectedRow
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load
+from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
-
-if TYPE_CHECKING:
-    from truenewton.calibration.result import Calibration
-    from truenewton.estimation.diagnosis import RejectedRow
-    from truenewton.estimation.stiffness_svd import Imbalance
-    from truenewton.records.campaign import Campaign
 
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 
@@ -85,11 +83,9 @@ def summary_values(
         "bias_force": c.bias_force,
         "e_bias_force": c.bias_force_error,
         "loads": [
-            {"load": load.name, "torque_y": my, "e_torque_y": e[0], "torque_x": mx,
-             "e_torque_x": e[1]}
-            for load, my, mx, e in zip(
-                c.loads, c.torque_y.tolist(), c.torque_x.tolist(), c.torque_errors.tolist(),
-                strict=True,
+            {"load": load.name, "torque_y": my, "e_torque_y": ey, "torque_x": mx, "e_torque_x": ex}
+            for load, my, mx, (ey, ex) in zip(
+                c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
             )
         ],
         "actuators": {
@@ -102,20 +98,13 @@ def summary_values(
         },
         "chi2": c.chi2,
         "degrees_of_freedom": c.degrees_of_freedom,
-        "goodness": None if c.goodness is None else {
-            "chi2": c.goodness.chi2,
-            "degrees_of_freedom": c.goodness.degrees_of_freedom,
-            "against": c.goodness.against,
-            "probability": c.goodness.probability,
-        },
+        "goodness": asdict(c.goodness) if c.goodness else None,
         "scale_errors": [
             {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
-        "imbalance": [
-            {"modes": line.modes, "before": line.before, "after": line.after} for line in imbalances
-        ],
-    }  # fmt: skip
+        "imbalance": [asdict(line) for line in imbalances],
+    }
 
 
 def headline(calibration: Calibration) -> str:
@@ -124,80 +113,63 @@ def headline(calibration: Calibration) -> str:
     return (
         f"{c.instrument}, {c.date:%Y-%m-%d}: {on.sum()} actuators"
         + (f" ({(~on).sum()} disabled)" if not on.all() else "")
-        + f", {c.shapes_used} {'rows' if c.loads else 'elastic modes'}"
-        + (f" under {len(c.loads)} loads" if c.loads else "")
+        + f", {c.shapes_used} {f'rows under {len(c.loads)} loads' if c.loads else 'elastic modes'}"
         + (f", {c.invalid} rows not valid left out" if c.invalid else "")
     )
 
 
-def summary_rows(calibration: Calibration) -> list[tuple[str, str, str]]:
-    """Return name, value and note of what was found, how sure it is, and what limits it."""
-    c, on = calibration, calibration.layout.enabled
-    relative = c.error[on] / np.abs(c.alpha[on])
+def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
+    """Yield name, value and note of what was found, how sure it is, and what limits it."""
+    c, on, ids = calibration, calibration.layout.enabled, calibration.layout.id
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
-    ids = c.layout.id
-    ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
-    rows = [
-        ("alpha", f"{ends[0]} .. {ends[1]}", "true N / commanded N"
-         + f", lowest actuator {ids[low]}, highest {ids[high]}"),
-        ("typical error of alpha", percent(float(np.median(relative))), "E_ALPHA, one sigma"),
-    ]  # fmt: skip
-    if c.scale != Scale.MEAN_ONE:
-        rows += _budget(c)
-        rows += [
-            ("bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""),
-            *(
-                (f"torques, {load.name}",
-                 f"{with_error(1e3 * my, 1e3 * e[0])}, {with_error(1e3 * mx, 1e3 * e[1])}",
-                 "M_y, M_x [mN m]")
-                for load, my, mx, e in zip(
-                    c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
-                )
-            ),
-        ]  # fmt: skip
+    ends = " .. ".join(to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high))
+    note = f"true N / commanded N, lowest actuator {ids[low]}, highest {ids[high]}"
+    yield "alpha", ends, note
+    relative = float(np.median(c.error[on] / np.abs(c.alpha[on])))
+    yield "typical error of alpha", percent(relative), "E_ALPHA, one sigma"
+    if c.scale == Scale.MEAN_ONE:
+        yield "common scale", "free", "mean alpha set to 1; weights would fix it"
     else:
-        rows.append(("common scale", "free", "mean alpha set to 1; weights would fix it"))
+        yield from _budget(c)
+        yield "bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""
+        for load, *torques, errors in zip(
+            c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
+        ):
+            my, mx = (with_error(1e3 * m, 1e3 * e) for m, e in zip(torques, errors, strict=True))
+            yield f"torques, {load.name}", f"{my}, {mx}", "M_y, M_x [mN m]"
     if np.isfinite(c.noise):
-        rows.append(("noise of one reading", f"{1e3 * c.noise:.3g} mN", "from repeated shapes"))
+        yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", "from repeated shapes"
     if c.goodness is not None:
-        rows.append(
-            ("fit", f"chi2/DOF = {c.goodness.reduced:.3g}",
-             f"DOF {c.goodness.degrees_of_freedom}, noise from {c.goodness.against}"
-             + (f", probability {c.goodness.probability:.2g}"
-                if np.isfinite(c.goodness.probability) else ""))
-        )  # fmt: skip
+        note = f"DOF {c.goodness.degrees_of_freedom}, noise from {c.goodness.against}"
+        if np.isfinite(c.goodness.probability):
+            note += f", probability {c.goodness.probability:.2g}"
+        yield "fit", f"chi2/DOF = {c.goodness.reduced:.3g}", note
     if c.diagnosis is not None and c.diagnosis.weakest:
-        rows.append(
-            ("least known", c.diagnosis.weakest,
-             f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2")
-        )  # fmt: skip
+        note = f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2"
+        yield "least known", c.diagnosis.weakest, note
     if c.diagnosis is not None and c.diagnosis.eigenvalues:
-        rows.append(
-            ("alpha stands apart by", f"{c.diagnosis.separation:.3g}",
-             "second over smallest singular value; noise alone gives 1")
-        )  # fmt: skip
-    rows.append(("condition", f"{c.condition:.3g}", f"rank {c.rank}"))
-    return rows
+        note = "second over smallest singular value; noise alone gives 1"
+        yield "alpha stands apart by", f"{c.diagnosis.separation:.3g}", note
+    yield "condition", f"{c.condition:.3g}", f"rank {c.rank}"
 
 
-def _budget(c: Calibration) -> list[tuple[str, str, str]]:
-    """Return the lines that say where the error comes from."""
-    alpha = np.abs(c.alpha)
+def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
+    """Yield the rows that say where the error comes from."""
+    scale, readings = (
+        percent(float(np.nanmedian(error / np.abs(c.alpha))))
+        for error in (c.systematic_error, c.reading_error)
+    )
+    yield "  common scale", scale, "E_SYST, from the weights"
     parts = ", ".join(
         f"{line.source} {percent(line.relative)}" for line in c.scale_errors if line.relative > 1e-5
     )
-    lines = [
-        ("  common scale", percent(float(np.nanmedian(c.systematic_error / alpha))),
-         "E_SYST, from the weights"),
-        ("  reading noise", percent(float(np.nanmedian(c.reading_error / alpha))),
-         "E_STAT" + (", scatter only: svd is biased besides" if c.method == "svd" else "")),
-    ]  # fmt: skip
     if parts:
-        lines.insert(1, ("    budget", parts, ""))
+        yield "    budget", parts, ""
+    biased = ", scatter only: svd is biased besides" if c.method == "svd" else ""
+    yield "  reading noise", readings, f"E_STAT{biased}"
     if np.isfinite(c.cycle_error).any():
         low, high = np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)
-        lines.append(("  the paper's error", f"{low:.1e} .. {high:.1e}", "E_CYCLE, 3 sigma"))
-    return lines
+        yield "  the paper's error", f"{low:.1e} .. {high:.1e}", "E_CYCLE, 3 sigma"
 
 
 def scale_limit(c: Calibration) -> Fault | None:

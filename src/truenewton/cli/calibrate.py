@@ -31,7 +31,7 @@ def run(
         summary_lines,
         summary_values,
     )
-    from truenewton.cli.terminal import print_json, print_result
+    from truenewton.cli.terminal import print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
     from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -40,15 +40,12 @@ def run(
         refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     calibration = calibrate(data, method, population=population)
-    judged = (
-        held_out(data, method, population=population) if isinstance(data, StiffnessMatrix) else ()
-    )
     if output is not None:
         calibration.write(output, overwrite=overwrite)
-    if json:
-        print_json(summary_values(calibration, judged))
-        return
-    lines = [*summary_lines(calibration), *imbalance_lines(judged)]
-    if not isinstance(data, StiffnessMatrix):
-        lines += rejected_lines(data, calibration.rejected_rows)
-    print_result(lines, [output] if output else [], saved=output is not None)
+    if isinstance(data, StiffnessMatrix):
+        judged = held_out(data, method, population=population)
+        values, more = summary_values(calibration, judged), imbalance_lines(judged)
+    else:
+        values, more = summary_values(calibration), rejected_lines(data, calibration.rejected_rows)
+    lines = [*summary_lines(calibration), *more]
+    print_result(lines, output, values=values if json else None)

@@ -45,7 +45,7 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
-    from truenewton.cli.terminal import busy, print_json, print_result
+    from truenewton.cli.terminal import busy, print_result
     from truenewton.figures.writing import write_drawn
     from truenewton.files.outputs import refuse_existing
     from truenewton.modal.dissipation import Budget
@@ -64,7 +64,7 @@ def run(
         refuse_existing(target, overwrite=overwrite)
     floating = options.ids(off, "--off") if off else ()
     following = options.ids(slaved, "--slaved") if slaved else ()
-    written: list[Path] = []
+    more: list[Path] = []
     with busy("finding modes"):
         modes = find_modes(
             read_data(*paths),
@@ -77,10 +77,8 @@ def run(
             slaved=following,
         )
         if output is not None:
-            written += write_modes(modes, output, limits, overwrite=overwrite)
+            more += write_modes(modes, output, limits, overwrite=overwrite)[1:]
         if figures is not None:
-            written += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
-    if json:
-        print_json(values(modes, limits))
-    else:
-        print_result(lines(modes, limits), written, saved=output is not None)
+            more += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
+    as_values = values(modes, limits) if json else None
+    print_result(lines(modes, limits), output, more, values=as_values)

@@ -36,7 +36,7 @@ def run(
         return
     if output is not None:
         raise typer.BadParameter("-o goes with --new; --plot FILE writes the figure")
-    from truenewton.cli.terminal import print_json, print_result
+    from truenewton.cli.terminal import print_json
     from truenewton.figures.writing import write_figure
     from truenewton.files.outputs import refuse_existing
     from truenewton.planning.figures import plot_outlook
@@ -53,9 +53,11 @@ def run(
         write_figure(plot_outlook(outlook, target), plot, overwrite=overwrite)
     if json:
         print_json(values(outlook, target, ways))
-    else:
-        said = (*lines(outlook), *way_lines(target, ways))
-        print_result(said, [plot] if plot else [], saved=True)
+        return
+    for line in (*lines(outlook), *way_lines(target, ways)):
+        print(line)
+    if plot is not None:
+        print(f"written: {plot}")
 
 
 def _new(output: Path | None, overwrite: bool) -> None:

@@ -22,7 +22,7 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
-    from truenewton.cli.terminal import print_json, print_result
+    from truenewton.cli.terminal import print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
@@ -40,7 +40,4 @@ def run(
     made = recalibrate(data, known, ids)
     if output is not None:
         made.calibration.write(output, overwrite=overwrite)
-    if json:
-        print_json(values(made))
-    else:
-        print_result(lines(made), [output] if output else [], saved=output is not None)
+    print_result(lines(made), output, values=values(made) if json else None)

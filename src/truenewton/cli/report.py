@@ -45,4 +45,4 @@ def run(
     words += ["--population"] if population else []
     write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
     judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)
-    print_result(judged.lines(), [output], saved=True)
+    print_result(judged.lines(), output)

@@ -30,13 +30,22 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def print_result(lines: Iterable[str], written: Iterable[Path], *, saved: bool) -> None:
-    """Print what was found, and the files that hold it, or how to have one."""
+def print_result(
+    lines: Iterable[str],
+    output: Path | None,
+    more: Iterable[Path] = (),
+    *,
+    values: Mapping[str, Any] | None = None,
+) -> None:
+    """Print lines and the files that hold them, or how to have the first; or values instead."""
+    if values is not None:
+        print_json(values)
+        return
     for line in lines:
         print(line)
-    for path in written:
+    for path in (*([output] if output else []), *more):
         print(f"written: {path}")
-    if not saved:
+    if output is None:
         print("not written; -o FILE keeps it")
 
 

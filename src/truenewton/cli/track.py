@@ -22,7 +22,7 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find how alpha varies with temperature and time, from calibrations of different days."""
-    from truenewton.cli.terminal import print_json, print_result
+    from truenewton.cli.terminal import print_result
     from truenewton.errors import FormatError
     from truenewton.figures.writing import write_drawn
     from truenewton.files.outputs import refuse_existing
@@ -38,13 +38,10 @@ def run(
             refuse_existing(target, overwrite=overwrite)
     tracking = track(*paths)
     validity = None if accuracy is None else validity_of(tracking, accuracy)
-    written: list[Path] = []
+    drawn: list[Path] = []
     if output is not None:
         tracking.write(output, overwrite=overwrite)
-        written.append(output)
     if figures is not None:
-        written += write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
-    if json:
-        print_json(values(tracking, validity))
-    else:
-        print_result(lines(tracking, validity), written, saved=output is not None)
+        drawn = write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
+    as_values = values(tracking, validity) if json else None
+    print_result(lines(tracking, validity), output, drawn, values=as_values)

@@ -131,10 +131,15 @@ def estimate_of(
     minimum: Minimum,
     rejected: tuple[RejectedRow, ...],
     held: int,
+    freedom: float | None = None,
 ) -> Estimate:
-    """Put the minimum into the form that all methods share."""
+    """Put the minimum into the form that all methods share.
+
+    Degrees of freedom are those of the problem unless given.
+    """
     campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
-    chi2, freedom = minimum.chi2, problem.degrees_of_freedom(moments)
+    chi2 = minimum.chi2
+    freedom = problem.degrees_of_freedom(moments) if freedom is None else freedom
     size = chi2 / freedom if freedom > 0 else float("nan")
     tested = problem.noise.source != NoiseSource.MINIMUM and freedom > 0
     probability = _probability(chi2, freedom, problem.noise) if tested else float("nan")
@@ -155,7 +160,7 @@ def estimate_of(
         condition=e_condition,
         rank=unknowns.count - diagnosis.undetermined,
         diagnosis=diagnosis,
-        goodness=Goodness(chi2, freedom, problem.noise.source, probability),
+        goodness=Goodness(chi2, round(freedom), problem.noise.source, probability),
         declared_chi2=declared,
         scale_errors=scale_errors(
             minimum.values[:n],
@@ -167,7 +172,7 @@ def estimate_of(
     )
 
 
-def _probability(chi2: float, freedom: int, noise: Noise) -> float:
+def _probability(chi2: float, freedom: float, noise: Noise) -> float:
     """Return how often chance makes chi^2 as large, the noise being known only so well."""
     if np.isinf(noise.share_freedom):
         return float(scipy.stats.chi2.sf(chi2, freedom))

@@ -115,9 +115,9 @@ class Problem:
         return np.asarray(ids[standing_out(rho, self.a * values[: self.n], s)])
 
 
-def problem_of(campaign: Campaign, noise: Noise) -> Problem:
-    """Pose the problem of a campaign."""
-    errors = weight_errors(campaign)
+def problem_of(campaign: Campaign, noise: Noise, errors: WeightErrors | None = None) -> Problem:
+    """Pose the problem of a campaign, whose weights have their declared errors unless given."""
+    errors = weight_errors(campaign) if errors is None else errors
     n = int(campaign.layout.enabled.sum())
     unknowns = Unknowns(n, len(campaign.loads), len(errors))
     elastic: tuple[DataSet, ...] = ()
@@ -166,7 +166,9 @@ def with_noise_from_minimum(
     problem: Problem,
     moments: Moments,
     minimum: Minimum,
-    freedom: Callable[[Problem, Minimum], float] | None = None,
+    freedom: Callable[[Problem, Moments, Minimum], float] = lambda problem, moments, _: (
+        problem.degrees_of_freedom(moments)
+    ),
 ) -> tuple[Problem, Minimum]:
     """Give the noise its size from the minimum, where nothing else does; with it D.
 
@@ -175,8 +177,7 @@ def with_noise_from_minimum(
     for _ in range(20):
         if problem.noise.source != NoiseSource.MINIMUM:
             break
-        degrees = freedom(problem, minimum) if freedom else problem.degrees_of_freedom(moments)
-        size = minimum.chi2 / max(degrees, 1.0)
+        size = minimum.chi2 / max(freedom(problem, moments, minimum), 1.0)
         variance = np.maximum(problem.noise.variance * size, least_variance(moments))
         if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
             break

@@ -129,7 +129,8 @@ class Dissipation:
             Of power and force.
         alpha_error
             (n,) or one for all: relative, by which alpha of each actuator may be higher than
-            assumed: the true force of what is commanded is so too. The power is that of the commands, which were measured.
+            assumed: the true force of what is commanded is so too. The power is that of the
+            commands, which were measured.
         """
         higher = 1.0 + np.asarray(alpha_error, dtype=float).reshape(-1, 1)
         power = self.power

@@ -8,11 +8,10 @@ suffices. The error of the earlier scale stays common to all (see `known.shared_
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 import scipy.stats
 from numpy.typing import NDArray
 
@@ -21,13 +20,13 @@ from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.errors import FormatError, RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
-from truenewton.estimation.diagnosis import Goodness, NoiseSource, RejectedRow, ScaleError
+from truenewton.estimation.diagnosis import RejectedRow, ScaleError
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
-from truenewton.estimation.problem import Problem
+from truenewton.estimation.problem import Problem, with_noise_from_minimum
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import scale_error_from_readings
@@ -39,15 +38,14 @@ from truenewton.recalibration.known import (
     shared_errors,
 )
 from truenewton.recalibration.short_run import (
-    ShortRun,
     balancing,
     degrees_of,
+    held_to,
     inverse_of,
+    posed_problem,
     pulls,
-    with_noise,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.law import Outlier, Tracking
@@ -114,24 +112,23 @@ def recalibrate(
         Too little data, or too many have moved.
     TooManyOutliers, NotConverged
     """
-    if not isinstance(campaign, Campaign):
-        campaign = _campaign(campaign)
-    if campaign.stiffness is not None:
+    data = campaign if isinstance(campaign, Campaign) else read(campaign)
+    if not isinstance(data, Campaign):
+        raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
+    if data.stiffness is not None:
         raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
-    before = known_from(known, campaign)
-    layout = campaign.layout
-    on = layout.enabled
-    new = _new(campaign, before, actuators)
-    sifted = sift(campaign)
+    before = known_from(known, data)
+    ids = data.layout.id[data.layout.enabled]
+    new = _new(data, before, actuators)
+    sifted = sift(data)
     _refuse_too_little(sifted.sound, sifted.moments, int(new.sum()))
-    errors, scale = shared_errors(before, campaign)
-    alpha = np.where(np.isfinite(before.alpha), before.alpha, np.nanmean(before.alpha))[on]
-    run = ShortRun(before, sifted.sound, errors, alpha, before.covariance[np.ix_(on, on)])
-    problem, moments, minimum, lost = balancing(run, sifted, new)
+    errors, scale = shared_errors(before, data)
+    problem = posed_problem(before, sifted, errors)
+    problem, moments, minimum, lost = balancing(problem, before, sifted, new)
     moved: list[Outlier] = []
     stay = ~new
     while True:
-        problem = replace(problem, prior=run.problem(problem.noise, run.tight(stay)).prior)
+        problem = held_to(problem, before, stay)
         minimum = problem.fitted(moments, minimum.values)
         z, chi2, degrees = pulls(problem, minimum, stay)
         worst = int(np.abs(z).argmax())
@@ -139,7 +136,7 @@ def recalibrate(
         mirror = chance_of_any(chance, int(stay.sum()))
         if mirror >= FALSE_ALARM:
             break
-        moved.append(Outlier(int(layout.id[on][worst]), "moved", float(z[worst]), mirror))
+        moved.append(Outlier(int(ids[worst]), "moved", float(z[worst]), mirror))
         stay[worst] = False
         if len(moved) > MOST * len(stay):
             raise RankDeficient(
@@ -148,27 +145,20 @@ def recalibrate(
                 got=len(moved),
                 want=MOST * len(stay),
             )
-    problem, minimum = with_noise(problem, moments, minimum)
+    problem, minimum = with_noise_from_minimum(problem, moments, minimum, degrees_of)
     rejected = (*sifted.rejected, *lost)
-    calibration = _calibration(run, problem, moments, minimum, rejected, scale, stay)
+    calibration = _calibration(before, problem, moments, minimum, rejected, scale, stay)
     probability = float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan")
     return Recalibration(
         calibration=calibration,
-        asked=tuple(layout.id[on][new].tolist()),
+        asked=tuple(ids[new].tolist()),
         moved=tuple(sorted(moved, key=lambda one: one.probability)),
         earlier=before.alpha,
         chi2=chi2,
         degrees_of_freedom=degrees,
         probability=probability,
-        limits=_limits(run, probability),
+        limits=tuple(_limits(before, data, probability)),
     )
-
-
-def _campaign(path: str | os.PathLike[str]) -> Campaign:
-    data = read(path)
-    if isinstance(data, Calibration | StiffnessMatrix):
-        raise FormatError("holds no cycles", remedy="give the run after the change", path=path)
-    return data
 
 
 def _new(
@@ -206,7 +196,7 @@ def _refuse_too_little(campaign: Campaign, moments: Moments, new: int) -> None:
 
 
 def _calibration(
-    run: ShortRun,
+    known: EarlierCalibration,
     problem: Problem,
     moments: Moments,
     minimum: Minimum,
@@ -215,31 +205,24 @@ def _calibration(
     stay: NDArray[np.bool_],
 ) -> Calibration:
     """Return an ordinary calibration, the error of the earlier scale common to all."""
-    known, campaign = run.known, run.campaign
-    n, count = problem.n, problem.unknowns.count
-    inverse = inverse_of(problem, minimum)
-    values = minimum.values[:count]
+    campaign, n = problem.campaign, problem.n
+    values = minimum.values[: problem.unknowns.count]
     changes = minimum.changes.copy()
     changes[:, 0] += scale * values
     # Uneven errors of the earlier weights come through the prior.
     uneven = (known.alpha[:, None] * known.uneven)[campaign.layout.enabled][stay]
     information = problem.prior.information[np.ix_(stay, stay)]
-    through = inverse[:count, :n][:, stay] @ information @ uneven
+    inverse = inverse_of(problem, minimum)[: len(values), :n][:, stay]
+    through = inverse @ information @ uneven
     reading_covariance = minimum.reading_covariance - through @ through.T
-    estimate = estimate_of("ml, recalibrated", problem, moments, minimum, rejected, 0)
-    degrees = degrees_of(problem, moments, inverse)
-    tested = problem.noise.source != NoiseSource.MINIMUM
-    probability = float(scipy.stats.chi2.sf(minimum.chi2, degrees)) if tested else float("nan")
-    size = minimum.chi2 / degrees
     by_readings = scale_error_from_readings(values[:n], reading_covariance[:n, :n])
     budget = (by_readings, ScaleError(EARLIER, known.scale))
+    freedom = degrees_of(problem, moments, minimum)
     estimate = replace(
-        estimate,
-        scale=Scale.GIVEN if run.held else Scale.WEIGHTS,
+        estimate_of("ml, recalibrated", problem, moments, minimum, rejected, 0, freedom),
+        scale=Scale.GIVEN if problem.prior.held else Scale.WEIGHTS,
         reading_covariance=reading_covariance,
         systematic_covariance=changes @ changes.T + through @ through.T,
-        noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
-        goodness=Goodness(minimum.chi2, round(degrees), problem.noise.source, probability),
         scale_errors=tuple(sorted(budget, key=lambda line: -line.relative)),
     )
     made = calibration_of(campaign, estimate)
@@ -247,20 +230,19 @@ def _calibration(
     return replace(made, temperature=temperature, sources=(*made.sources, *known.sources))
 
 
-def _limits(run: ShortRun, probability: float) -> tuple[str, ...]:
-    limits: tuple[str, ...] = ()
+def _limits(known: EarlierCalibration, campaign: Campaign, probability: float) -> Iterator[str]:
+    """Yield what cannot be said."""
     if probability < ALL_TOGETHER:
-        limits += (
+        yield (
             "all others together disagree with their earlier calibration, though none stands out:"
-            " calibrate anew",
+            " calibrate anew"
         )
-    then, now = run.known.temperature, mean_temperature(run.campaign.cycles)
+    then, now = known.temperature, mean_temperature(campaign.cycles)
     if not (np.isfinite(then) and np.isfinite(now)):
-        limits += ("the temperatures are not all known: others may seem to have moved",)
+        yield "the temperatures are not all known: others may seem to have moved"
     elif abs(now - then) > SAME_TEMPERATURE:
-        limits += (
+        yield (
             f"the earlier calibration holds at {then:.1f} deg C, the run was at {now:.1f}: others"
             f" may seem to have moved; alpha is given at {then:.1f} deg C (a tracking file as"
-            " --known takes temperature into account)",
+            " --known takes temperature into account)"
         )
-    return limits

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array, spread
+from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
@@ -15,7 +16,6 @@ from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
-from truenewton.reading import read
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.source import Source
 from truenewton.statics.load import Load
@@ -80,7 +80,14 @@ def known_from(
     if not isinstance(given, Calibration | Tracking):
         name = os.fspath(given)
         file = read_fits(given)
-        given = tracking_from(file) if "TRACKING" in file.extensions else _calibration(name)
+        if "TRACKING" in file.extensions:
+            given = tracking_from(file)
+        elif "CALIBRATION" in file.extensions:
+            given = calibration_from(file)
+        else:
+            raise FormatError(
+                "is no calibration", remedy="give --known the calibration from before", path=name
+            )
     same_instrument = given.instrument == campaign.instrument
     if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(
@@ -122,15 +129,6 @@ def known_from(
         loads=loads,
         sources=sources,
     )
-
-
-def _calibration(name: str) -> Calibration:
-    data = read(name)
-    if not isinstance(data, Calibration):
-        raise FormatError(
-            "is no calibration", remedy="give --known the calibration from before", path=name
-        )
-    return data
 
 
 def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:

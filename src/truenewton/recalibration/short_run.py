@@ -11,7 +11,7 @@ and q_i over its standard deviation is standard normal unless actuator i has mov
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
@@ -21,67 +21,59 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.identifiability import load_fault
-from truenewton.estimation.minimum import Minimum, Prior
+from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments, chosen_groups
-from truenewton.estimation.noise import Noise, reading_noise
+from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.outliers import balancing_groups, rows_of
 from truenewton.estimation.problem import (
     Problem,
+    problem_of,
     with_noise_from_minimum,
     with_share_in_balance,
 )
 from truenewton.estimation.sifted import Sifted, refuse_too_many
-from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightErrors
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
-from truenewton.records.campaign import Campaign
 
 LOOSE = 0.2  # relative, of a prior that lets everyone move: bad rows are judged by it
 SCALE_HELD = 1e-4  # of the common scale in it
 SMALL = 1e-6  # part of the prior's variance below which the run says nothing
 
 
-@dataclass(frozen=True, eq=False)
-class ShortRun:
-    """A run and what is known beside it; (n,) arrays over its enabled actuators."""
+def posed_problem(known: EarlierCalibration, sifted: Sifted, errors: WeightErrors) -> Problem:
+    """Pose the problem of a run about the earlier alpha, of which nothing is held yet."""
+    campaign = sifted.sound
+    problem = problem_of(campaign, reading_noise(campaign, sifted.moments), errors)
+    alpha = np.where(np.isfinite(known.alpha), known.alpha, np.nanmean(known.alpha))
+    mean = np.zeros(problem.unknowns.total)
+    mean[problem.unknowns.alpha] = alpha[campaign.layout.enabled]
+    held = (
+        load_fault(campaign) is not None
+    )  # all weigh the same: B takes up every error of a weight
+    return replace(problem, prior=replace(problem.prior, mean=mean, held=held))
 
-    known: EarlierCalibration
-    campaign: Campaign
-    errors: WeightErrors
-    alpha: Array
-    covariance: Array
 
-    @property
-    def held(self) -> bool:
-        """Whether B takes up every error of a weight: all loads weigh the same."""
-        return load_fault(self.campaign) is not None
+def held_to(problem: Problem, known: EarlierCalibration, stay: NDArray[np.bool_]) -> Problem:
+    """Return the problem with the (n,) who stay held to their earlier calibration."""
+    on = problem.campaign.layout.enabled
+    at = np.ix_(stay, stay)
+    information = np.zeros((problem.n, problem.n))
+    information[at] = scipy.linalg.inv(known.covariance[np.ix_(on, on)][at])
+    return replace(problem, prior=replace(problem.prior, information=information))
 
-    def problem(self, noise: Noise, information: Array) -> Problem:
-        """Pose the problem with (n, n) information on alpha."""
-        errors = len(self.errors)
-        unknowns = Unknowns(len(self.alpha), len(self.campaign.loads), errors)
-        mean = np.zeros(unknowns.total)
-        mean[unknowns.alpha] = self.alpha
-        prior = Prior(mean, information, errors, self.held)
-        return Problem(self.campaign, self.errors, noise, prior)
 
-    def tight(self, stay: NDArray[np.bool_]) -> Array:
-        """Return the (n, n) information of the earlier calibration on the (n,) who stay."""
-        information = np.zeros_like(self.covariance)
-        at = np.ix_(stay, stay)
-        information[at] = scipy.linalg.inv(self.covariance[at])
-        return information
-
-    def loose(self, new: NDArray[np.bool_]) -> Array:
-        """Return (n, n) information that holds little but the common scale; (n,) are new."""
-        size = np.where(new, 1e3, LOOSE) * self.alpha
-        stay = ~new / self.alpha / np.count_nonzero(~new)
-        return np.asarray(np.diag(size**-2) + np.outer(stay, stay) / SCALE_HELD**2)
+def _hardly_held(problem: Problem, new: NDArray[np.bool_]) -> Problem:
+    """Return the problem with little held but the common scale; (n,) are new."""
+    alpha = problem.prior.mean[: problem.n]
+    size = np.where(new, 1e3, LOOSE) * alpha
+    stay = ~new / alpha / np.count_nonzero(~new)
+    information = np.diag(size**-2) + np.outer(stay, stay) / SCALE_HELD**2
+    return replace(problem, prior=replace(problem.prior, information=information))
 
 
 def balancing(
-    run: ShortRun, sifted: Sifted, new: NDArray[np.bool_]
+    posed: Problem, known: EarlierCalibration, sifted: Sifted, new: NDArray[np.bool_]
 ) -> tuple[Problem, Moments, Minimum, list[RejectedRow]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
@@ -89,23 +81,22 @@ def balancing(
     look bad.
     """
     moments = sifted.moments
-    noise = reading_noise(run.campaign, moments)
     try:
-        posed = run.problem(noise, run.loose(new))
-        belongs, distance, (problem, minimum) = balancing_groups(posed, moments)
+        free = _hardly_held(posed, new)
+        belongs, distance, (problem, minimum) = balancing_groups(free, moments)
     except (RankDeficient, NotConverged):  # too little data to let everyone move
-        posed = run.problem(noise, run.tight(~new))
-        belongs, distance, (problem, minimum) = balancing_groups(posed, moments)
-    shared = with_share_in_balance(posed, sifted, minimum.values[: problem.n])
-    if shared.noise.share != 1.0:
-        belongs, distance, (problem, minimum) = balancing_groups(shared, moments)
+        free = held_to(posed, known, ~new)
+        belongs, distance, (problem, minimum) = balancing_groups(free, moments)
+    free = with_share_in_balance(free, sifted, minimum.values[: problem.n])
+    if free.noise.share != 1.0:
+        belongs, distance, (problem, minimum) = balancing_groups(free, moments)
     lost: list[RejectedRow] = []
     if not belongs.all():
         actuator = problem.standing_out(minimum.values, moments)
-        lost = rows_of(run.campaign, ~belongs, distance, actuator)
+        lost = rows_of(sifted.sound, ~belongs, distance, actuator)
         refuse_too_many(len(lost), int(moments.rows.sum()))
         moments = chosen_groups(moments, belongs)
-    problem, minimum = with_noise(problem, moments, minimum)
+    problem, minimum = with_noise_from_minimum(problem, moments, minimum, degrees_of)
     return problem, moments, minimum, lost
 
 
@@ -116,20 +107,12 @@ def inverse_of(problem: Problem, minimum: Minimum) -> Array:
     return np.asarray(scipy.linalg.inv(mirrored(minimum.information[:free, :free])))
 
 
-def degrees_of(problem: Problem, moments: Moments, inverse: Array) -> float:
-    """Return equations less what the data say of the u unknowns, by (u, u) ``inverse``."""
+def degrees_of(problem: Problem, moments: Moments, minimum: Minimum) -> float:
+    """Return equations less what the data say of the unknowns beside the prior."""
+    inverse = inverse_of(problem, minimum)
     free = len(inverse)
     from_prior = float(np.sum(inverse * problem.prior.added_to(np.zeros((free, free)))))
     return 3 * moments.groups - free + from_prior
-
-
-def with_noise(problem: Problem, moments: Moments, minimum: Minimum) -> tuple[Problem, Minimum]:
-    """Give the noise its size from the minimum where nothing else does."""
-
-    def degrees(problem: Problem, minimum: Minimum) -> float:
-        return degrees_of(problem, moments, inverse_of(problem, minimum))
-
-    return with_noise_from_minimum(problem, moments, minimum, degrees)
 
 
 def pulls(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:

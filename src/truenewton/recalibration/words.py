@@ -2,44 +2,44 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from truenewton.calibration.words import summary_lines, summary_values
+from truenewton.recalibration.fit import Recalibration
 from truenewton.rounding import by_chance, with_error
 
-if TYPE_CHECKING:
-    from truenewton.recalibration.fit import Recalibration
 
-
-def lines(made: Recalibration) -> list[str]:
-    """Return what was found, for people: the calibration, and who was given anew."""
+def lines(made: Recalibration) -> Iterator[str]:
+    """Yield what was found, for people: the calibration, and who was given anew."""
     c = made.calibration
-    anew = [(name, "replaced") for name in made.asked]
-    anew += [
-        (one.actuator, f"MOVED: {abs(one.sigmas):.1f} sigma, {by_chance(one.probability)}")
-        for one in made.moved
-    ]
-    lines = [*summary_lines(c)]
-    lines += [f"  {'given anew':<14}{'before':<12}{'now':<22}change"] if anew else []
-    for name, words in anew:
+    anew = dict.fromkeys(made.asked, "replaced")
+    for one in made.moved:
+        chance = by_chance(one.probability)
+        anew[one.actuator] = f"MOVED: {abs(one.sigmas):.1f} sigma, {chance}"
+    yield from summary_lines(c)
+    if anew:
+        yield f"  {'given anew':<14}{'before':<12}{'now':<22}change"
+    else:
+        yield "  nobody changed"
+    for name, words in anew.items():
         actuator_index = int((c.layout.id == name).argmax())
         before, now, error = (
             float(values[actuator_index]) for values in (made.earlier, c.alpha, c.error)
         )
-        lines.append(
+        yield (
             f"  {name:<14}{before:<12.4g}{with_error(now, error):<22}"
             f"{100 * (now / before - 1):+.2f} %, {words}"
         )
-    if not anew:
-        lines.append("  nobody changed")
-    lines.append(
+    yield (
         f"  the others against their earlier calibration: chi2/DOF ="
         f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"
         f" probability {made.probability:.2g}; "
         + ("the rest agree" if made.moved else "none has moved (false alarm on 1 % of mirrors)")
     )
-    return lines + [f"  WARNING: {limit}" for limit in made.limits]
+    for limit in made.limits:
+        yield f"  WARNING: {limit}"
 
 
 def values(made: Recalibration) -> dict[str, Any]:

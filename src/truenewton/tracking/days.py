@@ -6,6 +6,7 @@ import datetime
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,9 +63,8 @@ def gathered(given: Iterable[Given]) -> tuple[DatedCalibration, ...]:
     )
     for day in days:
         _refuse_unfit(day)
-    for day_index, day in enumerate(days):
-        for earlier in days[:day_index]:
-            _refuse_other_mirror(earlier, day)
+    for earlier, day in combinations(days, 2):
+        _refuse_other_mirror(earlier, day)
     without = [day for day in days if not np.isfinite(day.calibration.temperature)]
     if without and len(without) < len(days):
         raise FormatError(
@@ -170,21 +170,8 @@ def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None
         )
 
 
-def tracked_actuators(days: Sequence[DatedCalibration]) -> NDArray[np.bool_]:
-    """Return (n,) true for the actuators that every calibration gives."""
-    return np.asarray(np.all([day.calibration.layout.enabled for day in days], axis=0))
-
-
 def covariances(calibration: Calibration, on: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return (m, m) covariances of alpha by the readings, and by the weights.
-
-    Parameters
-    ----------
-    calibration
-        Of n actuators.
-    on
-        (n,) the m actuators wanted.
-    """
+    """Return (m, m) covariances of alpha by the readings, and by the weights, of (n,) the m on."""
     at = np.ix_(np.flatnonzero(on), np.flatnonzero(on))
     systematic_covariance = calibration.systematic_covariance[at]
     return calibration.covariance[at] - systematic_covariance, systematic_covariance

@@ -84,16 +84,8 @@ def plot_law(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
 def plot_family(tracking: Tracking, effect: str, ax: Axes | None = None) -> Axes:
     """Draw one effect of every actuator, ring by ring, and its family.
 
-    Bars are one standard uncertainty; the band is the family, mean and twice its spread.
-
-    Parameters
-    ----------
-    tracking
-        Whose days determine the effect.
-    effect
-        'temperature' or 'drift'.
-    ax
-        Axes to draw on; their own unless given.
+    Bars are one standard uncertainty; the band is the family, mean and twice its spread. The
+    parameters are those of `plot_law`.
     """
     errors, layout = tracking.errors, tracking.layout
     values = tracking.coefficient if effect == "temperature" else tracking.drift / tracking.alpha

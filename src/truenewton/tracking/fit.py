@@ -18,7 +18,6 @@ from truenewton.tracking.days import (
     DatedCalibration,
     Given,
     gathered,
-    tracked_actuators,
     weight_groups,
 )
 from truenewton.tracking.family import (
@@ -54,7 +53,7 @@ def track(*given: Given) -> Tracking:
         One calibration only, or all at one temperature on one day.
     """
     days = gathered(given)
-    on = tracked_actuators(days)
+    on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(
             "fewer than four actuators are enabled in every calibration",
@@ -71,6 +70,10 @@ def track(*given: Given) -> Tracking:
     outliers, members = _outliers(fit, effects, layout.id[on], jumped)
     values, covariance, systematic_covariance, families = _pooled(fit, members, effects)
     law, derivatives = _law_from(values, effects)
+    covariance, systematic_covariance = (
+        spread_square(derivatives @ matrix @ derivatives.T, np.tile(on, 3))
+        for matrix in (covariance, systematic_covariance)
+    )
     return Tracking(
         instrument=days[0].calibration.instrument,
         layout=layout,
@@ -79,15 +82,13 @@ def track(*given: Given) -> Tracking:
         alpha=spread(law[0], on),
         coefficient=spread(law[1], on),
         drift=spread(law[2], on),
-        covariance=spread_square(derivatives @ covariance @ derivatives.T, np.tile(on, 3)),
-        systematic_covariance=spread_square(
-            derivatives @ systematic_covariance @ derivatives.T, np.tile(on, 3)
-        ),
+        covariance=covariance,
+        systematic_covariance=systematic_covariance,
         effects=effects,
         families=families,
         outliers=outliers,
         chi2=fit.chi2,
-        degrees_of_freedom=fit.degrees_of_freedom,
+        degrees_of_freedom=len(fit.alpha) * fit.actuator_degrees,
         limits=limits,
         days=tuple(
             DayRecord(day.name, day.date, c.temperature, c.alpha, c.reading_error)

@@ -37,18 +37,17 @@ class LinearFit:
     root
         ((1 + q) n, u) covariance of a, then of the effects, is root root'; its first (1 + q) n
         columns are the part from the readings, the others the errors of the weights.
-    chi2, degrees_of_freedom
+    chi2
         Of the days about their lines.
     actuator_chi2, actuator_degrees
         (n,) the share of each actuator, chi-squared distributed given all others; its degrees of
-        freedom.
+        freedom, days less parameters.
     """
 
     alpha: Array
     effects: Array
     root: Array
     chi2: float
-    degrees_of_freedom: int
     actuator_chi2: Array
     actuator_degrees: int
 
@@ -90,15 +89,9 @@ def linear_fit(
     # Relative to the mean, all actuators weigh alike in one matrix.
     mean = alpha.mean(axis=0)
     y = alpha / mean
-    each_mean = np.outer(mean, mean)
-    roots = np.array(
-        [
-            _inverse_root(
-                day, covariances(day.calibration, on)[0] / each_mean + np.diag(scatter**2)
-            )
-            for day in days
-        ]
-    )
+    each_mean, own = np.outer(mean, mean), np.diag(scatter**2)
+    readings = (covariances(day.calibration, on)[0] / each_mean + own for day in days)
+    roots = np.array([*map(_inverse_root, days, readings)])
     whitened = np.einsum("jab,jk->jakb", roots, design).reshape(count * n, (1 + q) * n)
     # Errors of the weights multiply the law; taken from the readings they would carry noise.
     law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
@@ -127,7 +120,6 @@ def linear_fit(
         effects=effects,
         root=root.reshape((1 + q) * n, -1),
         chi2=solution.chi2,
-        degrees_of_freedom=count * n - (1 + q) * n,
         actuator_chi2=actuator_chi2,
         actuator_degrees=actuator_degrees,
     )

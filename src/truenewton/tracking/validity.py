@@ -48,25 +48,15 @@ def validity_of(tracking: Tracking, accuracy: float) -> Validity:
     Used as it is, it is off by k (T - T_last) + d (t - t_last) beside its E_STAT; the mean over
     actuators of the square of all is a parabola in T - T_last and in t - t_last. So is that of
     what the law itself is uncertain by, in T - T0 and t - t0.
-
-    Parameters
-    ----------
-    tracking
-        The law.
-    accuracy
-        Wanted, as in `Validity`.
     """
     t, last = tracking, tracking.days[-1]
-    on, n = np.isfinite(t.alpha), t.layout.n
-    alpha = t.alpha[on]
-    variance = np.diag(t.covariance - t.systematic_covariance).reshape(3, n)[:, on]
+    on, form = np.isfinite(t.alpha), _law_variance(t)
     now = float(np.mean((last.error[on] / last.alpha[on]) ** 2))
-    k = float(np.mean(t.coefficient[on] ** 2 + variance[1]))
-    d = float(np.mean((t.drift[on] ** 2 + variance[2]) / alpha**2))
+    k = float(np.mean(t.coefficient[on] ** 2) + form[1, 1])
+    d = float(np.mean((t.drift[on] / t.alpha[on]) ** 2) + form[2, 2])
     spare = max(accuracy**2 - now, 0.0)
     warm, late = "temperature" in t.effects, "drift" in t.effects
     reach = float(np.sqrt(spare / k)) if k > 0 else 0.0
-    form = _law_variance(t)
     away = last.temperature - t.temperature if warm else 0.0
     years = (last.date - t.date) / YEAR if late else 0.0
     span = _roots(form, accuracy**2, 1, years) if warm else None

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from truenewton.calibration.words import row
 from truenewton.rounding import by_chance, with_error
-
-if TYPE_CHECKING:
-    from truenewton.tracking.law import Tracking
-    from truenewton.tracking.validity import Validity
-
+from truenewton.tracking.law import Tracking
+from truenewton.tracking.validity import Validity
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
 OUTLYING = {
@@ -24,77 +23,70 @@ OUTLYING = {
 MOST_ROWS, FIRST_ROWS = 60, 10  # of the table of actuators; of a longer one only the first
 
 
-def lines(tracking: Tracking, validity: Validity | None) -> list[str]:
-    """Return what was found, for people."""
+def lines(tracking: Tracking, validity: Validity | None) -> Iterator[str]:
+    """Yield what was found, for people."""
     t = tracking
-    lines = [
-        f"{t.instrument}: {len(t.days)} calibrations, {t.days[0].date:%Y-%m-%d} to"
-        f" {t.days[-1].date:%Y-%m-%d}, alpha at {_degrees(t.temperature)} on {t.date:%Y-%m-%d}"
-    ]
-    lines += [
-        f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {day.name}"
-        for day in t.days
-    ]
+    first, last = t.days[0].date, t.days[-1].date
+    yield (
+        f"{t.instrument}: {len(t.days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d},"
+        f" alpha at {_degrees(t.temperature)} on {t.date:%Y-%m-%d}"
+    )
+    for day in t.days:
+        yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {day.name}"
     for family in t.families:
         unit, (low, high) = UNITS[family.effect], family.spread_interval
         mean = with_error(100 * family.mean, 100 * family.mean_error)
         within = f"95 % within {100 * low:.2g} .. {100 * high:.2g}"
-        lines += [
-            row(f"{family.effect}, mean", f"{mean} {unit}"),
-            row("  spread of actuators", f"{100 * family.spread:.2g} {unit}, {within}"),
-        ]
+        yield row(f"{family.effect}, mean", f"{mean} {unit}")
+        yield row("  spread of actuators", f"{100 * family.spread:.2g} {unit}, {within}")
     if t.degrees_of_freedom:
         reduced = f"chi2/DOF = {t.chi2 / t.degrees_of_freedom:.3g}, DOF {t.degrees_of_freedom}"
-        lines.append(row("fit", f"{reduced}, probability {t.probability:.2g}"))
-    lines += _table(t)
-    lines += [
-        f"  LEFT THE FAMILY: actuator {one.actuator}, {OUTLYING[one.effect]},"
-        f" {abs(one.sigmas):.1f} sigma; {by_chance(one.probability)}"
-        for one in t.outliers
-    ]
+        yield row("fit", f"{reduced}, probability {t.probability:.2g}")
+    yield from _table(t)
+    for one in t.outliers:
+        yield (
+            f"  LEFT THE FAMILY: actuator {one.actuator}, {OUTLYING[one.effect]},"
+            f" {abs(one.sigmas):.1f} sigma; {by_chance(one.probability)}"
+        )
     if not t.outliers:
-        lines.append("  nobody leaves the family (false alarm on at most 1 % of mirrors)")
+        yield "  nobody leaves the family (false alarm on at most 1 % of mirrors)"
     if t.probability < 1e-3:
-        lines.append(
+        yield (
             "  WARNING: the days do not lie on lines within their errors; look at the figures,"
             " and for what else changed between them"
         )
-    lines += [f"  LIMIT: {limit}" for limit in t.limits]
-    return lines if validity is None else lines + _validity_lines(validity)
+    for limit in t.limits:
+        yield f"  LIMIT: {limit}"
+    if validity is not None:
+        yield from _validity_lines(validity)
 
 
-def _table(t: Tracking) -> list[str]:
-    errors = t.errors
-    head = f"  {'actuator':<10}{'alpha':<20}{'k [%/K]':<20}drift [%/yr]"
-    rows = [
-        f"  {name!s:<10}{with_error(a, ea):<20}"
-        + (f"{with_error(100 * k, 100 * ek):<20}" if "temperature" in t.effects else f"{'-':<20}")
-        + (with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-")
-        for name, a, k, d, ea, ek, ed in zip(
-            t.layout.id.tolist(), t.alpha.tolist(), t.coefficient.tolist(), t.drift.tolist(),
-            *errors.tolist(), strict=True,
-        )
-    ]  # fmt: skip
-    if len(rows) > MOST_ROWS:
-        rows[FIRST_ROWS:] = [f"  and {len(rows) - FIRST_ROWS} actuators more"]
-    return [head, *rows]
+def _table(t: Tracking) -> Iterator[str]:
+    yield f"  {'actuator':<10}{'alpha':<20}{'k [%/K]':<20}drift [%/yr]"
+    shown = FIRST_ROWS if t.layout.n > MOST_ROWS else t.layout.n
+    columns = (t.layout.id, t.alpha, t.coefficient, t.drift, *t.errors)
+    for name, a, k, d, ea, ek, ed in itertools.islice(zip(*columns, strict=True), shown):
+        coefficient = with_error(100 * k, 100 * ek) if "temperature" in t.effects else "-"
+        drift = with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-"
+        yield f"  {name!s:<10}{with_error(a, ea):<20}{coefficient:<20}{drift}"
+    if shown < t.layout.n:
+        yield f"  and {t.layout.n - shown} actuators more"
 
 
-def _validity_lines(v: Validity) -> list[str]:
-    """Return the answer to: when is a new calibration due."""
+def _validity_lines(v: Validity) -> Iterator[str]:
+    """Yield the answer to: when is a new calibration due."""
     wanted = f"{100 * v.accuracy:.2g} %"
-    latest = f"  the latest calibration, as it is, serves {wanted} {_span(v.temperatures, v.until)}"
     if v.now > v.accuracy:
-        latest = (
+        yield (
             f"  the latest calibration does not reach {wanted}: readings alone leave"
             f" {100 * v.now:.2g} %"
         )
+    else:
+        span = _span(v.temperatures, v.until)
+        yield f"  the latest calibration, as it is, serves {wanted} {span}"
     law = _span(v.law_temperatures, v.law_until)
-    return [
-        latest,
-        f"  this law serves {wanted} {law}" if law else f"  this law does not reach {wanted}",
-        "  (errors of the weights left out: the same weights would repeat them)",
-    ]
+    yield f"  this law serves {wanted} {law}" if law else f"  this law does not reach {wanted}"
+    yield "  (errors of the weights left out: the same weights would repeat them)"
 
 
 def _span(temperatures: tuple[float, float] | None, until: datetime.datetime | None) -> str:

@@ -181,9 +181,9 @@ class Kernel:
         """Return (samples // 2 + 1, 2 or 4, forces) harmonics of what is left on an edge.
 
         On the circle of radius ``edge`` [m], for forces at radii s [m] and angle 0: the moment
-        k_r + nu k_t and Kirchhoff's shear d(lap)/dr + (1 - nu) d(k_rt)/(r dt), and on a curved shell the
-        membrane's N_r and N_rt divided by the root of its stiffness, `radial_elements.stretch`.
-        N_rt goes with sines, the rest with cosines.
+        k_r + nu k_t and Kirchhoff's shear d(lap)/dr + (1 - nu) d(k_rt)/(r dt), and on a curved
+        shell the membrane's N_r and N_rt divided by the root of its stiffness,
+        `radial_elements.stretch`. N_rt goes with sines, the rest with cosines.
         """
         theta = 2 * np.pi * np.arange(samples)[:, None] / samples
         radial, across = edge - s * np.cos(theta), s * np.sin(theta)
