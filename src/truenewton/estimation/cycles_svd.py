@@ -58,7 +58,7 @@ class SingularSolution:
 
 
 def solve(matrix: Array, right_side: Array) -> SingularSolution:
-    """Solve an overdetermined system by singular value decomposition.
+    """Solve an overdetermined system, (m, u) and (m,), by singular value decomposition.
 
     A QR factorisation comes first, which keeps the singular values and makes tall systems cheap.
 
@@ -115,7 +115,7 @@ def _by_load(campaign: Campaign, equations: Array) -> list[Array]:
 
 
 def scatter_covariance(campaign: Campaign, solved: SingularSolution) -> Array:
-    """Return the covariance of the solution about its own mean, from the scatter of the rows.
+    """Return the (u, u) covariance of the solution about its mean, from the scatter of the rows.
 
     The three equations of a row share its noise, and that noise is in the matrix: residuals are
     neither independent nor alike. How far each row pulls, e' (r - e alpha'), scatters among its
@@ -152,9 +152,9 @@ def condition_in_units_of_rms(campaign: Campaign) -> float:
 
 
 def bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array:
-    """Return the bias of the solution to first order: -(E'E)^-1 D alpha.
+    """Return the (u,) bias of the solution to first order: -(E'E)^-1 D alpha.
 
-    Noise of variance s_i^2 in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2) to E'E and
+    Noise of (n,) variances s_i^2 [N^2] in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2) to E'E and
     nothing to E'r.
     """
     a = enabled_arms(campaign.layout)

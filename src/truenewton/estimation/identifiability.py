@@ -64,7 +64,7 @@ def _in_terms_of_noise(force: Array, a: Array, variance: Array) -> tuple[Array, 
 
 
 def free_patterns(eigenvalues: Array, shapes: int, *, known: bool = False) -> int:
-    """Count the patterns beside alpha that cannot be told from noise.
+    """Count the patterns beside alpha that cannot be told from noise, by (n,) eigenvalues.
 
     Noise is 1 where it is ``known``, and what alpha itself has where not; that of a mirror whose
     own motion balances is less than 1 in alpha alone.

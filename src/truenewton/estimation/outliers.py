@@ -85,7 +85,7 @@ def _fitted(problem: Problem, groups: Moments, moments: Moments) -> tuple[Fitted
 
 
 def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
-    """Tell which groups agree with their opposites, as those of most shapes do.
+    """Tell which of the (g,) groups agree with their opposites, as those of most shapes do.
 
     A shape and its negative together leave the static forces, which are the same for all shapes of
     a load. No model enters, so a start from these groups is one that bad rows cannot drag.
@@ -115,7 +115,7 @@ def rows_of(
     distance: Array,
     actuator: NDArray[np.int64],
 ) -> list[RejectedRow]:
-    """Return the rows of the groups that are lost, with the ID that stands out in each."""
+    """Return the rows of the (g,) groups that are lost, with the ID that stands out in each."""
     return [
         RejectedRow(k, int(row), int(actuator[g]), float(np.sqrt(distance[g])), "balance")
         for k, (cycle, group) in enumerate(

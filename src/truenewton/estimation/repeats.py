@@ -122,7 +122,7 @@ class DistinctRows:
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Yield sets of rows in none of which a group stands twice; mostly one set of all rows."""
+    """Yield sets of the (N,) rows in none of which a group stands twice; mostly one of all rows."""
     rest = np.argsort(group, kind="stable")
     while rest.size:
         first = np.concatenate([[True], np.diff(group[rest]) > 0])

@@ -91,7 +91,7 @@ def population_prior(n: int, spread: float, scale: float = 0.0) -> Prior:
 def population_spread(alpha: Array, covariance: Array) -> float:
     """Return the likeliest spread of a normal population of which alpha are noisy samples.
 
-    alpha about its mean ~ N(0, spread^2 I + covariance), maximised over the spread.
+    (n,) alpha about its mean ~ N(0, spread^2 I + covariance), (n, n), maximised over the spread.
     """
     values, vectors = np.linalg.eigh(covariance)
     projected = (vectors.T @ (alpha - alpha.mean())) ** 2

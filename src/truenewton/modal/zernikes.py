@@ -9,7 +9,7 @@ from truenewton.arrays import Array
 
 
 def noll_orders(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the radial order n and the azimuthal order m of Noll's j = 1 .. count."""
+    """Return (count,) radial orders n and azimuthal orders m of Noll's j = 1 .. count."""
     j = np.arange(1, count + 1)
     n = (np.sqrt(8 * j - 7).astype(np.int64) - 1) // 2
     within = j - 1 - n * (n + 1) // 2  # the radial order

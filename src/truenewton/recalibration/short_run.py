@@ -101,7 +101,7 @@ def balancing(
 
 
 def inverse_of(problem: Problem, minimum: Minimum) -> Array:
-    """Return H^-1 of the unknowns that are not held."""
+    """Return H^-1 of the f unknowns that are not held, (f, f)."""
     prior = problem.prior
     free = len(minimum.values) - (prior.measured if prior.held else 0)
     return np.asarray(scipy.linalg.inv(mirrored(minimum.information[:free, :free])))

@@ -186,7 +186,7 @@ def families_from(
 def most_outlying(
     y: Array, covariance: Array, which: NDArray[np.int64], population: Population
 ) -> tuple[int, float, float]:
-    """Return the effect that differs most from all others: its index, sigmas, two-sided chance.
+    """Return which of (n,) effects differs most from all others, sigmas and two-sided chance.
 
     Neither may it hide behind the spread that it makes itself, nor is the spread of the others
     known: the chance is a mean over all variances, each weighed by its likelihood from the others.
