@@ -154,8 +154,8 @@ def condition_in_units_of_rms(campaign: Campaign) -> float:
 def bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array:
     """Return the (u,) bias of the solution to first order: -(E'E)^-1 D alpha.
 
-    Noise of (n,) variances s_i^2 [N^2] in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2) to E'E and
-    nothing to E'r.
+    Noise of (n,) variances s_i^2 [N^2] in the readings adds D_ii = N s_i^2 (nz_i^2 + x_i^2 + y_i^2)
+    to E'E and nothing to E'r.
     """
     a = enabled_arms(campaign.layout)
     n = a.shape[1]

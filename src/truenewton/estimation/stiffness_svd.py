@@ -215,7 +215,7 @@ def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
 
 
 def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
-    """Return the rms of A diag(alpha) u over (m, n) modes of unit length and the three equations."""
+    """Return the rms of A diag(alpha) u over (m, n) modes of unit length and three equations."""
     return float(np.sqrt(np.mean((modes * alpha @ a.T) ** 2)))
 
 
