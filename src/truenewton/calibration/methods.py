@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,27 @@ from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
-METHODS = ("ml", "svd")
+
+class Method(NamedTuple):
+    """A method: of a sifted campaign to its estimate; of modes of a stiffness to a fit.
+
+    Both take whether the actuators are samples of one population.
+    """
+
+    of_cycles: Callable[[Sifted, bool], Estimate]
+    of_stiffness: Callable[[bool], stiffness_svd.ElasticMethod]
+
+
+def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
+    campaign = sifted.campaign  # all of its rows count
+    moments = campaign_moments(campaign) if sifted.rejected else sifted.moments
+    return cycles_svd.find(campaign, moments)
+
+
+METHODS = {
+    "ml": Method(cycles_ml.find, lambda pooled: partial(stiffness_ml.likeliest, population=pooled)),
+    "svd": Method(_svd_of_cycles, lambda _: stiffness_svd.singular_fit),
+}
 
 
 def calibrate(
@@ -59,7 +79,9 @@ def calibrate(
     if isinstance(data, Campaign):
         return calibration_of(data, find_alpha(sift(data), method, population=population))
     if isinstance(data, StiffnessMatrix):
-        return _from_stiffness(data, stiffness_svd.find(data, _elastic_method(method, population)))
+        return _from_stiffness(
+            data, stiffness_svd.find(data, METHODS[method].of_stiffness(population))
+        )
     raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
 
 
@@ -77,24 +99,14 @@ def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: 
 
 def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
     """Find alpha of a campaign that was sifted, as `calibrate` does; 'ml' reads no row."""
-    if method == "ml":
-        return cycles_ml.find(sifted, population)
-    campaign = sifted.campaign  # all of its rows count
-    moments = campaign_moments(campaign) if sifted.rejected else sifted.moments
-    return cycles_svd.find(campaign, moments)
+    return METHODS[method].of_cycles(sifted, population)
 
 
 def held_out(
     matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
 ) -> tuple[stiffness_svd.Imbalance, ...]:
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
-    return stiffness_svd.imbalances(matrix, _elastic_method(method, population))
-
-
-def _elastic_method(method: str, population: bool) -> stiffness_svd.ElasticMethod:
-    if method == "svd":
-        return stiffness_svd.singular_fit
-    return partial(stiffness_ml.likeliest, population=population)
+    return stiffness_svd.imbalances(matrix, METHODS[method].of_stiffness(population))
 
 
 def calibration_of(
