@@ -16,7 +16,7 @@ import house  # noqa: E402
 PACKAGES = sorted(path.parent for path in house.SOURCE.rglob("__init__.py"))
 LOOSE = {"arrays", "errors", "linalg", "reading", "rounding"}
 # A shape such as (n,), (N, 3), (..., 3), or a unit in brackets.
-SHAPE_OR_UNIT = re.compile(r"\((?:\.\.\.|[\w +*-]+),(?: ?[\w +*-]+,?)*\)|\[[^\]\n]+\]")
+SHAPE_OR_UNIT = re.compile(r"\((?!paper)[\w .+*/-]+(?:,[\w .+*/-]*)+\)|\[[^\]\n]+\]")
 
 
 def test_five_modules_are_loose():
