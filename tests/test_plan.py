@@ -15,9 +15,9 @@ from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan, 
 from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient
-from truenewton.estimation.prediction import predict, typical
+from truenewton.estimation.prediction import predict
 from truenewton.estimation.sifted import campaign_moments
-from truenewton.estimation.weights import READINGS, tilt_as_load
+from truenewton.estimation.weights import READINGS, tilt_as_load, typical
 from truenewton.mirrors.known import p45
 from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain

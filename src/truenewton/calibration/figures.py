@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.weights import typical
 from truenewton.figures.maps import (
     ALPHA_LABEL,
     mark_rings,
@@ -44,7 +45,7 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
         ax.margins(y=0.12)
         note = "bars: 3σ, readings"
         if calibration.scale != Scale.MEAN_ONE:
-            scale = np.nanmedian(calibration.systematic_error / np.abs(alpha))
+            scale = typical(calibration.systematic_error, alpha)
             note += f"; common scale ±{100 * scale:.1f} % (1σ)"
         else:
             note += f"; scale: {calibration.scale}"

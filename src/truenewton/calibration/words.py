@@ -12,7 +12,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.estimation.diagnosis import ErrorKind, RejectedRow
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
-from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load
+from truenewton.estimation.weights import NEGLIGIBLE, READINGS, scale_total, tilt_as_load, typical
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
@@ -120,12 +120,12 @@ def headline(calibration: Calibration) -> str:
 
 def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
     """Yield name, value and note of what was found, how sure it is, and what limits it."""
-    c, on, ids = calibration, calibration.layout.enabled, calibration.layout.id
+    c, ids = calibration, calibration.layout.id
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ends = " .. ".join(to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high))
     note = f"true N / commanded N, lowest actuator {ids[low]}, highest {ids[high]}"
     yield "alpha", ends, note
-    relative = float(np.median(c.error[on] / np.abs(c.alpha[on])))
+    relative = typical(c.error, c.alpha)
     yield "typical error of alpha", percent(relative), "E_ALPHA, one sigma"
     if c.scale == Scale.MEAN_ONE:
         yield "common scale", "free", "mean alpha set to 1; weights would fix it"
@@ -156,12 +156,13 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
 def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
     """Yield the rows that say where the error comes from."""
     scale, readings = (
-        percent(float(np.nanmedian(error / np.abs(c.alpha))))
-        for error in (c.systematic_error, c.reading_error)
+        percent(typical(error, c.alpha)) for error in (c.systematic_error, c.reading_error)
     )
     yield "  common scale", scale, "E_SYST, from the weights"
     parts = ", ".join(
-        f"{line.source} {percent(line.relative)}" for line in c.scale_errors if line.relative > 1e-5
+        f"{line.source} {percent(line.relative)}"
+        for line in c.scale_errors
+        if line.relative > NEGLIGIBLE
     )
     if parts:
         yield "    budget", parts, ""

@@ -21,7 +21,7 @@ from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import Problem, problem_of
 from truenewton.estimation.shape_sums import ShapeSums
 from truenewton.estimation.undetermined import tolerable, with_patterns_held
-from truenewton.estimation.weights import scale_errors
+from truenewton.estimation.weights import scale_errors, typical
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -79,11 +79,6 @@ class Prediction:
     def typical(self) -> float:
         """Median over actuators of E_ALPHA relative to alpha."""
         return typical(self.error, self.alpha)
-
-
-def typical(error: Array, alpha: Array) -> float:
-    """Return the median over actuators of an (n,) error relative to alpha."""
-    return float(np.median(error / np.abs(alpha)))
 
 
 def predict(

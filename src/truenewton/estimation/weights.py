@@ -13,7 +13,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.statics.load import Load
 
 READINGS = ErrorSource(ErrorKind.READINGS)
-
+NEGLIGIBLE = 1e-5  # sources of a relative error of the common scale below it are not listed
 
 # For each independent source, (L,) change of W of each load by one standard uncertainty [N].
 WeightErrors = Mapping[ErrorSource, Array]
@@ -75,6 +75,11 @@ def scale_error_from_readings(alpha: Array, reading_covariance: Array) -> ScaleE
     """Return the part of the readings, from (n,) alpha and its (n, n) covariance from them."""
     direction = alpha / (alpha @ alpha)
     return ScaleError(READINGS, float(np.sqrt(direction @ reading_covariance @ direction)))
+
+
+def typical(error: Array, alpha: Array) -> float:
+    """Return the median over actuators of an (n,) error relative to alpha; NaN where disabled."""
+    return float(np.nanmedian(error / np.abs(alpha)))
 
 
 def scale_total(lines: tuple[ScaleError, ...]) -> float:

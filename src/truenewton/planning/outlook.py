@@ -15,8 +15,9 @@ from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.bench.simulated.control import Control
 from truenewton.errors import TrueNewtonError, located
-from truenewton.estimation.prediction import Prediction, predict, typical
+from truenewton.estimation.prediction import Prediction, predict
 from truenewton.estimation.sifted import campaign_moments
+from truenewton.estimation.weights import typical
 from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain, within_limits
 from truenewton.records.fault import Fault
 

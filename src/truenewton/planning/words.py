@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from truenewton.calibration.words import warning_lines
+from truenewton.estimation.weights import NEGLIGIBLE
 from truenewton.planning.outlook import Curve, Outlook, reading_time, typical_errors
 from truenewton.planning.target import Way
 from truenewton.rounding import percent
@@ -31,7 +32,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
         budget = ", ".join(
             f"{line.source} {percent(line.relative)}"
             for line in prediction.scale_errors
-            if line.relative > 1e-5
+            if line.relative > NEGLIGIBLE
         )
         rows += [
             ("typical error of alpha", percent(typical_error),

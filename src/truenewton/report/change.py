@@ -15,7 +15,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.multiple_tests import FALSE_ALARM
-from truenewton.report.budget import typical
+from truenewton.estimation.weights import typical
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,9 @@ def change(one: Calibration, other: Calibration) -> Change:
     ratio = float(np.median(other.alpha[both] / one.alpha[both]))
     moved = np.where(both, other.alpha / ratio - one.alpha, np.nan)
     error = np.hypot(one.reading_error, other.reading_error / ratio)
-    scales = [typical(c.systematic_error, c) for c in (one, other) if c.scale != Scale.MEAN_ONE]
+    scales = [
+        typical(c.systematic_error, c.alpha) for c in (one, other) if c.scale != Scale.MEAN_ONE
+    ]
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = moved / error
     return Change(

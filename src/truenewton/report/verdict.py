@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import rejected_sentence, rejected_values, scale_limit
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.weights import scale_total
+from truenewton.estimation.weights import scale_total, typical
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.report.budget import typical
 from truenewton.report.change import Change
 from truenewton.report.evidence import ModeResiduals
 from truenewton.report.investigate import Findings
@@ -81,7 +80,9 @@ def verdict(findings: Findings) -> Verdict:
     limits, cares = list(_limits(findings, c)), list(_cares(c))
     level = CARE if cares else LIMITED if limits else SOUND
     known = "Alpha" if c.scale != Scale.MEAN_ONE else "Relative alpha"
-    sentence = f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c))}."
+    sentence = (
+        f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c.alpha))}."
+    )
     return Verdict(*level, (sentence,), _numbers(c), tuple(cares + limits))
 
 
@@ -142,15 +143,17 @@ def _names(ids: NDArray[np.int64]) -> str:
 def _numbers(c: Calibration) -> tuple[Number, ...]:
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
-    readings = percent(typical(c.reading_error, c))
+    readings = percent(typical(c.reading_error, c.alpha))
     scale = Number("common scale", "free", "the mean of alpha is set to 1; weights would fix it")
     if c.scale != Scale.MEAN_ONE:
-        part = scale_total(c.scale_errors) if c.scale_errors else typical(c.systematic_error, c)
+        part = (
+            scale_total(c.scale_errors) if c.scale_errors else typical(c.systematic_error, c.alpha)
+        )
         scale = Number("error of the common scale", percent(part), "one sigma, the same for all")
     return (
         Number("alpha", f"{ends[0]} to {ends[1]}", f"actuators {c.layout.id[low]} and"
                f" {c.layout.id[high]}, true N / commanded N"),
-        Number("typical error of alpha", percent(typical(c.error, c)),
+        Number("typical error of alpha", percent(typical(c.error, c.alpha)),
                f"one sigma; {readings} from the readings"),
         scale,
     )  # fmt: skip
@@ -158,7 +161,7 @@ def _numbers(c: Calibration) -> tuple[Number, ...]:
 
 def _limits(findings: Findings, c: Calibration) -> Iterator[Fault]:
     """Yield what limits a calibration that is sound otherwise."""
-    weights, readings = typical(c.systematic_error, c), typical(c.reading_error, c)
+    weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
     if c.scale != Scale.MEAN_ONE and weights > 2.0 * readings:
         fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
         yield Fault(fault, remedy or "better known weights would help, more cycles would not")

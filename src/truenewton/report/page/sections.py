@@ -11,8 +11,9 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import rejected_values
+from truenewton.estimation.weights import typical
 from truenewton.records.campaign import Campaign
-from truenewton.report.budget import error_budget, typical
+from truenewton.report.budget import error_budget
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.figures import (
     columns_of_shapes,
@@ -52,7 +53,7 @@ def _budget(c: Calibration) -> Section:
     key, title, budget = "budget", "Error budget", error_budget(c)
     if not budget:
         words = "The common scale is a convention (mean alpha 1), so all the error is the readings'"
-        return Section(key, title, (f"{words}: {percent(typical(c.error, c))}, typically.",))
+        return Section(key, title, (f"{words}: {percent(typical(c.error, c.alpha))}, typically.",))
     parts = "; ".join(f"{name}: {percent(size)}" for name, size in budget.items())
     caption = (
         f"Relative standard uncertainties of alpha. {parts[:1].upper()}{parts[1:]}. The readings'"
