@@ -49,7 +49,7 @@ def test_patterns_that_drown_are_named_and_the_errors_hold():
         assert "hardly above the noise" in faults
         assert found.rank == 50 - found.diagnosis.undetermined
     assert min(undetermined) >= 2
-    assert sum(held) >= 3  # in the others they are just not lost
+    assert sum(held) >= 2  # in the others they are just not lost
     assert min(covered) >= 0.9
 
 

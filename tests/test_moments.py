@@ -266,11 +266,23 @@ def test_gradients_of_coils_and_bias_magnets_are_taken_out(offset):
     assert calibrate(campaign).alpha == pytest.approx(alpha, abs=1e-9)
 
 
-@pytest.mark.parametrize("left_out", ["coil_gradient", "bias_gradient", "position"])
-def test_a_gradient_that_is_left_out_is_an_error(left_out):
+def test_positions_that_are_left_out_are_an_error():
     campaign, alpha = gradients(seed=9, noise=0.0, offset=0.0, cycles=1)
-    ignored = Campaign(tuple(replace(c, **{left_out: None}) for c in campaign.cycles))
+    ignored = Campaign(tuple(replace(c, position=None) for c in campaign.cycles))
     assert np.abs(calibrate(ignored).alpha - alpha).max() > 1e-5
+
+
+@pytest.mark.parametrize("left_out", ["coil_gradient", "bias_gradient"])
+def test_a_gradient_that_is_left_out_is_found_from_the_positions(left_out):
+    campaign, alpha = gradients(seed=9, noise=1e-6, offset=0.0, cycles=4)
+    ignored = Campaign(tuple(replace(c, **{left_out: None}) for c in campaign.cycles))
+    found = calibrate(ignored)
+    (effect,) = found.effects
+    declared = getattr(campaign.cycles[0], left_out)
+    assert effect.corrected
+    assert effect.name == left_out.replace("_", " ")
+    assert effect.size == pytest.approx(declared, rel=0.02)
+    assert np.mean(np.abs(found.alpha - alpha) < 1.96 * found.error) > 0.7
 
 
 def test_rows_that_are_not_valid_do_not_move_the_zero_of_a_sensor():

@@ -146,6 +146,7 @@ def calibration_of(
         )
         + (_matrix_source(matrix) if matrix else ()),
         rejected_rows=estimate.rejected,
+        effects=estimate.effects,
         **_common(replace(estimate, diagnosis=replace(estimate.diagnosis, warnings=warnings)), on),
     )
 

@@ -11,7 +11,13 @@ import numpy as np
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
-from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
+from truenewton.estimation.diagnosis import (
+    Diagnosis,
+    FoundEffect,
+    Goodness,
+    RejectedRow,
+    ScaleError,
+)
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
@@ -71,6 +77,8 @@ class Calibration:
         What limits the common scale, largest first; empty when read from a file.
     rejected_rows
         The rows left out; empty when read from a file.
+    effects
+        What the bench did beside the model, the likeliest first; empty when read from a file.
     """
 
     instrument: str
@@ -105,6 +113,7 @@ class Calibration:
     goodness: Goodness | None = None
     scale_errors: tuple[ScaleError, ...] = ()
     rejected_rows: tuple[RejectedRow, ...] = ()
+    effects: tuple[FoundEffect, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "alpha", "reading_error", "systematic_error", "cycle_error", "covariance",

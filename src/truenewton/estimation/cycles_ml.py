@@ -15,6 +15,7 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, NoiseSource, RejectedRow
 from truenewton.estimation.displaced_rows import is_displaced
+from truenewton.estimation.effects.examination import Examined, chi2_probability, examined
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import (
     diagnose,
@@ -26,7 +27,7 @@ from truenewton.estimation.identifiability import (
 from truenewton.estimation.likelihood import chi2_at, gram_of_e
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments, chosen_groups
-from truenewton.estimation.noise import Noise, reading_noise
+from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.outliers import Fitted, balancing_groups, rows_of
 from truenewton.estimation.problem import (
     Problem,
@@ -81,8 +82,14 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         refuse_too_many(len(rejected), rows)
         moments = chosen_groups(moments, belongs)
     problem, minimum = with_noise_from_minimum(problem, moments, minimum)
+    left = Examined(problem, moments, minimum)
     if patterns.size:
         minimum = with_undetermined_patterns(minimum, patterns)
+    else:
+        left = examined(problem, moments, minimum, sifted.structure, sifted.samples)
+        problem, moments, minimum = left.problem, left.moments, left.minimum
+        if not left.fits:
+            minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
     method = "ml"
     if population:
         covariance = minimum.reading_covariance[: problem.n, : problem.n]
@@ -91,7 +98,11 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         problem = replace(problem, prior=free.prior.with_more(of_population))
         minimum = problem.fitted(moments, minimum.values)
         method = f"ml, population {spread:.2g}"
-    estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1])
+    freedom = problem.degrees_of_freedom(moments) - left.told
+    estimate = replace(
+        estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1], freedom),
+        effects=left.effects,
+    )
     if estimate.diagnosis.undetermined:
         diagnosis = diagnose(sound, moments)
         if 3 * diagnosis.span < problem.n - 1:  # not even without noise
@@ -142,7 +153,7 @@ def estimate_of(
     freedom = problem.degrees_of_freedom(moments) if freedom is None else freedom
     size = chi2 / freedom if freedom > 0 else float("nan")
     tested = problem.noise.source != NoiseSource.MINIMUM and freedom > 0
-    probability = _probability(chi2, freedom, problem.noise) if tested else float("nan")
+    probability = chi2_probability(chi2, freedom, problem.noise) if tested else float("nan")
     declared = float("nan")
     if all(c.force_error for c in campaign.cycles):
         same = np.full(n, WEIGHED_NOISE**2)
@@ -172,13 +183,6 @@ def estimate_of(
     )
 
 
-def _probability(chi2: float, freedom: float, noise: Noise) -> float:
-    """Return how often chance makes chi^2 as large, the noise being known only so well."""
-    if np.isinf(noise.share_freedom):
-        return float(scipy.stats.chi2.sf(chi2, freedom))
-    return float(scipy.stats.f.sf(chi2 / freedom, freedom, noise.share_freedom))
-
-
 def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) -> Diagnosis:
     """Judge alpha by what its information stands above what noise feigns, and name what is weak.
 
@@ -186,7 +190,7 @@ def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) 
     """
     n, layout = problem.n, problem.campaign.layout
     covariance = minimum.reading_covariance[:n, :n]
-    free = held + patterns_near_noise(minimum, moments.groups)
+    free = held + patterns_near_noise(minimum, moments.sums.shapes)
     value, vector = largest_eigenvalue(covariance)
     weakest = in_words(vector, layout)
     warnings = (

@@ -129,6 +129,34 @@ class ScaleError:
 
 
 @dataclass(frozen=True)
+class FoundEffect:
+    """What a bench did beside the model (docs/effects.md).
+
+    Attributes
+    ----------
+    name, where
+        What it is; in which file, of which actuator or load it is largest, '' where that says
+        nothing.
+    probability
+        Of data like these without it.
+    size, unit
+        Of its largest parameter.
+    corrected
+        Whether it was taken out of the data.
+    remedy
+        What to do about it.
+    """
+
+    name: str
+    where: str
+    probability: float
+    size: float
+    unit: str
+    corrected: bool
+    remedy: str
+
+
+@dataclass(frozen=True)
 class RejectedRow:
     """A row that was left out.
 

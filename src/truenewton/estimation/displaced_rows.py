@@ -29,6 +29,28 @@ def common_reference(campaign: Campaign) -> Array:
     displaced = [cycle for cycle in campaign.cycles if is_displaced(cycle)]
     if not displaced:
         return np.full(int(campaign.layout.enabled.sum()), np.nan)
+    return _reference(displaced)
+
+
+def displacements(campaign: Campaign) -> tuple[Array, ...] | None:
+    """Return for each cycle (N, n) displacements of the rows that count [m], gradients or not.
+
+    None where a cycle has no POSITION, or left it on disk: rows larger than memory are read for
+    what is declared only.
+    """
+    cycles = campaign.cycles
+    if not all(isinstance(cycle.position, np.ndarray) for cycle in cycles):
+        return None
+    reference = _reference(list(cycles))
+    return tuple(
+        cycle.used(cycle.position, slice(None))
+        - np.where(np.isnan(reference), cycle.rest_position, reference)
+        for cycle in cycles
+        if cycle.position is not None
+    )
+
+
+def _reference(displaced: list[Cycle]) -> Array:
     whole = [cycle for cycle in displaced if cycle.knows_rest] or displaced
     reference = np.array([cycle.rest_position for cycle in whole])
     stroke = np.sqrt(np.mean([cycle.stroke**2 for cycle in whole], axis=0))

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import Diagnosis, Goodness, RejectedRow, ScaleError
+from truenewton.estimation.diagnosis import (
+    Diagnosis,
+    FoundEffect,
+    Goodness,
+    RejectedRow,
+    ScaleError,
+)
 
 
 class Scale(StrEnum):
@@ -41,6 +47,8 @@ class Estimate:
         Budget of the common scale.
     rejected
         Rows left out.
+    effects
+        What the bench did beside the model, as far as the data show it.
     """
 
     method: str
@@ -56,3 +64,4 @@ class Estimate:
     declared_chi2: float = float("nan")
     scale_errors: tuple[ScaleError, ...] = ()
     rejected: tuple[RejectedRow, ...] = ()
+    effects: tuple[FoundEffect, ...] = ()

@@ -121,10 +121,14 @@ def _distinct_shapes(moments: Moments) -> int:
 
 
 def centred_means(moments: Moments) -> Array:
-    """Return the means of repeats, centred for each load and weighted by the root of their weight.
+    """Return pooled rows or means of repeats, centred for each load, at weight 1 (root of theirs).
 
     What is common to a load (weight, bias, torques) drops out, as do its unknown B, M_y and M_x.
     """
+    if moments.pooled:
+        rows, share = map(moments.pooling.rows, (moments.mean, moments.of_load))
+        rows -= share @ np.linalg.solve(share.T @ share, share.T @ rows)
+        return rows
     counted = moments.rows > 0
     centred, load = moments.mean[counted], moments.labels[counted, 0]
     root = np.sqrt(moments.weight[counted])

@@ -21,8 +21,55 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
+from truenewton.estimation.pooling import Pooling, each_by_itself, over_loads_and_signs
 from truenewton.estimation.shape_sums import ShapeSums, shape_sums
 from truenewton.statics.load import Load
+
+
+@dataclass(frozen=True, eq=False)
+class WithinGroups:
+    """How rows of one group differ by file and by hour, in files + 1 functions h of a row.
+
+    h is 1 in one file and 0 elsewhere, for each file; then the hours since the mean of all rows.
+
+    Attributes
+    ----------
+    weight, hour
+        (files, g) sums of the weights and of the weighted hours of the rows of each group, by file.
+    square
+        (g,) weighted sum of the squared hours.
+    mean
+        (g, n) c_mean, as the rows have it [N].
+    zero, gain
+        (files + 1, n) weighted sums over all rows of h (c - c_mean) [N], and of the same times
+        c_mean.
+    """
+
+    weight: Array
+    hour: Array
+    square: Array
+    mean: Array
+    zero: Array
+    gain: Array
+
+    @cached_property
+    def first(self) -> Array:
+        """(files + 1, g) weighted sums of h."""
+        return np.vstack([self.weight, self.hour.sum(axis=0)])
+
+    @property
+    def second(self) -> Array:
+        """(files + 1, g) weighted sums of h^2."""
+        return np.vstack([self.weight, self.square])
+
+    def products(self, index: int) -> Array:
+        """Return (files + 1, g) weighted sums of h times one of the h."""
+        files = len(self.weight)
+        if index == files:
+            return np.vstack([self.hour, self.square])
+        products = np.zeros_like(self.first)
+        products[index], products[files] = self.weight[index], self.hour[index]
+        return products
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +94,12 @@ class Moments:
         (n,) weighted sum of squared deviations of rows from their group's mean [N^2].
     reference
         (n,) readings from which displacements count [m]; NaN where from the mean of each cycle.
+    pooled
+        Whether shapes repeat over loads and signs as well (`pooling`).
+    displacement
+        (g, n) mean displacement of each sensor [m]; None without POSITION.
+    within
+        How rows of one group differ by file and by hour; None of merged moments.
     """
 
     loads: tuple[Load, ...]
@@ -57,6 +110,9 @@ class Moments:
     known: Array
     scatter: Array
     reference: Array
+    pooled: bool = False
+    displacement: Array | None = None
+    within: WithinGroups | None = None
 
     @property
     def groups(self) -> int:
@@ -82,9 +138,25 @@ class Moments:
 
     @cached_property
     def sums(self) -> ShapeSums:
-        """The sums over groups; taken once."""
-        load = self.labels[:, 0]
-        return shape_sums(self.mean, self.weight, self.known, load, len(self.loads))
+        """The sums over groups, or over the rows that they are pooled to; taken once."""
+        of_load = self.of_load
+        if not self.pooled:
+            return shape_sums(self.mean, self.weight, self.known, of_load.T)
+        pooling = self.pooling
+        mean, known, share = map(pooling.rows, (self.mean, self.known, of_load))
+        return shape_sums(mean, np.ones(pooling.count), known, share.T)
+
+    @property
+    def of_load(self) -> Array:
+        """(g, L) 1 where a group stands under a load, else 0."""
+        return np.asarray(self.labels[:, :1] == np.arange(len(self.loads)), dtype=np.float64)
+
+    @cached_property
+    def pooling(self) -> Pooling:
+        """Which rows carry what groups share."""
+        if self.pooled:
+            return over_loads_and_signs(self.labels, self.weight)
+        return each_by_itself(self.weight)
 
 
 def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:

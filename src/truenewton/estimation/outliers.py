@@ -13,7 +13,7 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import NotConverged, RankDeficient
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.imbalance import MEDIAN_CHI2
 from truenewton.estimation.minimum import Minimum
@@ -22,11 +22,13 @@ from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.repeats import row_groups
 from truenewton.estimation.sifted import refuse_too_many
+from truenewton.estimation.structure import FITS
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 
 CORE = 0.75  # of the shapes that make the robust start
 STRANGE = 10.0  # median deviations, 6.7 sigma: for a start only
+FEW = 0.12  # of the groups may be accidents
 MOST_PASSES = 20  # until the groups that belong are settled
 
 
@@ -46,7 +48,35 @@ def balancing_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.boo
     ------
     RankDeficient, NotConverged, TooManyOutliers
     """
-    limit = scipy.stats.chi2.isf(FALSE_ALARM / len(moments.rows), 3)
+    limit = float(scipy.stats.chi2.isf(FALSE_ALARM / len(moments.rows), 3))
+    try:
+        belongs, distance, fitted = _within(limit, problem, moments)
+        if belongs.all() or _accidents(belongs, moments, fitted):
+            return belongs, distance, fitted
+    except TooManyOutliers:
+        distance = _fitted(problem, moments, moments)[1]
+    usual = max(1 / 3, *(float(np.quantile(distance, part)) / scipy.stats.chi2.ppf(part, 3)
+                         for part in (0.5, 0.75)))  # fmt: skip
+    return _within(3.0 * usual * limit, problem, moments)
+
+
+def _accidents(belongs: NDArray[np.bool_], moments: Moments, fitted: Fitted) -> bool:
+    """Tell whether few groups do not belong, and the others balance without them.
+
+    Where they do not, the model falls short, and what lies far is as good as the rest.
+    """
+    problem, minimum = fitted
+    few = np.count_nonzero(~belongs) <= FEW * len(belongs)
+    if problem.noise.source == NoiseSource.MINIMUM:
+        return bool(few)
+    freedom = problem.degrees_of_freedom(chosen_groups(moments, belongs))
+    return bool(few) and float(scipy.stats.chi2.sf(minimum.chi2, max(freedom, 1))) > FITS
+
+
+def _within(
+    limit: float, problem: Problem, moments: Moments
+) -> tuple[NDArray[np.bool_], Array, Fitted]:
+    """Fit the groups whose squared distance from the fit is within a limit."""
     try:
         fitted, distance = _fitted(problem, moments, moments)
         if distance.max() <= limit:

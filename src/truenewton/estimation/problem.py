@@ -56,6 +56,8 @@ class Problem:
         Of the errors of the weights, and of alpha where it is one of a population.
     elastic
         Shapes from a stiffness matrix.
+    moved
+        (3, n) how far the arms are from those of the layout; 0 unless positions were corrected.
     """
 
     campaign: Campaign
@@ -63,11 +65,12 @@ class Problem:
     noise: Noise
     prior: Prior
     elastic: tuple[DataSet, ...] = ()
+    moved: Array | float = 0.0
 
     @cached_property
     def a(self) -> Array:
         """(3, n) arms of the enabled actuators."""
-        return enabled_arms(self.campaign.layout)
+        return np.asarray(enabled_arms(self.campaign.layout) + self.moved)
 
     @property
     def n(self) -> int:
@@ -81,7 +84,7 @@ class Problem:
 
     def degrees_of_freedom(self, moments: Moments) -> int:
         """Return equations less unknowns; errors of the weights are measured, so neither."""
-        shapes = moments.groups + sum(part.sums.shapes for part in self.elastic)
+        shapes = moments.sums.shapes + sum(part.sums.shapes for part in self.elastic)
         return 3 * shapes - self.unknowns.count
 
     def data(self, moments: Moments) -> list[DataSet]:

@@ -17,8 +17,13 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.displaced_rows import BalancedRows, common_reference, is_displaced
-from truenewton.estimation.moments import Moments
+from truenewton.estimation.displaced_rows import (
+    BalancedRows,
+    common_reference,
+    displacements,
+    is_displaced,
+)
+from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.files.stored_rows import BLOCK_BYTES
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
@@ -37,6 +42,17 @@ def row_weights(campaign: Campaign) -> tuple[float, ...]:
     if not all(cycle.force_error for cycle in campaign.cycles):
         return (1.0,) * len(campaign.cycles)
     return tuple((WEIGHED_NOISE / (cycle.force_error or 1.0)) ** 2 for cycle in campaign.cycles)
+
+
+def hours(campaign: Campaign) -> tuple[Array, ...]:
+    """Return for each cycle (N,) hours of its rows that count, since the mean of all cycles."""
+    first = min(cycle.date for cycle in campaign.cycles)
+    times = [
+        (cycle.date - first).total_seconds() / 3600 + cycle.time[cycle.valid] / 3600
+        for cycle in campaign.cycles
+    ]
+    mean = np.mean([time.mean() for time in times])
+    return tuple(time - mean for time in times)
 
 
 def row_groups(
@@ -173,6 +189,8 @@ class RepeatSums:
         starts = range(0, groups, most)
         self._blocks = [slice(start, min(start + most, groups)) for start in starts]
         self._scatter, self._scatter_of = np.zeros(n), np.zeros((len(starts), n))
+        self._hours = hours(campaign)
+        self._zero, self._gain = np.zeros((2, len(campaign.cycles) + 1, n))
         self.furthest = np.zeros((len(starts), n))
         self.samples = [np.empty((0, n))] * len(starts)
         for block in range(len(starts)):
@@ -191,7 +209,35 @@ class RepeatSums:
             known=self._known,
             scatter=self._scatter,
             reference=self._reference,
+            displacement=self._displacement(turn),
+            within=self._within(turn),
         )
+
+    def _within(self, turn: NDArray[np.int64]) -> WithinGroups:
+        """Return how rows of one group differ; (g,) groups in order, among those as they come."""
+        weight, hours = np.zeros((2, len(self.campaign.cycles), len(self._number)))
+        square = np.zeros(len(self._number))
+        for layer in self._layers:
+            k, rows, group = layer.cycle_index, layer.rows, layer.group
+            lost = [row.row for row in self._lost if row.cycle == k]
+            counted = ~np.isin(np.flatnonzero(self.campaign.cycles[k].valid)[rows], lost)
+            group, hour = group[counted], self._hours[k][rows[counted]]
+            weight[k, group] += layer.weight
+            hours[k, group] += layer.weight * hour
+            square[group] += layer.weight * hour**2
+        weight, hours, square = weight[:, turn], hours[:, turn], square[turn]
+        return WithinGroups(weight, hours, square, self._mean, self._zero, self._gain)
+
+    def _displacement(self, turn: NDArray[np.int64]) -> Array | None:
+        """Return (g, n) mean displacements, where every cycle holds POSITION in memory."""
+        moved = displacements(self.campaign)
+        if moved is None:
+            return None
+        total, rows = np.zeros_like(self._mean), np.zeros(len(self._number))
+        for layer in self._layers:
+            total[layer.group] += layer.weight * moved[layer.cycle_index][layer.rows]
+            rows[layer.group] += layer.weight
+        return np.asarray((total / rows[:, None])[turn])
 
     def read(self, block: int) -> list[BlockRows]:
         """Read the rows of a block of groups that are not left out."""
@@ -241,8 +287,20 @@ class RepeatSums:
         displaced = any(is_displaced(self.campaign.cycles[row.cycle]) for row in rejected)
         self.stale |= displaced or not number.all()
         if not self.stale:
+            self._differ(block, read, -1.0)
             self._sum(block, rest)
             self._scatter = self._scatter_of.sum(axis=0)
+
+    def _differ(self, block: int, read: list[BlockRows], times: float) -> None:
+        """Add, so many times, how the rows that were read of a block differ from their means."""
+        mean = self._mean[self._coming[self._blocks[block]]]
+        for part in read:
+            k, hour = part.cycle_index, self._hours[part.cycle_index][part.rows]
+            apart, weight = part.force - mean[part.at], times * part.weight
+            of_both = np.stack([np.ones_like(hour), hour]) * weight
+            self._zero[[k, -1]] += of_both @ apart
+            apart *= mean[part.at]
+            self._gain[[k, -1]] += of_both @ apart
 
     def _sum(self, block: int, read: list[BlockRows]) -> None:
         """Sum over the rows that were read of a block of groups."""
@@ -273,3 +331,4 @@ class RepeatSums:
             furthest = np.sqrt(apart.max(axis=0, initial=0.0) * further[0])
             np.maximum(self.furthest[block], furthest, out=self.furthest[block])
         self.samples[block] = np.concatenate(sample)
+        self._differ(block, read, 1.0)

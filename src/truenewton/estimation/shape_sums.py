@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk
 
 from truenewton.arrays import Array
@@ -39,10 +38,17 @@ class ShapeSums:
     known_square: Array
 
 
-def shape_sums(
-    mean: Array, weight: Array, known: Array, load: NDArray[np.int64], loads: int = 1
-) -> ShapeSums:
-    """Return the sums over (g, n) means with (g,) weights, (g, 3) known balance and (g,) loads."""
+def shape_sums(mean: Array, weight: Array, known: Array, share: Array) -> ShapeSums:
+    """Return the sums over shapes.
+
+    Parameters
+    ----------
+    mean, weight, known
+        (g, n) forces [N], (g,) weights r, (g, 3) known balance.
+    share
+        (L, g) how much of the load each shape carries: 1 of its own, but of pooled rows some of
+        each (`pooling`).
+    """
     n = mean.shape[1]
     if (weight == weight[0]).all():
         square = dsyrk(float(weight[0]), mean.T)
@@ -52,12 +58,12 @@ def shape_sums(
             heavy = mean[some] * np.sqrt(weight[some])[:, None]
             square = dsyrk(1.0, heavy.T, beta=1.0, c=square, overwrite_c=True)
     square = mirrored(square).T  # in the order of C
-    of_load = np.where(load == np.arange(loads)[:, None], weight, 0.0)
+    of_load = share * weight
     q = known * weight[:, None]
     anything = bool(q.any())
     return ShapeSums(
         shapes=int(np.count_nonzero(weight)),
-        weight=of_load.sum(axis=1),
+        weight=np.sum(of_load * share, axis=1),
         force=of_load @ mean,
         square=square,
         known=of_load @ known,

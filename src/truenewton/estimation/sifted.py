@@ -4,6 +4,9 @@ A row is far whose reading of one actuator lies far from the mean of the others 
 worst row of each group goes first, the scatter is taken anew, until none is left; where only two
 rows disagree neither can be trusted and both go. The threshold lets a sound campaign lose a row
 once in a hundred campaigns.
+
+Where those that are left still scatter more than their median says, rows were no accidents but the
+tail of what happened to all, a drift perhaps: then only those go that stand out of that as well.
 """
 
 from __future__ import annotations
@@ -19,11 +22,15 @@ from truenewton.errors import TooManyOutliers
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.repeats import BlockRows, RepeatSums
+from truenewton.estimation.structure import Structure, pooled_where_it_fits
 from truenewton.records.campaign import Campaign
 
 MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
 MOST = 0.3  # of the rows; beyond this the campaign is refused
+LONG_TAILS = 1.15  # of scatter over what the median says: beyond, rows are no accidents
+FAR_OUT = 3.0  # times the usual limit, in terms of all of the scatter, where tails are long
 QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 
 
@@ -38,7 +45,9 @@ class Sifted:
     rejected
         The rows that lie far from their repeats.
     moments
-        Of the sound rows.
+        Of the sound rows; pooled where shapes repeat over loads and signs.
+    structure
+        How well they do; None where nothing tells.
     samples
         (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N], in
         some parts.
@@ -49,6 +58,7 @@ class Sifted:
     rejected: tuple[RejectedRow, ...]
     moments: Moments
     samples: tuple[Array, ...]
+    structure: Structure | None
 
 
 def sift(campaign: Campaign) -> Sifted:
@@ -62,14 +72,38 @@ def sift(campaign: Campaign) -> Sifted:
     TooManyOutliers
         A cycle would lose all its rows.
     """
-    sums, sound, rejected = RepeatSums(campaign), campaign, list[RejectedRow]()
-    while worst := _leave_out_worst(sums):
+    sums = RepeatSums(campaign)
+    tails = _tails(sums)
+    sums, sound, rejected = _left_out(sums, campaign, 1.0)
+    if rejected and _tails(sums) > LONG_TAILS:
+        del sums
+        sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, FAR_OUT * tails)
+    noise = reading_noise(sound, sums.moments)
+    moments, structure = pooled_where_it_fits(sums.moments, noise, sums.samples)
+    return Sifted(campaign, sound, tuple(rejected), moments, tuple(sums.samples), structure)
+
+
+def _left_out(
+    sums: RepeatSums, campaign: Campaign, wider: float
+) -> tuple[RepeatSums, Campaign, list[RejectedRow]]:
+    """Leave out rows that lie further from their repeats than so many times the usual limit."""
+    rejected = list[RejectedRow]()
+    while worst := _leave_out_worst(sums, wider):
         rejected += worst
-        sound = without(sound, worst)
+        campaign = without(campaign, worst)
         if sums.stale:
             del sums  # there is no room for two where the mirror is large
-            sums = RepeatSums(sound)
-    return Sifted(campaign, sound, tuple(rejected), sums.moments, tuple(sums.samples))
+            sums = RepeatSums(campaign)
+    return sums, campaign, rejected
+
+
+def _tails(sums: RepeatSums) -> float:
+    """Return how much more rows scatter than their median says; 1 of a normal distribution."""
+    moments = sums.moments
+    if moments.repeats < 2:
+        return 1.0
+    noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(sums.samples)
+    return float(np.median(noise / np.maximum(robust, 1e-300)))
 
 
 def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
@@ -105,7 +139,7 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
     return Campaign(tuple(cycles))
 
 
-def _leave_out_worst(sums: RepeatSums) -> list[RejectedRow]:
+def _leave_out_worst(sums: RepeatSums, wider: float) -> list[RejectedRow]:
     """Leave out the worst row of each group that has one too far out; both rows of a pair."""
     moments, rejected = sums.moments, list[RejectedRow]()
     if moments.repeats < 2:
@@ -114,7 +148,7 @@ def _leave_out_worst(sums: RepeatSums) -> list[RejectedRow]:
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(noise > 1.5 * robust, robust, noise)
     tests = moments.rows.sum() * len(noise)
-    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / tests, moments.repeats - 1)
+    limit = wider * scipy.stats.t.isf(FALSE_ALARM / 2 / tests, moments.repeats - 1)
     suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
     if suspicious.size:  # noise of rounding
         noise = np.maximum(noise, 1e-12 * max(moments.mean.max(), -moments.mean.min()))

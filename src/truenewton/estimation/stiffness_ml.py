@@ -22,7 +22,7 @@ from truenewton.estimation.systems import balance_rows
 def mode_data(modes: Array, variance: float) -> DataSet:
     """Return (m, n) elastic modes as shapes without any external load, for the likelihood."""
     m, n = modes.shape
-    sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.zeros(m, dtype=np.int64))
+    sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.ones((1, m)))
     return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))
 
 

@@ -112,7 +112,7 @@ def degrees_of(problem: Problem, moments: Moments, minimum: Minimum) -> float:
     inverse = inverse_of(problem, minimum)
     free = len(inverse)
     from_prior = float(np.sum(inverse * problem.prior.added_to(np.zeros((free, free)))))
-    return 3 * moments.groups - free + from_prior
+    return 3 * moments.sums.shapes - free + from_prior
 
 
 def pulls(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:

@@ -1,0 +1,197 @@
+"""The catalogue of effects: what a bench does beside the model, each nothing but a derivative.
+
+An effect is a function of a fit to its derivative, or None where the data say nothing of it. To add
+one, write the function, and list it in `CATALOGUE`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.estimation.effects.derivative import (
+    Derivative,
+    RowFunctions,
+    of_groups,
+    of_rows,
+    on_readings,
+)
+from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.moments import Moments, WithinGroups
+from truenewton.estimation.problem import Problem
+
+MOST_EACH = 2000  # actuators up to which an effect with a parameter for each is looked for
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What a bench may do beside the model.
+
+    Attributes
+    ----------
+    name, unit
+        In words; of its parameters.
+    derivative
+        Of a fit; None where the data say nothing of the effect.
+    of
+        What its parameters belong to: '' (all together), 'file', 'load', 'actuator', 'axis'.
+    remedy
+        What the user can do about it.
+    corrected
+        Whether it is taken out of the data where that cures them; else it is said.
+    """
+
+    name: str
+    unit: str
+    derivative: Callable[[FittedRows], Derivative | None]
+    remedy: str
+    of: str = ""
+    corrected: bool = True
+
+
+def _hour(within: WithinGroups) -> slice:
+    return slice(len(within.weight), len(within.weight) + 1)
+
+
+def _files(within: WithinGroups) -> slice:
+    return slice(0, len(within.weight))
+
+
+def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
+    """Alpha drifts, of all together or of each: g = -c^ h, h the hours."""
+    within = fit.moments.within
+    if within is None or not np.any(within.square > 0) or (each and fit.problem.n > MOST_EACH):
+        return None
+    rows = of_rows(fit.moments, within, _hour(within))
+    return on_readings(fit, rows, -fit.fitted, each=each, gain=True)
+
+
+def gain_by_file(fit: FittedRows) -> Derivative | None:
+    """Alpha of all differs from file to file: g = -c^."""
+    within = fit.moments.within
+    if within is None or len(within.weight) < 3:
+        return None
+    rows = of_rows(fit.moments, within, _files(within))
+    return on_readings(fit, rows, -fit.fitted, each=False, gain=True)
+
+
+def gain_by_load(fit: FittedRows) -> Derivative | None:
+    """Alpha of all differs from load to load; or shapes do, which only POSITION tells apart."""
+    h = fit.moments.of_load.T[1:]
+    return on_readings(fit, of_groups(fit.moments, h), -fit.fitted, each=False, gain=True)
+
+
+def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
+    """The zero of the readings moves from file to file, of all alike or of each."""
+    within = fit.moments.within
+    if within is None or len(within.weight) < 3 or (each and fit.problem.n > MOST_EACH):
+        return None
+    rows = of_rows(fit.moments, within, _files(within))
+    return on_readings(fit, rows, np.ones_like(fit.fitted), each=each)
+
+
+def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative | None:
+    """Coils are not linear: g = -c^2 or -c^3, of all alike or of each."""
+    if each and fit.problem.n > MOST_EACH:
+        return None
+    return on_readings(fit, _always(fit.moments), -(fit.fitted**power), each=each)
+
+
+def coil_gradient(fit: FittedRows) -> Derivative | None:
+    """The coils' force changes with the displacement z, by other than COILGRAD: g = -c^ z."""
+    if fit.moments.displacement is None:
+        return None
+    field = -fit.fitted * fit.moments.displacement
+    return on_readings(fit, _always(fit.moments), field, each=False)
+
+
+def bias_gradient(fit: FittedRows) -> Derivative | None:
+    """The bias magnets' force changes with z, by other than BIASGRAD: A z in the balance."""
+    z = fit.moments.displacement
+    return None if z is None else on_balance(fit, (z @ fit.problem.a.T)[:, :, None])
+
+
+def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
+    """Something touches the mirror in shapes of one sign: a force and two moments, k of a sign."""
+    positive = np.asarray(fit.moments.labels[:, 2] > 0, dtype=np.float64)
+    h = fit.moments.of_load * positive[:, None] if by_load else positive[:, None]
+    if np.ptp(fit.moments.labels[:, 2]) == 0:
+        return None
+    units = np.eye(3)[None, :, None, :] * h[:, None, :, None]
+    return on_balance(fit, units.reshape(len(h), 3, -1))
+
+
+def positions(fit: FittedRows) -> Derivative | None:
+    """Actuators stand off their coordinates: e_x and e_y times alpha c^, for each."""
+    n, alpha = fit.problem.n, fit.alpha
+    if n > MOST_EACH:
+        return None
+    jacobian = np.zeros((len(fit.rows), 3, 2, n))
+    jacobian[:, 1, 0] = jacobian[:, 2, 1] = fit.fitted_rows * alpha
+    s_inverse = fit.root.T @ fit.root
+    covariance = fit.noise_covariance
+    by_alpha = (s_inverse @ fit.problem.a)[1:]  # e_x, e_y by the arms
+    count = len(fit.rows)
+    feigned = count * alpha[None, :, None] * by_alpha[:, None, :] * covariance
+    own = count * np.einsum(
+        "xy,i,j,ij->xiyj", s_inverse[1:, 1:], alpha, alpha, covariance, optimize=True
+    )
+
+    def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
+        moved = np.zeros((3, n))
+        moved[1:] = theta.reshape(2, n)
+        return replace(problem, moved=problem.moved + moved), moments
+
+    return Derivative(
+        jacobian.reshape(count, 3, 2 * n),
+        remove,
+        feigned=feigned.reshape(2 * n, n),
+        feigned_information=own.reshape(2 * n, 2 * n),
+    )
+
+
+def on_balance(fit: FittedRows, change: Array) -> Derivative:
+    """Return the derivative of an effect that adds (g, 3, k) to the balance of each group."""
+    groups, _, k = change.shape
+    jacobian = fit.moments.pooling.rows(change.reshape(groups, 3 * k)).reshape(-1, 3, k)
+
+    def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return problem, replace(moments, known=moments.known + change @ theta)
+
+    return Derivative(jacobian, remove)
+
+
+def _always(moments: Moments) -> RowFunctions:
+    return of_groups(moments, np.ones((1, len(moments.mean))))
+
+
+_WARM = "let the electronics warm up, and take bare and loaded cycles in turn"
+_ZERO = "take bare and loaded cycles in turn, so that the zeros of both come to the same"
+_COIL = "use smaller forces, or have the coil drivers looked at"
+_POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
+_TOUCH = "look for a cable, dust or the ring's edge at the mirror"
+
+CATALOGUE: tuple[Effect, ...] = (
+    Effect("gain by hour", "1/h", partial(gain_by_hour, each=False), _WARM),
+    Effect("gain by hour of each", "1/h", partial(gain_by_hour, each=True), _WARM, "actuator"),
+    Effect("gain by file", "", gain_by_file, _WARM, "file"),
+    Effect("gain by load", "", gain_by_load, "record POSITION, which tells whether shapes differ"
+           " between loads; else take bare and loaded cycles in turn", "load", corrected=False),
+    Effect("zero by file", "N", partial(zero_by_file, each=False), _ZERO, "file"),
+    Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file"),
+    Effect("quadratic coil", "1/N", partial(power_of_force, power=2, each=False), _COIL),
+    Effect("quadratic coil of each", "1/N", partial(power_of_force, power=2, each=True), _COIL,
+           "actuator"),
+    Effect("cubic coil", "1/N2", partial(power_of_force, power=3, each=False), _COIL),
+    Effect("cubic coil of each", "1/N2", partial(power_of_force, power=3, each=True), _COIL,
+           "actuator"),
+    Effect("coil gradient", "1/m", coil_gradient, _POSITION),
+    Effect("bias gradient", "N/m", bias_gradient, _POSITION),
+    Effect("contact in one sign", "N, N m", partial(contact, by_load=False), _TOUCH, "axis"),
+    Effect("contact in one sign by load", "N, N m", partial(contact, by_load=True), _TOUCH, "load"),
+    Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator"),
+)  # fmt: skip

@@ -1,0 +1,116 @@
+"""An effect taken out of the data, its size estimated together with alpha.
+
+The parameters theta of an effect are unknowns with a normal prior about 0 of spread tau. At every
+theta the data without it are fitted as ever (`Derivative.remove`), and theta steps by Newton with
+what the data say of it, all else being free. tau is the data's own (MacKay 1992, Neural Computation
+4, 415): with C the covariance of theta,
+
+    tau^2 <- sum theta^2 / nu,        nu = sum (1 - C_ii / tau^2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.diagnosis import NoiseSource
+from truenewton.estimation.effects.catalogue import Effect
+from truenewton.estimation.effects.derivative import scored
+from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.minimum import Minimum
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.problem import Problem
+
+STEPS = 30
+SMALL = 1e-4  # squared step in standard errors at which theta has settled
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Data without an effect, and the fit to them.
+
+    Attributes
+    ----------
+    effect
+        What was taken out.
+    theta, covariance, told
+        (k,) its parameters, their (k, k) covariance, and how many the data tell: nu.
+    problem, moments, minimum
+        The data without it and their fit, whose covariance has what the effect's error adds.
+    """
+
+    effect: Effect
+    theta: Array
+    covariance: Array
+    told: float
+    problem: Problem
+    moments: Moments
+    minimum: Minimum
+
+
+def correction(fit: FittedRows, effect: Effect) -> Correction | None:
+    """Estimate an effect together with alpha; None where that does not settle."""
+    first = effect.derivative(fit)
+    if first is None:
+        return None
+    result, theta = scored(fit, first), np.zeros(first.jacobian.shape[2])
+    # A first spread from the score itself: U U' = V of the effect, on the average.
+    size = np.trace(result.variance) / np.sum(result.variance**2)
+    tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
+    at, derivative = fit, first
+    for _ in range(STEPS):
+        inverse = _inverse(result.information + np.eye(len(theta)) / tau2)
+        if inverse is None:
+            return None
+        step = inverse @ (result.score + theta / tau2)
+        theta = theta - step
+        told = float(np.sum(1.0 - np.diag(inverse) / tau2))
+        before, tau2 = tau2, max(float(theta @ theta) / max(told, 1e-3), 1e-300)
+        problem, moments = derivative.remove(fit.problem, fit.moments, theta)
+        if problem.noise.source == NoiseSource.REPEATS:
+            noise = replace(
+                reading_noise(problem.campaign, moments),
+                share=fit.problem.noise.share,
+                share_freedom=fit.problem.noise.share_freedom,
+            )
+            problem = replace(problem, noise=noise)
+        try:
+            minimum = problem.fitted(moments, at.minimum.values)
+        except (NotConverged, RankDeficient):
+            return None
+        at = FittedRows(problem, moments, minimum, fit.independent)
+        again = effect.derivative(at)
+        if again is None:
+            return None
+        derivative, result = again, scored(at, again)
+        settled = abs(np.log(before / tau2)) < 1e-2
+        if settled and float(step @ (result.information @ step)) < SMALL:
+            inverse = _inverse(result.information + np.eye(len(theta)) / tau2)
+            if inverse is None:
+                return None
+            minimum = _with_error(at, result.moves, inverse)
+            return Correction(effect, theta, inverse, told, problem, moments, minimum)
+    return None
+
+
+def _inverse(matrix: Array) -> Array | None:
+    """Return the inverse of a symmetric matrix; None where it is not positive definite."""
+    try:
+        factor = scipy.linalg.cho_factor(0.5 * (matrix + matrix.T))
+    except np.linalg.LinAlgError:
+        return None
+    return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(matrix))))
+
+
+def _with_error(fit: FittedRows, moves: Array, covariance: Array) -> Minimum:
+    """Return the minimum with what the error of an effect adds to its covariance, B' C B."""
+    minimum = fit.minimum
+    t = min(len(minimum.reading_covariance), moves.shape[1])
+    added = np.zeros_like(minimum.reading_covariance)
+    added[:t, :t] = moves[:, :t].T @ covariance @ moves[:, :t]
+    return replace(minimum, reading_covariance=minimum.reading_covariance + added)

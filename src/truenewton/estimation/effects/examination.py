@@ -1,0 +1,206 @@
+"""A fit examined: which effects the data show, which were taken out, and what is left.
+
+The likeliest effect is estimated together with alpha, then the catalogue tested again, four times
+at most. It is accepted only if it cures: the balance of the shapes and their repetition over loads
+and signs both fit after it. Of effects about as likely the one with the fewest parameters is taken.
+Where nothing cures, nothing is taken out, and the errors grow by what does not fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.stats
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.effects.correction import Correction, correction
+from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.effects.score_test import EffectTest, named, tests
+from truenewton.estimation.minimum import Minimum
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.noise import Noise
+from truenewton.estimation.problem import Problem
+from truenewton.estimation.structure import FITS, Structure, structure_of
+
+MOST = 4  # effects at once
+ALIKE = 0.85  # of the logarithm of the smallest probability: effects about as likely
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """What is left after effects were looked for.
+
+    Attributes
+    ----------
+    problem, moments, minimum
+        The data without the effects that were taken out, and their fit.
+    told
+        How many of their parameters the balance had to tell.
+    effects
+        Those named, the likeliest first.
+    structure
+        How well shapes repeat over loads and signs; None where that was not asked.
+    """
+
+    problem: Problem
+    moments: Moments
+    minimum: Minimum
+    told: float = 0.0
+    effects: tuple[FoundEffect, ...] = ()
+    structure: Structure | None = None
+
+    @property
+    def probability(self) -> float:
+        """Chance of a larger chi^2 of the balance."""
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
+        return chi2_probability(self.minimum.chi2, freedom, self.problem.noise)
+
+    @property
+    def fits(self) -> bool:
+        """Whether both the balance and the repetition of shapes fit."""
+        repeated = self.structure is None or self.structure.probability > FITS
+        return self.probability > FITS and repeated
+
+    @property
+    def excess(self) -> float:
+        """By how much the variance of what is left is larger than the noise says, if at all."""
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
+        balance = self.minimum.chi2 / max(freedom, 1.0)
+        return max(1.0, balance, self.structure.reduced if self.structure else 1.0)
+
+
+def chi2_probability(chi2: float, freedom: float, noise: Noise) -> float:
+    """Return how often chance makes chi^2 as large, the noise being known only so well."""
+    if freedom <= 0:
+        return 1.0
+    if np.isinf(noise.share_freedom):
+        return float(scipy.stats.chi2.sf(chi2, freedom))
+    return float(scipy.stats.f.sf(chi2 / freedom, freedom, noise.share_freedom))
+
+
+def examined(
+    problem: Problem,
+    moments: Moments,
+    minimum: Minimum,
+    structure: Structure | None,
+    samples: Sequence[Array],
+) -> Examined:
+    """Look for effects in data and their fit, and take out those that cure.
+
+    Parameters
+    ----------
+    problem, moments, minimum
+        The data, and their fit.
+    structure
+        How well shapes repeat over loads and signs; None where nothing tells.
+    samples
+        Deviations of some rows from their repeats, in parts of (m, n) [N].
+    """
+    plain = Examined(problem, moments, minimum)
+    if structure is None:
+        return plain
+    independent = problem.noise.share == 1.0
+    start = replace(plain, structure=structure) if moments.pooled else plain
+    if independent and not moments.pooled:
+        pooled = replace(moments, pooled=True)
+        try:
+            start = Examined(problem, pooled, problem.fitted(pooled, minimum.values))
+        except (NotConverged, RankDeficient):
+            return plain
+        start = replace(start, structure=structure_of(pooled, problem.noise, samples))
+    cured, suspects = _cured(start, independent, samples)
+    if cured is not None:
+        return cured
+    if start.fits or plain.probability > FITS:
+        # Alpha is right if shapes differ by load; if the coils do, it is wrong by as much.
+        best = start if start.fits else plain
+        return replace(best, effects=suspects)
+    return replace(start, effects=suspects)
+
+
+def _cured(
+    start: Examined, independent: bool, samples: Sequence[Array]
+) -> tuple[Examined | None, tuple[FoundEffect, ...]]:
+    """Take out the likeliest effects until all fits; None and those named where that fails."""
+    now, first = start, tuple[FoundEffect, ...]()
+    for _ in range(MOST):
+        fit = FittedRows(now.problem, now.moments, now.minimum, independent)
+        found = named(tests(fit))
+        if not found:
+            return (now, first) if now.fits else (None, first)
+        if not first:
+            first = (_found(fit, found[0], None),)
+        after = None
+        for test in _alike(found):
+            corrected = correction(fit, test.effect)
+            if corrected is None:
+                continue
+            trial = _after(now, fit, test, corrected, samples)
+            if trial.fits or after is None:
+                after = trial
+            if trial.fits:
+                break
+        if after is None:
+            return None, first
+        if after.fits and not after.effects[-1].corrected:
+            return None, after.effects
+        now = after
+    return (now, first) if now.fits else (None, first)
+
+
+def _alike(found: list[EffectTest]) -> list[EffectTest]:
+    """Return the likeliest effects, the one with the fewest parameters first; at most four."""
+    best = found[0].log_probability
+    some = [test for test in found if test.log_probability <= ALIKE * best][:MOST]
+    return sorted(some, key=lambda test: len(test.scored.score))
+
+
+def _after(
+    now: Examined,
+    fit: FittedRows,
+    test: EffectTest,
+    corrected: Correction,
+    samples: Sequence[Array],
+) -> Examined:
+    """Return what is left after a correction."""
+    structure = now.structure
+    if structure is not None:
+        structure = structure_of(corrected.moments, corrected.problem.noise, samples)
+    told = 0.0 if np.any(test.derivative.information) else corrected.told
+    return Examined(
+        corrected.problem,
+        corrected.moments,
+        corrected.minimum,
+        now.told + told,
+        (*now.effects, _found(fit, test, corrected)),
+        structure,
+    )
+
+
+def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> FoundEffect:
+    """Return an effect in words and numbers."""
+    campaign, effect = fit.problem.campaign, test.effect
+    theta = np.zeros(len(test.scored.score)) if corrected is None else corrected.theta
+    worst = int(np.abs(theta).argmax())
+    where = ""
+    if corrected is not None and effect.of == "file":
+        where = campaign.cycles[worst * len(campaign.cycles) // len(theta)].name
+    elif corrected is not None and effect.of == "actuator":
+        ids = campaign.layout.id[campaign.layout.enabled]
+        where = f"actuator {ids[worst % len(ids)]}"
+    elif corrected is not None and effect.of == "load":
+        loads = campaign.loads[-(len(theta) if len(theta) < len(campaign.loads) else 0) :]
+        where = loads[worst * len(loads) // len(theta)].name
+    return FoundEffect(
+        name=effect.name,
+        where=where,
+        probability=float(np.exp(test.log_probability)),
+        size=float(theta[worst]),
+        unit=effect.unit,
+        corrected=effect.corrected and corrected is not None,
+        remedy=effect.remedy,
+    )

@@ -1,0 +1,97 @@
+"""Is an effect there? One score test for all of the catalogue.
+
+With U_t and its covariance V of an effect at a fit without it (`derivative`): U' V^-1 U over the
+directions that the data hold, chi^2 of as many degrees of freedom, for few parameters; for many
+U' U, in units that make V's diagonal 1, against tr V chi^2(nu) / nu with nu = (tr V)^2 / tr V^2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.special
+import scipy.stats
+
+from truenewton.arrays import Array
+from truenewton.estimation.effects.catalogue import CATALOGUE, Effect
+from truenewton.estimation.effects.derivative import Derivative, Scored, scored
+from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.multiple_tests import FALSE_ALARM
+
+FEW = 30  # parameters
+BLIND = 1e-6  # of the information that the data would hold, were all else known
+
+
+@dataclass(frozen=True, eq=False)
+class EffectTest:
+    """The test of one effect.
+
+    Attributes
+    ----------
+    effect, derivative, scored
+        What was tested.
+    statistic, degrees_of_freedom, log_probability
+        A chi^2, its degrees of freedom, and the logarithm of the chance of a larger one.
+    """
+
+    effect: Effect
+    derivative: Derivative
+    scored: Scored
+    statistic: float
+    degrees_of_freedom: float
+    log_probability: float
+
+
+def tests(fit: FittedRows) -> list[EffectTest]:
+    """Test the catalogue at a fit, the likeliest effect first; those that no data tell are left."""
+    found = []
+    for effect in CATALOGUE:
+        derivative = effect.derivative(fit)
+        if derivative is not None and derivative.jacobian.shape[2]:
+            test = _tested(fit, effect, derivative)
+            if test is not None:
+                found.append(test)
+    return sorted(found, key=lambda test: test.log_probability)
+
+
+def named(found: list[EffectTest]) -> list[EffectTest]:
+    """Return the effects that are there, by tests of which chance alone makes one in a hundred."""
+    limit = np.log(-np.expm1(np.log1p(-FALSE_ALARM) / max(len(found), 1)))
+    return [test for test in found if test.log_probability < limit]
+
+
+def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTest | None:
+    """Test one effect; None where the data are blind to it."""
+    result = scored(fit, derivative)
+    seen = np.diag(result.variance) > BLIND * result.whole
+    if not seen.any():
+        return None
+    unit = 1.0 / np.sqrt(result.whole[seen])
+    u = result.score[seen] * unit
+    v = result.variance[np.ix_(seen, seen)] * unit[:, None] * unit
+    if len(u) <= FEW:
+        values, vectors = np.linalg.eigh(v)
+        held = values > 1e2 * BLIND * values[-1]
+        statistic = float(np.sum((vectors[:, held].T @ u) ** 2 / values[held]))
+        freedom = float(np.count_nonzero(held))
+    else:
+        scale = float(np.sum(v**2) / np.trace(v))
+        statistic, freedom = float(u @ u) / scale, float(np.trace(v)) / scale
+    return EffectTest(
+        effect, derivative, result, statistic, freedom, log_chance(statistic, freedom)
+    )
+
+
+def log_chance(chi2: float, freedom: float) -> float:
+    """Return the logarithm of the chance of a larger chi^2, however small it is."""
+    exact = float(scipy.stats.chi2.logsf(chi2, freedom))
+    if np.isfinite(exact):
+        return exact
+    half = 0.5 * freedom  # the first term of the incomplete Gamma function's expansion
+    return float((half - 1.0) * np.log(0.5 * chi2) - 0.5 * chi2 - scipy.special.gammaln(half))
+
+
+def shift_by(result: Scored, n: int, theta: Array) -> Array:
+    """Return (n,) how far alpha moves if an effect of (k,) parameters is left in the data."""
+    return np.asarray(result.moves[:, :n].T @ theta)
