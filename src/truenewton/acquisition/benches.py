@@ -26,7 +26,7 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
     """
     choice = plan.bench
     if choice.kind == "simulated":
-        return _simulated(plan, beside)
+        return simulated_bench(plan, beside)
     if choice.kind == "replay":
         return ReplayBench(Path(beside) / choice.address)
     try:  # imported where it is chosen: it needs what its extra installs
@@ -43,19 +43,8 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
     return cast(Bench, module.connect(choice, beside))
 
 
-def seal_truth(
-    plan: CampaignPlan, beside: str | os.PathLike[str], campaign: str | os.PathLike[str]
-) -> None:
-    """Keep the truth of the simulated bench of a plan beside a campaign's folder, for scoring only.
-
-    Raises
-    ------
-    OutputFailed
-    """
-    _simulated(plan, beside).write_truth(campaign, overwrite=True)
-
-
-def _simulated(plan: CampaignPlan, beside: str | os.PathLike[str]) -> SimulatedBench:
+def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> SimulatedBench:
+    """Return the simulated bench of a plan, which has the same truth each time."""
     return SimulatedBench(
         planned_mirror(plan, beside),
         plan.bench.seed,

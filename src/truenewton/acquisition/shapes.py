@@ -28,7 +28,7 @@ def expected_alpha(mirror: Mirror) -> float:
 
 def shapes_and_forces(
     plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str] = "."
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, bool]:
     """Return the shapes of a plan, and the forces that the electronics may be expected to command.
 
     Disabled actuators take no part: their displacement and force are 0.
@@ -40,6 +40,8 @@ def shapes_and_forces(
     force
         (shapes, n) commanded forces, those of the loads aside [N]: by the measured matrix where
         that gives the shapes, else by the model over `expected_alpha`.
+    given
+        Whether a file gives the shapes as they stand, whatever stroke and force say.
 
     Raises
     ------
@@ -50,7 +52,7 @@ def shapes_and_forces(
     if plan.shapes.source == "modes":
         true = model_stiffness(mirror)
         modes = stiffness_modes(true).modes.T
-        return _spread(_scaled(modes, true, plan), true / expected_alpha(mirror), on)
+        return *_spread(_scaled(modes, true, plan), true / expected_alpha(mirror), on), False
     file = read_fits(path)
     if "STIFFNESS" in file.extensions:
         matrix = stiffness_from(file)
@@ -62,7 +64,7 @@ def shapes_and_forces(
             )
         measured = matrix.used_stiffness
         modes = np.linalg.svd(measured)[2][::-1]
-        return _spread(_scaled(modes, measured, plan), measured, on)
+        return *_spread(_scaled(modes, measured, plan), measured, on), False
     shapes = file.pixels("SHAPES", "m")
     if shapes.ndim != 2 or shapes.shape[1] != on.size or not len(shapes):
         raise FormatError(
@@ -71,19 +73,13 @@ def shapes_and_forces(
     chosen = shapes[: plan.shapes.count or None, on]
     if not np.isfinite(chosen).all():
         raise FormatError("SHAPES holds NaN or inf", remedy="correct it", path=path)
-    return _spread(chosen, model_stiffness(mirror) / expected_alpha(mirror), on)
+    return *_spread(chosen, model_stiffness(mirror) / expected_alpha(mirror), on), True
 
 
 def _scaled(modes: Array, stiffness: Array, plan: CampaignPlan) -> Array:
     """Return as many modes as planned, as large as planned."""
     shapes = plan.shapes
     return scaled_modes(modes[: shapes.count or None], stiffness, shapes.stroke, shapes.force)
-
-
-def shapes_are_given(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> bool:
-    """Tell whether a file gives the shapes as they stand, whatever stroke and force say."""
-    source = plan.shapes.source
-    return source != "modes" and "STIFFNESS" not in read_fits(Path(folder) / source).extensions
 
 
 def model_stiffness(mirror: Mirror) -> Array:
