@@ -33,8 +33,7 @@ def run(
     from truenewton.records.cycle import Cycle
     from truenewton.records.file import write_campaign
 
-    refuse_existing(output, overwrite=overwrite)
-    refuse_existing(truth_path(output), overwrite=overwrite)
+    refuse_existing(output, truth_path(output), overwrite=overwrite)
     if fidelity not in FIDELITIES:
         raise typer.BadParameter(f"there is no fidelity '{fidelity}': static or loop")
     bench = static_bench(mirror_from(mirror), seed, force_noise=noise, temperature=temperature)
