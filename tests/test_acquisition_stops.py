@@ -588,7 +588,7 @@ def test_the_bar_is_drawn_at_a_terminal(tmp_path):
 
 
 def test_a_bench_whose_extra_is_missing_says_which(inside, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "truenewton.bench.opcua", None)
+    monkeypatch.setitem(sys.modules, "asyncua", None)
     plan = plan_file(tmp_path, bench=BenchChoice("opcua", "opc.tcp://mirror:4840"))
     code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
     assert code == 2
