@@ -171,9 +171,8 @@ def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
 
 def template() -> str:
     """Return a commented plan (TOML), valid as it stands: P45 without and with the ring."""
-    return (importlib.resources.files("truenewton.acquisition") / "plan.toml").read_text(
-        encoding="utf-8"
-    )
+    file = importlib.resources.files("truenewton.acquisition") / "plan.toml"
+    return file.read_text(encoding="utf-8")
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:

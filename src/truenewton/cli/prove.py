@@ -25,7 +25,7 @@ def run(
     from truenewton.mirrors.known import p45
     from truenewton.records.file import SUFFIXES, read_layout
     from truenewton.studies.proof import prove
-    from truenewton.studies.words import PROOF_HEAD, proof_rows, proof_values, proof_verdict
+    from truenewton.studies.words import proof_rows, proof_values, proof_verdict
 
     if mirror.endswith(SUFFIXES) and Path(mirror).exists():  # P45's numbers on another layout
         known = dataclasses.replace(p45(), name=Path(mirror).name, layout=read_layout(mirror))
@@ -33,7 +33,7 @@ def run(
         known = mirror_from(mirror)
     proofs = [p for s in track(range(seed, seed + seeds), "proving") for p in prove(known, s)]
     title = f"{known.name}: C alpha = p and E alpha' = r, solved by SVD"
-    lines = [*table_lines(title, PROOF_HEAD, *proof_rows(proofs)), proof_verdict(proofs)]
+    lines = [*table_lines(title, *proof_rows(proofs)), proof_verdict(proofs)]
     print_result(lines, values=proof_values(known.name, proofs) if json else None)
     if not all(one.passed for one in proofs):
         raise typer.Exit(1)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
-from truenewton.acquisition.shapes import expected_alpha, shapes_and_forces, with_enabled_only
+from truenewton.acquisition.shapes import expected_alpha, model_glass, shapes_and_forces
 from truenewton.arrays import Array
 from truenewton.bench.simulated.static import START
 from truenewton.errors import LimitExceeded
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
+from truenewton.mirrors.shell.held_glass import forces_under, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import arms
@@ -77,7 +77,7 @@ def holding(mirror: Mirror) -> tuple[Array, Array]:
 
     It is the simulated bench without its scatter.
     """
-    glass = held_glass(with_enabled_only(mirror))
+    glass = model_glass(mirror)
     own = weight_on(glass.mirror, mirror.weight)
     tool = replace(own, spread=0.0, force=np.full(3, 1 / 3), local=np.zeros_like(own.local))
     return forces_under(glass, own), forces_under(glass, tool)
