@@ -13,12 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from truenewton.acquisition.clock import SteadyClock
-from truenewton.acquisition.folder import (
-    PLAN,
-    begin_or_resume,
-    cycle_names,
-    finished_cycles,
-)
+from truenewton.acquisition.folder import PLAN, begin_or_resume, cycle_names, finished_cycles
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.limits import Guard
 from truenewton.acquisition.lock import locked
@@ -87,19 +82,11 @@ def acquire(
     with Interruption() as interruption, locked(folder) as folder:
         shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
-        each_cycle = 2 * len(shapes)
-        complete = finished_cycles(folder, plan, mirror, each_cycle)
+        complete = finished_cycles(folder, plan, mirror, 2 * len(shapes))
         files = tuple(folder / name for name in cycle_names(plan))
         if len(complete) == len(files):
             return files
-        progress = Progress(
-            shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
-            cycles=plan.cycles,
-            shapes=len(shapes),
-            done=each_cycle * len(complete),
-            total=each_cycle * len(files),
-            smallest_gap=bench.gap,
-        )
+        progress = _progress(bench, plan, len(shapes), len(complete))
         with closing(RunLog(folder)) as log:
             run = Run(
                 plan=plan,
@@ -129,6 +116,18 @@ def _check_agreement(bench: Bench, mirror: Mirror) -> None:
     else:
         return
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
+
+
+def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
+    """Return how far a campaign of so many shapes is, with so many cycles complete."""
+    return Progress(
+        shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
+        cycles=plan.cycles,
+        shapes=shapes,
+        done=2 * shapes * complete,
+        total=2 * shapes * plan.cycles * len(plan.loads),
+        smallest_gap=bench.gap,
+    )
 
 
 def _note_start(run: Run) -> None:
