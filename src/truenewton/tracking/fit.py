@@ -27,7 +27,7 @@ from truenewton.tracking.family import (
     most_outlying,
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
-from truenewton.tracking.linear_fit import LinearFit, linear_fit, own_scatter
+from truenewton.tracking.linear_fit import LinearFit, linear_fit
 
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
 OTHER_UNIT = 0.03  # typical change of alpha beyond its error; 50 K make 0.3 % between actuators
@@ -172,7 +172,7 @@ def _off_their_lines(
     """
     n = int(on.sum())
     ids = days[0].calibration.layout.id[on]
-    own, scatter = own_scatter(days, on, settings), np.zeros(n)
+    scatter = np.zeros(n)
     jumped: list[Outlier] = []
     while True:
         fit = linear_fit(days, on, settings, scatter)
@@ -183,7 +183,7 @@ def _off_their_lines(
         mirror = chance_of_any(chance, n * (1 + settings.shape[1]))
         if mirror >= FALSE_ALARM or scatter[worst]:
             return fit, jumped
-        scatter[worst] = own[worst]
+        scatter[worst] = fit.own_scatter[worst]
         sigmas = float(np.sqrt(fit.actuator_chi2[worst]))
         jumped.append(Outlier(int(ids[worst]), "line", sigmas, mirror))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.stats
 
-from truenewton.arrays import Array, freeze, spread_square
+from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
@@ -177,15 +177,10 @@ class Tracking:
         RankDeficient
             What is asked for lies where the days say nothing.
         """
-        away, years = self._away(temperature), self._years(time)
-        n = self.layout.n
-        eye = np.eye(n)
-        j = np.hstack([eye * (1 + self.coefficient * away), eye * self.alpha * away, eye * years])
-        on = np.isfinite(self.alpha)
-        of_law = np.tile(on, 3)
-        inner, known = j[np.ix_(on, of_law)], np.ix_(of_law, of_law)
+        away, years, n = self._away(temperature), self._years(time), self.layout.n
+        j = np.stack([1 + self.coefficient * away, self.alpha * away, np.full(n, years)])
         covariance, systematic_covariance = (
-            spread_square(inner @ matrix[known] @ inner.T, on)
+            np.einsum("ai,aibj,bj->ij", j, matrix.reshape(3, n, 3, n), j)
             for matrix in (self.covariance, self.systematic_covariance)
         )
         alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
