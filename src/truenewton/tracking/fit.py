@@ -198,22 +198,22 @@ def _outliers(
     q, n = fit.effects.shape
     tests = n * (q + (fit.actuator_degrees > 0))
     members = np.tile(~np.isin(ids, [one.actuator for one in jumped]), (q, 1))
-    candidates: list[tuple[int, int, Outlier]] = []
-    sure = 0
-    while len(candidates) - sure < PATIENCE and members.sum(axis=1).min() > (1 - MOST) * n:
+    outliers = [*jumped]
+    suspects: list[tuple[int, int, Outlier]] = []
+    while len(suspects) < PATIENCE and members.sum(axis=1).min() > (1 - MOST) * n:
         y, covariance, which = _effects_of(fit, members)
         population = fitted_population(y, covariance, which)
         at, sigmas, chance = most_outlying(y, covariance, which, population)
         effect, actuator = (int(k[at]) for k in np.nonzero(members))
         mirror = chance_of_any(chance, tests)
         outlier = Outlier(int(ids[actuator]), effects[effect], sigmas, mirror)
-        candidates.append((effect, actuator, outlier))
+        suspects.append((effect, actuator, outlier))
         members[effect, actuator] = False
         if mirror < FALSE_ALARM:
-            sure = len(candidates)
-    for effect, actuator, _ in candidates[sure:]:
+            outliers += [one for _, _, one in suspects]
+            suspects.clear()
+    for effect, actuator, _ in suspects:
         members[effect, actuator] = True
-    outliers = [*jumped, *(outlier for _, _, outlier in candidates[:sure])]
     return tuple(sorted(outliers, key=lambda one: one.probability)), members
 
 

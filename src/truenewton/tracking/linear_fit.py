@@ -97,10 +97,9 @@ def linear_fit(
         changes.append(changed)
     change = np.concatenate(changes, axis=2)
     errors = change.shape[2]
-    matrix = np.zeros((count * n + errors, (1 + q) * n + errors))
-    matrix[: count * n, : (1 + q) * n] = whitened
-    matrix[: count * n, (1 + q) * n :] = (roots @ change).reshape(count * n, errors)
-    matrix[count * n :, (1 + q) * n :] = np.eye(errors)
+    nothing = np.zeros((errors, (1 + q) * n))
+    whitened_change = (roots @ change).reshape(count * n, errors)
+    matrix = np.block([[whitened, whitened_change], [nothing, np.eye(errors)]])
     right = np.concatenate([np.einsum("jab,jb->ja", roots, y).ravel(), np.zeros(errors)])
     solution = least_squares(matrix, right)
     values = solution.values[: (1 + q) * n].reshape(1 + q, n)
