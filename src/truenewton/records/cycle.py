@@ -111,8 +111,8 @@ class Cycle:
             positive = "a standard deviation is positive; leave it out if unknown"
             check_number("FORCERR", noise, 0.0 < noise <= LARGEST_FORCE, positive, " N")
         for name, gradient in (("COILGRAD", self.coil_gradient), ("BIASGRAD", self.bias_gradient)):
-            if gradient is not None:
-                check_number(name, gradient, not abs(gradient) > LARGEST_FORCE, "check its unit")
+            if gradient is not None and abs(gradient) > LARGEST_FORCE:
+                raise FormatError(f"{name} is {gradient:g}", remedy="check its unit")
 
     def _check_rows(self) -> None:
         rows, n = np.size(self.time), self.layout.n
