@@ -16,7 +16,7 @@ from truenewton.records.file import campaign_from, fits_paths, stiffness_from
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
-FOREIGN = {  # extensions of what is no part of a campaign: what it is, and what to do with it
+FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to do with it
     "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
     "MODES": Fault(
         "is a modal base", "give what it was made from, or the .commanded.fits beside it"
@@ -24,7 +24,6 @@ FOREIGN = {  # extensions of what is no part of a campaign: what it is, and what
     "TRACKING": Fault(
         "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
     ),
-    "CALIBRATION": Fault("is a calibration file among others", "give it alone"),
 }
 
 
@@ -64,9 +63,11 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
                 remedy="give the .commanded.fits beside it",
                 path=file.path,
             )
-        if file in matrices[1:]:
+        calibrated = "CALIBRATION" in file.extensions
+        if calibrated or file in matrices[1:]:
+            what = "calibration" if calibrated else "second stiffness"
             raise FormatError(
-                "is a second stiffness file among others", remedy="give it alone", path=file.path
+                f"is a {what} file among others", remedy="give it alone", path=file.path
             )
     campaign = campaign_from(file for file in files if file not in matrices)
     return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
