@@ -161,15 +161,3 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-def new_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder, or leave the one that stands.
-
-    Raises
-    ------
-    OutputFailed
-    """
-    target = Path(path)
-    with in_one_line(target):
-        target.mkdir(exist_ok=True)
