@@ -74,9 +74,8 @@ def verdict(findings: Findings) -> Verdict:
     """Judge what was found."""
     c = findings.calibration
     if c is None:
-        mirror, faults = findings.instrument, findings.faults
-        sentence = f"These data of {mirror} cannot give alpha."
-        return Verdict(*NONE, (sentence,), (), faults)
+        sentence = f"These data of {findings.data.instrument} cannot give alpha."
+        return Verdict(*NONE, (sentence,), (), findings.faults)
     limits, cares = list(_limits(findings, c)), list(_cares(c))
     level = CARE if cares else LIMITED if limits else SOUND
     known = "Alpha" if c.scale != Scale.MEAN_ONE else "Relative alpha"

@@ -16,6 +16,7 @@ from jinja2.utils import htmlsafe_json_dumps
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import headline, summary_rows
+from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
 from truenewton.records.source import Source
 from truenewton.report.change import Change
@@ -69,20 +70,24 @@ def page(findings: Findings | Change, command: str = "") -> str:
             verdict=verdict_on_change(findings),
             actuators=change_views(findings),
             sections=(),
+            drawn={},
             tables=(_summaries(findings), _files(findings.one.sources, "First calibration: files"),
                     _files(findings.other.sources, "Second calibration: files")),
             command=command,
         )  # fmt: skip
-    c = findings.calibration
+    c, instrument = findings.calibration, findings.data.instrument
+    sections = (*evidence_sections(findings), *modal_sections(findings), times(findings))
     return _rendered(
-        title=f"{findings.instrument}: calibration of its actuators",
-        heading=headline(c) if c else f"{findings.instrument}: no calibration",
+        title=f"{instrument}: calibration of its actuators",
+        heading=headline(c) if c else f"{instrument}: no calibration",
         verdict=verdict(findings),
         actuators=calibration_views(findings, c) if c else None,
-        sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
+        sections=sections,
+        drawn={part.key: inline_svg(findings.plot(part.figure), part.key)
+               for part in sections if part.figure},
         tables=(_summary(c), _files(findings.inputs, "Files")),
         command=command,
-    )
+    )  # fmt: skip
 
 
 def _summary(c: Calibration | None) -> TextTable:
