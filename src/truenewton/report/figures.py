@@ -188,12 +188,9 @@ def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
 
 
 def _times(cycle: Cycle) -> tuple[NDArray[Any], Array | None]:
-    """Return times (UTC, datetime64) and temperatures [deg C] of a cycle, a few hundred at most."""
+    """Return times (UTC) and temperatures [deg C] of a cycle, a few hundred at most."""
     valid = np.flatnonzero(cycle.valid)
     valid = valid[np.argsort(cycle.time[valid], kind="stable")]
     some = valid[np.linspace(0, valid.size - 1, min(valid.size, POINTS)).round().astype(int)]
-    start = cycle.date
-    if start.tzinfo is not None:
-        start = start.astimezone(datetime.UTC).replace(tzinfo=None)
-    time = np.datetime64(start, "ms") + (1e3 * cycle.time[some]).astype("timedelta64[ms]")
+    time = np.array([cycle.date + datetime.timedelta(seconds=t) for t in cycle.time[some].tolist()])
     return time, None if cycle.temperature is None else cycle.temperature[some]

@@ -14,7 +14,6 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
-from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import headline, summary_rows
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
@@ -85,14 +84,11 @@ def page(findings: Findings | Change, command: str = "") -> str:
         sections=sections,
         drawn={part.key: inline_svg(findings.plot(part.figure), part.key)
                for part in sections if part.figure},
-        tables=(_summary(c), _files(findings.inputs, "Files")),
+        tables=(TextTable("All figures", ("figure", "value", "note"),
+                          tuple(summary_rows(c)) if c else (), wraps=True),
+                _files(findings.inputs, "Files")),
         command=command,
     )  # fmt: skip
-
-
-def _summary(c: Calibration | None) -> TextTable:
-    rows = tuple(summary_rows(c)) if c else ()
-    return TextTable("All figures", ("figure", "value", "note"), rows, wraps=True)
 
 
 def _summaries(change: Change) -> TextTable:
