@@ -70,7 +70,7 @@ class MotionReader:
 
     Each row moves the means of its group; what it adds to the sums about them is exact. Rest is the
     mean of c (1 + COILGRAD z) over the rows that have their opposite, known once a cycle is over:
-    until then rows count from that of its first rows, and then the sums are set right.
+    then the sums are set right.
 
     Parameters
     ----------
@@ -105,31 +105,24 @@ class MotionReader:
             self._weights = dict(zip(positioned, row_weights(of_these), strict=True))
             self._force, self._position = np.zeros((2, len(self._labels), n))  # means
             self._weight, self._within = np.zeros(len(self._labels)), Products(n)
-        self._begin_cycle()
+            self._begin_cycle()
 
     def _begin_cycle(self) -> None:
         n = self._rest.shape[1]
-        self._row = 0  # of those that take part
-        self._near_rest: Array | None = None
-        if self.positioned:
-            self._unshifted = np.ones(len(self._labels))  # how little of its rest each mean holds
-            self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
+        self._unshifted = np.ones(len(self._labels))  # how little of its rest each mean holds
+        self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
 
     def take(self, block: RowBlock) -> None:
         """Take the next rows in."""
         k, cycle = block.cycle_index, self.sound.cycles[block.cycle_index]
         counts = self._counts[k][block.rows]
-        own = slice(self._row, self._row + int(np.count_nonzero(counts)))
-        self._row, force = own.stop, block.force[counts]
+        first = np.count_nonzero(self._counts[k][: block.rows.start])
+        force, own = block.force[counts], slice(first, first + np.count_nonzero(counts))
         if cycle.position is not None:
             z = block.position[counts] - cycle.rest_position
             force *= 1.0 + (cycle.coil_gradient or 0.0) * z
-        at_rest = force[cycle.rest_rows[own]]
-        self._rest[k] += at_rest.sum(axis=0)
-        if k in self._groups and len(force):
-            if self._near_rest is None:
-                self._near_rest = (at_rest if len(at_rest) else force).mean(axis=0)
-            force -= self._near_rest
+        self._rest[k] += force[cycle.rest_rows[own]].sum(axis=0)
+        if k in self._groups:
             group = self._groups[k][own]
             for rows in distinct(group):
                 self._add(force[rows], z[rows], group[rows], self._weights[k])
@@ -155,12 +148,11 @@ class MotionReader:
         """Count the rows of the cycle from its own rest."""
         rest = self._rest[cycle_index]
         rest /= np.count_nonzero(self.sound.cycles[cycle_index].rest_rows)
-        if self._near_rest is not None:
-            shift = rest - self._near_rest
-            self._within.cz -= np.outer(shift, self._sum_position)
-            self._within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
-            self._force -= np.outer(1.0 - self._unshifted, shift)
-        self._begin_cycle()
+        if cycle_index in self._groups:
+            self._within.cz -= np.outer(rest, self._sum_position)
+            self._within.cc += rest * (self._sum * rest - 2.0 * self._sum_force)
+            self._force -= np.outer(1.0 - self._unshifted, rest)
+            self._begin_cycle()
 
     @property
     def force_at_rest(self) -> Array:
