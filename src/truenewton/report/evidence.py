@@ -58,8 +58,8 @@ class RowResiduals:
 
     Attributes
     ----------
-    cycle, shape, sign
-        (N,) index of the campaign's cycle, SHAPE, SIGN.
+    cycle, signed_shape
+        (N,) index of the campaign's cycle; SHAPE times SIGN.
     before, after
         (N,) with alpha = 1 and with alpha as found.
     kept
@@ -67,8 +67,7 @@ class RowResiduals:
     """
 
     cycle: NDArray[np.int64]
-    shape: NDArray[np.int64]
-    sign: NDArray[np.int64]
+    signed_shape: NDArray[np.int64]
     before: Array
     after: Array
     kept: NDArray[np.bool_]
@@ -179,8 +178,7 @@ def campaign_evidence(
     return Evidence(
         residuals=RowResiduals(
             cycle=cycle,
-            shape=np.concatenate([c.shape for c in campaign.cycles])[valid],
-            sign=np.concatenate([c.sign for c in campaign.cycles])[valid],
+            signed_shape=np.concatenate([c.shape * c.sign for c in campaign.cycles])[valid],
             before=np.sqrt(squared_distances(before, weight, s_before) / 3),
             after=np.sqrt(squared_distances(after, weight, s) / 3),
             kept=kept,

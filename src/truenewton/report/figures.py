@@ -112,10 +112,11 @@ def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
 
     SHAPE with its SIGN; where shapes are numbered with wide gaps, their place among all instead.
     """
-    names, index = np.unique(residuals.shape, return_inverse=True)
+    signed = residuals.signed_shape
+    names, index = np.unique(np.abs(signed), return_inverse=True)
     if names[-1] <= 4 * names.size:
-        return residuals.shape * residuals.sign, "shape, with its sign"
-    return (index + 1) * residuals.sign, "place of the shape, with its sign"
+        return signed, "shape, with its sign"
+    return (index + 1) * np.sign(signed), "place of the shape, with its sign"
 
 
 def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
