@@ -70,7 +70,7 @@ class MotionReader:
 
     Each row moves the means of its group; what it adds to the sums about them is exact. Rest is the
     mean of c (1 + COILGRAD z) over the rows that have their opposite, known once a cycle is over:
-    then the sums are set right.
+    until then rows count from that of its first rows, and then the sums are set right.
 
     Parameters
     ----------
@@ -109,6 +109,7 @@ class MotionReader:
 
     def _begin_cycle(self) -> None:
         n = self._rest.shape[1]
+        self._near_rest: Array | None = None
         self._unshifted = np.ones(len(self._labels))  # how little of its rest each mean holds
         self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
 
@@ -121,8 +122,12 @@ class MotionReader:
         if cycle.position is not None:
             z = block.position[counts] - cycle.rest_position
             force *= 1.0 + (cycle.coil_gradient or 0.0) * z
-        self._rest[k] += force[cycle.rest_rows[own]].sum(axis=0)
-        if k in self._groups:
+        at_rest = force[cycle.rest_rows[own]]
+        self._rest[k] += at_rest.sum(axis=0)
+        if k in self._groups and len(force):
+            if self._near_rest is None:
+                self._near_rest = (at_rest if len(at_rest) else force).mean(axis=0)
+            force -= self._near_rest
             group = self._groups[k][own]
             for rows in distinct(group):
                 self._add(force[rows], z[rows], group[rows], self._weights[k])
@@ -148,10 +153,11 @@ class MotionReader:
         """Count the rows of the cycle from its own rest."""
         rest = self._rest[cycle_index]
         rest /= np.count_nonzero(self.sound.cycles[cycle_index].rest_rows)
-        if cycle_index in self._groups:
-            self._within.cz -= np.outer(rest, self._sum_position)
-            self._within.cc += rest * (self._sum * rest - 2.0 * self._sum_force)
-            self._force -= np.outer(1.0 - self._unshifted, rest)
+        if cycle_index in self._groups and self._near_rest is not None:
+            shift = rest - self._near_rest
+            self._within.cz -= np.outer(shift, self._sum_position)
+            self._within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
+            self._force -= np.outer(1.0 - self._unshifted, shift)
             self._begin_cycle()
 
     @property
