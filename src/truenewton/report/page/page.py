@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from bokeh.core.json_encoder import serialize_json
@@ -113,13 +112,10 @@ def _rendered(actuators: Actuators | None, **content: Any) -> str:
         loader=PackageLoader("truenewton.report.page"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    templates = Path(__file__).with_name("templates")
     return environment.get_template("page.html.j2").render(
         **content,
         actuators=actuators,
         versions=_versions(),
-        style=(templates / "report.css").read_text(encoding="utf-8"),
-        script=(templates / "report.js").read_text(encoding="utf-8"),
         bokeh="\n".join(BOKEH.js_raw),
         payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )
