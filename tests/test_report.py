@@ -73,7 +73,7 @@ def test_the_verdict_in_words(name):
 
 def test_a_disabled_actuator_is_named():
     judged = verdict(investigate(report_data.fine(disabled=(4,))))
-    assert judged.sentences[0].startswith(
+    assert judged.sentence.startswith(
         "Alpha of 13 of the 14 actuators of TEST (actuator 5 disabled) is known"
     )
 
@@ -309,7 +309,7 @@ def test_a_real_mirror_is_told_within_its_limit():
     found = investigate(read(path))
     judged = verdict(found)
     assert judged.title == "Sound, within a limit"
-    assert judged.sentences[0].startswith("Relative alpha of all 650 actuators of LBT672 is known")
+    assert judged.sentence.startswith("Relative alpha of all 650 actuators of LBT672 is known")
     assert judged.advice[0][0].startswith("modes that the fit has not seen are out of balance")
     assert judged.numbers[2][1] == "free"
     assert len(page(found).encode()) < 2e6

@@ -36,7 +36,7 @@ class Verdict:
     ----------
     level, title
         'sound', 'limited', 'care' or 'none'; the same in words.
-    sentences
+    sentence
         The verdict.
     numbers
         Name, value and note: range of alpha, typical error, error of the common scale; none without
@@ -47,13 +47,13 @@ class Verdict:
 
     level: str
     title: str
-    sentences: tuple[str, ...]
+    sentence: str
     numbers: tuple[tuple[str, str, str], ...]
     advice: tuple[Fault, ...]
 
     def lines(self) -> Iterator[str]:
         """Yield the verdict as plain text."""
-        yield f"{self.title}. {' '.join(self.sentences)}"
+        yield f"{self.title}. {self.sentence}"
         for name, value, note in self.numbers:
             yield f"{name}: {value} ({note})"
         for fault, remedy in self.advice:
@@ -67,14 +67,14 @@ def verdict(findings: Findings) -> Verdict:
     c = findings.calibration
     if c is None:
         sentence = f"These data of {findings.data.instrument} cannot give alpha."
-        return Verdict(*NONE, (sentence,), (), findings.faults)
+        return Verdict(*NONE, sentence, (), findings.faults)
     limits, cares = list(_limits(findings, c)), list(_cares(c))
     level = CARE if cares else LIMITED if limits else SOUND
     known = "Alpha" if c.scale != Scale.MEAN_ONE else "Relative alpha"
     sentence = (
         f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c.alpha))}."
     )
-    return Verdict(*level, (sentence,), _numbers(c), tuple(cares + limits))
+    return Verdict(*level, sentence, _numbers(c), tuple(cares + limits))
 
 
 def verdict_on_change(change: Change) -> Verdict:
@@ -82,11 +82,11 @@ def verdict_on_change(change: Change) -> Verdict:
     ids, changed = change.one.layout.id, change.changed
     compared = int(np.isfinite(change.sigmas).sum())
     words = f"of {compared} actuators changed by more than {change.limit:.1f} sigma"
-    level, title, count = "sound", "No change", f"None {words}: the calibrations agree."
+    level, title, sentence = "sound", "No change", f"None {words}: the calibrations agree."
     advice: list[Fault] = []
     if changed.size:
         level, title = "limited", "Changed"
-        count = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
+        sentence = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
         advice.append(
             Fault(
                 f"changed: {_names(ids[changed])}",
@@ -111,7 +111,7 @@ def verdict_on_change(change: Change) -> Verdict:
          "taken out; its error is that of the weights" if np.isfinite(change.ratio_error)
          else "taken out; the scale of one is a convention"),
     )  # fmt: skip
-    return Verdict(level, title, (count,), numbers, tuple(advice))
+    return Verdict(level, title, sentence, numbers, tuple(advice))
 
 
 def _actuators(c: Calibration) -> str:
