@@ -217,8 +217,6 @@ def _balance_lines(
     lines = []
     for index, name in enumerate(each.name for each in campaign.loads):
         some = kept & (load == index)
-        if not some.any():
-            continue
         rms = np.sqrt(np.mean(rho[:, some] ** 2, axis=1))
         noise = np.sqrt(np.diag(s) * np.mean(1 / weight[some]))
         figures = 1e3 * np.column_stack([*rms, noise])
