@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
-from typing import cast
 
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
+from truenewton.bench.opcua import connect
+from truenewton.bench.opticalib import from_address
 from truenewton.bench.protocol import Bench
 from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.bench import SimulatedBench
-from truenewton.errors import BenchFault
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
@@ -29,18 +28,9 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
         return _simulated(plan, beside)
     if choice.kind == "replay":
         return ReplayBench(Path(beside) / choice.address)
-    try:  # imported where it is chosen: it needs what its extra installs
-        module = importlib.import_module(f"truenewton.bench.{choice.kind}")
-    except ImportError as error:
-        raise BenchFault(
-            f"the bench '{choice.kind}' needs what is not installed ({error})",
-            remedy=f"pip install 'truenewton[{choice.kind}]'",
-        ) from error
     if choice.kind == "opticalib":
-        return cast(
-            Bench, module.from_address(choice.address, planned_mirror(plan, beside), beside)
-        )
-    return cast(Bench, module.connect(choice, beside))
+        return from_address(choice.address, planned_mirror(plan, beside), beside)
+    return connect(choice, beside)
 
 
 def seal_truth(
