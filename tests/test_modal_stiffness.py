@@ -13,8 +13,7 @@ import scipy.optimize
 from balanced import ungraded
 
 from truenewton import reading
-from truenewton.bench.simulated.loop_campaign import run_loop_cycles
-from truenewton.bench.simulated.static import rows_of_cycle, run_cycles, static_bench
+from truenewton.bench.simulated.static import loop_of, rows_of_cycle, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.estimation import repeats
@@ -112,7 +111,7 @@ def test_the_stated_error_is_that_over_seeds():
 
 def test_a_closed_loop_measures_it_as_well():
     bench = static_bench(p45(), 1)
-    found = measured_stiffness(Campaign(tuple(run_loop_cycles(bench, 2))))
+    found = measured_stiffness(Campaign(tuple(run_cycles(bench, 2, loop_of(bench)))))
     assert apart(found, bench) < 6e-4
     assert apart(found, bench) == pytest.approx(found.relative_error, rel=0.25)
     assert 0.7 < found.misfit < 1.4

@@ -13,11 +13,10 @@ from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shapes import scaled_modes
 from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass
 from truenewton.records.file import stiffness_from
 from truenewton.statics.layout import Layout
-from truenewton.statics.modes import stiffness_modes
+from truenewton.statics.modes import scaled_modes, stiffness_modes
 
 
 def expected_alpha(mirror: Mirror) -> float:

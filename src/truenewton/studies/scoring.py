@@ -30,7 +30,7 @@ def score(calibration: Calibration, truth: Truth) -> Score:
     """Compare a calibration with the truth: alpha of the mirror at its nominal gap.
 
     That is where static campaigns rest; a loop holds the glass elsewhere, by what comes to some
-    3e-5 of alpha (`bench.simulated.loop_campaign.rest_displacement`).
+    3e-5 of alpha (`bench.simulated.static.rest_displacement`).
     """
     on = calibration.layout.enabled
     alpha, true = calibration.alpha[on], truth.alpha[on]
