@@ -13,7 +13,7 @@ Columns: RMS error of alpha over actuators and seeds; that of the common scale, 
 actuators; the stated error; how many 95 % intervals hold the truth; in how many seeds there is no
 alpha; the median probability of chi2, and in how many seeds it is below 1e-3; the share of rows
 left out; in how many seeds anything was said, in how many the right cause, in how many that was
-corrected; a verdict, and what is said first in most seeds:
+corrected (the right file or actuators with it); a verdict, and what is said first in most seeds:
 
     covered   90 % of the intervals or more hold the truth
     said      they do not, but the right cause is named in 95 % of the seeds or more
@@ -81,8 +81,8 @@ class Trial:
     ----------
     error, stated
         (n,) of alpha and as stated, both relative; NaN where not judged or without alpha.
-    words
-        What was said.
+    words, where
+        What was said; what must stand in the right word, as the actuators that are struck.
     probability, rejected
         Of chi2; share of rows left out.
     """
@@ -90,6 +90,7 @@ class Trial:
     error: Array
     stated: Array
     words: tuple[Word, ...]
+    where: tuple[str, ...]
     probability: float = float("nan")
     rejected: float = float("nan")
 
@@ -106,13 +107,14 @@ def trial(day: Day) -> Trial:
     try:
         answer = tn.calibrate(day.campaign())
     except TrueNewtonError as error:
-        nothing = np.full(day.n, np.nan)
-        return Trial(nothing, nothing, (Word(f"refused, {type(error).__name__}: {error.fault}"),))
+        nothing, refusal = np.full(day.n, np.nan), f"refused, {type(error).__name__}: {error.fault}"
+        return Trial(nothing, nothing, (Word(refusal),), day.where)
     judged = np.where(day.judged, 1.0, np.nan)
     return Trial(
         error=judged * (answer.alpha / day.truth - 1),
         stated=judged * answer.error / day.truth,
         words=named(answer),
+        where=day.where,
         probability=answer.goodness.probability,
         rejected=answer.rejected / (answer.rejected + answer.shapes_used),
     )
@@ -136,6 +138,13 @@ def commonest(words: Sequence[tuple[Word, ...]]) -> str:
         return ""
     what, count = first.most_common(1)[0]
     return f"{count}x {what}"
+
+
+def is_right(word: Word, fault: Fault, where: tuple[str, ...]) -> bool:
+    """Tell whether a word names the cause, and where that struck."""
+    text = f"{word.name} {word.where}"
+    places = all(re.search(rf"\b{re.escape(place)}\b", text) for place in where)
+    return bool(fault.cause and re.search(fault.cause, text, re.IGNORECASE) and places)
 
 
 def judgement(fault: Fault, covers: float, answered: float, said: float, right: float) -> str:
@@ -162,10 +171,7 @@ def summary(fault: Fault, trials: Sequence[Trial]) -> dict[str, float | str]:
         for name in ("probability", "rejected")
     )
     covers = mean((np.abs(error) < TWO_SIGMA * stated)[np.isfinite(error)])
-    right = [
-        [w for w in t.words if fault.cause and re.search(fault.cause, f"{w.name} {w.where}", re.I)]
-        for t in trials
-    ]
+    right = [[word for word in t.words if is_right(word, fault, t.where)] for t in trials]
     said, rightly = sum(bool(t.words) for t in trials), sum(map(bool, right))
     shares = (answered.mean(), said / len(trials), rightly / len(trials))
     return {

@@ -107,6 +107,8 @@ class Day:
         Index of the load of each file, in the order in which the files are taken.
     noise
         Standard deviation of one reading [N], as declared.
+
+    What a fault may change is set, and told in a word, by `__post_init__`.
     """
 
     bench: Bench
@@ -156,7 +158,9 @@ class Day:
         self.has_temperature = True
         self.valid = np.ones(len(self.z), dtype=bool)
         self.declared: dict[str, float | None] = {"force_error": self.noise}
+        # How it is judged.
         self.judged = np.ones(self.n, dtype=bool)
+        self.where: tuple[str, ...] = ()
         self._read: Array | None = None
 
     def under(self, load: int = 1) -> NDArray[np.bool_]:
@@ -170,7 +174,7 @@ class Day:
     def somewhere(self) -> Points:
         """Draw a point of the glass between the sensors, evenly over the area."""
         mirror, random = self.bench.mirror, self.random
-        ends = (mirror.shell.inner_radius + 5e-3) ** 2, mirror.shell.outer_radius**2
+        ends = (mirror.shell.inner_radius + 5e-3) ** 2, (mirror.shell.outer_radius - 2e-3) ** 2
         while True:
             radius, angle = np.sqrt(random.uniform(*ends)), random.uniform(0, 2 * np.pi)
             x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -226,18 +230,26 @@ class Day:
             self._read = commanded + self.zero + self.error
         return self._read
 
+    def number(self, file: int) -> int:
+        """Return CYCLE of a file: they count under each label."""
+        return int((self.label[: file + 1] == self.label[file]).sum())
+
+    def strike(self, *actuators: int, judged: bool = True) -> None:
+        """Note which actuators must be named, and whether they are judged."""
+        self.where = tuple(str(self.layout.id[k]) for k in actuators)
+        self.judged[list(actuators)] = judged
+
     def campaign(self) -> tn.Campaign:
         """Return the files."""
         position = self.z / self.sensor_gain + self.sensor_offset + self.sensor_noise
-        numbers = [int((self.label[: k + 1] == load).sum()) for k, load in enumerate(self.label)]
         made = []
-        for file, (load, number) in enumerate(zip(self.label, numbers, strict=True)):
+        for file, load in enumerate(self.label):
             rows = np.flatnonzero(self.file == file)
             made.append(
                 tn.Cycle(
                     instrument=self.bench.mirror.name,
                     date=START + datetime.timedelta(hours=float(self.hours[rows[0]])),
-                    number=number,
+                    number=self.number(file),
                     load=self.loads[load],
                     weight=self.bench.mirror.weight,
                     weight_error=0.0,

@@ -26,8 +26,8 @@ class Fault:
     name, happens
         What; and the function that makes it happen.
     cause
-        Regular expression of the names that are right for it; empty where nothing is wrong, and
-        a word is false.
+        Regular expression of the names that are right for it, with what `Day.where` asks for;
+        empty where nothing is wrong, and a word is false.
     blind
         Whether nobody can see it in such data: it stands in the budget only.
     noise

@@ -28,24 +28,23 @@ fault("coordinates wrong by 0.1 mm rms", cause="position")(misplaced(0.1))
 
 
 def neighbours(day: Day) -> list[int]:
-    """Draw an actuator and the one nearest to it, which are judged no more."""
+    """Draw an actuator and the one nearest to it."""
     at, layout = day.actuator(), day.bench.mirror.layout
     distance = np.hypot(layout.x - layout.x[at], layout.y - layout.y[at])
-    pair = [at, int(np.argsort(distance)[1])]
-    day.judged[pair] = False
-    return pair
+    return [at, int(np.argsort(distance)[1])]
 
 
 @fault("two neighbouring cables swapped", cause="exchange|swap")
 def swapped(day: Day) -> None:
     pair = neighbours(day)
+    day.strike(*pair, judged=False)
     day.readings[:, pair] = day.readings[:, pair[::-1]]
 
 
 @fault("two far cables swapped", cause="exchange|swap")
 def swapped_far(day: Day) -> None:
     pair = day.random.choice(day.n, 2, replace=False)
-    day.judged[pair] = False
+    day.strike(*pair, judged=False)
     day.readings[:, pair] = day.readings[:, pair[::-1]]
 
 
@@ -57,7 +56,7 @@ def another_order(day: Day) -> None:
 @fault("a cable with its poles exchanged", cause="sign|negative")
 def reversed_poles(day: Day) -> None:
     at = day.actuator()
-    day.judged[at] = False
+    day.strike(at, judged=False)
     day.readings[:, at] *= -1
 
 
@@ -65,7 +64,7 @@ def reversed_poles(day: Day) -> None:
 def dead(day: Day) -> None:
     """Its coil gives nothing and reads nothing; the loop takes what is nearest to the shape."""
     at = day.actuator()
-    day.judged[at] = False
+    day.strike(at, judged=False)
     others = day.bench.elastic[at] / day.bench.elastic[at, at]
     given = np.linalg.pinv(day.bench.glass.stiffness) @ others
     day.z = day.z - np.outer(day.true_force[:, at], given)
@@ -74,7 +73,7 @@ def dead(day: Day) -> None:
 @fault("a reading that is stuck", cause="dead|no force|stuck")
 def stuck(day: Day) -> None:
     at = day.actuator()
-    day.judged[at] = False
+    day.strike(at, judged=False)
     day.readings[:, at] = day.readings[0, at]
 
 
@@ -83,7 +82,9 @@ def relabelled(true: int, said: int) -> Callable[[Day], None]:
 
     def happens(day: Day) -> None:
         files = np.flatnonzero(np.array(day.order) == true)
-        day.label[day.random.choice(files)] = said
+        file = day.random.choice(files)
+        day.label[file] = said
+        day.where = (f"{day.loads[said].name} {day.number(file)}",)
 
     return happens
 
@@ -98,12 +99,12 @@ def copied(day: Day) -> None:
     day.sensor_noise[day.file == 1] = day.sensor_noise[day.file == 0]
 
 
-@fault("SIGN reversed in a file", cause="label|sign")
+@fault("SIGN reversed in a file", cause="label|SIGN reversed")
 def signs_reversed(day: Day) -> None:
     day.sign[day.file == day.random.integers(len(day.order))] *= -1
 
 
-@fault("SHAPE counted from another one in a file", cause="label|shape")
+@fault("SHAPE counted from another one in a file", cause="label|SHAPE ")
 def shapes_shifted(day: Day) -> None:
     rows = day.file == day.random.integers(len(day.order))
     day.shape[rows] = np.roll(day.shape[rows], 2)

@@ -13,25 +13,28 @@ def contact_in_one_sign(day: Day) -> None:
     day.push(np.where(day.sign > 0, 20e-3, 0.0), day.somewhere())
 
 
-@fault("dust: 20 mN where a gap is narrow", cause="force")
+@fault("dust: 20 mN where a gap is narrow", cause=r"force\b")
 def dust(day: Day) -> None:
     at = day.actuator()
+    day.strike(at)
     day.push_at(at, np.where(day.z[:, at] > 0.2e-6, -20e-3, 0.0))
 
 
-@fault("friction of 2 mN at an actuator", cause="force|friction")
+@fault("friction of 2 mN at an actuator", cause=r"force\b|friction")
 def friction(day: Day) -> None:
     at = day.actuator()
+    day.strike(at)
     day.push_at(at, -2e-3 * np.tanh(day.z[:, at] / 5e-9))
 
 
-@fault("a wire of 1e4 N/m at an actuator", cause="force|gradient")
+@fault("a wire of 1e4 N/m at an actuator", cause=r"force\b|gradient")
 def wire(day: Day) -> None:
     at = day.actuator()
+    day.strike(at)
     day.push_at(at, -1e4 * day.z[:, at])
 
 
-@fault("a force of 20 mN in one file", cause="contact|force|zero|file")
+@fault("a force of 20 mN in one file", cause=r"contact|force\b|zero by file")
 def contact_in_a_file(day: Day) -> None:
     file = day.random.integers(len(day.order))
     day.push(np.where(day.file == file, 20e-3, 0.0), day.somewhere())
@@ -57,7 +60,7 @@ def heavier(day: Day) -> None:
     day.push(0.01 * day.bench.mirror.added_weight * (day.load == 1), day.wedges[1])
 
 
-@fault("the ring 10 % heavier, a third load", cause="load|weight", order="three loads")
+@fault("the ring 10 % heavier, a third load", cause="weight", order="three loads")
 def much_heavier(day: Day) -> None:
     day.push(0.10 * day.bench.mirror.added_weight * (day.load == 1), day.wedges[1])
 

@@ -92,7 +92,7 @@ def drift_without_bias(day: Day) -> None:
     drift(day)
 
 
-@fault("each alpha drifts 0.3 %/h rms", cause="gain|drift")
+@fault("each alpha drifts 0.3 %/h rms", cause="(gain|drift).*each")
 def drift_of_each(day: Day) -> None:
     day.gain = day.gain * (1 + DRIFT * day.hours[:, None] * day.random.standard_normal(day.n))
 
@@ -102,7 +102,7 @@ def warming_up(day: Day) -> None:
     day.gain = day.gain * (1 + 4e-3 * np.exp(-day.hours[:, None] / 0.5))
 
 
-@fault("one coil loses 2 % halfway", cause="gain")
+@fault("one coil loses 2 % halfway", cause="gain.*each|gain of")
 def weaker_coil(day: Day) -> None:
     lost = np.outer(day.hours > np.median(day.hours), np.arange(day.n) == day.actuator())
     day.gain = day.gain * (1 - 0.02 * lost)

@@ -11,7 +11,7 @@ from faulty.fault import fault
 from faulty.gains import gradients
 
 
-@fault("noise of the rows in common, 0.3 sigma", cause="noise|common")
+@fault("noise of the rows in common, 0.3 sigma", cause="in common|common noise|common part")
 def common_mode(day: Day) -> None:
     day.error = day.error + 0.3 * day.noise * day.random.standard_normal((len(day.z), 1))
 
@@ -44,7 +44,7 @@ def zero_under_ring(day: Day) -> None:
     day.zero = np.where(day.under(), 0.1e-3, 0.0)
 
 
-@fault("noise correlated over rows, 0.95", cause="noise|correlat|zero")
+@fault("noise correlated over rows, 0.95", cause="correlat|zero")
 def correlated(day: Day) -> None:
     """A first-order autoregression in each file, of the declared variance."""
     memory = 0.95
@@ -54,12 +54,12 @@ def correlated(day: Day) -> None:
         day.error[day.file == file] = scipy.signal.lfilter([1.0], [1.0, -memory], fresh, axis=0)
 
 
-@fault("readings scatter four times what FORCERR says", cause="noise|FORCERR|scatter")
+@fault("readings scatter four times what FORCERR says", cause="FORCERR|scatter")
 def louder(day: Day) -> None:
     day.error = 4.0 * day.error
 
 
-@fault("readings scatter a quarter of FORCERR", cause="noise|FORCERR|scatter")
+@fault("readings scatter a quarter of FORCERR", cause="FORCERR|scatter")
 def quieter(day: Day) -> None:
     day.error = 0.25 * day.error
 
@@ -71,7 +71,7 @@ def unlike_noise(day: Day) -> None:
     day.declared["force_error"] = None
 
 
-@fault("noise of heavy tails, Student 3", cause="noise|tail|out")
+@fault("noise of heavy tails, Student 3", cause="tail|left out|rows")
 def heavy_tails(day: Day) -> None:
     drawn = scipy.stats.t.rvs(3, size=day.z.shape, random_state=day.random)
     day.error = day.noise * drawn / np.sqrt(3)
