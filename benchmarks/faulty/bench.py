@@ -107,8 +107,27 @@ class Day:
         Index of the load of each file, in the order in which the files are taken.
     noise
         Standard deviation of one reading [N], as declared.
-
-    What a fault may change is set, and told in a word, by `__post_init__`.
+    alpha
+        (n,) true Newton / commanded Newton.
+    file, load, mounting, shape, sign, hours
+        (N,) of each row: index of its file, of what truly hangs on the glass, of how often that was
+        changed; SHAPE, SIGN; time [h].
+    z, bias
+        (N, n) true displacements [m]; forces of the bias magnets [N], (1, n) where they stay.
+    held, external
+        (N, n) forces of the coils that hold weights and contacts, (N, 3) force and moments of
+        these [N], [N m]; added to by `push`, `push_at` and `carry`.
+    gain, elastic_gain, law
+        What a coil gives of alpha: (N or 1, n), of all of its force and of the elastic part alone;
+        and by its commanded force.
+    zero, error
+        (N or 1, n) added to the readings [N].
+    loads, label, layout
+        As declared: the loads, the index of that of each file, the actuators.
+    sensor_gain, sensor_offset, sensor_noise, has_position, warmth, has_temperature, valid, declared
+        POSITION, TEMPERATURE [deg C], VALID and keywords of the files.
+    judged, where
+        (n,) which actuators count; what must stand in a word that is right.
     """
 
     bench: Bench
