@@ -52,6 +52,9 @@ ALL = sorted(FAULTS, key=lambda fault: SECTIONS.index(fault.happens.__module__))
 TWO_SIGMA = 1.959964
 COVERED, SAID, FALSE = 0.90, 0.95, 0.01
 IMPROBABLE = 1e-3  # of a fit
+WEAK = re.compile(
+    "hardly above the noise|drowns? in noise"
+)  # a limit of the data, not of the model
 
 Array = np.ndarray
 
@@ -70,7 +73,7 @@ def named(calibration: tn.Calibration) -> tuple[Word, ...]:
     if hasattr(calibration, "effects"):
         return tuple(Word(e.name, e.where, e.corrected) for e in calibration.effects)
     advice = verdict(Findings(None, calibration)).advice
-    return tuple(Word(fault) for fault, _ in advice if "hardly above the noise" not in fault)
+    return tuple(Word(fault) for fault, _ in advice if not WEAK.search(fault))
 
 
 @dataclass(frozen=True, eq=False)
