@@ -127,9 +127,9 @@ def examined(
         return plain
     # Noise that is independent within a row but balances too well hangs together from row to row.
     start = replace(start, correlated=start.too_well and not problem.dependent)
-    cured, named_first = _cured(
-        start, independent=True, samples=samples, within=problem.dependent
-    )
+    cured, named_first = _cured(start, independent=True, samples=samples, within=problem.dependent)
+    if start.correlated and (cured is None or not cured.effects):
+        return _correlated(start, named_first.effects)
     if cured is not None and (cured.effects or not problem.dependent):
         return cured
     if problem.dependent:
@@ -141,8 +141,6 @@ def examined(
     if named_first.effects and named_first.fits:
         # What two readings of the data explain, alpha may be wrong by.
         return replace(best, effects=named_first.effects, minimum=_unsure(best, named_first))
-    if start.correlated:
-        return _correlated(start, named_first.effects)
     for one in (start, plain):
         forced = _with_unknown_forces(one)
         if forced is not None:
