@@ -206,6 +206,7 @@ _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
+POSITIONS = Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by hour", "1/h", partial(gain_by_hour, each=False), _WARM),
@@ -230,5 +231,5 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("bias gradient", "N/m", bias_gradient, _POSITION),
     Effect("contact in one sign", "N, N m", partial(contact, by_load=False), _TOUCH, "axis"),
     Effect("contact in one sign by load", "N, N m", partial(contact, by_load=True), _TOUCH, "load"),
-    Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator"),
+    POSITIONS,
 )  # fmt: skip
