@@ -24,8 +24,13 @@ from accuracy import bounds, campaigns, rms, simulation
 
 import truenewton as tn
 from truenewton.arrays import Array
-from truenewton.bench.simulated.loop_campaign import rest_displacement, run_loop_cycles
-from truenewton.bench.simulated.static import StaticBench, run_cycles, static_bench
+from truenewton.bench.simulated.static import (
+    StaticBench,
+    loop_of,
+    rest_displacement,
+    run_cycles,
+    static_bench,
+)
 from truenewton.figures.style import CURVES, INK, STYLE, new_axes
 from truenewton.mirrors.glass import Annulus
 from truenewton.mirrors.known import lbt672, mmt336, p45, ring
@@ -69,7 +74,10 @@ def costs() -> None:
     print("P45, 4 cycles x 2 loads x 90 shapes")
     bench = timed("the bench: shell, truth, shapes", lambda: static_bench(p45(), 1))
     timed("static", lambda: list(run_cycles(bench, 4)))
-    timed("closed loop, 1,433 + 2,048 samples of each", lambda: list(run_loop_cycles(bench, 4)))
+    timed(
+        "closed loop, 1,433 + 2,048 samples of each",
+        lambda: list(run_cycles(bench, 4, loop_of(bench))),
+    )
 
 
 def large(n: int) -> None:
@@ -104,7 +112,7 @@ def coverage(seeds: int) -> None:
     inside, outside, sizes, ratio, plain, weighed, rests = [], [], [], [], [], [], []
     for seed in range(seeds):
         bench = static_bench(p45(), seed)
-        cycles = tuple(run_loop_cycles(bench, 2))
+        cycles = tuple(run_cycles(bench, 2, loop_of(bench)))
         found = tn.calibrate(tn.Campaign(cycles))
         rests.append(rest_displacement(bench))
         there = at_mean(bench, rests[-1])
@@ -168,13 +176,14 @@ def imperfections(seeds: int) -> None:
     benches = [static_bench(p45(), seed) for seed in range(seeds)]
     for name, change, declared in imperfect():
         cells = []
-        for run in (run_loop_cycles, run_cycles):
+        for closed in (True, False):
             errors, sizes = [], []
             for bench in map(change, benches):
-                cycles = tuple(replace(c, **declared) for c in run(bench, 4))
+                made = run_cycles(bench, 4, loop_of(bench) if closed else None)
+                cycles = tuple(replace(c, **declared) for c in made)
                 found = tn.calibrate(tn.Campaign(cycles))
                 relative = found.alpha / known(bench)
-                if run is run_loop_cycles:
+                if closed:
                     relative /= at_mean(bench, rest_displacement(bench))
                 errors.append(np.std(relative))
                 sizes.append(found.goodness.reduced)

@@ -16,10 +16,9 @@ import numpy as np
 from step_response import plot_step_responses, settling_time, step_responses
 
 from truenewton.bench.simulated.loop import Loop, equilibrium
-from truenewton.bench.simulated.loop_campaign import loop_of
 from truenewton.bench.simulated.noise import row_noise
 from truenewton.bench.simulated.record import record
-from truenewton.bench.simulated.static import static_bench
+from truenewton.bench.simulated.static import loop_of, static_bench
 from truenewton.mirrors.known import p45
 from truenewton.statics.arms import arms
 

@@ -20,8 +20,7 @@ import numpy as np
 from modal_truth import score_modes
 
 import truenewton as tn
-from truenewton.bench.simulated.loop_campaign import run_loop_cycles
-from truenewton.bench.simulated.static import static_bench
+from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
 from truenewton.modal.dissipation import Dissipation, dissipation
 from truenewton.modal.findings import find_modes
 from truenewton.modal.modal_base import modal_base
@@ -45,7 +44,7 @@ def known(seeds: int) -> None:
     scores = []
     for seed in range(seeds):
         bench = static_bench(tn.mirrors.p45(), seed)
-        campaign = Campaign(tuple(run_loop_cycles(bench, 2)))
+        campaign = Campaign(tuple(run_cycles(bench, 2, loop_of(bench))))
         found = find_modes(campaign)
         scores.append(score_modes(campaign, found, bench.truth))
         print(f"  {seed + 1} of {seeds}", file=sys.stderr)

@@ -12,7 +12,7 @@ from stub_bench import SMALL, GoneBench, StubBench
 
 import truenewton as tn
 from truenewton.acquisition import taker
-from truenewton.acquisition.benches import chosen_bench, seal_truth
+from truenewton.acquisition.benches import chosen_bench, simulated_bench
 from truenewton.acquisition.load_check import judge
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
 from truenewton.acquisition.run import ASKED, IN_A_ROW
@@ -191,15 +191,15 @@ def test_progress_is_told_after_every_shape(tmp_path):
 def test_the_sum_of_the_forces_says_whether_a_load_is_on(known, total, on):
     ring_on = tn.Load("ring", -0.289, 0.005)
     loads = (tn.Load("bare"), ring_on, tn.Load("tilted", tilt=60.0))
-    verdict = judge(-2.92, loads, ring_on, known, total)
-    assert verdict.on is on, verdict.why
+    said, why = judge(-2.92, loads, ring_on, known, total)
+    assert said is on, why
 
 
 def test_loads_that_noise_hides_are_taken_on_trust():
     light = tn.Load("light", -0.001, 0.0001)
     loads, known = (tn.Load("bare"), light), {"bare": 1.0}
-    assert judge(-2.92, loads, light, known, 1.0, error=1e-5).on is False
-    assert judge(-2.92, loads, light, known, 1.0, error=1e-4).on is None
+    assert judge(-2.92, loads, light, known, 1.0, error=1e-5)[0] is False
+    assert judge(-2.92, loads, light, known, 1.0, error=1e-4)[0] is None
 
 
 def test_a_load_that_is_not_on_is_asked_for_again(tmp_path):
@@ -464,7 +464,7 @@ def test_a_day_at_the_simulated_bench_ends_at_the_truth(tmp_path):
     plan = tn.CampaignPlan(mirror="p45", loads=TWO, cycles=2)
     bench = chosen_bench(plan)
     tn.acquire(bench, plan, tmp_path / "p45")
-    seal_truth(plan, ".", tmp_path / "p45")
+    simulated_bench(plan).write_truth(tmp_path / "p45")
     truth = read_truth(tmp_path / "p45.truth.fits")
     found = tn.calibrate(tn.read(tmp_path / "p45"))
     assert 0.8 < found.goodness.reduced < 1.2

@@ -14,6 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -26,9 +27,10 @@ from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal
 from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import PlannedShapes
+from truenewton.acquisition.progress import Progress
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.protocol import Shape
-from truenewton.cli import terminal
+from truenewton.cli.acquire import Terminal
 from truenewton.errors import (
     CampaignMismatch,
     FormatError,
@@ -551,15 +553,18 @@ def test_the_person_at_the_terminal_is_asked_again(inside, tmp_path, monkeypatch
 
 def test_the_bar_shows_how_far_it_is(inside, tmp_path, monkeypatch, capsys):
     shown = []
-    monkeypatch.setattr(
-        terminal.ProgressBar, "show", lambda self, *figures: shown.append(figures), raising=True
-    )
+    bar = MagicMock(update=lambda task, **figures: shown.append(figures))
+    monkeypatch.setattr("truenewton.cli.acquire._bar", lambda: bar)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     assert inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c")[0] == 0
-    done, total, what, figures, left = shown[-1]
-    assert (done, total, what) == (24, 24, "ring cycle 2/2 shape 3/3 -")
-    assert figures.endswith("N, gap 64.0 um")
-    assert left == 0.0
-    assert terminal.clock_time(3725.4) == "1:02:05"
+    last = shown[-1]
+    assert (last["completed"], last["total"]) == (24, 24)
+    assert last["description"] == "ring cycle 2/2 shape 3/3 -"
+    assert last["figures"].endswith("N, gap 64.0 um")
+    assert f"{last['left']}" == "0:00:00"
+    shape = Shape(LOADS[0], 1, 1, 1, np.zeros(8))
+    Terminal(yes=True).progress(Progress(shape, 2, 3, 23, 24, 64e-6, taken=1, seconds=3725.4))
+    assert f"{shown[-1]['left']}" == "1:02:05"
 
 
 def test_the_bar_is_drawn_at_a_terminal(tmp_path):
@@ -583,7 +588,7 @@ def test_the_bar_is_drawn_at_a_terminal(tmp_path):
 
 
 def test_a_bench_whose_extra_is_missing_says_which(inside, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "truenewton.bench.opcua", None)
+    monkeypatch.setitem(sys.modules, "asyncua", None)
     plan = plan_file(tmp_path, bench=BenchChoice("opcua", "opc.tcp://mirror:4840"))
     code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
     assert code == 2

@@ -437,7 +437,6 @@ WEDGE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.03]])
         ({"x": [0.1249, 0.05, -0.05], "y": [0.0, 0.05, 0.05]}, "actuator 0 .* on an edge"),
         ({"x": [0.05, 0.05, 0.0], "y": [0.05, 0.05, 0.05]}, "actuators 0 and 1 .* one place"),
         ({"x": [0.03, 0.05, 0.07], "y": [0.03, 0.05, 0.07]}, "on one line"),
-        ({"x": [0.03, 0.05]}, r"shape \(2,\) and Y \(3,\)"),
         ({"shell": replace(GLASS, inner_radius=0.2)}, "reaches from"),
         ({"shell": replace(GLASS, thickness=0.0)}, "bending stiffness"),
         ({"shell": replace(GLASS, thickness=-1e-3, young_modulus=-1.0)}, "bending stiffness"),

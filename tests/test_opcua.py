@@ -382,9 +382,9 @@ def test_the_user_may_write_nothing(recorder, folder):
     with connect(choice(address), folder) as there:
         node = there._client.get_node(ua.NodeId("Bench.Gap", 2))
         with pytest.raises(ua.UaError):
-            there._wait(node.write_value(ua.Variant(1.0, ua.VariantType.Double)))
+            there._thread.post(node.write_value(ua.Variant(1.0, ua.VariantType.Double)))
         with pytest.raises(ua.UaError):
-            there._wait(there._client.nodes.objects.add_object(2, "mine"))
+            there._thread.post(there._client.nodes.objects.add_object(2, "mine"))
 
 
 # -- servers that go and come, faults ------------------------------------------------------------
@@ -426,7 +426,7 @@ def test_a_connection_that_breaks_comes_back_and_no_row_is_taken_blindly(recorde
     with connect(choice(address), folder) as there:
         there.put_on(BARE)
         there.command(shape)
-        there._loop.call_soon_threadsafe(there._client.disconnect_socket)
+        there._thread.loop.call_soon_threadsafe(there._client.disconnect_socket)
         with pytest.raises(BenchFault, match="command it again"):
             there.read(1)
         there.command(shape)  # the server still knows which load it is

@@ -7,8 +7,7 @@ import pytest
 from scipy.linalg import eigh
 from shells import influence
 
-from truenewton.bench.simulated.loop_campaign import run_loop_cycles
-from truenewton.bench.simulated.static import held_command, run_cycles, static_bench
+from truenewton.bench.simulated.static import held_command, loop_of, run_cycles, static_bench
 from truenewton.errors import GeometryError
 from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
@@ -141,7 +140,7 @@ def test_a_corner_on_the_bench(corner):
             truth.weight + truth.added[k], truth.bias_force, truth.torque_y[k], truth.torque_x[k]
         )
         assert resultants(mirror.layout, force) == pytest.approx(-load, abs=1e-9)
-    static, settled = next(run_cycles(bench, 1)), next(run_loop_cycles(bench, 1))
+    static, settled = next(run_cycles(bench, 1)), next(run_cycles(bench, 1, loop_of(bench)))
     assert settled.valid.all()
     expected = held_command(bench, 0, settled.position - bench.sensors.offset)
     assert settled.force == pytest.approx(expected, abs=2e-3)

@@ -136,9 +136,10 @@ def test_a_tilt_as_the_load(ready, tilt):
     assert np.hypot(*weights) == pytest.approx(expected, rel=1e-9)
 
 
-def test_forces_at_rest_are_those_of_the_bench_but_for_its_scatter():
+def test_forces_at_rest_are_those_of_the_bench_but_for_its_scatter(ready):
     mirror = p45()
-    held = holding(mirror).under((*LOADS, Load("leaning", tilt=30.0)))
+    leaning = replace(PLAN, loads=(*LOADS, Load("leaning", tilt=30.0)))
+    held = 0.9 * ready.changed(leaning).rest_force
     balance = held @ arms_of(mirror.layout).T
     bias = mirror.bias_force * mirror.layout.nz.sum()
     weight = np.array([-2.920, -2.920 - 0.289, -2.920 * np.sqrt(0.75)])
@@ -230,7 +231,7 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
     matrix = StiffnessMatrix("P45", date, p45().layout, stiffness)
     tn.write_stiffness(matrix, tmp_path / "ff.fits")
     plan = replace(PLAN, shapes=PlannedShapes("ff.fits", stroke=0.8e-6))
-    modes, force = shapes_and_forces(plan, p45(), tmp_path)
+    modes, force, _ = shapes_and_forces(plan, p45(), tmp_path)
     assert force == pytest.approx(modes @ matrix.stiffness.T)
     assert np.abs(modes).max() == pytest.approx(0.8e-6)
     assert np.abs(force).max() == pytest.approx(0.3)
@@ -260,12 +261,13 @@ def test_disabled_actuators_take_no_part(ready):
     on = ~np.isin(np.arange(45), (3, 30))
     layout = Layout(mirror.layout.id, mirror.layout.x, mirror.layout.y, mirror.layout.nz, on)
     mirror = replace(mirror, layout=layout)
-    shapes, force = shapes_and_forces(PLAN, mirror)
+    shapes, force, _ = shapes_and_forces(PLAN, mirror)
     assert shapes.shape == (43, 45)
     assert (shapes[:, ~on] == 0).all()
     assert (force[:, ~on] == 0).all()
     assert np.abs(force[:, on] @ arms_of(layout)[:, on].T).max() < 1e-9
-    some = replace(ready, mirror=mirror, shapes=shapes, force=force, holding=holding(mirror))
+    own, tool = holding(mirror)
+    some = replace(ready, mirror=mirror, shapes=shapes, force=force, own=own, tool=tool)
     found = predicted(some)
     assert found.error.shape == (43,)
     assert found.typical == pytest.approx(0.005 / 0.289, rel=0.01)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from truenewton.cli.terminal import print_json, print_table
+from truenewton.cli.terminal import print_result, table_lines
 from truenewton.rounding import by_chance, percent, significant, to_digits, with_error
 
 
@@ -63,13 +63,14 @@ def test_percent_has_two_digits(ratio, text):
 
 
 def test_json_has_null_for_what_is_not_finite(capsys):
-    print_json({"a": np.array([1.0, np.nan]), "b": [float("inf")], "c": "x", "d": np.int64(3)})
+    values = {"a": np.array([1.0, np.nan]), "b": [float("inf")], "c": "x", "d": np.int64(3)}
+    print_result([], values=values)
     assert json.loads(capsys.readouterr().out) == {"a": [1.0, None], "b": [None], "c": "x", "d": 3}
 
 
-def test_a_table_stands_in_columns(capsys):
-    print_table("title", ("name", "x"), [("a", "1.0"), ("long", "10.0")])
-    assert capsys.readouterr().out == "title\n  name     x\n  a      1.0\n  long  10.0\n"
+def test_a_table_stands_in_columns():
+    lines = table_lines("title", ("name", "x"), ("a", "1.0"), ("long", "10.0"))
+    assert list(lines) == ["title", "  name     x", "  a      1.0", "  long  10.0"]
 
 
 def test_chance_is_told_in_words():

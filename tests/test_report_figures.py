@@ -72,7 +72,7 @@ def test_residuals_stand_at_their_shape_and_cycle():
     shown, (left, right, bottom, top) = image.get_array(), image.get_extent()
     assert (left, right, bottom, top) == (-14.5, 14.5, 8.5, 0.5)
     k = 40
-    column = residuals.shape[k] * residuals.sign[k] + 14
+    column = residuals.signed_shape[k] + 14
     assert shown[residuals.cycle[k], column] == pytest.approx(residuals.after[k])
     [crosses] = ax.lines
     assert crosses.get_xdata().tolist() == [1, 2, 3]
@@ -85,7 +85,7 @@ def test_the_balance_before_lies_above_that_after(p45):
     assert np.median(before.get_ydata()) > 5 * np.median(after.get_ydata())
     one = np.flatnonzero(np.asarray(after.get_xdata()) == -7)[0]
     residuals = p45.evidence.residuals
-    rows = (residuals.shape == 7) & (residuals.sign == -1)
+    rows = residuals.signed_shape == -7
     rms = np.sqrt(np.mean(residuals.after[rows] ** 2))
     assert after.get_ydata()[one] == pytest.approx(rms)
 

@@ -137,7 +137,7 @@ def test_the_curves_are_those_of_the_three_bases(p45):
 def test_cycles_without_positions_say_so():
     parts, text = told(p45_campaign(2), lambda cycle: replace(cycle, position=None))
     assert list(parts) == ["modes"]
-    assert parts["modes"].figure is None
+    assert parts["modes"].figure == ""
     [words] = parts["modes"].words
     assert words.startswith("The data do not tell them: no cycle holds POSITION")
     assert "give a measured stiffness file." in words

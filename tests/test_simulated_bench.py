@@ -7,9 +7,14 @@ import pytest
 
 import truenewton as tn
 from truenewton.bench.protocol import Bench, Shape
-from truenewton.bench.simulated.loop_campaign import rest_displacement, run_loop_cycles
 from truenewton.bench.simulated.noise import SAMPLES
-from truenewton.bench.simulated.static import held_command, run_cycles, static_bench
+from truenewton.bench.simulated.static import (
+    held_command,
+    loop_of,
+    rest_displacement,
+    run_cycles,
+    static_bench,
+)
 from truenewton.bench.simulated.truth import read_truth
 from truenewton.errors import BenchFault, GeometryError, UnknownName
 from truenewton.mirrors.known import p45
@@ -64,7 +69,7 @@ def test_the_truth_stays_inside_but_for_its_sealed_file(tmp_path):
 def loop():
     """Return a plan, and the first cycle that the closed loop makes of it."""
     plan = static_bench(p45(), 3)
-    return plan, next(run_loop_cycles(plan, 1))
+    return plan, next(run_cycles(plan, 1, loop_of(plan)))
 
 
 def test_the_static_bench_agrees_with_the_settled_loop_within_its_noise(loop):
@@ -107,7 +112,7 @@ def test_the_loop_behind_the_protocol_gives_the_rows_of_its_campaign(loop):
 def test_a_closed_loop_campaign_fits_and_gives_alpha_within_its_errors():
     """Not without the gradients: then chi^2 says so."""
     plan = static_bench(p45(), 2)
-    cycles = tuple(run_loop_cycles(plan, 3))
+    cycles = tuple(run_cycles(plan, 3, loop_of(plan)))
     found = tn.calibrate(tn.Campaign(cycles))
     assert 0.75 < found.goodness.reduced < 1.3
     # At the mean place of the campaign: 50 nm off, other under each load, by 600 /m.

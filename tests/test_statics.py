@@ -1,7 +1,9 @@
 """Arms and signs, against numbers worked out by hand: off axis, and nothing zero."""
 
+import faults
 import numpy as np
 import pytest
+from faulty.bench import Day, bench_of
 
 from truenewton.estimation.systems import system_c
 from truenewton.statics.arms import arms, effective_weight, enabled_arms, external_load, resultants
@@ -53,3 +55,33 @@ def test_weight_along_the_axis_of_a_tilted_mirror():
     """cos 60 deg = 1/2: a 60 degree tilt takes away half of P + Q."""
     w = effective_weight(-2.920, [0.0, -0.289, 0.0], [0.0, 0.0, 60.0])
     assert w == pytest.approx([-2.920, -3.209, -1.460], rel=1e-15)
+
+
+@pytest.mark.parametrize("fault", faults.ALL, ids=lambda fault: fault.name)
+def test_a_faulty_bench_is_in_balance(fault):
+    """What goes wrong in `benchmarks/faults.py` goes wrong as physics: nothing is left over."""
+    day = faults.happening(fault, "p45", seed=1, noise=0.0, cycles=2)
+    assert np.abs(day.imbalance).max() < 1e-12
+    if fault.happens.__module__ != "faulty.forces":
+        weight = -2.920 - 0.289 * day.load
+        total = (day.true_force + day.bias) @ day.bench.arms[0]
+        assert total == pytest.approx(-weight, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["clean", "gradients not declared, 10 uN", "coils 1 % cubic"])
+def test_a_faulty_bench_reads_what_its_coils_give(name):
+    fault = next(fault for fault in faults.ALL if fault.name.startswith(name))
+    day = Day(bench_of("p45"), seed=1, noise=0.0, order=[0, 1])
+    fault.happens(day)
+    c = day.readings
+    assert day.alpha * day.gain * day.law(c) * c == pytest.approx(day.true_force, abs=1e-15)
+
+
+def test_a_bench_without_fault_is_covered():
+    clean = faults.ALL[0]
+    days = [faults.happening(clean, "p45", seed, 1e-3, 4) for seed in range(6)]
+    figures = faults.summary(clean, [faults.trial(day) for day in days])
+    assert figures["verdict"] == "covered"
+    assert figures["covers"] > 93
+    assert 0.3 < float(figures["error"]) < 0.5
+    assert figures["said"] == 0

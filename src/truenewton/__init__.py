@@ -15,106 +15,73 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from truenewton import errors, mirrors
-    from truenewton.acquisition.acquire import acquire
-    from truenewton.acquisition.plan import CampaignPlan, read_plan
-    from truenewton.bench.simulated.bench import SimulatedBench
-    from truenewton.bench.simulated.static import run_cycles, static_bench
-    from truenewton.calibration.figures import write_figures
-    from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.result import Calibration
-    from truenewton.modal.dissipation import Budget
-    from truenewton.modal.file import write_modes
-    from truenewton.modal.findings import find_modes
-    from truenewton.modal.turbulence import Atmosphere
-    from truenewton.reading import read
-    from truenewton.recalibration.fit import recalibrate
-    from truenewton.records.campaign import Campaign
-    from truenewton.records.cycle import Cycle
-    from truenewton.records.file import write_campaign, write_cycle, write_stiffness
-    from truenewton.records.stiffness_matrix import StiffnessMatrix
-    from truenewton.report.change import change
-    from truenewton.report.investigate import investigate
-    from truenewton.report.page.page import write_report
-    from truenewton.statics.layout import Layout, layout, rings, spherical_rings
-    from truenewton.statics.load import Load
-    from truenewton.tracking.file import read_tracking
-    from truenewton.tracking.fit import track
-    from truenewton.tracking.law import Tracking
-
-__all__ = [
-    "Atmosphere",
-    "Budget",
-    "Calibration",
-    "Campaign",
-    "CampaignPlan",
-    "Cycle",
-    "Layout",
-    "Load",
-    "SimulatedBench",
-    "StiffnessMatrix",
-    "Tracking",
-    "acquire",
-    "calibrate",
-    "change",
-    "errors",
-    "find_modes",
-    "investigate",
-    "layout",
-    "mirrors",
-    "read",
-    "read_plan",
-    "read_tracking",
-    "recalibrate",
-    "rings",
-    "run_cycles",
-    "spherical_rings",
-    "static_bench",
-    "track",
-    "write_campaign",
-    "write_cycle",
-    "write_figures",
-    "write_modes",
-    "write_report",
-    "write_stiffness",
-]
+if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
+    from truenewton import errors as errors
+    from truenewton import mirrors as mirrors
+    from truenewton.acquisition.acquire import acquire as acquire
+    from truenewton.acquisition.plan import CampaignPlan as CampaignPlan
+    from truenewton.acquisition.plan import read_plan as read_plan
+    from truenewton.bench.simulated.bench import SimulatedBench as SimulatedBench
+    from truenewton.bench.simulated.static import run_cycles as run_cycles
+    from truenewton.bench.simulated.static import static_bench as static_bench
+    from truenewton.calibration.figures import write_figures as write_figures
+    from truenewton.calibration.methods import calibrate as calibrate
+    from truenewton.calibration.result import Calibration as Calibration
+    from truenewton.modal.dissipation import Budget as Budget
+    from truenewton.modal.file import write_modes as write_modes
+    from truenewton.modal.findings import find_modes as find_modes
+    from truenewton.modal.turbulence import Atmosphere as Atmosphere
+    from truenewton.reading import read as read
+    from truenewton.recalibration.fit import recalibrate as recalibrate
+    from truenewton.records.campaign import Campaign as Campaign
+    from truenewton.records.cycle import Cycle as Cycle
+    from truenewton.records.file import write_campaign as write_campaign
+    from truenewton.records.file import write_cycle as write_cycle
+    from truenewton.records.file import write_stiffness as write_stiffness
+    from truenewton.records.stiffness_matrix import StiffnessMatrix as StiffnessMatrix
+    from truenewton.report.change import change as change
+    from truenewton.report.investigate import investigate as investigate
+    from truenewton.report.page.page import write_report as write_report
+    from truenewton.statics.layout import Layout as Layout
+    from truenewton.statics.layout import layout as layout
+    from truenewton.statics.layout import rings as rings
+    from truenewton.statics.layout import spherical_rings as spherical_rings
+    from truenewton.statics.load import Load as Load
+    from truenewton.tracking.file import read_tracking as read_tracking
+    from truenewton.tracking.fit import track as track
+    from truenewton.tracking.law import Tracking as Tracking
 
 # Imported on first use: the command line answers --help without numpy.
-_HOMES = {
-    "Atmosphere": "modal.turbulence",
-    "Calibration": "calibration.result",
-    "Campaign": "records.campaign",
-    "CampaignPlan": "acquisition.plan",
-    "Cycle": "records.cycle",
-    "Layout": "statics.layout",
-    "Budget": "modal.dissipation",
-    "Load": "statics.load",
-    "SimulatedBench": "bench.simulated.bench",
-    "StiffnessMatrix": "records.stiffness_matrix",
-    "Tracking": "tracking.law",
-    "acquire": "acquisition.acquire",
-    "calibrate": "calibration.methods",
-    "change": "report.change",
-    "find_modes": "modal.findings",
-    "investigate": "report.investigate",
-    "layout": "statics.layout",
-    "read": "reading",
-    "read_plan": "acquisition.plan",
-    "read_tracking": "tracking.file",
-    "recalibrate": "recalibration.fit",
-    "rings": "statics.layout",
-    "run_cycles": "bench.simulated.static",
-    "spherical_rings": "statics.layout",
-    "static_bench": "bench.simulated.static",
-    "track": "tracking.fit",
-    "write_campaign": "records.file",
-    "write_cycle": "records.file",
-    "write_figures": "calibration.figures",
-    "write_modes": "modal.file",
-    "write_report": "report.page.page",
-    "write_stiffness": "records.file",
+_NAMES = {
+    "acquisition.acquire": ["acquire"],
+    "acquisition.plan": ["CampaignPlan", "read_plan"],
+    "bench.simulated.bench": ["SimulatedBench"],
+    "bench.simulated.static": ["run_cycles", "static_bench"],
+    "calibration.figures": ["write_figures"],
+    "calibration.methods": ["calibrate"],
+    "calibration.result": ["Calibration"],
+    "modal.dissipation": ["Budget"],
+    "modal.file": ["write_modes"],
+    "modal.findings": ["find_modes"],
+    "modal.turbulence": ["Atmosphere"],
+    "reading": ["read"],
+    "recalibration.fit": ["recalibrate"],
+    "records.campaign": ["Campaign"],
+    "records.cycle": ["Cycle"],
+    "records.file": ["write_campaign", "write_cycle", "write_stiffness"],
+    "records.stiffness_matrix": ["StiffnessMatrix"],
+    "report.change": ["change"],
+    "report.investigate": ["investigate"],
+    "report.page.page": ["write_report"],
+    "statics.layout": ["Layout", "layout", "rings", "spherical_rings"],
+    "statics.load": ["Load"],
+    "tracking.file": ["read_tracking"],
+    "tracking.fit": ["track"],
+    "tracking.law": ["Tracking"],
 }
+_HOMES = {name: home for home, names in _NAMES.items() for name in names}
+__all__ = ["errors", "mirrors"]
+__all__ += list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

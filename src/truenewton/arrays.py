@@ -5,29 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
 
-def frozen_array(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return a read-only contiguous copy, (...,) as given; the values if they are that already."""
-    if (
-        isinstance(values, np.ndarray)
-        and values.dtype == dtype
-        and values.flags.c_contiguous
-        and not values.flags.writeable
-    ):
-        return values
-    array: NDArray[Any] = np.array(values, dtype=dtype, order="C")
-    array.setflags(write=False)
-    return array
-
-
 def freeze(record: object, *names: str, dtype: Any = np.float64) -> None:
-    """Make arrays of a frozen dataclass, while it is made, read-only and of one type."""
+    """Make arrays of a frozen dataclass, while it is made, read-only, contiguous and of one type.
+
+    They are copied, but for those that are that already.
+    """
     for name in names:
-        object.__setattr__(record, name, frozen_array(getattr(record, name), dtype))
+        given = getattr(record, name)
+        values = np.asarray(given, dtype=dtype, order="C")
+        if values is not given or values.flags.writeable:
+            values = np.array(values)
+            values.setflags(write=False)
+            object.__setattr__(record, name, values)
 
 
 def spread(values: Array, on: NDArray[np.bool_]) -> Array:

@@ -6,7 +6,7 @@ programs need not parse the sentence that people read.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 
 class TrueNewtonError(Exception):
@@ -40,6 +40,10 @@ class TrueNewtonError(Exception):
         # Names read from files may hold line breaks or control characters: keep to one line.
         line = f"{where}{fault}{then}"
         super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in line))
+
+    def changed(self, **parts: Any) -> Self:
+        """Return the same error, but for some of fault, remedy, path, got and want."""
+        return type(self)(**{**vars(self), **parts})
 
 
 class UnreadableFile(TrueNewtonError, OSError):
@@ -100,6 +104,4 @@ class Interrupted(TrueNewtonError):
 
 def located(error: TrueNewtonError, path: object) -> TrueNewtonError:
     """Return the same error, naming the file it came from."""
-    if error.path is not None:
-        return error
-    return type(error)(error.fault, remedy=error.remedy, path=path, got=error.got, want=error.want)
+    return error if error.path is not None else error.changed(path=path)

@@ -24,6 +24,7 @@ FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to 
     "TRACKING": Fault(
         "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
     ),
+    "CALIBRATION": Fault("is a calibration file among others", "give it alone"),
 }
 
 
@@ -54,21 +55,15 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
             return stiffness_from(files[0])
     matrices = [file for file in files if "STIFFNESS" in file.extensions]
     for file in files:
-        for name, (fault, remedy) in FOREIGN.items():
-            if name in file.extensions:
-                raise FormatError(fault, remedy=remedy, path=file.path)
+        faults = [fault for name, fault in FOREIGN.items() if name in file.extensions]
         if file.header.get("CTYPE2") == "ACTUATOR":
-            raise FormatError(
-                "is a plain matrix of a modal base",
-                remedy="give the .commanded.fits beside it",
-                path=file.path,
-            )
-        calibrated = "CALIBRATION" in file.extensions
-        if calibrated or file in matrices[1:]:
-            what = "calibration" if calibrated else "second stiffness"
-            raise FormatError(
-                f"is a {what} file among others", remedy="give it alone", path=file.path
-            )
+            faults += [
+                Fault("is a plain matrix of a modal base", "give the .commanded.fits beside it")
+            ]
+        if file in matrices[1:]:
+            faults += [Fault("is a second stiffness file among others", "give it alone")]
+        if faults:
+            raise FormatError(faults[0].fault, remedy=faults[0].remedy, path=file.path)
     campaign = campaign_from(file for file in files if file not in matrices)
     return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
 
@@ -108,11 +103,7 @@ def read_calibrations(*paths: str | os.PathLike[str]) -> tuple[Calibration, ...]
     ------
     UnreadableFile, FormatError
     """
-    if any(Path(path).is_dir() for path in paths):
+    files = [read_fits(path) for path in paths if not Path(path).is_dir()]
+    if len(files) < len(paths) or any("CALIBRATION" not in file.extensions for file in files):
         return ()
-    files = []
-    for path in paths:
-        files.append(read_fits(path))
-        if "CALIBRATION" not in files[-1].extensions:
-            return ()
-    return tuple(calibration_from(file) for file in files)
+    return tuple(map(calibration_from, files))

@@ -13,13 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from truenewton.acquisition.clock import SteadyClock
-from truenewton.acquisition.folder import (
-    PLAN,
-    begin_or_resume,
-    cycle_names,
-    finished_cycles,
-    refuse_shared_names,
-)
+from truenewton.acquisition.folder import PLAN, begin_or_resume, cycle_names, finished_cycles
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.limits import Guard
 from truenewton.acquisition.lock import locked
@@ -29,7 +23,7 @@ from truenewton.acquisition.run import Run, take_all
 from truenewton.acquisition.run_log import RunLog
 from truenewton.acquisition.taker import Taker
 from truenewton.bench.protocol import Bench, Operator, Shape
-from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError
+from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
 from truenewton.mirrors.known import Mirror
 
 
@@ -81,7 +75,6 @@ def acquire(
         The folder cannot be used.
     """
     mirror = planned_mirror(plan, beside)
-    refuse_shared_names(plan)
     _check_agreement(bench, mirror)
     operator = operator or (bench if isinstance(bench, Operator) else None)
     if operator is None:
@@ -178,12 +171,7 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
         log.last_words("rest")
         if isinstance(error, TrueNewtonError):
             then = "the mirror is at rest, what was taken is kept; the same command goes on"
-            raise type(error)(
-                error.fault,
-                remedy=f"{error.remedy}; {then}" if error.remedy else then,
-                path=run.folder if error.path is None else error.path,
-                got=error.got,
-                want=error.want,
-            ) from error
+            remedy = f"{error.remedy}; {then}" if error.remedy else then
+            raise located(error, run.folder).changed(remedy=remedy) from error
         raise
     log.note("complete", invalid=run.taker.progress.invalid)

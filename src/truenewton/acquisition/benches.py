@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 from pathlib import Path
-from typing import cast
 
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
+from truenewton.bench.opcua import connect
+from truenewton.bench.opticalib import from_address
 from truenewton.bench.protocol import Bench
 from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.bench import SimulatedBench
-from truenewton.errors import BenchFault
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
@@ -26,36 +25,16 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
     """
     choice = plan.bench
     if choice.kind == "simulated":
-        return _simulated(plan, beside)
+        return simulated_bench(plan, beside)
     if choice.kind == "replay":
         return ReplayBench(Path(beside) / choice.address)
-    try:  # imported where it is chosen: it needs what its extra installs
-        module = importlib.import_module(f"truenewton.bench.{choice.kind}")
-    except ImportError as error:
-        raise BenchFault(
-            f"the bench '{choice.kind}' needs what is not installed ({error})",
-            remedy=f"pip install 'truenewton[{choice.kind}]'",
-        ) from error
     if choice.kind == "opticalib":
-        return cast(
-            Bench, module.from_address(choice.address, planned_mirror(plan, beside), beside)
-        )
-    return cast(Bench, module.connect(choice, beside))
+        return from_address(choice.address, planned_mirror(plan, beside), beside)
+    return connect(choice, beside)
 
 
-def seal_truth(
-    plan: CampaignPlan, beside: str | os.PathLike[str], campaign: str | os.PathLike[str]
-) -> None:
-    """Keep the truth of the simulated bench of a plan beside a campaign's folder, for scoring only.
-
-    Raises
-    ------
-    OutputFailed
-    """
-    _simulated(plan, beside).write_truth(campaign, overwrite=True)
-
-
-def _simulated(plan: CampaignPlan, beside: str | os.PathLike[str]) -> SimulatedBench:
+def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> SimulatedBench:
+    """Return the simulated bench of a plan, which has the same truth each time."""
     return SimulatedBench(
         planned_mirror(plan, beside),
         plan.bench.seed,

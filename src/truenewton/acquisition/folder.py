@@ -18,7 +18,7 @@ from truenewton.acquisition.load_check import mean_sum
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.arrays import Array
-from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnreadableFile
+from truenewton.errors import CampaignMismatch, OutputExists, UnreadableFile
 from truenewton.files.fits import read_fits
 from truenewton.files.outputs import file_beside, in_one_line, to_disk
 from truenewton.files.toml import toml_text
@@ -81,7 +81,7 @@ def begin_or_resume(
         raise OutputExists(
             f"holds FITS files but no {PLAN}", remedy="choose another name", path=folder
         )
-    shapes, _ = shapes_and_forces(plan, mirror, beside)
+    shapes = shapes_and_forces(plan, mirror, beside)[0]
     plan = with_turns(plan, mirror, len(shapes))
     with file_beside(folder / SHAPES, overwrite=True) as temporary:
         np.save(temporary, shapes)
@@ -182,20 +182,3 @@ def finished_cycles(
             total=mean_sum(cycle.layout, np.asarray(cycle.force), cycle.sign, cycle.valid),
         )
     return complete
-
-
-def refuse_shared_names(plan: CampaignPlan) -> None:
-    """Refuse loads whose files would have one name.
-
-    Raises
-    ------
-    FormatError
-    """
-    names: dict[str, str] = {}
-    for load in plan.loads:
-        other = names.setdefault(cycle_name(load, 1), load.name)
-        if other != load.name:
-            raise FormatError(
-                f"the loads '{other}' and '{load.name}' would share the name of their files",
-                remedy="name one of them otherwise",
-            )

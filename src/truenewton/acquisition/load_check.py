@@ -8,7 +8,6 @@ tells nothing, two tell whether something of about the right weight came on or o
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +22,6 @@ from truenewton.statics.load import Load
 CHANGE = (0.6, 1.5)
 SAME = 0.4  # of the smallest step between two loads: so little may the sum change under one load
 SURE = 5.0  # standard deviations of a sum, to which the smallest step must be large
-
-
-class LoadVerdict(NamedTuple):
-    """What the forces say of a load.
-
-    Attributes
-    ----------
-    on
-        Whether it is on; None where they cannot tell.
-    why
-        One line.
-    """
-
-    on: bool | None
-    why: str
 
 
 def sum_at_rest(layout: Layout, force: Array) -> float:
@@ -68,7 +52,7 @@ def judge(
     rest_sums: Mapping[str, float],
     total: float,
     error: float = 0.0,
-) -> LoadVerdict:
+) -> tuple[bool | None, str]:
     """Tell whether a load is on.
 
     Parameters
@@ -81,32 +65,32 @@ def judge(
         Sums at rest under the loads that were on before [N], by key, with this one's own if it was.
     total, error
         The sum now, and its standard deviation [N].
+
+    Returns
+    -------
+    on
+        Whether it is on; None where the forces cannot tell.
+    why
+        One line.
     """
     names = {each.key: each.name for each in loads}
     weights = {each.key: float(effective_weight(weight, each.added, each.tilt)) for each in loads}
     step = {key: other - weights[load.key] for key, other in weights.items()}
     smallest = min((abs(value) for value in step.values() if value), default=0.0)
     if smallest * SAME <= SURE * error:
-        return LoadVerdict(
-            None, f"the loads differ by {smallest:.3g} N, too little to tell them apart"
-        )
+        return None, f"the loads differ by {smallest:.3g} N, too little to tell them apart"
     compared = [key for key in rest_sums if key == load.key or step[key]]
     if not compared:
-        return LoadVerdict(None, "no other load to compare with yet: taken on trust")
+        return None, "no other load to compare with yet: taken on trust"
     for key in compared:
         change, name = total - rest_sums[key], names[key]
+        changed = f"the sum of the forces changed by {change:.4g} N"
         if key == load.key:
             if abs(change) > SAME * smallest:
-                return LoadVerdict(
-                    False,
-                    f"the sum of the forces changed by {change:.4g} N since '{name}' was on before",
-                )
+                return False, f"{changed} since '{name}' was on before"
         elif not CHANGE[0] <= change / step[key] <= CHANGE[1]:
             low, high = (100 * part for part in CHANGE)
-            return LoadVerdict(
-                False,
-                f"the sum of the forces changed by {change:.4g} N from '{name}', where"
-                f" {step[key]:.4g} N are due ({low:.0f} to {high:.0f} % of it)",
-            )
+            due = f"{step[key]:.4g} N are due ({low:.0f} to {high:.0f} % of it)"
+            return False, f"{changed} from '{name}', where {due}"
     beside = ", ".join(f"'{names[key]}'" for key in compared)
-    return LoadVerdict(True, f"the sum of the forces is {total:.4g} N, as due beside {beside}")
+    return True, f"the sum of the forces is {total:.4g} N, as due beside {beside}"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from truenewton.errors import OutputFailed
-from truenewton.files.outputs import in_one_line, new_folder
+from truenewton.files.outputs import in_one_line
 
 LOCK = ".lock"
 BEYOND = 1 << 20  # the byte that Windows locks: what it locks nobody else can read
@@ -27,8 +27,8 @@ def locked(folder: str | os.PathLike[str]) -> Iterator[Path]:
         It cannot be written, or another run is at it.
     """
     folder = Path(folder)
-    new_folder(folder)
     with in_one_line(folder):
+        folder.mkdir(exist_ok=True)
         handle = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
     try:
         try:

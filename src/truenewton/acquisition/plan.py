@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.resources
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -16,6 +17,7 @@ from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.known import Mirror
+from truenewton.records.file import cycle_name
 from truenewton.statics.load import Load, check_load
 
 POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "limits.displacement",
@@ -153,16 +155,7 @@ class CampaignPlan:
             raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
         if bench.kind not in KINDS:
             raise _wrong("bench.kind", bench.kind, f"choose {', '.join(KINDS)}")
-        for load in self.loads:
-            try:
-                check_load(load)
-            except FormatError as error:
-                raise FormatError(
-                    f"load '{load.name}': {error.fault}", remedy=error.remedy, got=error.got
-                ) from None
-        names = [load.key for load in self.loads]
-        if not names or len(set(names)) < len(names):
-            raise _wrong("loads", names, "give every load once, with a name of its own")
+        _check_loads(self.loads)
         for what, limit, planned in (
             ("stroke", limits.displacement, shapes.stroke),
             ("force", limits.force, shapes.force),
@@ -172,6 +165,25 @@ class CampaignPlan:
                     f"shapes.{what} is {planned:g}, beyond its limit of {limit:g}",
                     remedy="plan smaller shapes", got=planned, want=limit,
                 )  # fmt: skip
+
+
+def _check_loads(loads: Sequence[Load]) -> None:
+    """Refuse loads that cannot be, and those that could not be told apart by name or file."""
+    files: dict[str, Load] = {}
+    for load in loads:
+        try:
+            check_load(load)
+        except FormatError as error:
+            raise error.changed(fault=f"load '{load.name}': {error.fault}") from None
+        other = files.setdefault(cycle_name(load, 1), load)
+        if other.key != load.key:
+            raise FormatError(
+                f"the loads '{other.name}' and '{load.name}' would share the name of their files",
+                remedy="name one of them otherwise",
+            )
+    if not files or len(files) < len(loads):
+        names = [load.key for load in loads]
+        raise _wrong("loads", names, "give every load once, with a name of its own")
 
 
 def _wrong(name: str, got: Any, remedy: str) -> FormatError:
@@ -190,9 +202,8 @@ def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
 
 def template() -> str:
     """Return a commented plan (TOML), valid as it stands: P45 without and with the ring."""
-    return (importlib.resources.files("truenewton.acquisition") / "plan.toml").read_text(
-        encoding="utf-8"
-    )
+    file = importlib.resources.files("truenewton.acquisition") / "plan.toml"
+    return file.read_text(encoding="utf-8")
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:

@@ -7,18 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shapes import scaled_modes
-from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass
 from truenewton.records.file import stiffness_from
 from truenewton.statics.layout import Layout
-from truenewton.statics.modes import stiffness_modes
+from truenewton.statics.modes import scaled_modes, stiffness_modes
 
 
 def expected_alpha(mirror: Mirror) -> float:
@@ -28,7 +26,7 @@ def expected_alpha(mirror: Mirror) -> float:
 
 def shapes_and_forces(
     plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str] = "."
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, bool]:
     """Return the shapes of a plan, and the forces that the electronics may be expected to command.
 
     Disabled actuators take no part: their displacement and force are 0.
@@ -40,19 +38,21 @@ def shapes_and_forces(
     force
         (shapes, n) commanded forces, those of the loads aside [N]: by the measured matrix where
         that gives the shapes, else by the model over `expected_alpha`.
+    given
+        Whether a file gives the shapes as they stand, whatever stroke and force say.
 
     Raises
     ------
     UnreadableFile, FormatError
     """
-    on = mirror.layout.enabled
-    path = Path(folder) / plan.shapes.source
-    if plan.shapes.source == "modes":
-        true = model_stiffness(mirror)
-        modes = stiffness_modes(true).modes.T
-        return _spread(_scaled(modes, true, plan), true / expected_alpha(mirror), on)
-    file = read_fits(path)
-    if "STIFFNESS" in file.extensions:
+    on, path = mirror.layout.enabled, Path(folder) / plan.shapes.source
+    file = None if plan.shapes.source == "modes" else read_fits(path)
+    given = file is not None and "STIFFNESS" not in file.extensions
+    if file is None:
+        true = model_glass(mirror).stiffness
+        stiffness = true / expected_alpha(mirror)
+        chosen = _scaled(stiffness_modes(true).modes.T, true, plan)
+    elif not given:
         matrix = stiffness_from(file)
         if not matrix.layout.same_as(mirror.layout):
             raise FormatError(
@@ -60,18 +60,21 @@ def shapes_and_forces(
                 remedy="plan with the measured matrix of the same mirror",
                 path=path,
             )
-        measured = matrix.used_stiffness
-        modes = np.linalg.svd(measured)[2][::-1]
-        return _spread(_scaled(modes, measured, plan), measured, on)
-    shapes = file.pixels("SHAPES", "m")
-    if shapes.ndim != 2 or shapes.shape[1] != on.size or not len(shapes):
-        raise FormatError(
-            f"SHAPES is {shapes.shape}", remedy=f"give shapes x {on.size} actuators", path=path
-        )
-    chosen = shapes[: plan.shapes.count or None, on]
-    if not np.isfinite(chosen).all():
-        raise FormatError("SHAPES holds NaN or inf", remedy="correct it", path=path)
-    return _spread(chosen, model_stiffness(mirror) / expected_alpha(mirror), on)
+        stiffness = matrix.used_stiffness
+        chosen = _scaled(np.linalg.svd(stiffness)[2][::-1], stiffness, plan)
+    else:
+        image = file.pixels("SHAPES", "m")
+        if image.ndim != 2 or image.shape[1] != on.size or not len(image):
+            raise FormatError(
+                f"SHAPES is {image.shape}", remedy=f"give shapes x {on.size} actuators", path=path
+            )
+        chosen = image[: plan.shapes.count or None, on]
+        if not np.isfinite(chosen).all():
+            raise FormatError("SHAPES holds NaN or inf", remedy="correct it", path=path)
+        stiffness = model_glass(mirror).stiffness / expected_alpha(mirror)
+    shapes, force = np.zeros((2, len(chosen), on.size))
+    shapes[:, on], force[:, on] = chosen, chosen @ stiffness.T
+    return shapes, force, given
 
 
 def _scaled(modes: Array, stiffness: Array, plan: CampaignPlan) -> Array:
@@ -80,26 +83,8 @@ def _scaled(modes: Array, stiffness: Array, plan: CampaignPlan) -> Array:
     return scaled_modes(modes[: shapes.count or None], stiffness, shapes.stroke, shapes.force)
 
 
-def shapes_are_given(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> bool:
-    """Tell whether a file gives the shapes as they stand, whatever stroke and force say."""
-    source = plan.shapes.source
-    return source != "modes" and "STIFFNESS" not in read_fits(Path(folder) / source).extensions
-
-
-def model_stiffness(mirror: Mirror) -> Array:
-    """Return (m, m) true force per reading of the enabled actuators, along normals [N/m]."""
-    return held_glass(with_enabled_only(mirror)).stiffness
-
-
-def with_enabled_only(mirror: Mirror) -> Mirror:
-    """Return the mirror without its disabled actuators."""
+def model_glass(mirror: Mirror) -> HeldGlass:
+    """Return the glass that a plan reckons with, held by the enabled actuators alone."""
     layout, on = mirror.layout, mirror.layout.enabled
     enabled = Layout(layout.id[on], layout.x[on], layout.y[on], layout.nz[on], on[on])
-    return replace(mirror, layout=enabled)
-
-
-def _spread(shapes: Array, stiffness: Array, on: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Return shapes of the enabled actuators and their forces in the order of all."""
-    both = np.zeros((2, len(shapes), on.size))
-    both[:, :, on] = shapes, shapes @ stiffness.T
-    return both[0], both[1]
+    return held_glass(replace(mirror, layout=enabled))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import datetime
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from truenewton.cli.terminal import ProgressBar
 from truenewton.errors import BenchFault
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ def run(
 ) -> None:
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
     from truenewton.acquisition.acquire import acquire
-    from truenewton.acquisition.benches import chosen_bench, seal_truth
+    from truenewton.acquisition.benches import chosen_bench, simulated_bench
     from truenewton.acquisition.folder import is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
     from truenewton.bench.protocol import Operator
@@ -48,18 +48,21 @@ def run(
             if hasattr(bench, "close"):
                 bench.close()
     if simulated:
-        seal_truth(wanted, beside, output)
+        simulated_bench(wanted, beside).write_truth(output, overwrite=True)
     already = " already" if complete else ""
     loads, cycles = len(wanted.loads), wanted.cycles
     print(f"{output}: complete{already}, {loads} loads x {cycles} cycles")
 
 
-class Terminal(ProgressBar):
-    """The person at the terminal: looks on, and puts the loads on, or takes them for put on."""
+class Terminal:
+    """The person at the terminal: looks on, and puts the loads on, or takes them for put on.
+
+    One progress bar on standard error, where a person looks at it, and lines beside it.
+    """
 
     def __init__(self, yes: bool) -> None:
-        super().__init__()
         self._yes = yes
+        self._bar: Any = None
 
     def put_on(self, load: Load) -> None:
         """Ask for a load, and wait until Enter says that it is on.
@@ -86,15 +89,48 @@ class Terminal(ProgressBar):
             input(f"{what[0].upper()}{what[1:]}, then press Enter: ")
 
     def progress(self, now: Progress) -> None:
-        """Draw the bar."""
-        shape = now.shape
-        sign = "+" if shape.sign > 0 else "-"
-        self.show(
-            now.done,
-            now.total,
-            f"{shape.load.name} cycle {shape.cycle}/{now.cycles}"
+        """Draw the bar: what is done, figures, and the time that is left."""
+        if not sys.stderr.isatty():
+            return
+        shape, sign = now.shape, "+" if now.shape.sign > 0 else "-"
+        invalid = f", {now.invalid} not valid" if now.invalid else ""
+        shown = {
+            "completed": now.done,
+            "total": now.total,
+            "description": f"{shape.load.name} cycle {shape.cycle}/{now.cycles}"
             f" shape {shape.number}/{now.shapes} {sign}",
-            f"{now.largest_force:.3f} N, gap {1e6 * now.smallest_gap:.1f} um"
-            + (f", {now.invalid} not valid" if now.invalid else ""),
-            now.seconds_left,
-        )
+            "figures": f"{now.largest_force:.3f} N, gap {1e6 * now.smallest_gap:.1f} um{invalid}",
+            "left": datetime.timedelta(seconds=round(now.seconds_left)),
+        }
+        if self._bar is None:
+            self._bar = _bar()
+            self._bar.add_task(**shown)
+            self._bar.start()
+        self._bar.update(0, **shown)
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        if self._bar is None:
+            print(line, flush=True)
+        else:
+            self._bar.console.print(line, markup=False, highlight=False)
+
+    def stop(self) -> None:
+        """Take the bar away, as before a question; it comes back when it is drawn again."""
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+
+def _bar() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    return Progress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=20),
+        TextColumn("{task.fields[figures]}", markup=False),
+        TextColumn("{task.fields[left]} left", markup=False),
+        console=Console(stderr=True),
+        transient=True,
+    )

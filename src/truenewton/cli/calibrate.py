@@ -16,10 +16,8 @@ def run(
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Calibration file to write (FITS)."
     ),
-    method: str = typer.Option("ml", help="ml, maximum likelihood; svd, the paper's."),
-    population: bool = typer.Option(
-        False, "--population", help="Take alpha for samples of one normal population (ml)."
-    ),
+    method: str = options.METHOD,
+    population: bool = options.POPULATION,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
 ) -> None:
@@ -36,8 +34,7 @@ def run(
     from truenewton.reading import read_data
     from truenewton.records.stiffness_matrix import StiffnessMatrix
 
-    if output is not None:
-        refuse_existing(output, overwrite=overwrite)
+    refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     calibration = calibrate(data, method, population=population)
     if output is not None:

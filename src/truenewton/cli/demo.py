@@ -23,7 +23,7 @@ def run(
     from truenewton.calibration.figures import write_figures
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.words import summary_lines
-    from truenewton.files.outputs import new_folder, refuse_existing
+    from truenewton.files.outputs import in_one_line, refuse_existing
     from truenewton.mirrors.known import p45
     from truenewton.reading import read_data
     from truenewton.records.file import write_campaign
@@ -33,7 +33,8 @@ def run(
     from truenewton.studies.words import truth_lines
 
     refuse_existing(output, overwrite=overwrite)
-    new_folder(output)
+    with in_one_line(output):
+        output.mkdir(exist_ok=True)
     campaign = output / "p45"
     bench = static_bench(p45(), seed)
     print("1. A campaign: P45 without and with the ring, 4 cycles of 90 shapes each (simulated)")

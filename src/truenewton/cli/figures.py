@@ -31,5 +31,4 @@ def run(
             raise RankDeficient(fault, remedy=remedy)
         more = still_figures(findings)
         written = write_figures(findings.calibration, output, more=more, overwrite=overwrite)
-    for path in written:
-        print(path)
+    print(*written, sep="\n")

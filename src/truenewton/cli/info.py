@@ -12,7 +12,7 @@ def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
     from truenewton.calibration.result import Calibration
     from truenewton.calibration.survey import survey
     from truenewton.calibration.words import summary_lines, summary_values
-    from truenewton.cli.terminal import print_json
+    from truenewton.cli.terminal import print_result
     from truenewton.reading import read
 
     data = read(*paths)
@@ -22,7 +22,4 @@ def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
         lines = [headline, *summary_lines(data)]
     else:
         values, lines = survey(data)
-    if json:
-        print_json(values)
-    else:
-        print(*lines, sep="\n")
+    print_result(lines, values=values if json else None)

@@ -25,7 +25,7 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """List the known mirrors with the sources of their numbers, or draw one."""
-    from truenewton.cli.terminal import print_json, print_table
+    from truenewton.cli.terminal import print_result, table_lines
     from truenewton.figures.maps import plot_layout
     from truenewton.figures.writing import write_figure
     from truenewton.mirrors.file import mirror_from
@@ -35,25 +35,21 @@ def run(
         if plot or output:
             raise typer.BadParameter("name a mirror to draw")
         every = [make() for make in KNOWN.values()]
-        if json:
-            print_json({"mirrors": [_numbers(one) for one in every]})
-            return
         head = ("name", "actuators", "glass, mm", "thick, mm", "curvature, m", "weight, N")
         rows = [_row(one) for one in (*every, ring(MOST_ACTUATORS))]
-        print_table("The known mirrors, and the last of the family ring4, ring5, ...:", head, rows)
-        print("`truenewton mirrors NAME` tells where the numbers come from.")
+        title = "The known mirrors, and the last of the family ring4, ring5, ...:"
+        more = "`truenewton mirrors NAME` tells where the numbers come from."
+        values = {"mirrors": [_numbers(one) for one in every]}
+        print_result([*table_lines(title, head, *rows), more], values=values if json else None)
         return
     known = mirror_from(mirror)
-    if json:
-        print_json(_numbers(known))
-    else:
-        for name, value in _numbers(known).items():
-            print(f"  {name:<22}{value}")
-        source = KNOWN.get(mirror.lower(), ring if mirror.lower().startswith("ring") else None)
-        if source:
-            print()
-            for line in (inspect.getdoc(source) or "").split("Parameters\n")[0].split("\n")[2:]:
-                print(f"  {line}".rstrip())
+    numbers = _numbers(known)
+    lines = [f"  {name:<22}{value}" for name, value in numbers.items()]
+    source = KNOWN.get(mirror.lower(), ring if mirror.lower().startswith("ring") else None)
+    if source:
+        text = (inspect.getdoc(source) or "").split("Parameters\n")[0]
+        lines += ["", *(f"  {line}".rstrip() for line in text.split("\n")[2:])]
+    print_result(lines, values=numbers if json else None)
     if plot:
         path = output or Path(f"{known.name.lower()}.png")
         write_figure(plot_layout(known.layout), path, overwrite=overwrite)

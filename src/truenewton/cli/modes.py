@@ -60,8 +60,7 @@ def run(
     if output is not None and not output.name.endswith(SUFFIXES):
         raise typer.BadParameter("let -o end in .fits")
     atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
-    for target in (*(modes_paths(output) if output else ()), *((figures,) if figures else ())):
-        refuse_existing(target, overwrite=overwrite)
+    refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     floating = options.ids(off, "--off") if off else ()
     following = options.ids(slaved, "--slaved") if slaved else ()
     more: list[Path] = []
@@ -81,4 +80,4 @@ def run(
         if figures is not None:
             more += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
     as_values = values(modes, limits) if json else None
-    print_result(lines(modes, limits), output, more, values=as_values)
+    print_result(lines(modes, limits), output, *more, values=as_values)

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import typer
 
+METHOD = typer.Option("ml", help="ml, maximum likelihood; svd, the paper's.")
+POPULATION = typer.Option(
+    False, "--population", help="Take alpha for samples of one normal population (ml)."
+)
 JSON = typer.Option(False, "--json", help="Print figures as JSON, for scripts.")
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")
 PATHS = typer.Argument(

@@ -36,7 +36,7 @@ def run(
         return
     if output is not None:
         raise typer.BadParameter("-o goes with --new; --plot FILE writes the figure")
-    from truenewton.cli.terminal import print_json
+    from truenewton.cli.terminal import print_result
     from truenewton.figures.writing import write_figure
     from truenewton.files.outputs import refuse_existing
     from truenewton.planning.figures import plot_outlook
@@ -44,20 +44,15 @@ def run(
     from truenewton.planning.target import ways_to
     from truenewton.planning.words import lines, values, way_lines
 
-    if plot is not None:
-        refuse_existing(plot, overwrite=overwrite)
+    refuse_existing(plot, overwrite=overwrite)
     outlook = read_outlook(path)
     missed = target is not None and outlook.prediction.typical > target
     ways = ways_to(outlook.ready, target) if target is not None and missed else ()
     if plot is not None:
         write_figure(plot_outlook(outlook, target), plot, overwrite=overwrite)
-    if json:
-        print_json(values(outlook, target, ways))
-        return
-    for line in (*lines(outlook), *way_lines(target, ways)):
-        print(line)
-    if plot is not None:
-        print(f"written: {plot}")
+    said = (*lines(outlook), *way_lines(target, ways))
+    drawn = () if plot is None else (plot,)
+    print_result(said, *drawn, values=values(outlook, target, ways) if json else None)
 
 
 def _new(output: Path | None, overwrite: bool) -> None:

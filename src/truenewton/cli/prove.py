@@ -20,23 +20,20 @@ def run(
 
     Exit code 1 if a system has not full rank or errs by more than 20 eps cond.
     """
-    from truenewton.cli.terminal import print_json, print_table, track
+    from truenewton.cli.terminal import print_result, table_lines, track
     from truenewton.mirrors.file import mirror_from
     from truenewton.mirrors.known import p45
     from truenewton.records.file import SUFFIXES, read_layout
     from truenewton.studies.proof import prove
-    from truenewton.studies.words import PROOF_HEAD, proof_rows, proof_values, proof_verdict
+    from truenewton.studies.words import proof_rows, proof_values, proof_verdict
 
     if mirror.endswith(SUFFIXES) and Path(mirror).exists():  # P45's numbers on another layout
         known = dataclasses.replace(p45(), name=Path(mirror).name, layout=read_layout(mirror))
     else:
         known = mirror_from(mirror)
     proofs = [p for s in track(range(seed, seed + seeds), "proving") for p in prove(known, s)]
-    if json:
-        print_json(proof_values(known.name, proofs))
-    else:
-        title = f"{known.name}: C alpha = p and E alpha' = r, solved by SVD"
-        print_table(title, PROOF_HEAD, proof_rows(proofs))
-        print(proof_verdict(proofs))
+    title = f"{known.name}: C alpha = p and E alpha' = r, solved by SVD"
+    lines = [*table_lines(title, *proof_rows(proofs)), proof_verdict(proofs)]
+    print_result(lines, values=proof_values(known.name, proofs) if json else None)
     if not all(one.passed for one in proofs):
         raise typer.Exit(1)

@@ -32,8 +32,7 @@ def run(
 
     auto = actuators.strip().casefold() == "auto"
     ids = [] if auto else options.ids(actuators, "--actuators")
-    if output is not None:
-        refuse_existing(output, overwrite=overwrite)
+    refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     if not isinstance(data, Campaign):
         raise FormatError("holds no cycles", remedy="give the run after the change", path=paths[0])

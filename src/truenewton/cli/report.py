@@ -17,10 +17,8 @@ def run(
         help="Cycle files or their folder, a stiffness file, a calibration, or two to compare.",
     ),
     output: Path = typer.Option(..., "-o", "--output", help="Page to write (HTML)."),
-    method: str = typer.Option("ml", help="ml, maximum likelihood; svd, the paper's."),
-    population: bool = typer.Option(
-        False, "--population", help="Take alpha for samples of one normal population (ml)."
-    ),
+    method: str = options.METHOD,
+    population: bool = options.POPULATION,
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""

@@ -24,8 +24,7 @@ def run(
 ) -> None:
     """Simulate a campaign with and without the ring: OUTPUT, and its truth in OUTPUT.truth.fits."""
     from truenewton.bench.simulated.bench import FIDELITIES
-    from truenewton.bench.simulated.loop_campaign import run_loop_cycles
-    from truenewton.bench.simulated.static import run_cycles, static_bench
+    from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.cli.terminal import track
     from truenewton.files.outputs import refuse_existing
@@ -33,8 +32,7 @@ def run(
     from truenewton.records.cycle import Cycle
     from truenewton.records.file import write_campaign
 
-    refuse_existing(output, overwrite=overwrite)
-    refuse_existing(truth_path(output), overwrite=overwrite)
+    refuse_existing(output, truth_path(output), overwrite=overwrite)
     if fidelity not in FIDELITIES:
         raise typer.BadParameter(f"there is no fidelity '{fidelity}': static or loop")
     bench = static_bench(mirror_from(mirror), seed, force_noise=noise, temperature=temperature)
@@ -42,7 +40,7 @@ def run(
 
     def cycles_then_truth() -> Iterator[Cycle]:
         """Write the truth when all cycles are, before their folder takes its name."""
-        made = (run_loop_cycles if fidelity == "loop" else run_cycles)(bench, cycles)
+        made = run_cycles(bench, cycles, loop_of(bench) if fidelity == "loop" else None)
         yield from (next(made) for _ in track(range(total), "simulating"))
         write_truth(bench.truth, truth_path(output), overwrite=overwrite)
 

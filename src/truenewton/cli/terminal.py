@@ -1,4 +1,4 @@
-"""How results look in a terminal: plain tables, JSON, progress."""
+"""How results look in a terminal: plain tables, JSON, that something takes its time."""
 
 from __future__ import annotations
 
@@ -11,11 +11,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 Item = TypeVar("Item")
-
-
-def print_json(values: Mapping[str, Any]) -> None:
-    """Print values as JSON; what is not finite becomes null, which JSON can hold."""
-    print(json.dumps(_plain(values), indent=2))
 
 
 def _plain(value: Any) -> Any:
@@ -31,35 +26,30 @@ def _plain(value: Any) -> Any:
 
 
 def print_result(
-    lines: Iterable[str],
-    output: Path | None,
-    more: Iterable[Path] = (),
-    *,
-    values: Mapping[str, Any] | None = None,
+    lines: Iterable[str], *written: Path | None, values: Mapping[str, Any] | None = None
 ) -> None:
-    """Print lines and the files that hold them, or how to have the first; or values instead."""
+    """Print lines and the files written, None for one that was not; or values as JSON instead.
+
+    Of the values what is not finite becomes null, which JSON can hold.
+    """
     if values is not None:
-        print_json(values)
+        print(json.dumps(_plain(values), indent=2))
         return
     for line in lines:
         print(line)
-    for path in (*([output] if output else []), *more):
+    for path in filter(None, written):
         print(f"written: {path}")
-    if output is None:
+    if None in written:
         print("not written; -o FILE keeps it")
 
 
-def print_table(title: str, head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print a table whose first column is text and whose others stand to the right."""
-    table = [tuple(head), *map(tuple, rows)]
-    widths = [max(len(row[k]) for row in table) for k in range(len(head))]
-    print(title)
-    for row in table:
-        cells = [
-            cell.ljust(width) if k == 0 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ]
-        print("  " + "  ".join(cells).rstrip())
+def table_lines(title: str, *table: Sequence[str]) -> Iterator[str]:
+    """Yield a title and the rows of a table; its first column is text, the others stand right."""
+    yield title
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for first, *others in table:
+        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        yield "  " + "  ".join([first.ljust(widths[0]), *cells]).rstrip()
 
 
 def track(items: Sequence[Item], what: str) -> Iterator[Item]:
@@ -83,55 +73,3 @@ def busy(what: str) -> Iterator[None]:
 
     with Console(stderr=True).status(what):
         yield
-
-
-class ProgressBar:
-    """One progress bar on standard error, where a person looks at it, and lines beside it."""
-
-    def __init__(self) -> None:
-        self._bar: Any = None
-
-    def show(self, done: int, total: int, what: str, figures: str, seconds_left: float) -> None:
-        """Draw the bar: what is done, figures, and the time that is left."""
-        if not sys.stderr.isatty():
-            return
-        shown = {"completed": done, "total": total, "description": what, "figures": figures,
-                 "left": clock_time(seconds_left)}  # fmt: skip
-        if self._bar is None:
-            self._bar = _bar()
-            self._bar.add_task(**shown)
-            self._bar.start()
-        self._bar.update(0, **shown)
-
-    def say(self, line: str) -> None:
-        """Print a line above the bar."""
-        if self._bar is None:
-            print(line, flush=True)
-        else:
-            self._bar.console.print(line, markup=False, highlight=False)
-
-    def stop(self) -> None:
-        """Take the bar away, as before a question; it comes back when it is drawn again."""
-        if self._bar is not None:
-            self._bar.stop()
-            self._bar = None
-
-
-def _bar() -> Any:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    return Progress(
-        TextColumn("{task.description}", markup=False),
-        BarColumn(bar_width=20),
-        TextColumn("{task.fields[figures]}", markup=False),
-        TextColumn("{task.fields[left]} left", markup=False),
-        console=Console(stderr=True),
-        transient=True,
-    )
-
-
-def clock_time(seconds: float) -> str:
-    """Return a time as h:mm:ss."""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"

@@ -33,9 +33,7 @@ def run(
 
     if accuracy is not None and not accuracy > 0:
         raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
-    for target in (output, figures):
-        if target is not None:
-            refuse_existing(target, overwrite=overwrite)
+    refuse_existing(output, figures, overwrite=overwrite)
     tracking = track(*paths)
     validity = None if accuracy is None else validity_of(tracking, accuracy)
     drawn: list[Path] = []
@@ -44,4 +42,4 @@ def run(
     if figures is not None:
         drawn = write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
     as_values = values(tracking, validity) if json else None
-    print_result(lines(tracking, validity), output, drawn, values=as_values)
+    print_result(lines(tracking, validity), output, *drawn, values=as_values)

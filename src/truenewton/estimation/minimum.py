@@ -27,6 +27,9 @@ class DataSet:
     excess
         All of the variance of a reading in terms of ``variance``: more than 1 where the mirror's
         own motion, which balances, makes part of the noise.
+    disturbance
+        (3, 3) covariance of what disturbs the balance of one row of weight 1 besides, as an unknown
+        force at an actuator does; or 0.
     """
 
     sums: ShapeSums
@@ -34,6 +37,7 @@ class DataSet:
     load: Array
     nuisance: Array
     excess: float = 1.0
+    disturbance: Array | float = 0.0
 
     def external(self, psi: Array) -> Array:
         """Return (L, 3) k of every load."""

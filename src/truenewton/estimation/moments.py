@@ -152,10 +152,37 @@ class Moments:
         return np.asarray(self.labels[:, :1] == np.arange(len(self.loads)), dtype=np.float64)
 
     @cached_property
+    def sizes(self) -> tuple[Array, Array]:
+        """(L,) size of the shapes under each load, as POSITION has it, and its variance.
+
+        In terms of the first load; 1 where it is that within four standard errors.
+        """
+        size, variance = np.ones((2, len(self.loads)))
+        variance[0] = 0.0
+        z, signed = self.displacement, self.labels[:, 1] * self.labels[:, 2]
+        for load_index in range(1, len(self.loads)):
+            both = np.intersect1d(signed[self.labels[:, 0] == 0],
+                                  signed[self.labels[:, 0] == load_index])  # fmt: skip
+            if z is None or both.size < 2:
+                continue
+            first, other = (
+                z[(self.labels[:, 0] == k) & np.isin(signed, both)] for k in (0, load_index)
+            )
+            first, other = first - first.mean(axis=0), other - other.mean(axis=0)
+            square = float(np.sum(first**2))
+            if square == 0.0:
+                continue
+            ratio = float(np.sum(first * other)) / square
+            variance[load_index] = np.mean((other - ratio * first) ** 2) / square
+            if abs(ratio - 1.0) > 4 * np.sqrt(variance[load_index]):
+                size[load_index] = ratio
+        return size, variance
+
+    @cached_property
     def pooling(self) -> Pooling:
         """Which rows carry what groups share."""
         if self.pooled:
-            return over_loads_and_signs(self.labels, self.weight)
+            return over_loads_and_signs(self.labels, self.weight, self.sizes[0])
         return each_by_itself(self.weight)
 
 

@@ -4,6 +4,10 @@ They are those whose squared Mahalanobis distance r rho' S^-1 rho (three degrees
 larger than chance allows, from a start on the three quarters of the shapes that fit best, which
 outliers in a tenth of them cannot drag; the very first of them agree with their opposites. The
 threshold lets a sound campaign lose a shape once in a hundred campaigns.
+
+They are accidents only if few go and the others balance without them. Where the rest does not, the
+model falls short, and soft shapes, of small forces, would go for it (docs/effects.md): then only
+those go that stand out of what the others are out of balance by.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.repeats import row_groups
-from truenewton.estimation.sifted import refuse_too_many
+from truenewton.estimation.sifted import FAR_OUT, refuse_too_many
 from truenewton.estimation.structure import FITS
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
@@ -53,11 +57,14 @@ def balancing_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.boo
         belongs, distance, fitted = _within(limit, problem, moments)
         if belongs.all() or _accidents(belongs, moments, fitted):
             return belongs, distance, fitted
-    except TooManyOutliers:
-        distance = _fitted(problem, moments, moments)[1]
-    usual = max(1 / 3, *(float(np.quantile(distance, part)) / scipy.stats.chi2.ppf(part, 3)
-                         for part in (0.5, 0.75)))  # fmt: skip
-    return _within(3.0 * usual * limit, problem, moments)
+    except (RankDeficient, NotConverged, TooManyOutliers):
+        fitted, distance = _fitted(problem, moments, moments)
+    usual = (np.quantile(distance, [0.5, 0.75]) / scipy.stats.chi2.ppf([0.5, 0.75], 3)).max()
+    try:
+        return _within(FAR_OUT * max(float(usual), 1 / 3) * limit, problem, moments)
+    except (RankDeficient, NotConverged, TooManyOutliers):
+        fitted, distance = _fitted(problem, moments, moments)
+        return np.ones(len(moments.rows), dtype=bool), distance, fitted
 
 
 def _accidents(belongs: NDArray[np.bool_], moments: Moments, fitted: Fitted) -> bool:

@@ -3,9 +3,10 @@
 A true shape costs the same elastic forces under every load, and the opposite ones with the opposite
 sign. So the (g, n) means c of groups (`moments`), of weights r, are linear in a few rows,
 
-    c = X b,    X: a column for each load and sign (statics), one for each SHAPE times its SIGN,
+    c = X b,    X: a column for each load and sign (statics), one for each SHAPE times its SIGN
 
-and with U spanning X, U' diag(r) U = 1, all that the balance hears of c is the R rows y = U' r c,
+(and times the size of the displacements under that load, where POSITION tells another than 1), and
+with U spanning X, U' diag(r) U = 1, all that the balance hears of c is the R rows y = U' r c,
 each with the noise of one reading. What is left, c - U y, is noise alone if shapes do repeat over
 loads and signs: that is tested, and where it does not hold every group stands for itself, R = g.
 """
@@ -65,28 +66,30 @@ def each_by_itself(weight: Array) -> Pooling:
     return Pooling(scipy.sparse.csr_array(values, shape=(weight.size, counted.size)), weight)
 
 
-def over_loads_and_signs(labels: NDArray[np.int64], weight: Array) -> Pooling:
+def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) -> Pooling:
     """Return the rows of groups whose shapes repeat over loads and signs.
 
     Parameters
     ----------
     labels, weight
         (g, 3) index of the load, SHAPE, SIGN; (g,) r, 0 of groups that do not count.
+    size
+        (L,) of shapes under each load, 1 under the first.
     """
     g, on = len(labels), np.flatnonzero(weight)
     _, shape = np.unique(labels[on, 1], return_inverse=True)
     _, statics = np.unique(labels[on][:, [0, 2]], axis=0, return_inverse=True)
-    sign = labels[on, 2].astype(np.float64)
+    sign = labels[on, 2] * size[labels[on, 0]]
     r = weight[on]
     of_shape = scipy.sparse.csr_array((sign, (on, shape.ravel())), shape=(g, shape.max() + 1))
     of_statics = np.zeros((g, statics.max() + 1))
     of_statics[on, statics.ravel()] = 1.0
     # Of the statics what shapes do not tell already; both orthonormal in r.
-    size = np.bincount(shape.ravel(), weights=r)
-    told = of_shape.T @ (weight[:, None] * of_statics) / size[:, None]
+    total = np.bincount(shape.ravel(), weights=r * sign**2)
+    told = of_shape.T @ (weight[:, None] * of_statics) / total[:, None]
     apart = of_statics - of_shape @ told
     values, vectors = np.linalg.eigh(apart.T @ (weight[:, None] * apart))
     counted = values > SMALLEST * r.sum()
     rest = apart @ (vectors[:, counted] / np.sqrt(values[counted]))
-    parts = [of_shape / np.sqrt(size), scipy.sparse.csr_array(rest)]
+    parts = [of_shape / np.sqrt(total), scipy.sparse.csr_array(rest)]
     return Pooling(scipy.sparse.hstack(parts, format="csr"), weight)

@@ -58,6 +58,8 @@ class Problem:
         Shapes from a stiffness matrix.
     moved
         (3, n) how far the arms are from those of the layout; 0 unless positions were corrected.
+    disturbance
+        (3, 3) of `minimum.DataSet`.
     """
 
     campaign: Campaign
@@ -66,6 +68,7 @@ class Problem:
     prior: Prior
     elastic: tuple[DataSet, ...] = ()
     moved: Array | float = 0.0
+    disturbance: Array | float = 0.0
 
     @cached_property
     def a(self) -> Array:
@@ -90,7 +93,8 @@ class Problem:
     def data(self, moments: Moments) -> list[DataSet]:
         """Return the shapes of each load, with its weight and unknowns, and the elastic ones."""
         of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
-        return [replace(of_loads, excess=1.0 / self.noise.share), *self.elastic]
+        excess, disturbance = 1.0 / self.noise.share, self.disturbance
+        return [replace(of_loads, excess=excess, disturbance=disturbance), *self.elastic]
 
     def fitted(self, moments: Moments, start: Array | None = None) -> Minimum:
         """Return the likeliest values, from a (u,) start where there is a better one than usual."""
@@ -104,7 +108,7 @@ class Problem:
         of_loads = load_data(self.campaign, moments, self.noise.in_balance, self.errors)
         k = of_loads.external(values[self.n :])
         rho = (scaled_arms @ moments.mean.T).T + moments.known + k[moments.labels[:, 0]]
-        return rho, imbalance_covariance(scaled_arms, self.noise.in_balance)
+        return rho, imbalance_covariance(scaled_arms, self.noise.in_balance) + self.disturbance
 
     def distances(self, values: Array, moments: Moments) -> Array:
         """Return (g,) squared Mahalanobis distances of the groups."""

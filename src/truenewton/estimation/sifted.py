@@ -30,7 +30,7 @@ from truenewton.records.campaign import Campaign
 MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
 MOST = 0.3  # of the rows; beyond this the campaign is refused
 LONG_TAILS = 1.15  # of scatter over what the median says: beyond, rows are no accidents
-FAR_OUT = 3.0  # times the usual limit, in terms of all of the scatter, where tails are long
+FAR_OUT = 3.0  # times the usual limit, where rows are the tail of what happened to all
 QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 
 
@@ -72,23 +72,25 @@ def sift(campaign: Campaign) -> Sifted:
     TooManyOutliers
         A cycle would lose all its rows.
     """
-    sums = RepeatSums(campaign)
-    tails = _tails(sums)
-    sums, sound, rejected = _left_out(sums, campaign, 1.0)
-    if rejected and _tails(sums) > LONG_TAILS:
-        del sums
-        sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, FAR_OUT * tails)
+    try:
+        sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=True)
+        few = len(rejected) <= MOST * (len(rejected) + sums.moments.rows.sum())
+        accidents = not rejected or (few and _tails(sums) <= LONG_TAILS)
+    except TooManyOutliers:  # of one cycle: it differs as a whole
+        accidents = False
+    if not accidents:
+        sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
     noise = reading_noise(sound, sums.moments)
     moments, structure = pooled_where_it_fits(sums.moments, noise, sums.samples)
     return Sifted(campaign, sound, tuple(rejected), moments, tuple(sums.samples), structure)
 
 
 def _left_out(
-    sums: RepeatSums, campaign: Campaign, wider: float
+    sums: RepeatSums, campaign: Campaign, *, accidents: bool
 ) -> tuple[RepeatSums, Campaign, list[RejectedRow]]:
-    """Leave out rows that lie further from their repeats than so many times the usual limit."""
+    """Leave out rows that lie far from their repeats, as accidents do or out of long tails."""
     rejected = list[RejectedRow]()
-    while worst := _leave_out_worst(sums, wider):
+    while worst := _leave_out_worst(sums, accidents=accidents):
         rejected += worst
         campaign = without(campaign, worst)
         if sums.stale:
@@ -139,16 +141,17 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
     return Campaign(tuple(cycles))
 
 
-def _leave_out_worst(sums: RepeatSums, wider: float) -> list[RejectedRow]:
+def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
     """Leave out the worst row of each group that has one too far out; both rows of a pair."""
     moments, rejected = sums.moments, list[RejectedRow]()
     if moments.repeats < 2:
         return rejected
     noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(sums.samples)
     # The median is less sure than the scatter: it counts where spikes have swollen that.
-    noise = np.where(noise > 1.5 * robust, robust, noise)
+    noise = np.where(accidents & (noise > 1.5 * robust), robust, noise)
     tests = moments.rows.sum() * len(noise)
-    limit = wider * scipy.stats.t.isf(FALSE_ALARM / 2 / tests, moments.repeats - 1)
+    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / tests, moments.repeats - 1)
+    limit *= 1.0 if accidents else FAR_OUT
     suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
     if suspicious.size:  # noise of rounding
         noise = np.maximum(noise, 1e-12 * max(moments.mean.max(), -moments.mean.min()))

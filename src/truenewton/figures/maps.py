@@ -35,6 +35,12 @@ def ring_label(layout: Layout) -> str:
     return "actuator, ring by ring from the centre" if ring_edges(layout).size else "actuator"
 
 
+def ring_radii(layout: Layout) -> list[float]:
+    """Return the mean radius of each ring [mm]; none where actuators stand on no rings."""
+    radius, ring = np.hypot(layout.x, layout.y) / MILLIMETRE, ring_of(layout)
+    return [float(radius[ring == k].mean()) for k in range(ring.max() + 1) if ring.any()]
+
+
 def mark_rings(ax: Axes, layout: Layout) -> None:
     """Name an axis of actuators ring by ring, and draw lines between the rings."""
     for edge in ring_edges(layout):
@@ -112,13 +118,10 @@ def plot_map(
 
 def _frame(layout: Layout, ax: Axes) -> None:
     """Draw rings and axes, in millimetres, seen along -z."""
-    radius = np.hypot(layout.x, layout.y) / MILLIMETRE
-    ring = ring_of(layout)
-    if ring.max() > 0:
-        for k in range(ring.max() + 1):
-            r = radius[ring == k].mean()
-            ax.add_patch(Circle((0, 0), r, fill=False, color=FAINT, linewidth=0.4, zorder=0))
-    reach = 1.08 * (radius.max() + dot_radius(layout))
+    for radius in ring_radii(layout):
+        ax.add_patch(Circle((0, 0), radius, fill=False, color=FAINT, linewidth=0.4, zorder=0))
+    farthest = np.hypot(layout.x, layout.y).max() / MILLIMETRE
+    reach = 1.08 * (farthest + dot_radius(layout))
     arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
     for name, (x, y), ha, va in (("$x$", (reach, 0.0), "right", "bottom"),
                                  ("$y$", (0.0, reach), "left", "top")):  # fmt: skip
@@ -128,7 +131,7 @@ def _frame(layout: Layout, ax: Axes) -> None:
     ax.set_ylim(-reach, reach)
     ax.set_aspect("equal")
     ax.set_axis_off()
-    bar = _round_length(radius.max() / 2)
+    bar = _round_length(farthest / 2)
     ax.plot([reach - bar, reach], [-0.97 * reach] * 2, color=INK, linewidth=1.0,
             solid_capstyle="butt")  # fmt: skip
     ax.text(reach - bar / 2, -0.95 * reach, f"{bar:g} mm", ha="center", va="bottom", fontsize=6.5)

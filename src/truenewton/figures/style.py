@@ -28,6 +28,7 @@ STYLE: Any = {
     "legend.frameon": False,
     "axes.titlesize": 6.5,
     "axes.titlelocation": "right",
+    "axes.titley": 1.0,  # nothing stands above the axes that it would have to shun
     "axes.titlecolor": INK,
     "axes.linewidth": 0.6,
     "lines.linewidth": 0.8,

@@ -14,6 +14,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.collections import Collection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -27,6 +28,7 @@ NEEDLESS = re.compile(r"(?<=\.\d\d)\d+")  # decimals, of points of 1/72 inch
 # Identifiers of an SVG are random without a salt of one's own.
 SVG_STYLE: Any = {"svg.hashsalt": "truenewton"}
 PAGE_STYLE: Any = {**SVG_STYLE, "svg.fonttype": "none", "font.sans-serif": ["DejaVu Sans"]}
+SVG_DPI = 72  # an SVG measures in points
 PAGE_DPI = 150  # of what is a picture within a figure of a page
 CROWD = 600  # marks; beyond so many, a picture of them is shorter than a list
 POINTS_A_MARK = 8  # of a line, which take as long to write as a mark
@@ -83,6 +85,11 @@ def inline_svg(ax: Axes, key: str) -> str:
             artist.set_rasterized(True)
     file, nothing = io.BytesIO(), dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with mpl.rc_context(PAGE_STYLE):
+        FigureCanvasSVG(figure)
+        if layout := figure.get_layout_engine():  # savefig would draw all once more for it
+            figure.dpi = SVG_DPI
+            layout.execute(figure)
+            figure.set_layout_engine(None)
         figure.savefig(file, format="svg", dpi=PAGE_DPI, metadata=nothing)
     root = ElementTree.fromstring(file.getvalue())
     for element in root.iter():

@@ -99,12 +99,10 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
 def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
     """Refuse a file of which astropy only warns that its length is wrong."""
     warned = " ".join(str(warning.message) for warning in caught)
-    if "truncated" in warned:
-        raise UnreadableFile("is truncated", remedy="fetch it again", path=path)
-    if "corrupted" in warned:
-        raise UnreadableFile(
-            "is damaged, or bytes follow its end", remedy="fetch it again", path=path
-        )
+    faults = {"truncated": "is truncated", "corrupted": "is damaged, or bytes follow its end"}
+    for word, fault in faults.items():
+        if word in warned:
+            raise UnreadableFile(fault, remedy="fetch it again", path=path)
 
 
 def _extensions(

@@ -13,14 +13,15 @@ from pathlib import Path
 from truenewton.errors import OutputExists, OutputFailed, TrueNewtonError
 
 
-def refuse_existing(target: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Raise OutputExists where the target stands and may not be overwritten."""
-    if not overwrite and os.path.lexists(target):
-        raise OutputExists(
-            "exists already",
-            remedy="choose another name, or overwrite it (--overwrite, overwrite=True)",
-            path=target,
-        )
+def refuse_existing(*targets: str | os.PathLike[str] | None, overwrite: bool = False) -> None:
+    """Raise OutputExists where a target stands and may not be overwritten; None is no target."""
+    for target in targets:
+        if target is not None and not overwrite and os.path.lexists(target):
+            raise OutputExists(
+                "exists already",
+                remedy="choose another name, or overwrite it (--overwrite, overwrite=True)",
+                path=target,
+            )
 
 
 @contextlib.contextmanager
@@ -72,7 +73,7 @@ def files_together(targets: Sequence[Path], *, overwrite: bool = False) -> Itera
             try:
                 yield work
             except OutputFailed as error:  # it names a file that nobody will find
-                raise OutputFailed(error.fault, remedy=error.remedy, path=first) from error
+                raise error.changed(path=first) from error
             for target in reversed(targets):
                 (work / target.name).replace(target)
         finally:
@@ -113,7 +114,7 @@ def folder_beside(
             try:
                 yield new
             except OutputFailed as error:  # it names a file that nobody will find
-                raise OutputFailed(error.fault, remedy=error.remedy, path=target) from error
+                raise error.changed(path=target) from error
             if target.exists():
                 target.rename(work / "old")
             new.rename(target)
@@ -160,15 +161,3 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
-
-
-def new_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder, or leave the one that stands.
-
-    Raises
-    ------
-    OutputFailed
-    """
-    target = Path(path)
-    with in_one_line(target):
-        target.mkdir(exist_ok=True)

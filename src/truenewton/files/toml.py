@@ -75,9 +75,7 @@ def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: st
     try:
         return kind(**values)
     except TrueNewtonError as error:
-        raise type(error)(
-            f"{prefix}{error.fault}", remedy=error.remedy, path=path, got=error.got, want=error.want
-        ) from None
+        raise error.changed(fault=f"{prefix}{error.fault}", path=path) from None
 
 
 def _value(kind: Any, value: Any, path: object, where: str) -> Any:

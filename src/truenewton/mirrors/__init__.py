@@ -2,7 +2,6 @@
 
 known      P45, LBT672, MMT336, ...: numbers with their standing
 glass      glass and sensors: dimensions, outline and material
-shapes     stiffness modes as large as stroke and force allow
 file       mirrors that someone else has: TOML and a table
 shell/     the elastic shell: what forces hold it, and how it moves
 """

@@ -110,18 +110,18 @@ class Shell:
     @property
     def mass(self) -> float:
         """Mass of the glass [kg]."""
-        area = np.pi * (self.outer_radius**2 - self.inner_radius**2)
-        if self.outline is not None:
-            area = areas_and_moments(self.polygons())[0]
-        return float(area * self.thickness * self.density)
+        return float(self._area_and_moments()[0] * self.thickness * self.density)
 
     @property
     def centroid(self) -> tuple[float, float]:
         """Centre of the glass, x and y [m]."""
-        if self.outline is None:
-            return 0.0, 0.0
-        area, *moments = areas_and_moments(self.polygons())
-        return float(moments[0] / area), float(moments[1] / area)
+        area, x_moment, y_moment = self._area_and_moments()
+        return float(x_moment / area), float(y_moment / area)
+
+    def _area_and_moments(self) -> Array:
+        if self.outline is not None:
+            return areas_and_moments(self.polygons())
+        return np.array([np.pi * (self.outer_radius**2 - self.inner_radius**2), 0.0, 0.0])
 
     def polygons(self) -> list[Array]:
         """Return the edge and the holes of an outlined glass, (vertices, 2) along the glass [m]."""

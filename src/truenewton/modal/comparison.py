@@ -36,8 +36,6 @@ class ModesComparison:
         where it is small: sin^2 = 1 - cos^2.
     orders, largest_angle
         (q,) some N, all where k is at most `MOST_ORDERS`; largest of the angles there [rad].
-    same_mode
-        (k,) |v . w| of each mode with its namesake, which turned pairs make meaningless.
     cuts
         (k,) true where mode N and N + 1 are of nearly the same stiffness, so that chance decides
         what the first N span; false where no stiffness is given.
@@ -50,7 +48,6 @@ class ModesComparison:
     rms_angle: Array
     orders: NDArray[np.int64]
     largest_angle: Array
-    same_mode: Array
     cuts: NDArray[np.bool_]
     distance: float
 
@@ -98,13 +95,11 @@ def compare_modes(one: Array, other: Array, stiffness: Array | None = None) -> M
     if k > MOST_ORDERS and uncut.size:
         wanted = np.geomspace(1, uncut[-1], MOST_ORDERS)
         orders = uncut[np.unique(np.abs(uncut[:, None] - wanted).argmin(axis=0))]
-    norms = np.linalg.norm(one, axis=0) * np.linalg.norm(other, axis=0)
     return ModesComparison(
         overlap=1.0 - sine**2,
         rms_angle=sine,
         orders=orders,
         largest_angle=np.array([_largest_angle(v, w, c, int(order)) for order in orders]),
-        same_mode=np.abs(np.sum(one * other, axis=0)) / norms,
         cuts=cuts,
         distance=float(np.sqrt(np.mean(sine[uncut - 1] ** 2))) if uncut.size else float("nan"),
     )

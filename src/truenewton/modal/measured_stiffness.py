@@ -127,8 +127,9 @@ def motion_reader(sifted: Sifted) -> MotionReader:
     else:
         by_force = sifted
     displaced = tuple(
-        replace(cycle, force=_displacements(cycle), position=None, force_error=None)
+        replace(cycle, force=_displacements(cycle, positions), position=None, force_error=None)
         for cycle in by_force.sound.cycles
+        if (positions := cycle.position) is not None
     )
     by_position = sift(Campaign(displaced))
     cycles = list(sifted.sound.cycles)
@@ -194,27 +195,22 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     )
 
 
-def _displacements(cycle: Cycle) -> Rows:
+def _displacements(cycle: Cycle, positions: Rows) -> Rows:
     """Return (N, n) readings less those at rest, wherever the cycle rests and whatever its zeros.
 
     Rest is the median, over shapes, of the mean of a shape and its negative: no row that stands off
     moves it.
     """
-    if cycle.position is None:
-        raise ValueError("only cycles with POSITION have displacements")
     number, sign = cycle.shape[cycle.valid], cycle.sign[cycle.valid]
     up, down = np.flatnonzero(sign > 0), np.flatnonzero(sign < 0)
     _, first, second = np.intersect1d(number[up], number[down], return_indices=True)
-    rest = np.zeros(cycle.layout.n)
-    if first.size:
-        pairs = (cycle.used(cycle.position, rows) for rows in (up[first], down[second]))
-        rest[cycle.layout.enabled] = np.median(0.5 * sum(pairs), axis=0)
-    else:
-        rest[cycle.layout.enabled] = cycle.rest_position
-    if isinstance(cycle.position, StoredRows):
-        in_unit = cycle.position.in_unit
-        return replace(cycle.position, in_unit=lambda values: in_unit(values) - rest)
-    return cycle.position - rest
+    rest, on = np.zeros(cycle.layout.n), cycle.layout.enabled
+    pairs = (cycle.used(positions, rows) for rows in (up[first], down[second]))
+    rest[on] = np.median(0.5 * sum(pairs), axis=0) if first.size else cycle.rest_position
+    if isinstance(positions, StoredRows):
+        in_unit = positions.in_unit
+        return replace(positions, in_unit=lambda values: in_unit(values) - rest)
+    return positions - rest
 
 
 def _along_rigid(missing: Array, layout: Layout, knows_rest: bool) -> Array:

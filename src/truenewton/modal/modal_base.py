@@ -62,14 +62,7 @@ def modal_base(
     static: Array,
     efficiency: float,
 ) -> ModalBase:
-    """Return the modal base of a stiffness.
-
-    Parameters
-    ----------
-    matrix, stiffness, seen
-        As in `ModalBase`.
-    static, efficiency
-        As in `Dissipation`: (n,) [N], see `static_force`; one number [N/W^1/2].
+    """Return the modal base of a stiffness, with (n,) `static_force` [N] and efficiency [N/W^1/2].
 
     Raises
     ------
@@ -77,13 +70,12 @@ def modal_base(
         An efficiency that cannot be.
     """
     modes = stiffness.modes
-    bases = {
-        "stiffness": modes.modes,
-        "Zernike": seen.zernike,
-        "Karhunen-Loeve": seen.karhunen_loeve,
-    }
     costs = (
         dissipation(name, vectors, stiffness, seen, static, efficiency)
-        for name, vectors in bases.items()
+        for name, vectors in (
+            ("stiffness", modes.modes),
+            ("Zernike", seen.zernike),
+            ("Karhunen-Loeve", seen.karhunen_loeve),
+        )
     )
     return ModalBase(matrix, stiffness, modes, seen, tuple(costs))

@@ -106,16 +106,7 @@ class SeenTurbulence:
 def seen_turbulence(
     layout: Layout, commanded: NDArray[np.bool_], atmosphere: Atmosphere, pupil: Pupil
 ) -> SeenTurbulence:
-    """Return the turbulence at the actuators of a mirror.
-
-    Parameters
-    ----------
-    layout
-        The n actuators.
-    commanded
-        (n,) which of them the optics command.
-    atmosphere, pupil
-        As in `SeenTurbulence`.
+    """Return the turbulence at the n actuators of a mirror, of which (n,) ``commanded`` are true.
 
     Raises
     ------

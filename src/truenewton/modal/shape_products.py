@@ -105,22 +105,20 @@ class MotionReader:
             self._weights = dict(zip(positioned, row_weights(of_these), strict=True))
             self._force, self._position = np.zeros((2, len(self._labels), n))  # means
             self._weight, self._within = np.zeros(len(self._labels)), Products(n)
-        self._begin_cycle()
+            self._begin_cycle()
 
     def _begin_cycle(self) -> None:
         n = self._rest.shape[1]
-        self._row = 0  # of those that take part
         self._near_rest: Array | None = None
-        if self.positioned:
-            self._unshifted = np.ones(len(self._labels))  # how little of its rest each mean holds
-            self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
+        self._unshifted = np.ones(len(self._labels))  # how little of its rest each mean holds
+        self._sum_force, self._sum_position, self._sum = np.zeros(n), np.zeros(n), 0.0
 
     def take(self, block: RowBlock) -> None:
         """Take the next rows in."""
         k, cycle = block.cycle_index, self.sound.cycles[block.cycle_index]
         counts = self._counts[k][block.rows]
-        own = slice(self._row, self._row + int(np.count_nonzero(counts)))
-        self._row, force = own.stop, block.force[counts]
+        first = np.count_nonzero(self._counts[k][: block.rows.start])
+        force, own = block.force[counts], slice(first, first + np.count_nonzero(counts))
         if cycle.position is not None:
             z = block.position[counts] - cycle.rest_position
             force *= 1.0 + (cycle.coil_gradient or 0.0) * z
@@ -155,12 +153,12 @@ class MotionReader:
         """Count the rows of the cycle from its own rest."""
         rest = self._rest[cycle_index]
         rest /= np.count_nonzero(self.sound.cycles[cycle_index].rest_rows)
-        if self._near_rest is not None:
+        if cycle_index in self._groups and self._near_rest is not None:
             shift = rest - self._near_rest
             self._within.cz -= np.outer(shift, self._sum_position)
             self._within.cc += shift * (self._sum * shift - 2.0 * self._sum_force)
             self._force -= np.outer(1.0 - self._unshifted, shift)
-        self._begin_cycle()
+            self._begin_cycle()
 
     @property
     def force_at_rest(self) -> Array:

@@ -3,66 +3,21 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from truenewton.acquisition.drift import with_turns
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
-from truenewton.acquisition.shapes import (
-    expected_alpha,
-    shapes_and_forces,
-    shapes_are_given,
-    with_enabled_only,
-)
+from truenewton.acquisition.shapes import expected_alpha, model_glass, shapes_and_forces
 from truenewton.arrays import Array
 from truenewton.bench.simulated.static import START
 from truenewton.errors import LimitExceeded
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
+from truenewton.mirrors.shell.held_glass import forces_under, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import arms
-from truenewton.statics.load import Load
-
-
-@dataclass(frozen=True, eq=False)
-class Holding:
-    """True forces that hold the flat mirror at rest, in parts, over the enabled actuators [N].
-
-    Attributes
-    ----------
-    own
-        (n,) against the weight of glass and magnets, the axis vertical.
-    tool
-        (n,) for each Newton of added weight, along +z as all forces.
-    bias
-        (n,) against the bias magnets, whatever the tilt.
-    """
-
-    own: Array
-    tool: Array
-    bias: Array
-
-    def under(self, loads: Sequence[Load]) -> Array:
-        """Return the (L, n) forces under loads."""
-        added = np.array([load.added for load in loads])
-        cosine = np.cos(np.radians([load.tilt for load in loads]))
-        return np.asarray(cosine[:, None] * (self.own + added[:, None] * self.tool) + self.bias)
-
-
-def holding(mirror: Mirror) -> Holding:
-    """Return what holds a mirror, by the model: the simulated bench without its scatter."""
-    glass = held_glass(with_enabled_only(mirror))
-    n = glass.mirror.layout.n
-    own = weight_on(glass.mirror, mirror.weight)
-    tool = replace(own, spread=0.0, force=np.full(3, 1 / 3), local=np.zeros(n))
-    return Holding(
-        own=forces_under(glass, own),
-        tool=forces_under(glass, tool),
-        bias=np.full(n, -mirror.bias_force),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +30,9 @@ class Prepared:
         What is planned, its turns known, and for which mirror.
     shapes, force
         (shapes, n) displacements [m] and the commanded forces that they take, loads aside [N].
-    holding
-        What holds the mirror.
+    own, tool
+        (n_enabled,) true forces that hold the flat mirror, its axis vertical, against the weight of
+        glass and magnets, and against each Newton of added weight, along +z as all forces [N].
     given
         Whether a file gives the shapes as they stand.
     """
@@ -85,8 +41,17 @@ class Prepared:
     mirror: Mirror
     shapes: Array
     force: Array
-    holding: Holding
+    own: Array
+    tool: Array
     given: bool
+
+    @property
+    def rest_force(self) -> Array:
+        """(L, n_enabled) commanded forces that hold the flat mirror under the planned loads [N]."""
+        added = np.array([load.added for load in self.plan.loads])
+        cosine = np.cos(np.radians([load.tilt for load in self.plan.loads]))
+        weights = cosine[:, None] * (self.own + added[:, None] * self.tool)
+        return np.asarray((weights - self.mirror.bias_force) / expected_alpha(self.mirror))
 
     def changed(self, plan: CampaignPlan) -> Prepared:
         """Return the same for a plan that differs in cycles, loads, or stroke and force alike."""
@@ -104,9 +69,20 @@ def prepared(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Prepar
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
     mirror = planned_mirror(plan, folder)
-    shapes, force = shapes_and_forces(plan, mirror, folder)
+    shapes, force, given = shapes_and_forces(plan, mirror, folder)
     plan = with_turns(plan, mirror, len(shapes))
-    return Prepared(plan, mirror, shapes, force, holding(mirror), shapes_are_given(plan, folder))
+    return Prepared(plan, mirror, shapes, force, *holding(mirror), given)
+
+
+def holding(mirror: Mirror) -> tuple[Array, Array]:
+    """Return what holds a mirror by the model: `Prepared.own` and `tool`, (n_enabled,) each [N].
+
+    It is the simulated bench without its scatter.
+    """
+    glass = model_glass(mirror)
+    own = weight_on(glass.mirror, mirror.weight)
+    tool = replace(own, spread=0.0, force=np.full(3, 1 / 3), local=np.zeros_like(own.local))
+    return forces_under(glass, own), forces_under(glass, tool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +117,8 @@ def strain(ready: Prepared) -> Strain:
     """
     plan, mirror, limits = ready.plan, ready.mirror, ready.plan.limits
     on, alpha = mirror.layout.enabled, expected_alpha(mirror)
-    static = ready.holding.under(plan.loads) / alpha
-    largest = np.abs(static) + np.abs(ready.force[:, on]).max(axis=0)  # both signs are taken
+    of_shapes = np.abs(ready.force[:, on]).max(axis=0)  # both signs are taken
+    largest = np.abs(ready.rest_force) + of_shapes
     load_index, actuator_index = np.unravel_index(largest.argmax(), largest.shape)
     force, stroke = float(largest.max()), float(np.abs(ready.shapes).max())
     asked = Strain(
@@ -182,7 +158,7 @@ def noiseless(ready: Prepared) -> Campaign:
     plan, mirror, count = ready.plan, ready.mirror, len(ready.shapes)
     layout, sign = mirror.layout, np.repeat([1, -1], count)
     static = np.zeros((len(plan.loads), layout.n))
-    static[:, layout.enabled] = ready.holding.under(plan.loads) / expected_alpha(mirror)
+    static[:, layout.enabled] = ready.rest_force
     a = arms(layout) * layout.enabled
     # Less the little by which measured forces, or given shapes, miss A f = 0.
     elastic = ready.force - (ready.force @ a.T) @ np.linalg.pinv(a).T

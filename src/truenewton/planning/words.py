@@ -196,15 +196,12 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
         **{f"largest_{key}" if key in ("force", "stroke") else key: value
            for key, value in dataclasses.asdict(outlook.strain).items()},
         "curves": {
-            "cycles": _errors("cycles", outlook.against_cycles),
-            "added_factor": _errors("added_factor", outlook.against_weight),
+            name: {name: curve.values, "error": curve.error, "e_stat": curve.reading_error,
+                   "e_syst": curve.systematic_error}
+            for name, curve in (("cycles", outlook.against_cycles),
+                                ("added_factor", outlook.against_weight))
         },
         "warnings": [fault for fault, _ in outlook.warnings],
         "target": target,
         "ways": [{k: v for k, v in vars(way).items() if k != "plan"} for way in ways],
     }  # fmt: skip
-
-
-def _errors(name: str, curve: Curve) -> dict[str, Any]:
-    return {name: curve.values, "error": curve.error, "e_stat": curve.reading_error,
-            "e_syst": curve.systematic_error}  # fmt: skip

@@ -210,7 +210,7 @@ def _calibration(
     changes = minimum.changes.copy()
     changes[:, 0] += scale * values
     # Uneven errors of the earlier weights come through the prior.
-    uneven = (known.alpha[:, None] * known.uneven)[campaign.layout.enabled][stay]
+    uneven = known.uneven[campaign.layout.enabled][stay]
     information = problem.prior.information[np.ix_(stay, stay)]
     inverse = inverse_of(problem, minimum)[: len(values), :n][:, stay]
     through = inverse @ information @ uneven

@@ -40,7 +40,7 @@ class EarlierCalibration:
     scale
         Relative standard uncertainty that all actuators share from the weights.
     uneven
-        (n, m) relative change of alpha by errors of the weights beside the common scale.
+        (n, m) change of alpha by errors of the weights beside the common scale.
     temperature
         At which alpha holds [deg C]; NaN if unknown.
     loads, sources
@@ -117,12 +117,11 @@ def known_from(
         loads, sources = given.loads, given.sources
     on = np.isfinite(alpha)
     scale, uneven = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
-    uneven = spread(uneven, on)
-    rest = alpha[:, None] * uneven
+    uneven = alpha[:, None] * spread(uneven, on)
     return EarlierCalibration(
         name=name,
         alpha=alpha,
-        covariance=covariance - systematic_covariance + rest @ rest.T,
+        covariance=covariance - systematic_covariance + uneven @ uneven.T,
         scale=scale,
         uneven=uneven,
         temperature=temperature,

@@ -48,9 +48,8 @@ def posed_problem(known: EarlierCalibration, sifted: Sifted, errors: WeightError
     alpha = np.where(np.isfinite(known.alpha), known.alpha, np.nanmean(known.alpha))
     mean = np.zeros(problem.unknowns.total)
     mean[problem.unknowns.alpha] = alpha[campaign.layout.enabled]
-    held = (
-        load_fault(campaign) is not None
-    )  # all weigh the same: B takes up every error of a weight
+    # Where all weigh the same, B takes up every error of a weight.
+    held = load_fault(campaign) is not None
     return replace(problem, prior=replace(problem.prior, mean=mean, held=held))
 
 

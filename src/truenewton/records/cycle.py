@@ -15,7 +15,14 @@ from truenewton.errors import FormatError
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
-from truenewton.statics.load import LARGEST_FORCE, Load, check_error, check_load, check_weight
+from truenewton.statics.load import (
+    LARGEST_FORCE,
+    Load,
+    check_error,
+    check_load,
+    check_number,
+    check_weight,
+)
 
 # The arrays of a cycle: their type, and beyond what a value is a slip of the unit, not a mirror;
 # that also keeps squares finite.
@@ -94,22 +101,15 @@ class Cycle:
         self._check_rows()
 
     def _check_numbers(self) -> None:
-        check_weight("WEIGHT", self.weight)
-        if self.weight >= 0.0:
-            raise FormatError(
-                f"WEIGHT is {self.weight:g} N",
-                remedy="z points up, so a weight is negative",
-                got=self.weight,
-            )
+        weight, noise = self.weight, self.force_error
+        check_weight("WEIGHT", weight)
+        check_number("WEIGHT", weight, weight < 0.0, "z points up, so a weight is negative", " N")
         check_error("E_WEIGHT", self.weight_error)
         check_load(self.load)
-        if self.number < 1:
-            raise FormatError(f"CYCLE is {self.number}", remedy="cycles count from 1")
-        if self.force_error is not None and not 0.0 < self.force_error <= LARGEST_FORCE:
-            raise FormatError(
-                f"FORCERR is {self.force_error:g} N",
-                remedy="a standard deviation is positive; leave it out if unknown",
-            )
+        check_number("CYCLE", self.number, self.number >= 1, "cycles count from 1")
+        if noise is not None:
+            positive = "a standard deviation is positive; leave it out if unknown"
+            check_number("FORCERR", noise, 0.0 < noise <= LARGEST_FORCE, positive, " N")
         for name, gradient in (("COILGRAD", self.coil_gradient), ("BIASGRAD", self.bias_gradient)):
             if gradient is not None and abs(gradient) > LARGEST_FORCE:
                 raise FormatError(f"{name} is {gradient:g}", remedy="check its unit")

@@ -16,6 +16,9 @@ from truenewton.errors import CampaignMismatch
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.weights import typical
+from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring, plot_map
+from truenewton.figures.style import ACCENT, FAINT, SIGNED_COLOURS, styled_axes
+from truenewton.report.layers import Layer, alpha_layer
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,17 +55,44 @@ class Change:
         order = np.argsort(-size, kind="stable")
         return np.asarray(order[size[order] > self.limit])
 
+    @property
+    def layers(self) -> tuple[Layer, ...]:
+        """What changed of the actuators, in sigmas first."""
+        largest = float(np.nanmax(np.abs(self.sigmas)))
+        # Noise shall not look like a change, nor one large change hide the others.
+        reach = float(np.clip(largest, self.limit, 3 * self.limit))
+        return (
+            Layer("sigmas", "change", "sigma", self.sigmas,
+                  "Change of alpha beside the common ratio, in terms of the readings' errors.",
+                  signed=True, reach=reach),
+            Layer("relative", "change", "%", 100 * self.relative,
+                  "Change of alpha beside the common ratio.", signed=True),
+            alpha_layer(self.one, "alpha_one", "alpha, first"),
+            alpha_layer(self.other, "alpha_other", "alpha, second"),
+        )  # fmt: skip
+
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas on the map of the actuators; return the axes."""
-        from truenewton.report.figures import plot_change_map
-
-        return plot_change_map(self, ax)
+        layer = self.layers[0]
+        return plot_map(
+            self.one.layout, layer.values, ax, label=layer.title, colours=SIGNED_COLOURS,
+            limits=layer.limits,
+        )  # fmt: skip
 
     def plot_actuators(self, ax: Axes | None = None) -> Axes:
-        """Draw the change in sigmas per actuator; return the axes."""
-        from truenewton.report.figures import plot_change
-
-        return plot_change(self, ax)
+        """Draw the change in sigmas, ring by ring, and how far chance reaches; return the axes."""
+        layout = self.one.layout
+        with styled_axes(ax, 0.75) as ax:
+            numbers = numbers_by_ring(layout)
+            ax.axhspan(-self.limit, self.limit, color=FAINT, alpha=0.2, linewidth=0)
+            ax.axhline(0.0, color=FAINT, linewidth=0.5)
+            ax.plot(numbers, self.sigmas, "o", color=ACCENT, markersize=2.0)
+            mark_rings(ax, layout)
+            for far in self.changed[:10]:
+                name_point(ax, layout.id[far], numbers[far], self.sigmas[far])
+            ax.set_ylabel("change (sigma)")
+            ax.set_title("band: chance alone, 1 % for all")
+        return ax
 
 
 def change(one: Calibration, other: Calibration) -> Change:

@@ -30,6 +30,8 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import enabled_arms
 
+EQUATIONS = (("force", "mN"), ("torque M_y", "mN m"), ("torque M_x", "mN m"))
+
 
 @dataclass(frozen=True)
 class BalanceLine:
@@ -56,8 +58,8 @@ class RowResiduals:
 
     Attributes
     ----------
-    cycle, row, shape, sign
-        (N,) place in the campaign's cycles, row of MEASUREMENTS from 0, SHAPE, SIGN.
+    cycle, signed_shape
+        (N,) index of the campaign's cycle; SHAPE times SIGN.
     before, after
         (N,) with alpha = 1 and with alpha as found.
     kept
@@ -65,9 +67,7 @@ class RowResiduals:
     """
 
     cycle: NDArray[np.int64]
-    row: NDArray[np.int64]
-    shape: NDArray[np.int64]
-    sign: NDArray[np.int64]
+    signed_shape: NDArray[np.int64]
     before: Array
     after: Array
     kept: NDArray[np.bool_]
@@ -125,29 +125,25 @@ class RowImbalance:
     def __init__(self, sifted: Sifted, alpha: Array) -> None:
         campaign, a = sifted.campaign, enabled_arms(sifted.campaign.layout)
         self._balanced = [BalancedRows(c, a, sifted.moments.reference) for c in campaign.cycles]
-        self._before: list[Array] = []
-        self._after: list[Array] = []
-        self._kinds = ((a, self._before), (a * alpha, self._after))
+        self._arms = (a, a * alpha)
+        self._parts: list[Array] = []
 
     def take(self, block: RowBlock) -> None:
         """Take the next rows in."""
         position = block.position if is_displaced(block.cycle) else None
         force, known = self._balanced[block.cycle_index].of(block.force, position)
-        for arms, parts in self._kinds:
-            parts.append(force @ arms.T + (0.0 if known is None else known))
+        other = 0.0 if known is None else known
+        self._parts.append(np.stack([force @ arms.T + other for arms in self._arms]))
 
-    def before_and_after(
-        self, load: NDArray[np.int64], kept: NDArray[np.bool_]
-    ) -> tuple[Array, Array]:
-        """Return (N, 3) imbalances of all rows about the mean of those kept under their load.
+    def before_and_after(self, load: NDArray[np.int64], kept: NDArray[np.bool_]) -> Array:
+        """Return (2, N, 3) imbalances of all rows about the mean of those kept under their load.
 
         The mean is what weight, B and torques take up.
         """
-        before, after = np.concatenate(self._before), np.concatenate(self._after)
+        rho = np.concatenate(self._parts, axis=1)
         for index in np.unique(load[kept]):
-            for rho in (before, after):
-                rho[load == index] -= rho[kept & (load == index)].mean(axis=0)
-        return before, after
+            rho[:, load == index] -= rho[:, kept & (load == index)].mean(axis=1, keepdims=True)
+        return rho
 
 
 def campaign_evidence(
@@ -157,19 +153,19 @@ def campaign_evidence(
     campaign = sifted.campaign
     a, on = enabled_arms(campaign.layout), campaign.layout.enabled
     scaled_arms = a * calibration.alpha[on]
-    rows = [np.flatnonzero(cycle.valid) for cycle in campaign.cycles]
-    cycle = np.repeat(np.arange(len(rows)), [len(some) for some in rows])
+    valid = np.concatenate([c.valid for c in campaign.cycles])
+    cycle = np.repeat(np.arange(len(campaign.cycles)), [c.valid.sum() for c in campaign.cycles])
     balancing = without(campaign, list(calibration.rejected_rows))
     kept, sound = (
-        np.concatenate([c.valid[some] for c, some in zip(part.cycles, rows, strict=True)])
-        for part in (balancing, sifted.sound)
+        np.concatenate([c.valid for c in part.cycles])[valid] for part in (balancing, sifted.sound)
     )
     group = np.concatenate(row_groups(sifted.sound)[2])
     belongs = np.bincount(group[kept[sound]], minlength=len(sifted.moments.rows)) > 0
     moments = chosen_groups(sifted.moments, belongs)
     noise = reading_noise(sifted.sound, sifted.moments)
     weight, load = np.array(row_weights(campaign))[cycle], np.array(campaign.load_index)[cycle]
-    before, after = imbalance.before_and_after(load, kept)
+    rho = imbalance.before_and_after(load, kept)
+    before, after = rho
     variance = noise.variance
     if noise.source == NoiseSource.MINIMUM:
         # Known in shape only: its size is what the residuals have.
@@ -182,14 +178,12 @@ def campaign_evidence(
     return Evidence(
         residuals=RowResiduals(
             cycle=cycle,
-            row=np.concatenate(rows),
-            shape=np.concatenate([c.shape[c.valid] for c in campaign.cycles]),
-            sign=np.concatenate([c.sign[c.valid] for c in campaign.cycles]),
+            signed_shape=np.concatenate([c.shape * c.sign for c in campaign.cycles])[valid],
             before=np.sqrt(squared_distances(before, weight, s_before) / 3),
             after=np.sqrt(squared_distances(after, weight, s) / 3),
             kept=kept,
         ),
-        balance=_balance_lines(campaign, before, after, s, weight, load, kept),
+        balance=_balance_lines(campaign, rho, s, weight, load, kept),
         actuator_residual=spread(_pull(after[kept], weight[kept], scaled_arms, s), on),
         actuator_noise=spread(
             readings if noise.source == NoiseSource.REPEATS else np.full(readings.size, np.nan), on
@@ -213,8 +207,7 @@ def _pull(rho: Array, weight: Array, scaled_arms: Array, s: Array) -> Array:
 
 def _balance_lines(
     campaign: Campaign,
-    before: Array,
-    after: Array,
+    rho: Array,
     s: Array,
     weight: Array,
     load: NDArray[np.int64],
@@ -224,19 +217,13 @@ def _balance_lines(
     lines = []
     for index, name in enumerate(each.name for each in campaign.loads):
         some = kept & (load == index)
-        if not some.any():
-            continue
-        rms_before, rms_after = (
-            1e3 * np.sqrt(np.mean(rho[some] ** 2, axis=0)) for rho in (before, after)
-        )
-        noise = 1e3 * np.sqrt(np.diag(s) * np.mean(1 / weight[some]))
+        rms = np.sqrt(np.mean(rho[:, some] ** 2, axis=1))
+        noise = np.sqrt(np.diag(s) * np.mean(1 / weight[some]))
+        figures = 1e3 * np.column_stack([*rms, noise])
         lines += [
-            BalanceLine(f"{what}, {name}", unit, float(b), float(f), float(n))
-            for what, unit, b, f, n in zip(
-                ("force", "torque M_y", "torque M_x"), ("mN", "mN m", "mN m"),
-                rms_before, rms_after, noise, strict=True,
-            )
-        ]  # fmt: skip
+            BalanceLine(f"{what}, {name}", unit, *row)
+            for (what, unit), row in zip(EQUATIONS, figures.tolist(), strict=True)
+        ]
     return tuple(lines)
 
 

@@ -17,14 +17,12 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring, plot_map
+from truenewton.figures.maps import plot_map
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
     COLOURS,
     CURVES,
-    FAINT,
-    SIGNED_COLOURS,
     legend_above,
     plain,
     styled_axes,
@@ -34,10 +32,9 @@ from truenewton.modal.figures import modes_figures
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.report.budget import error_budget
-from truenewton.report.change import Change
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.investigate import Findings
-from truenewton.report.layers import calibration_layers, change_layers
+from truenewton.report.layers import calibration_layers
 from truenewton.rounding import percent
 
 POINTS = 200  # of a cycle over time; more cannot be told apart
@@ -49,7 +46,7 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
     c, evidence = findings.calibration, findings.evidence
     drawn: dict[str, Callable[..., Axes]] = {}
     if c is not None:
-        for layer in calibration_layers(findings):
+        for layer in calibration_layers(c, evidence):
             name = f"map-{layer.key.replace('_', '-')}"
             drawn[name] = partial(plot_map, c.layout, layer.values, label=layer.title)
         if budget := error_budget(c):
@@ -69,31 +66,6 @@ def still_figures(findings: Findings) -> dict[str, Callable[..., Axes]]:
     """Return the figures that are written beside the paper's, by name."""
     drawn = figures_of(findings)
     return {n: draw for n, draw in drawn.items() if n in MAPS or not n.startswith("map-")}
-
-
-def plot_change_map(change: Change, ax: Axes | None = None) -> Axes:
-    """Draw the change per actuator in sigmas on the map."""
-    layer = change_layers(change)[0]
-    return plot_map(
-        change.one.layout, layer.values, ax, label=layer.title, colours=SIGNED_COLOURS,
-        limits=layer.limits,
-    )  # fmt: skip
-
-
-def plot_change(change: Change, ax: Axes | None = None) -> Axes:
-    """Draw the change per actuator in sigmas, ring by ring, and how far chance alone reaches."""
-    layout = change.one.layout
-    with styled_axes(ax, 0.75) as ax:
-        numbers = numbers_by_ring(layout)
-        ax.axhspan(-change.limit, change.limit, color=FAINT, alpha=0.2, linewidth=0)
-        ax.axhline(0.0, color=FAINT, linewidth=0.5)
-        ax.plot(numbers, change.sigmas, "o", color=ACCENT, markersize=2.0)
-        mark_rings(ax, layout)
-        for far in change.changed[:10]:
-            name_point(ax, layout.id[far], numbers[far], change.sigmas[far])
-        ax.set_ylabel("change (sigma)")
-        ax.set_title("band: chance alone, 1 % for all")
-    return ax
 
 
 def plot_budget(budget: Mapping[str, float], ax: Axes | None = None) -> Axes:
@@ -140,10 +112,11 @@ def columns_of_shapes(residuals: RowResiduals) -> tuple[NDArray[np.int64], str]:
 
     SHAPE with its SIGN; where shapes are numbered with wide gaps, their place among all instead.
     """
-    names, index = np.unique(residuals.shape, return_inverse=True)
+    signed = residuals.signed_shape
+    names, index = np.unique(np.abs(signed), return_inverse=True)
     if names[-1] <= 4 * names.size:
-        return residuals.shape * residuals.sign, "shape, with its sign"
-    return (index + 1) * residuals.sign, "place of the shape, with its sign"
+        return signed, "shape, with its sign"
+    return (index + 1) * np.sign(signed), "place of the shape, with its sign"
 
 
 def plot_balance(residuals: RowResiduals | ModeResiduals, ax: Axes | None = None) -> Axes:
@@ -216,12 +189,9 @@ def plot_temperatures(campaign: Campaign, ax: Axes | None = None) -> Axes:
 
 
 def _times(cycle: Cycle) -> tuple[NDArray[Any], Array | None]:
-    """Return times (UTC, datetime64) and temperatures [deg C] of a cycle, a few hundred at most."""
+    """Return times (UTC) and temperatures [deg C] of a cycle, a few hundred at most."""
     valid = np.flatnonzero(cycle.valid)
     valid = valid[np.argsort(cycle.time[valid], kind="stable")]
     some = valid[np.linspace(0, valid.size - 1, min(valid.size, POINTS)).round().astype(int)]
-    start = cycle.date
-    if start.tzinfo is not None:
-        start = start.astimezone(datetime.UTC).replace(tzinfo=None)
-    time = np.datetime64(start, "ms") + (1e3 * cycle.time[some]).astype("timedelta64[ms]")
+    time = np.array([cycle.date + datetime.timedelta(seconds=t) for t in cycle.time[some].tolist()])
     return time, None if cycle.temperature is None else cycle.temperature[some]

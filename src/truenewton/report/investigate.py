@@ -48,7 +48,7 @@ class Findings:
     Attributes
     ----------
     data
-        What was calibrated; None where a calibration file was given.
+        What was given: data, or a finished calibration.
     calibration
         Its result; None where the data cannot give one.
     evidence
@@ -61,7 +61,7 @@ class Findings:
         Why they do not, in a sentence; empty without data or without calibration.
     """
 
-    data: Campaign | StiffnessMatrix | None
+    data: Campaign | StiffnessMatrix | Calibration
     calibration: Calibration | None
     evidence: Evidence | None = None
     faults: tuple[Fault, ...] = ()
@@ -69,19 +69,13 @@ class Findings:
     no_modes: str = ""
 
     @property
-    def instrument(self) -> str:
-        """The mirror's name."""
-        known = self.calibration or self.data
-        return known.instrument if known is not None else ""
-
-    @property
     def inputs(self) -> tuple[Source, ...]:
         """The files: those that went into the calibration, or those that did not suffice."""
-        if self.calibration is not None:
-            return self.calibration.sources
-        records = self.data.cycles if isinstance(self.data, Campaign) else (self.data,)
-        sources = [record.source for record in records if record is not None]
-        return tuple(source for source in sources if source)
+        known = self.calibration or self.data
+        if isinstance(known, Calibration):
+            return known.sources
+        records = known.cycles if isinstance(known, Campaign) else (known,)
+        return tuple(record.source for record in records if record.source)
 
     def plot(self, name: str, ax: Axes | None = None) -> Axes:
         """Draw a figure by its name, as 'budget', 'map-leverage' or 'modes'; return the axes.
@@ -126,7 +120,7 @@ def investigate(
         There is no such method, or it takes no such data.
     """
     if isinstance(data, Calibration):
-        return Findings(None, data)
+        return Findings(data, data)
     refuse_method(data, method, population=population)
     sifted: Sifted | None = None
     try:

@@ -10,8 +10,7 @@ from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import leverage
-from truenewton.report.change import Change
-from truenewton.report.investigate import Findings
+from truenewton.report.evidence import Evidence
 from truenewton.rounding import significant, with_error
 from truenewton.statics.arms import arms_in_units_of_rms
 
@@ -75,17 +74,8 @@ class Layer:
         return float(low) - aside, float(low) + aside
 
 
-def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
-    """Return what is known of the actuators of one calibration.
-
-    Raises
-    ------
-    ValueError
-        There is no calibration.
-    """
-    c, evidence = findings.calibration, findings.evidence
-    if c is None:
-        raise ValueError("there is no calibration")
+def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer, ...]:
+    """Return what is known of the actuators of one calibration."""
     layers = [
         alpha_layer(c, "alpha", "alpha"),
         Layer("e_stat", "error from readings", "", c.reading_error,
@@ -114,22 +104,6 @@ def calibration_layers(findings: Findings) -> tuple[Layer, ...]:
                   "Standard deviation of one reading among repeats of its shape."),
         ]  # fmt: skip
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
-
-
-def change_layers(change: Change) -> tuple[Layer, ...]:
-    """Return what changed of the actuators."""
-    largest = float(np.nanmax(np.abs(change.sigmas)))
-    # Noise shall not look like a change, nor one large change hide the others.
-    reach = float(np.clip(largest, change.limit, 3 * change.limit))
-    return (
-        Layer("sigmas", "change", "sigma", change.sigmas,
-              "Change of alpha beside the common ratio, in terms of the readings' errors.",
-              signed=True, reach=reach),
-        Layer("relative", "change", "%", 100 * change.relative,
-              "Change of alpha beside the common ratio.", signed=True),
-        alpha_layer(change.one, "alpha_one", "alpha, first"),
-        alpha_layer(change.other, "alpha_other", "alpha, second"),
-    )  # fmt: skip
 
 
 def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:

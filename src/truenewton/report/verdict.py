@@ -29,15 +29,6 @@ CARE, NONE = ("care", "To be used with care"), ("none", "No alpha")
 
 
 @dataclass(frozen=True)
-class Number:
-    """One of the three numbers: what it is, how large, and a note."""
-
-    name: str
-    value: str
-    note: str
-
-
-@dataclass(frozen=True)
 class Verdict:
     """What to think of a calibration, and what to do.
 
@@ -45,25 +36,26 @@ class Verdict:
     ----------
     level, title
         'sound', 'limited', 'care' or 'none'; the same in words.
-    sentences
+    sentence
         The verdict.
     numbers
-        Range of alpha, typical error, error of the common scale; none without alpha.
+        Name, value and note: range of alpha, typical error, error of the common scale; none without
+        alpha.
     advice
         What is wrong, each with what to do about it.
     """
 
     level: str
     title: str
-    sentences: tuple[str, ...]
-    numbers: tuple[Number, ...]
+    sentence: str
+    numbers: tuple[tuple[str, str, str], ...]
     advice: tuple[Fault, ...]
 
     def lines(self) -> Iterator[str]:
         """Yield the verdict as plain text."""
-        yield f"{self.title}. {' '.join(self.sentences)}"
-        for number in self.numbers:
-            yield f"{number.name}: {number.value} ({number.note})"
+        yield f"{self.title}. {self.sentence}"
+        for name, value, note in self.numbers:
+            yield f"{name}: {value} ({note})"
         for fault, remedy in self.advice:
             yield f"- {_sentence(fault)} {_sentence(remedy)}"
         if not self.advice:
@@ -74,16 +66,15 @@ def verdict(findings: Findings) -> Verdict:
     """Judge what was found."""
     c = findings.calibration
     if c is None:
-        mirror, faults = findings.instrument, findings.faults
-        sentence = f"These data of {mirror} cannot give alpha."
-        return Verdict(*NONE, (sentence,), (), faults)
+        sentence = f"These data of {findings.data.instrument} cannot give alpha."
+        return Verdict(*NONE, sentence, (), findings.faults)
     limits, cares = list(_limits(findings, c)), list(_cares(c))
     level = CARE if cares else LIMITED if limits else SOUND
     known = "Alpha" if c.scale != Scale.MEAN_ONE else "Relative alpha"
     sentence = (
         f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c.alpha))}."
     )
-    return Verdict(*level, (sentence,), _numbers(c), tuple(cares + limits))
+    return Verdict(*level, sentence, _numbers(c), tuple(cares + limits))
 
 
 def verdict_on_change(change: Change) -> Verdict:
@@ -91,11 +82,11 @@ def verdict_on_change(change: Change) -> Verdict:
     ids, changed = change.one.layout.id, change.changed
     compared = int(np.isfinite(change.sigmas).sum())
     words = f"of {compared} actuators changed by more than {change.limit:.1f} sigma"
-    level, title, count = "sound", "No change", f"None {words}: the calibrations agree."
+    level, title, sentence = "sound", "No change", f"None {words}: the calibrations agree."
     advice: list[Fault] = []
     if changed.size:
         level, title = "limited", "Changed"
-        count = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
+        sentence = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
         advice.append(
             Fault(
                 f"changed: {_names(ids[changed])}",
@@ -112,16 +103,15 @@ def verdict_on_change(change: Change) -> Verdict:
         )
     farthest = int(np.nanargmax(np.abs(change.sigmas)))
     numbers = (
-        Number("changed actuators", f"{changed.size} of {compared}",
-               f"beyond {change.limit:.1f} sigma"),
-        Number("largest change", f"{change.sigmas[farthest]:+.1f} sigma",
-               f"actuator {ids[farthest]}, {significant(100 * change.relative[farthest])} %"),
-        Number("common ratio, second to first", with_error(change.ratio, change.ratio_error)
-               if np.isfinite(change.ratio_error) else f"{change.ratio:.4f}",
-               "taken out; its error is that of the weights" if np.isfinite(change.ratio_error)
-               else "taken out; the scale of one is a convention"),
+        ("changed actuators", f"{changed.size} of {compared}", f"beyond {change.limit:.1f} sigma"),
+        ("largest change", f"{change.sigmas[farthest]:+.1f} sigma",
+         f"actuator {ids[farthest]}, {significant(100 * change.relative[farthest])} %"),
+        ("common ratio, second to first", with_error(change.ratio, change.ratio_error)
+         if np.isfinite(change.ratio_error) else f"{change.ratio:.4f}",
+         "taken out; its error is that of the weights" if np.isfinite(change.ratio_error)
+         else "taken out; the scale of one is a convention"),
     )  # fmt: skip
-    return Verdict(level, title, (count,), numbers, tuple(advice))
+    return Verdict(level, title, sentence, numbers, tuple(advice))
 
 
 def _actuators(c: Calibration) -> str:
@@ -140,21 +130,21 @@ def _names(ids: NDArray[np.int64]) -> str:
     return f"actuator{'s' if ids.size > 1 else ''} {shown}{more}"
 
 
-def _numbers(c: Calibration) -> tuple[Number, ...]:
+def _numbers(c: Calibration) -> tuple[tuple[str, str, str], ...]:
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
     readings = percent(typical(c.reading_error, c.alpha))
-    scale = Number("common scale", "free", "the mean of alpha is set to 1; weights would fix it")
+    scale = ("common scale", "free", "the mean of alpha is set to 1; weights would fix it")
     if c.scale != Scale.MEAN_ONE:
         part = (
             scale_total(c.scale_errors) if c.scale_errors else typical(c.systematic_error, c.alpha)
         )
-        scale = Number("error of the common scale", percent(part), "one sigma, the same for all")
+        scale = ("error of the common scale", percent(part), "one sigma, the same for all")
     return (
-        Number("alpha", f"{ends[0]} to {ends[1]}", f"actuators {c.layout.id[low]} and"
-               f" {c.layout.id[high]}, true N / commanded N"),
-        Number("typical error of alpha", percent(typical(c.error, c.alpha)),
-               f"one sigma; {readings} from the readings"),
+        ("alpha", f"{ends[0]} to {ends[1]}", f"actuators {c.layout.id[low]} and"
+         f" {c.layout.id[high]}, true N / commanded N"),
+        ("typical error of alpha", percent(typical(c.error, c.alpha)),
+         f"one sigma; {readings} from the readings"),
         scale,
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from truenewton.arrays import Array, frozen_array
+from truenewton.arrays import Array, freeze
 from truenewton.errors import GeometryError
 
 FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit has slipped
@@ -43,21 +43,18 @@ class Layout:
     enabled: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        n = np.size(self.id)
-        for name, dtype in (("id", np.int64), ("x", float), ("y", float), ("nz", float),
-                            ("enabled", bool)):  # fmt: skip
-            array = frozen_array(getattr(self, name), dtype)
-            if array.shape != (n,):
+        freeze(self, "id", dtype=np.int64)
+        freeze(self, "x", "y", "nz")
+        freeze(self, "enabled", dtype=np.bool_)
+        for name in ("id", "x", "y", "nz", "enabled"):
+            shape = getattr(self, name).shape
+            if shape != (self.n,):
                 raise GeometryError(
-                    f"{name.upper()} has shape {array.shape}",
-                    remedy=f"give one number for each of the {n} actuators",
-                    got=array.shape,
-                    want=(n,),
+                    f"{name.upper()} has shape {shape}",
+                    remedy=f"give one number for each of the {self.n} actuators",
+                    got=shape,
+                    want=(self.n,),
                 )
-            object.__setattr__(self, name, array)
-        self._check()
-
-    def _check(self) -> None:
         if self.n == 0:
             raise GeometryError("there are no actuators", remedy="give at least one")
         for name in ("x", "y", "nz"):

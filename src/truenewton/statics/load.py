@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from truenewton.errors import FormatError
 
 LARGEST_FORCE = 1e6  # beyond it a force is a slip of the unit, and squares must stay finite [N]
@@ -48,33 +46,28 @@ def check_load(load: Load) -> None:
     FormatError
     """
     check_weight("ADDED", load.added)
-    if load.added > 0.0:
-        raise FormatError(
-            f"ADDED is {load.added:g} N",
-            remedy="z points up, so an added weight is negative",
-            got=load.added,
-        )
+    downward = "z points up, so an added weight is negative"
+    check_number("ADDED", load.added, load.added <= 0.0, downward, " N")
     check_error("E_ADDED", load.added_error)
     check_error("E_TILT", load.tilt_error)
-    if not abs(load.tilt) < 90.0:
-        raise FormatError(
-            f"TILT is {load.tilt:g} deg",
-            remedy="give the angle between axis and vertical, under 90 deg",
-        )
+    upright = "give the angle between axis and vertical, under 90 deg"
+    check_number("TILT", load.tilt, abs(load.tilt) < 90.0, upright, " deg")
     if not load.name.strip():
         raise FormatError("LOAD is blank", remedy="name the load")
 
 
 def check_weight(name: str, weight: float) -> None:
     """Refuse a weight that is absurd [N]."""
-    if not np.isfinite(weight) or abs(weight) > LARGEST_FORCE:
-        raise FormatError(f"{name} is {weight:g} N", remedy="give the weight in Newton")
+    check_number(name, weight, abs(weight) <= LARGEST_FORCE, "give the weight in Newton", " N")
 
 
 def check_error(name: str, error: float) -> None:
     """Refuse a standard uncertainty that cannot be."""
-    if not 0.0 <= error <= LARGEST_FORCE:
-        raise FormatError(
-            f"{name} is {error:g}",
-            remedy="give a standard uncertainty, zero or more, in N or deg",
-        )
+    remedy = "give a standard uncertainty, zero or more, in N or deg"
+    check_number(name, error, 0.0 <= error <= LARGEST_FORCE, remedy)
+
+
+def check_number(name: str, value: float, sound: bool, remedy: str, unit: str = "") -> None:
+    """Refuse a keyword's number that is not sound."""
+    if not sound:
+        raise FormatError(f"{name} is {value:g}{unit}", remedy=remedy, got=value)

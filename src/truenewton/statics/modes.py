@@ -54,6 +54,18 @@ def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessMo
     return StiffnessModes(values, modes)
 
 
+def scaled_modes(modes: Array, stiffness: Array, stroke: float, force: Array | float) -> Array:
+    """Return (m, n) modes, one a row, as large as stroke and force allow [m].
+
+    The stroke is the largest displacement of an actuator [m], the force the largest one, one or
+    (n,) [N], and (n, n) stiffness the force per displacement [N/m].
+    """
+    taken = np.maximum(np.abs(modes @ stiffness.T), 1e-12 * np.max(force))
+    largest = np.abs(modes).max(axis=1)
+    amplitude = np.minimum(stroke / largest, (force / taken).min(axis=1))
+    return np.asarray(modes * amplitude[:, None])
+
+
 def settled(vectors: Array, values: Array) -> Array:
     """Return eigenvectors, one a column, of which rounding chooses neither sign nor rotation.
 

@@ -20,26 +20,22 @@ class Score:
         Common relative error: weighted mean of alpha / true alpha, less one.
     pattern_error
         Root mean square of what is left when the common scale is taken out, relative.
-    worst
-        Largest |alpha - true alpha| in terms of its E_ALPHA.
     """
 
     scale_error: float
     pattern_error: float
-    worst: float
 
 
 def score(calibration: Calibration, truth: Truth) -> Score:
     """Compare a calibration with the truth: alpha of the mirror at its nominal gap.
 
     That is where static campaigns rest; a loop holds the glass elsewhere, by what comes to some
-    3e-5 of alpha (`bench.simulated.loop_campaign.rest_displacement`).
+    3e-5 of alpha (`bench.simulated.static.rest_displacement`).
     """
     on = calibration.layout.enabled
-    alpha, true, error = calibration.alpha[on], truth.alpha[on], calibration.error[on]
+    alpha, true = calibration.alpha[on], truth.alpha[on]
     scale = float(alpha @ true / (true @ true))
     return Score(
         scale_error=scale - 1.0,
         pattern_error=float(np.sqrt(np.mean((alpha / (scale * true) - 1.0) ** 2))),
-        worst=float(np.max(np.abs(alpha - true) / error)),
     )

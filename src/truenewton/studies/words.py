@@ -13,9 +13,6 @@ from truenewton.statics.load import Load
 from truenewton.studies.proof import LIMIT, Proof
 from truenewton.studies.scoring import Score
 
-PROOF_HEAD = ("seed", "system", "F", "B, M, N", "rank", "singular values", "cond", "error",
-              "error/(eps cond)")  # fmt: skip
-
 
 def proof_values(name: str, proofs: Sequence[Proof]) -> dict[str, Any]:
     """Return the proofs on a mirror for a script."""
@@ -29,7 +26,9 @@ def proof_values(name: str, proofs: Sequence[Proof]) -> dict[str, Any]:
 
 
 def proof_rows(proofs: Sequence[Proof]) -> Iterator[tuple[str, ...]]:
-    """Yield the proofs as rows under `PROOF_HEAD`."""
+    """Yield the proofs as rows of a table, its head first."""
+    yield ("seed", "system", "F", "B, M, N", "rank", "singular values", "cond", "error",
+           "error/(eps cond)")  # fmt: skip
     for one in proofs:
         yield (
             str(one.seed),

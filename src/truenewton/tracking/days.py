@@ -86,29 +86,26 @@ def gathered(given: Iterable[Given]) -> tuple[DatedCalibration, ...]:
 
 
 def _dated(item: Given) -> list[DatedCalibration]:
-    if isinstance(item, Campaign | Calibration):
+    if not isinstance(item, Campaign | Calibration):
+        name, data = os.fspath(item), read(item)
+    else:
         start = item.date if isinstance(item, Calibration) else item.cycles[0].date
         name, data = f"{item.instrument} of {start:%Y-%m-%d}", item
-    else:
-        name, read_data = os.fspath(item), read(item)
-        if isinstance(read_data, StiffnessMatrix):
-            raise FormatError(
-                "is a stiffness file", remedy="give calibrations, or campaigns", path=name
-            )
-        data = read_data
+    if isinstance(data, StiffnessMatrix):
+        raise FormatError(
+            "is a stiffness file", remedy="give calibrations, or campaigns", path=name
+        )
     if isinstance(data, Calibration):
         return [DatedCalibration(name, data)]
     parts = _by_temperature(data)
-    if len(parts) == 1:
-        return [_calibrated(name, data)]
-    return [_calibrated(f"{name} at {t:.1f} deg C", part) for t, part in parts]
-
-
-def _calibrated(name: str, campaign: Campaign) -> DatedCalibration:
-    try:
-        return DatedCalibration(name, calibrate(campaign))
-    except TrueNewtonError as error:
-        raise located(error, name) from None
+    days = []
+    for mean, part in parts:
+        named = f"{name} at {mean:.1f} deg C" if len(parts) > 1 else name
+        try:
+            days.append(DatedCalibration(named, calibrate(part)))
+        except TrueNewtonError as error:
+            raise located(error, named) from None
+    return days
 
 
 def _by_temperature(campaign: Campaign) -> list[tuple[float, Campaign]]:

@@ -27,7 +27,7 @@ from truenewton.tracking.family import (
     most_outlying,
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
-from truenewton.tracking.linear_fit import LinearFit, linear_fit, own_scatter
+from truenewton.tracking.linear_fit import LinearFit, linear_fit
 
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
 OTHER_UNIT = 0.03  # typical change of alpha beyond its error; 50 K make 0.3 % between actuators
@@ -172,7 +172,7 @@ def _off_their_lines(
     """
     n = int(on.sum())
     ids = days[0].calibration.layout.id[on]
-    own, scatter = own_scatter(days, on, settings), np.zeros(n)
+    scatter = np.zeros(n)
     jumped: list[Outlier] = []
     while True:
         fit = linear_fit(days, on, settings, scatter)
@@ -183,7 +183,7 @@ def _off_their_lines(
         mirror = chance_of_any(chance, n * (1 + settings.shape[1]))
         if mirror >= FALSE_ALARM or scatter[worst]:
             return fit, jumped
-        scatter[worst] = own[worst]
+        scatter[worst] = fit.own_scatter[worst]
         sigmas = float(np.sqrt(fit.actuator_chi2[worst]))
         jumped.append(Outlier(int(ids[worst]), "line", sigmas, mirror))
 
@@ -198,22 +198,22 @@ def _outliers(
     q, n = fit.effects.shape
     tests = n * (q + (fit.actuator_degrees > 0))
     members = np.tile(~np.isin(ids, [one.actuator for one in jumped]), (q, 1))
-    candidates: list[tuple[int, int, Outlier]] = []
-    sure = 0
-    while len(candidates) - sure < PATIENCE and members.sum(axis=1).min() > (1 - MOST) * n:
+    outliers = [*jumped]
+    suspects: list[tuple[int, int, Outlier]] = []
+    while len(suspects) < PATIENCE and members.sum(axis=1).min() > (1 - MOST) * n:
         y, covariance, which = _effects_of(fit, members)
         population = fitted_population(y, covariance, which)
         at, sigmas, chance = most_outlying(y, covariance, which, population)
         effect, actuator = (int(k[at]) for k in np.nonzero(members))
         mirror = chance_of_any(chance, tests)
         outlier = Outlier(int(ids[actuator]), effects[effect], sigmas, mirror)
-        candidates.append((effect, actuator, outlier))
+        suspects.append((effect, actuator, outlier))
         members[effect, actuator] = False
         if mirror < FALSE_ALARM:
-            sure = len(candidates)
-    for effect, actuator, _ in candidates[sure:]:
+            outliers += [one for _, _, one in suspects]
+            suspects.clear()
+    for effect, actuator, _ in suspects:
         members[effect, actuator] = True
-    outliers = [*jumped, *(outlier for _, _, outlier in candidates[:sure])]
     return tuple(sorted(outliers, key=lambda one: one.probability)), members
 
 

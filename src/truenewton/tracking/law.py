@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.stats
 
-from truenewton.arrays import Array, freeze, spread_square
+from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
@@ -177,15 +177,25 @@ class Tracking:
         RankDeficient
             What is asked for lies where the days say nothing.
         """
-        away, years = self._away(temperature), self._years(time)
-        n = self.layout.n
-        eye = np.eye(n)
-        j = np.hstack([eye * (1 + self.coefficient * away), eye * self.alpha * away, eye * years])
-        on = np.isfinite(self.alpha)
-        of_law = np.tile(on, 3)
-        inner, known = j[np.ix_(on, of_law)], np.ix_(of_law, of_law)
+        away = 0.0 if temperature is None else float(temperature) - self.temperature
+        if "temperature" not in self.effects and not abs(away) <= SAME_TEMPERATURE:
+            raise RankDeficient(
+                f"alpha at {temperature:g} deg C is not known: the days do not tell how it varies"
+                " with temperature",
+                remedy="add a calibration at another temperature",
+            )
+        time = self.date if time is None else time
+        time = time if time.tzinfo else time.replace(tzinfo=datetime.UTC)
+        first, last = self.days[0].date - SAME_TIME, self.days[-1].date + SAME_TIME
+        if "drift" not in self.effects and not first <= time <= last:
+            raise RankDeficient(
+                f"alpha on {time:%Y-%m-%d} is not known: the days do not tell how it drifts",
+                remedy="add a calibration of another time",
+            )
+        years, n = (time - self.date) / YEAR, self.layout.n
+        j = np.stack([1 + self.coefficient * away, self.alpha * away, np.full(n, years)])
         covariance, systematic_covariance = (
-            spread_square(inner @ matrix[known] @ inner.T, on)
+            np.einsum("ai,aibj,bj->ij", j, matrix.reshape(3, n, 3, n), j)
             for matrix in (self.covariance, self.systematic_covariance)
         )
         alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
@@ -203,27 +213,3 @@ class Tracking:
         from truenewton.tracking.file import TRACKING
 
         write_fits(path, TRACKING, self, overwrite=overwrite)
-
-    def _away(self, temperature: float | None) -> float:
-        if temperature is None:
-            return 0.0
-        away = float(temperature) - self.temperature
-        if "temperature" not in self.effects and not abs(away) <= SAME_TEMPERATURE:
-            raise RankDeficient(
-                f"alpha at {temperature:g} deg C is not known: the days do not tell how it varies"
-                " with temperature",
-                remedy="add a calibration at another temperature",
-            )
-        return away if "temperature" in self.effects else 0.0
-
-    def _years(self, time: datetime.datetime | None) -> float:
-        if time is None:
-            return 0.0
-        time = time if time.tzinfo else time.replace(tzinfo=datetime.UTC)
-        first, last = self.days[0].date - SAME_TIME, self.days[-1].date + SAME_TIME
-        if "drift" not in self.effects and not first <= time <= last:
-            raise RankDeficient(
-                f"alpha on {time:%Y-%m-%d} is not known: the days do not tell how it drifts",
-                remedy="add a calibration of another time",
-            )
-        return (time - self.date) / YEAR if "drift" in self.effects else 0.0

@@ -39,6 +39,8 @@ class LinearFit:
         columns are the part from the readings, the others the errors of the weights.
     chi2
         Of the days about their lines.
+    own_scatter
+        (n,) how far each actuator's days scatter about its line, relative to alpha.
     actuator_chi2, actuator_degrees
         (n,) the share of each actuator, chi-squared distributed given all others; its degrees of
         freedom, days less parameters.
@@ -48,17 +50,9 @@ class LinearFit:
     effects: Array
     root: Array
     chi2: float
+    own_scatter: Array
     actuator_chi2: Array
     actuator_degrees: int
-
-
-def own_scatter(days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array) -> Array:
-    """Return (n,) how far each actuator's days scatter about its line, relative to alpha."""
-    alpha = np.array([day.calibration.alpha[on] for day in days])
-    design = np.column_stack([np.ones(len(days)), settings])
-    off = scipy.linalg.null_space(design.T)
-    left = off.T @ (alpha / alpha.mean(axis=0))
-    return np.asarray(np.sqrt(np.sum(left**2, axis=0) / max(len(left), 1)))
 
 
 def linear_fit(
@@ -103,10 +97,9 @@ def linear_fit(
         changes.append(changed)
     change = np.concatenate(changes, axis=2)
     errors = change.shape[2]
-    matrix = np.zeros((count * n + errors, (1 + q) * n + errors))
-    matrix[: count * n, : (1 + q) * n] = whitened
-    matrix[: count * n, (1 + q) * n :] = (roots @ change).reshape(count * n, errors)
-    matrix[count * n :, (1 + q) * n :] = np.eye(errors)
+    nothing = np.zeros((errors, (1 + q) * n))
+    whitened_change = (roots @ change).reshape(count * n, errors)
+    matrix = np.block([[whitened, whitened_change], [nothing, np.eye(errors)]])
     right = np.concatenate([np.einsum("jab,jb->ja", roots, y).ravel(), np.zeros(errors)])
     solution = least_squares(matrix, right)
     values = solution.values[: (1 + q) * n].reshape(1 + q, n)
@@ -114,14 +107,16 @@ def linear_fit(
     root = solution.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
     root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
     root[0] *= mean[:, None]
-    actuator_chi2, actuator_degrees = _share(solution, roots, design)
+    off = scipy.linalg.null_space(design.T)
+    degrees = off.shape[1]
     return LinearFit(
         alpha=a * mean,
         effects=effects,
         root=root.reshape((1 + q) * n, -1),
         chi2=solution.chi2,
-        actuator_chi2=actuator_chi2,
-        actuator_degrees=actuator_degrees,
+        own_scatter=np.sqrt(np.sum((off.T @ y) ** 2, axis=0) / max(degrees, 1)),
+        actuator_chi2=_share(solution, roots, off) if degrees else np.zeros(n),
+        actuator_degrees=degrees,
     )
 
 
@@ -138,17 +133,14 @@ def _inverse_root(day: DatedCalibration, covariance: Array) -> Array:
     return np.asarray(scipy.linalg.solve_triangular(lower, np.eye(len(lower)), lower=True))
 
 
-def _share(solution: LeastSquares, roots: Array, design: Array) -> tuple[Array, int]:
-    """Return (n,) chi2 of the days of one actuator given all others, and its degrees of freedom.
+def _share(solution: LeastSquares, roots: Array, off: Array) -> Array:
+    """Return (n,) chi2 of the days of one actuator given all others.
 
     Columns Z that shift each day of the actuator freely would lower chi2 by s' (Z' M Z)^+ s, with
     s = Z' residual and M the projection off the columns of the fit; whatever law the actuator
-    itself obeys is left out of the rank.
+    itself obeys is left out of the rank, the columns of ``off`` being orthogonal to it.
     """
     count, n = roots.shape[:2]
-    degrees = count - design.shape[1]
-    if degrees <= 0:
-        return np.zeros(n), 0
     residual = solution.residual[: count * n].reshape(count, n)
     basis = solution.orthogonal[: count * n].reshape(count, n, -1)
     s = np.einsum("jab,ja->bj", roots, residual)
@@ -156,8 +148,7 @@ def _share(solution: LeastSquares, roots: Array, design: Array) -> tuple[Array, 
     m = -np.einsum("jpb,kpb->bjk", shared, shared)
     day = np.arange(count)
     m[:, day, day] += np.einsum("jab,jab->bj", roots, roots)
-    off = scipy.linalg.null_space(design.T)
     inner = np.einsum("jp,bjk,kq->bpq", off, m, off)
     reduced = s @ off
     solved = np.linalg.solve(inner, reduced[..., None])[..., 0]
-    return np.sum(reduced * solved, axis=1), degrees
+    return np.asarray(np.sum(reduced * solved, axis=1))

@@ -6,15 +6,15 @@ import asyncio
 import os
 import threading
 import time
-from collections.abc import Coroutine
 from functools import partial
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 from asyncua import Client, ua
 from asyncua.client.ua_client import UaClientState
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from asyncua.sync import ThreadLoop
 
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
@@ -25,7 +25,6 @@ from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 PAUSE = 0.2  # between two attempts [s]
-Answer = TypeVar("Answer")
 ERRORS = {error.__name__: error for error in TrueNewtonError.__subclasses__()}
 
 
@@ -33,16 +32,8 @@ class OpcUaBench:
     """A mirror behind an OPC UA server, signed, encrypted, with user and password.
 
     A connection that is lost comes back with the next call. A reading is refused then until a
-    shape was commanded anew: nobody knows what the mirror did meanwhile.
-
-    Parameters
-    ----------
-    choice, folder
-        As `opcua.connect` has them.
-
-    Raises
-    ------
-    BenchFault, UnreadableFile, FormatError
+    shape was commanded anew: nobody knows what the mirror did meanwhile. What it takes and raises
+    `opcua.connect` says.
 
     Attributes
     ----------
@@ -77,12 +68,12 @@ class OpcUaBench:
         self._client: Client | None = None
         self._connections = 0  # so far
         self._commanded: int | None = None  # in which of them the last shape was commanded
-        self._loop = asyncio.new_event_loop()
-        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread = ThreadLoop(timeout=None)
+        self._thread.daemon = True
         self._thread.start()
         self._one_at_a_time = threading.Lock()
         try:
-            self._wait(self._connected())
+            self._thread.post(self._connected())
         except BaseException:
             self.close()
             raise
@@ -114,12 +105,9 @@ class OpcUaBench:
 
     def close(self) -> None:
         """End the connection; the bench is of no more use."""
-        if self._loop.is_closed():
-            return
-        self._wait(self._drop(broken=False))
-        self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
-        self._loop.close()
+        if self._thread.is_alive():
+            self._thread.post(self._drop(broken=False))
+            self._thread.stop()
 
     def __enter__(self) -> Self:
         return self
@@ -127,14 +115,12 @@ class OpcUaBench:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _wait(self, answer: Coroutine[Any, Any, Answer]) -> Answer:
-        return asyncio.run_coroutine_threadsafe(answer, self._loop).result()
-
     def _call(self, method: str, *values: Any) -> list[Any]:
         """Call a method of the server and return what it gives; raise its fault."""
         arguments = variants(values, METHODS[method][0])
         with self._one_at_a_time:
-            fault, *given = self._wait(self._answer(method, arguments))
+            answer: list[Any] = self._thread.post(self._answer(method, arguments))
+        fault, *given = answer
         if fault:
             kind, what, remedy = fault
             raise ERRORS.get(kind, BenchFault)(what, remedy=remedy)

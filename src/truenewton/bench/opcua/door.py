@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import hmac
+from dataclasses import dataclass
 from typing import Any
 
 from asyncua import Server, ua
@@ -28,19 +29,13 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
 
 
+@dataclass(frozen=True, repr=False)
 class KnownClients:
-    """Who may come: the holder of a trusted certificate who also knows user and password.
+    """Who may come: the holder of a trusted certificate (DER) who also knows user and password."""
 
-    Parameters
-    ----------
-    trusted
-        Certificates (DER).
-    user, password
-        Of the one user there is.
-    """
-
-    def __init__(self, trusted: frozenset[bytes], user: str, password: str) -> None:
-        self.trusted, self._user, self._password = trusted, user, password.encode()
+    trusted: frozenset[bytes]
+    user: str
+    password: str
 
     def get_user(
         self,
@@ -50,8 +45,8 @@ class KnownClients:
         certificate: bytes | None = None,
     ) -> User | None:
         """Return the user, or None; the certificate is that with which the channel was opened."""
-        right = hmac.compare_digest((password or "").encode(), self._password)
-        if right and username == self._user and certificate in self.trusted:
+        right = hmac.compare_digest((password or "").encode(), self.password.encode())
+        if right and username == self.user and certificate in self.trusted:
             return User(role=UserRole.User, name=username)
         return None
 

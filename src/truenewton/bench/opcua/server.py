@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import socket
 import threading
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -59,33 +58,24 @@ async def serving(
     private = keys.read_private_key(folder / keys.SERVER_KEY)
     trusted = keys.read_trusted(folder / keys.TRUSTED)
     password = keys.read_password(folder / keys.PASSWORD)
-    _refuse_taken(port)
     server = ClosedServer(KnownClients(trusted, keys.USER, password), certificate, private)
     await server.init()
     await server.set_application_uri(keys.SERVER_URI)
     server.set_server_name(f"truenewton {bench.instrument}")
     server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
     await _publish(server, bench)
-    await server.start()
+    try:
+        await server.start()
+    except OSError as error:
+        raise BenchFault(
+            f"port {port} cannot be had ({os.strerror(error.errno or 0)})",
+            remedy="choose another port",
+            got=port,
+        ) from error
     try:
         yield server.endpoint.geturl()
     finally:
         await server.stop()
-
-
-def _refuse_taken(port: int) -> None:
-    """Refuse a port that cannot be had, before the seconds that a server takes to start."""
-    with socket.socket() as probe:
-        if os.name != "nt":  # where it would let us share a port that is taken
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind(("127.0.0.1", port))
-        except OSError as error:
-            raise BenchFault(
-                f"port {port} cannot be had ({error.strerror})",
-                remedy="choose another port",
-                got=port,
-            ) from error
 
 
 async def _publish(server: Server, bench: ServedBench) -> None:

@@ -7,8 +7,14 @@ import os
 from collections.abc import Sequence
 
 from truenewton.bench.protocol import Reading, Shape, Status
-from truenewton.bench.simulated.loop_campaign import loop_of
-from truenewton.bench.simulated.static import PAUSE, SECONDS_PER_SHAPE, START, static_bench, take
+from truenewton.bench.simulated.static import (
+    PAUSE,
+    SECONDS_PER_SHAPE,
+    START,
+    loop_of,
+    static_bench,
+    take,
+)
 from truenewton.bench.simulated.truth import truth_path, write_truth
 from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror

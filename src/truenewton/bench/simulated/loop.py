@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import repeat
 
 import numpy as np
@@ -22,6 +23,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.bench.simulated.coils import Coils, dac, gain, saturated, true_force
 from truenewton.bench.simulated.control import Control, ramp
+from truenewton.bench.simulated.plant import advance
 from truenewton.bench.simulated.sensors import Sensors, counts, out_of_range, reading
 from truenewton.errors import BenchFault
 
@@ -34,14 +36,12 @@ FEWEST_COLUMNS = 8  # in one product; of larger mirrors threads are worth it
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A mirror in closed loop, from `stability.closed_loop`.
+    """A mirror in closed loop; whether the gains hold it `stability.check_stability` says.
 
     Attributes
     ----------
     stiffness, mass, damping
         (n, n) K of the glass less the gradient of the bias magnets [N/m], M [kg], C [N s/m].
-    step
-        (2n, 3n) of the glass, from `plant.advance`.
     coils, sensors, control
         What closes the loop.
     """
@@ -49,10 +49,14 @@ class Loop:
     stiffness: Array
     mass: Array
     damping: Array
-    step: Array
     coils: Coils
     sensors: Sensors
     control: Control
+
+    @cached_property
+    def step(self) -> Array:
+        """(2n, 3n) of the glass, from one sample to the next (`plant.advance`)."""
+        return advance(self.stiffness, self.mass, self.damping, self.control.period)
 
 
 def samples_of(

@@ -6,11 +6,9 @@ import numpy as np
 from scipy.linalg import eigh
 
 from truenewton.arrays import Array
-from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control
 from truenewton.bench.simulated.loop import Loop
 from truenewton.bench.simulated.plant import advance
-from truenewton.bench.simulated.sensors import Sensors
 from truenewton.errors import LoopUnstable
 
 DENSE = 100  # actuators, up to which the whole matrix is taken
@@ -83,36 +81,18 @@ def roots(loop: Loop) -> Array:
     )
 
 
-def closed_loop(
-    stiffness: Array,
-    mass: Array,
-    damping: Array,
-    coils: Coils,
-    sensors: Sensors,
-    control: Control,
-) -> Loop:
-    """Close the loop, if the gains hold it.
-
-    Parameters
-    ----------
-    stiffness
-        (n, n) K of the glass at the actuators [N/m].
-    mass, damping
-        (n, n) M [kg] and C [N s/m].
-    coils, sensors, control
-        What closes the loop; the bias magnets' gradient comes off the diagonal of K.
+def check_stability(loop: Loop) -> None:
+    """Refuse a loop that the gains do not hold.
 
     Raises
     ------
     LoopUnstable
         A root on or outside the unit circle.
     """
-    softer = stiffness - coils.bias_gradient * np.eye(len(stiffness))
-    step = advance(softer, mass, damping, control.period)
-    loop = Loop(softer, mass, damping, step, coils, sensors, control)
     every = roots(loop)
     worst = every[np.abs(every).argmax()]
-    radius, frequency = float(np.abs(worst)), abs(np.angle(worst)) * control.rate / (2 * np.pi)
+    radius = float(np.abs(worst))
+    frequency = abs(np.angle(worst)) * loop.control.rate / (2 * np.pi)
     if not radius < 1:
         raise LoopUnstable(
             f"the loop does not hold: a motion at {frequency:.0f} Hz grows by a factor of"
@@ -123,4 +103,3 @@ def closed_loop(
             got=radius,
             want=1.0,
         )
-    return loop

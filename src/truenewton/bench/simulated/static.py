@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
-from truenewton.bench.simulated.loop import Loop
+from truenewton.bench.simulated.control import Control
+from truenewton.bench.simulated.loop import Loop, equilibrium
 from truenewton.bench.simulated.noise import LOOP, SAMPLES, STATIC, row_noise
+from truenewton.bench.simulated.plant import film_damping
 from truenewton.bench.simulated.record import Record, record
 from truenewton.bench.simulated.sensors import Sensors, draw_sensors
+from truenewton.bench.simulated.stability import check_stability
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shapes import scaled_modes
 from truenewton.mirrors.shell.held_glass import (
     HeldGlass,
     external_resultants,
@@ -32,9 +34,10 @@ from truenewton.mirrors.shell.held_glass import (
     held_glass,
     weight_on,
 )
+from truenewton.mirrors.shell.moving_mass import moving_mass
 from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
-from truenewton.statics.modes import stiffness_modes
+from truenewton.statics.modes import scaled_modes, stiffness_modes
 
 START = datetime.datetime(2026, 1, 1, 9, 0, tzinfo=datetime.UTC)  # of the simulated clock
 SECONDS_PER_SHAPE = 0.5
@@ -192,6 +195,42 @@ def _true_loads(loads: Sequence[Load], random: np.random.Generator) -> tuple[Arr
     return np.array(added), np.array(tilt)
 
 
+def loop_of(bench: StaticBench) -> Loop:
+    """Close the loop around the glass of a bench, its feed-forward as a calibration gives it.
+
+    Raises
+    ------
+    LoopUnstable
+        The gains do not hold it.
+    """
+    n = bench.mirror.layout.n
+    mass, pucks = moving_mass(bench.glass)
+    # M z'' + C z' + K~ z = S' f, in terms of f
+    to_forces = np.asarray(np.linalg.inv(pucks.T), dtype=float)
+    softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(n)
+    feed_forward = softer / bench.coils.alpha[:, None] * bench.sensors.gain
+    loop = Loop(
+        softer,
+        to_forces @ mass,
+        film_damping(bench.mirror.gap) * to_forces,
+        bench.coils,
+        bench.sensors,
+        Control(feed_forward),
+    )
+    check_stability(loop)
+    return loop
+
+
+def rest_displacement(bench: StaticBench) -> Array:
+    """Return (L, n) the true displacement at which the loop holds the flat mirror under each load.
+
+    Along +z [m]. There a coil gives alpha (1 + COILGRAD z), and that is what a campaign in closed
+    loop can find; `Truth.alpha` is that at z = 0.
+    """
+    flat = np.zeros((bench.mirror.layout.n, len(bench.loads)))
+    return equilibrium(loop_of(bench), flat, bench.load_force.T)[0].T
+
+
 def held_command(bench: StaticBench, load_index: int, position: Array) -> Array:
     """Return the (rows, n) commands that hold (rows, n) readings under a load, noiseless [N]."""
     z = position * bench.sensors.gain
@@ -231,7 +270,16 @@ def take(
 
 
 def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Iterator[Cycle]:
-    """Yield the cycles of a campaign: every shape and its negative, under each load in turn."""
+    """Yield the cycles of a campaign: every shape and its negative, under each load in turn.
+
+    In a loop, from `loop_of`, all shapes of a cycle go together, a row that has not settled is
+    marked as not valid, and what noise the forces have is left to their repeats to tell.
+
+    Raises
+    ------
+    LoopUnstable, BenchFault
+        In a loop only.
+    """
     shape, sign, position = rows_of_cycle(bench)
     mirror, start, time = bench.mirror, START, SECONDS_PER_SHAPE * np.arange(1.0, len(shape) + 1)
     for load_index, load in enumerate(bench.loads):

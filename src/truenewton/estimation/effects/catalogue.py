@@ -42,7 +42,7 @@ class Effect:
     remedy
         What the user can do about it.
     corrected
-        Whether it is taken out of the data where that cures them; else it is said.
+        Whether it is taken out of the data of a fit where that cures them; else it is said.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Effect:
     derivative: Callable[[FittedRows], Derivative | None]
     remedy: str
     of: str = ""
-    corrected: bool = True
+    corrected: Callable[[FittedRows], bool] = lambda _: True
 
 
 def _hour(within: WithinGroups) -> slice:
@@ -94,6 +94,19 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     return on_readings(fit, rows, np.ones_like(fit.fitted), each=each)
 
 
+def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
+    """The zero of the readings drifts, or the force of the bias magnets, of all alike or of each.
+
+    Which of both it is, no balance tells: readings and B move together.
+    """
+    within = fit.moments.within
+    if within is None or not np.any(within.square > 0) or (each and fit.problem.n > MOST_EACH):
+        return None
+    return on_readings(
+        fit, of_rows(fit.moments, within, _hour(within)), np.ones_like(fit.fitted), each=each
+    )
+
+
 def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative | None:
     """Coils are not linear: g = -c^2 or -c^3, of all alike or of each."""
     if each and fit.problem.n > MOST_EACH:
@@ -113,6 +126,14 @@ def bias_gradient(fit: FittedRows) -> Derivative | None:
     """The bias magnets' force changes with z, by other than BIASGRAD: A z in the balance."""
     z = fit.moments.displacement
     return None if z is None else on_balance(fit, (z @ fit.problem.a.T)[:, :, None])
+
+
+def weight_of_load(fit: FittedRows) -> Derivative | None:
+    """The weight of a load is another than declared; two loads say nothing of that."""
+    of_load = fit.moments.of_load
+    if of_load.shape[1] < 3:
+        return None
+    return on_balance(fit, np.eye(3)[None, :, :1] * of_load[:, None, :])
 
 
 def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
@@ -180,7 +201,12 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by hour of each", "1/h", partial(gain_by_hour, each=True), _WARM, "actuator"),
     Effect("gain by file", "", gain_by_file, _WARM, "file"),
     Effect("gain by load", "", gain_by_load, "record POSITION, which tells whether shapes differ"
-           " between loads; else take bare and loaded cycles in turn", "load", corrected=False),
+           " between loads, and take bare and loaded cycles in turn", "load",
+           lambda fit: fit.moments.displacement is not None),
+    Effect("weight of a load", "N", weight_of_load, "weigh mirror and loads anew", "load",
+           lambda _: False),
+    Effect("zero by hour", "N/h", partial(zero_by_hour, each=False), _ZERO),
+    Effect("zero by hour of each", "N/h", partial(zero_by_hour, each=True), _ZERO, "actuator"),
     Effect("zero by file", "N", partial(zero_by_file, each=False), _ZERO, "file"),
     Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file"),
     Effect("quadratic coil", "1/N", partial(power_of_force, power=2, each=False), _COIL),

@@ -62,23 +62,21 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     # A first spread from the score itself: U U' = V of the effect, on the average.
     size = np.trace(result.variance) / np.sum(result.variance**2)
     tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
-    at, derivative = fit, first
+    at, derivative, settled = fit, first, False
     for _ in range(STEPS):
         inverse = _inverse(result.information + np.eye(len(theta)) / tau2)
         if inverse is None:
             return None
-        step = inverse @ (result.score + theta / tau2)
-        theta = theta - step
+        uphill = result.score + theta / tau2
         told = float(np.sum(1.0 - np.diag(inverse) / tau2))
+        if settled and float(uphill @ inverse @ uphill) < SMALL:
+            minimum = _with_error(at, result.moves, inverse)
+            return Correction(effect, theta, inverse, told, at.problem, at.moments, minimum)
+        theta = theta - inverse @ uphill
         before, tau2 = tau2, max(float(theta @ theta) / max(told, 1e-3), 1e-300)
+        settled = abs(np.log(before / tau2)) < 1e-2
         problem, moments = derivative.remove(fit.problem, fit.moments, theta)
-        if problem.noise.source == NoiseSource.REPEATS:
-            noise = replace(
-                reading_noise(problem.campaign, moments),
-                share=fit.problem.noise.share,
-                share_freedom=fit.problem.noise.share_freedom,
-            )
-            problem = replace(problem, noise=noise)
+        problem = _with_noise_anew(problem, moments)
         try:
             minimum = problem.fitted(moments, at.minimum.values)
         except (NotConverged, RankDeficient):
@@ -88,14 +86,16 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
         if again is None:
             return None
         derivative, result = again, scored(at, again)
-        settled = abs(np.log(before / tau2)) < 1e-2
-        if settled and float(step @ (result.information @ step)) < SMALL:
-            inverse = _inverse(result.information + np.eye(len(theta)) / tau2)
-            if inverse is None:
-                return None
-            minimum = _with_error(at, result.moves, inverse)
-            return Correction(effect, theta, inverse, told, problem, moments, minimum)
     return None
+
+
+def _with_noise_anew(problem: Problem, moments: Moments) -> Problem:
+    """Return the problem with the noise of the repeats that an effect was taken out of."""
+    if problem.noise.source != NoiseSource.REPEATS:
+        return problem
+    noise = reading_noise(problem.campaign, moments)
+    share, freedom = problem.noise.share, problem.noise.share_freedom
+    return replace(problem, noise=replace(noise, share=share, share_freedom=freedom))
 
 
 def _inverse(matrix: Array) -> Array | None:

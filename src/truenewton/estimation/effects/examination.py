@@ -20,6 +20,7 @@ from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
+from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import Noise
@@ -27,6 +28,9 @@ from truenewton.estimation.problem import Problem
 from truenewton.estimation.structure import FITS, Structure, structure_of
 
 MOST = 4  # effects at once
+MOST_FORCES = 3  # actuators at which forces come and go
+ROUNDS = 4  # for the size of each
+NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
 ALIKE = 0.85  # of the logarithm of the smallest probability: effects about as likely
 
 
@@ -60,10 +64,18 @@ class Examined:
         return chi2_probability(self.minimum.chi2, freedom, self.problem.noise)
 
     @property
+    def too_well(self) -> bool:
+        """Whether the shapes balance better than their noise lets expect."""
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
+        if freedom <= 0:
+            return False
+        return chi2_probability(self.minimum.chi2, freedom, self.problem.noise) > 1.0 - FITS
+
+    @property
     def fits(self) -> bool:
         """Whether both the balance and the repetition of shapes fit."""
         repeated = self.structure is None or self.structure.probability > FITS
-        return self.probability > FITS and repeated
+        return self.probability > FITS and repeated and not self.too_well
 
     @property
     def excess(self) -> float:
@@ -103,37 +115,60 @@ def examined(
     plain = Examined(problem, moments, minimum)
     if structure is None:
         return plain
-    independent = problem.noise.share == 1.0
-    start = replace(plain, structure=structure) if moments.pooled else plain
-    if independent and not moments.pooled:
-        pooled = replace(moments, pooled=True)
-        try:
-            start = Examined(problem, pooled, problem.fitted(pooled, minimum.values))
-        except (NotConverged, RankDeficient):
-            return plain
-        start = replace(start, structure=structure_of(pooled, problem.noise, samples))
-    cured, suspects = _cured(start, independent, samples)
-    if cured is not None:
+    # What files or hours do to all readings looks like noise that they share, until it is out.
+    alone = replace(problem, noise=replace(problem.noise, share=1.0, share_freedom=np.inf))
+    start = _pooled(alone, moments, minimum, structure)
+    if start is None:
+        return plain
+    cured, named_first = _cured(start, independent=True, samples=samples)
+    if cured is not None and (cured.effects or problem.noise.share == 1.0):
         return cured
-    if start.fits or plain.probability > FITS:
-        # Alpha is right if shapes differ by load; if the coils do, it is wrong by as much.
-        best = start if start.fits else plain
-        return replace(best, effects=suspects)
-    return replace(start, effects=suspects)
+    if problem.noise.share != 1.0:
+        start = replace(plain, structure=structure) if moments.pooled else plain
+        cured, named_first = _cured(start, independent=False, samples=samples)
+        if cured is not None:
+            return cured
+    best = plain if plain.fits and not start.fits else start
+    if named_first.effects and named_first.fits:
+        # What two readings of the data explain, alpha may be wrong by.
+        return replace(best, effects=named_first.effects, minimum=_unsure(best, named_first))
+    for one in (start, plain):
+        forced = _with_unknown_forces(one)
+        if forced is not None:
+            return forced
+    return replace(best, effects=named_first.effects)
+
+
+def _pooled(
+    problem: Problem, moments: Moments, minimum: Minimum, structure: Structure
+) -> Examined | None:
+    """Return the fit to pooled rows, whether shapes repeat so or not; None where there is none."""
+    pooled = replace(moments, pooled=True)
+    try:
+        fitted = problem.fitted(pooled, minimum.values)
+    except (NotConverged, RankDeficient):
+        return None
+    return Examined(problem, pooled, fitted, structure=structure)
 
 
 def _cured(
-    start: Examined, independent: bool, samples: Sequence[Array]
-) -> tuple[Examined | None, tuple[FoundEffect, ...]]:
-    """Take out the likeliest effects until all fits; None and those named where that fails."""
-    now, first = start, tuple[FoundEffect, ...]()
+    start: Examined, *, independent: bool, samples: Sequence[Array]
+) -> tuple[Examined | None, Examined]:
+    """Take out the likeliest effects until all fits; None where that fails.
+
+    Also what came of the first effect named, where it could not be taken out.
+    """
+    now, first = start, start
     for _ in range(MOST):
         fit = FittedRows(now.problem, now.moments, now.minimum, independent)
         found = named(tests(fit))
         if not found:
-            return (now, first) if now.fits else (None, first)
-        if not first:
-            first = (_found(fit, found[0], None),)
+            return (now if now.fits else None), first
+        if not first.effects:
+            first = replace(start, effects=(_found(fit, found[0], None),))
+        force = unknown_force(fit)
+        if force is not None and force.log_probability < found[0].log_probability:
+            return _with_unknown_forces(now), first
         after = None
         for test in _alike(found):
             corrected = correction(fit, test.effect)
@@ -147,9 +182,57 @@ def _cured(
         if after is None:
             return None, first
         if after.fits and not after.effects[-1].corrected:
-            return None, after.effects
+            return None, after
         now = after
-    return (now, first) if now.fits else (None, first)
+    return (now if now.fits else None), first
+
+
+def _with_unknown_forces(now: Examined) -> Examined | None:
+    """Let forces come and go at some actuators until none stands out; None if little fits then."""
+    found: dict[int, UnknownForce] = {}
+    for _ in range(MOST_FORCES * ROUNDS):
+        fit = FittedRows(now.problem, now.moments, now.minimum, independent=False)
+        force = unknown_force(fit)
+        if force is None:
+            break
+        before = found.get(force.index)
+        if before is not None:
+            size = float(np.hypot(before.size, force.size))
+            found[force.index] = replace(before, size=size)
+        elif len(found) == MOST_FORCES:
+            return None
+        else:
+            found[force.index] = force
+        problem = disturbed(now.problem, force)
+        try:
+            minimum = problem.fitted(now.moments, now.minimum.values)
+        except (NotConverged, RankDeficient):
+            return None
+        now = replace(now, problem=problem, minimum=minimum)
+    if not found or now.excess > NEARLY:
+        return None
+    effects = tuple(
+        FoundEffect(
+            name="unknown force",
+            where=f"actuator {force.actuator}",
+            probability=float(np.exp(force.log_probability)),
+            size=force.size,
+            unit="N",
+            corrected=False,
+            remedy="look for friction, dust in its gap or a cable at it",
+        )
+        for force in found.values()
+    )
+    return replace(now, effects=(*now.effects, *effects))
+
+
+def _unsure(best: Examined, named_first: Examined) -> Minimum:
+    """Return the minimum, less sure by what it would move if the effect named were taken out."""
+    t = min(len(best.minimum.reading_covariance), len(named_first.minimum.values))
+    moved = (named_first.minimum.values - best.minimum.values)[:t]
+    covariance = best.minimum.reading_covariance.copy()
+    covariance[:t, :t] += np.outer(moved, moved)
+    return replace(best.minimum, reading_covariance=covariance)
 
 
 def _alike(found: list[EffectTest]) -> list[EffectTest]:
@@ -201,6 +284,6 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
         probability=float(np.exp(test.log_probability)),
         size=float(theta[worst]),
         unit=effect.unit,
-        corrected=effect.corrected and corrected is not None,
+        corrected=corrected is not None and effect.corrected(fit),
         remedy=effect.remedy,
     )

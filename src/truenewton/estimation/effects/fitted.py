@@ -9,6 +9,7 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
+from truenewton.estimation.imbalance import imbalance_covariance
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
@@ -46,8 +47,8 @@ class FittedRows:
     @cached_property
     def root(self) -> Array:
         """(3, 3) S^-1/2."""
-        s = (self.scaled_arms * self.problem.noise.in_balance) @ self.scaled_arms.T
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(s)))
+        s = imbalance_covariance(self.scaled_arms, self.problem.noise.in_balance)
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(s + self.problem.disturbance)))
 
     @cached_property
     def rows(self) -> Array:

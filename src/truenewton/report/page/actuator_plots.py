@@ -28,7 +28,7 @@ from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
 from truenewton.calibration.result import Calibration
-from truenewton.figures.maps import dot_radius, numbers_by_ring, ring_edges, ring_label
+from truenewton.figures.maps import dot_radius, numbers_by_ring, ring_edges, ring_label, ring_radii
 from truenewton.figures.style import ACCENT, ALARM, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
@@ -61,9 +61,7 @@ def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ..
     plot = _empty_plot(sizing_mode="scale_width", aspect_ratio=0.92, match_aspect=True)
     plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm)", "y (mm)"
     plot.grid.visible = False
-    radius, ring = np.hypot(layout.x, layout.y) / MILLIMETRE, ring_of(layout)
-    if ring.max() > 0:
-        radii = [float(radius[ring == k].mean()) for k in range(ring.max() + 1)]
+    if radii := ring_radii(layout):
         plot.circle(x=0.0, y=0.0, radius=radii, fill_color=None, line_color=FAINT, line_width=0.5,
                     level="underlay")  # fmt: skip
     low, high = layers[0].limits

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from truenewton.modal.dissipation import Budget
-from truenewton.modal.figures import chosen_modes, plot_modes, plot_power, plot_residual
+from truenewton.modal.figures import chosen_modes
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
 from truenewton.modal.words import (
@@ -63,8 +62,7 @@ def _modes(modes: ModalFindings) -> Section:
         f" {'; '.join(drawn)}."
     )
     table = TextTable("Faults of the stiffness", ("of", "alpha = 1", "calibrated"), rows)
-    figure = plot_modes(modes.after)
-    return Section("modes", "Stiffness modes", tuple(words), figure, caption, (table,))
+    return Section("modes", "Stiffness modes", tuple(words), "modes", caption, (table,))
 
 
 def _turbulence(base: ModalBase) -> Section:
@@ -76,7 +74,7 @@ def _turbulence(base: ModalBase) -> Section:
         f" {half} of {count}: {left}."
     )
     words = (f"For {turbulence_text(base)}.", f"Between actuators: {fitting_error_text(base)}.")
-    return Section("turbulence", "Turbulence", words, plot_residual(base), caption)
+    return Section("turbulence", "Turbulence", words, "modes-residual", caption)
 
 
 def _dissipation(base: ModalBase) -> Section:
@@ -97,5 +95,4 @@ def _dissipation(base: ModalBase) -> Section:
         "Rms wavefront that N modes of each base leave; force and power of N stiffness modes",
         head, tuple(cost_rows(base)),
     )  # fmt: skip
-    figure = plot_power(base, Budget())
-    return Section("dissipation", "Dissipation", words, figure, caption, (table,))
+    return Section("dissipation", "Dissipation", words, "modes-power", caption, (table,))

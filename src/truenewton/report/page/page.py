@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import platform
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from bokeh.core.json_encoder import serialize_json
@@ -14,8 +13,8 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
-from truenewton.calibration.result import Calibration
 from truenewton.calibration.words import headline, summary_rows
+from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
 from truenewton.records.source import Source
 from truenewton.report.change import Change
@@ -69,25 +68,26 @@ def page(findings: Findings | Change, command: str = "") -> str:
             verdict=verdict_on_change(findings),
             actuators=change_views(findings),
             sections=(),
+            drawn={},
             tables=(_summaries(findings), _files(findings.one.sources, "First calibration: files"),
                     _files(findings.other.sources, "Second calibration: files")),
             command=command,
         )  # fmt: skip
-    c = findings.calibration
+    c, instrument = findings.calibration, findings.data.instrument
+    sections = (*evidence_sections(findings), *modal_sections(findings), times(findings))
     return _rendered(
-        title=f"{findings.instrument}: calibration of its actuators",
-        heading=headline(c) if c else f"{findings.instrument}: no calibration",
+        title=f"{instrument}: calibration of its actuators",
+        heading=headline(c) if c else f"{instrument}: no calibration",
         verdict=verdict(findings),
         actuators=calibration_views(findings, c) if c else None,
-        sections=(*evidence_sections(findings), *modal_sections(findings), times(findings)),
-        tables=(_summary(c), _files(findings.inputs, "Files")),
+        sections=sections,
+        drawn={part.key: inline_svg(findings.plot(part.figure), part.key)
+               for part in sections if part.figure},
+        tables=(TextTable("All figures", ("figure", "value", "note"),
+                          tuple(summary_rows(c)) if c else (), wraps=True),
+                _files(findings.inputs, "Files")),
         command=command,
-    )
-
-
-def _summary(c: Calibration | None) -> TextTable:
-    rows = tuple(summary_rows(c)) if c else ()
-    return TextTable("All figures", ("figure", "value", "note"), rows, wraps=True)
+    )  # fmt: skip
 
 
 def _summaries(change: Change) -> TextTable:
@@ -112,13 +112,10 @@ def _rendered(actuators: Actuators | None, **content: Any) -> str:
         loader=PackageLoader("truenewton.report.page"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    templates = Path(__file__).with_name("templates")
     return environment.get_template("page.html.j2").render(
         **content,
         actuators=actuators,
         versions=_versions(),
-        style=(templates / "report.css").read_text(encoding="utf-8"),
-        script=(templates / "report.js").read_text(encoding="utf-8"),
         bokeh="\n".join(BOKEH.js_raw),
         payload=htmlsafe_json_dumps(_payload(actuators), dumps=serialize_json) if actuators else "",
     )

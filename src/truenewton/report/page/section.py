@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from matplotlib.axes import Axes
-
-from truenewton.figures.writing import inline_svg
-
 
 @dataclass(frozen=True)
 class TextTable:
@@ -33,7 +29,7 @@ class Section:
     words
         Paragraphs.
     figure
-        What is drawn, if anything is.
+        Name of the figure of `Findings.plot`; empty where nothing is drawn.
     caption
         What the figure shows, in words: its alternative for who cannot see it.
     tables
@@ -43,11 +39,6 @@ class Section:
     key: str
     title: str
     words: tuple[str, ...] = ()
-    figure: Axes | None = None
+    figure: str = ""
     caption: str = ""
     tables: tuple[TextTable, ...] = ()
-
-    @property
-    def svg(self) -> str:
-        """The figure as an SVG element; empty where there is none."""
-        return "" if self.figure is None else inline_svg(self.figure, self.key)

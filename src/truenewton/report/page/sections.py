@@ -15,14 +15,7 @@ from truenewton.estimation.weights import typical
 from truenewton.records.campaign import Campaign
 from truenewton.report.budget import error_budget
 from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
-from truenewton.report.figures import (
-    columns_of_shapes,
-    plot_balance,
-    plot_budget,
-    plot_residuals,
-    plot_singular_values,
-    plot_temperatures,
-)
+from truenewton.report.figures import columns_of_shapes
 from truenewton.report.investigate import Findings
 from truenewton.report.page.section import Section, TextTable
 from truenewton.rounding import percent, significant
@@ -50,16 +43,17 @@ def evidence_sections(findings: Findings) -> Iterator[Section]:
 
 def _budget(c: Calibration) -> Section:
     """Return the error budget: of the common scale, source by source, and of an actuator."""
-    key, title, budget = "budget", "Error budget", error_budget(c)
+    title, budget = "Error budget", error_budget(c)
     if not budget:
         words = "The common scale is a convention (mean alpha 1), so all the error is the readings'"
-        return Section(key, title, (f"{words}: {percent(typical(c.error, c.alpha))}, typically.",))
+        words += f": {percent(typical(c.error, c.alpha))}, typically."
+        return Section("budget", title, (words,))
     parts = "; ".join(f"{name}: {percent(size)}" for name, size in budget.items())
     caption = (
         f"Relative standard uncertainties of alpha. {parts[:1].upper()}{parts[1:]}. The readings'"
         " part shrinks with more cycles, the weights' part with better weights."
     )
-    return Section(key, title, (), plot_budget(budget), caption)
+    return Section("budget", title, (), "budget", caption)
 
 
 def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Section:
@@ -83,8 +77,8 @@ def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Sectio
     more = f"; the farthest {MOST_REJECTED}" if len(listed) > MOST_REJECTED else ""
     head = ("file", "row", "sigma", "against", "actuator that stands out")
     table = TextTable(f"Rejected rows: {len(listed)}{more}", head, rows)
-    title, figure = "Residuals by shape and cycle", plot_residuals(residuals)
-    return Section("residuals", title, (), figure, caption, (table,))
+    title = "Residuals by shape and cycle"
+    return Section("residuals", title, (), "residuals", caption, (table,))
 
 
 def _rms(values: Array) -> float:
@@ -97,7 +91,7 @@ def _modes(residuals: ModeResiduals) -> Section:
         f"Imbalance of {residuals.after.size} elastic modes per unit of force against their"
         f" stiffness: {before} rms with alpha = 1, {after} calibrated."
     )
-    return Section("residuals", "Residuals by mode", (), plot_residuals(residuals), caption)
+    return Section("residuals", "Residuals by mode", (), "residuals", caption)
 
 
 def _singular_values(evidence: Evidence) -> Section:
@@ -108,8 +102,7 @@ def _singular_values(evidence: Evidence) -> Section:
         f" itself; the second is {significant(ratio)} times larger. Patterns that come near the"
         " first are hardly known; were it no larger, noise would choose between them."
     )
-    figure = plot_singular_values(evidence)
-    return Section("singular-values", "Singular values", (), figure, caption)
+    return Section("singular-values", "Singular values", (), "singular-values", caption)
 
 
 def _balance(evidence: Evidence) -> Section:
@@ -135,15 +128,14 @@ def _balance(evidence: Evidence) -> Section:
         "Imbalance of every shape, with its sign, in terms of its noise:"
         f" {before} rms with alpha = 1, {after} calibrated."
     )
-    return Section("balance", title, (), plot_balance(evidence.residuals), caption, (table,))
+    return Section("balance", title, (), "balance", caption, (table,))
 
 
 def times(findings: Findings) -> Section:
     """Return when the data were taken, and how warm it was."""
     title, c, data = "Temperatures and times", findings.calibration, findings.data
     if not isinstance(data, Campaign):
-        known = c or data
-        words = f"Measured on {known.date:%Y-%m-%d %H:%M} UTC" if known else "Unknown"
+        words = f"Measured on {data.date:%Y-%m-%d %H:%M} UTC"
         if c is not None and c.date_end != c.date:
             words += f" to {c.date_end:%Y-%m-%d %H:%M} UTC"
         if c is not None and np.isfinite(c.temperature):
@@ -170,4 +162,4 @@ def times(findings: Findings) -> Section:
     caption += f" {max(starts):%Y-%m-%d %H:%M} UTC"
     caption += f", at {min(warm):.2f} to {max(warm):.2f} °C." if warm else "."
     tables = (TextTable("Cycles", head, tuple(rows)),)
-    return Section("times", title, (), plot_temperatures(data), caption, tables)
+    return Section("times", title, (), "temperatures", caption, tables)

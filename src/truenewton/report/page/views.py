@@ -9,7 +9,7 @@ import numpy as np
 from truenewton.calibration.result import Calibration
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
-from truenewton.report.layers import Layer, calibration_layers, change_layers
+from truenewton.report.layers import Layer, calibration_layers
 from truenewton.report.page.actuator_plots import (
     Plot,
     actuator_source,
@@ -52,7 +52,7 @@ class Actuators:
 
 def calibration_views(findings: Findings, c: Calibration) -> Actuators:
     """Return the views of alpha."""
-    layers = calibration_layers(findings)
+    layers = calibration_layers(c, findings.evidence)
     source = actuator_source(c.layout, layers)
     views = (
         View("map", "Map of the mirror", mirror_map(source, c.layout, layers),
@@ -64,7 +64,7 @@ def calibration_views(findings: Findings, c: Calibration) -> Actuators:
 
 def change_views(change: Change) -> Actuators:
     """Return the views of what changed."""
-    layers, layout = change_layers(change), change.one.layout
+    layers, layout = change.layers, change.one.layout
     source = actuator_source(layout, layers)
     ring_caption = (
         "Change of each actuator in sigmas, ring by ring from the centre. Between the dashed lines"

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-
-if TYPE_CHECKING:
-    from matplotlib.tri import TriFinder
 
 Indices = NDArray[np.int64]
 
@@ -87,7 +84,7 @@ class Mesh:
         return triangle
 
     @cached_property
-    def _finder(self) -> TriFinder:
+    def _finder(self) -> Any:
         from matplotlib.tri import Triangulation  # half a second that rings do not wait for
 
         return Triangulation(self.points[:, 0], self.points[:, 1], self.triangles).get_trifinder()

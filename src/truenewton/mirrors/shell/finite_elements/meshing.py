@@ -10,7 +10,6 @@ scipy's.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay, cKDTree
 
 from truenewton.arrays import Array
@@ -30,7 +29,7 @@ RELAXATIONS = 12
 MOST_ROUNDS = 300  # of refinement; some ten are usual
 
 
-def shell_mesh(shell: Shell, x: ArrayLike, y: ArrayLike, *, mesh_size: float) -> Mesh:
+def shell_mesh(shell: Shell, x: Array, y: Array, *, mesh_size: float) -> Mesh:
     """Mesh a glass; the edges of a ring are polygons of the circles' areas.
 
     Parameters

@@ -72,7 +72,7 @@ def sides_of(loops: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any]]
     return np.concatenate(loops), np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
 
 
-def checked_places(loops: Sequence[Array], x: ArrayLike, y: ArrayLike, mesh_size: float) -> Array:
+def checked_places(loops: Sequence[Array], x: Array, y: Array, mesh_size: float) -> Array:
     """Return (n, 2) positions of actuators [m], once known to be on the glass and apart.
 
     Raises
@@ -80,21 +80,16 @@ def checked_places(loops: Sequence[Array], x: ArrayLike, y: ArrayLike, mesh_size
     GeometryError
         Actuators off the glass, all but on an edge, or all but at one place.
     """
-    across, up = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    if across.ndim != 1 or across.shape != up.shape:
-        raise GeometryError(
-            f"X has shape {across.shape} and Y {up.shape}", remedy="give two numbers an actuator"
-        )
-    places = np.stack([across, up], axis=1)
+    places = np.stack([x, y], axis=1)
     closest, depth = CLOSEST * mesh_size, depth_inside(loops, places)
     for i in np.flatnonzero(~(depth >= 0)):
         raise GeometryError(
-            f"actuator {i} at x = {across[i]:.6g} m, y = {up[i]:.6g} m is off the glass",
+            f"actuator {i} at x = {x[i]:.6g} m, y = {y[i]:.6g} m is off the glass",
             remedy="bring it within the outline",
         )
     for i in np.flatnonzero(depth < closest):
         raise GeometryError(
-            f"actuator {i} at x = {across[i]:.6g} m, y = {up[i]:.6g} m is all but on an edge",
+            f"actuator {i} at x = {x[i]:.6g} m, y = {y[i]:.6g} m is all but on an edge",
             remedy=f"keep actuators {closest:.2g} m away from edges, or take a smaller mesh size",
         )
     for one, other in cKDTree(places).query_pairs(closest) if len(places) else ():
