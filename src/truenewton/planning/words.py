@@ -89,10 +89,10 @@ def _order_lines(outlook: Outlook) -> Iterator[str]:
         seen = f"{1e3 * third.seen:.2g} mN ({percent(third.relative)} of scale)"
         yield (
             f"  a third load, as heavy and as well known as '{third.like}', shows what two cannot:"
-            f" {seen} by which '{third.like}' is wrong or borne by something else, and in part coils"
-            f" whose static gains are not the elastic ones; it costs {_time(third.duration)},"
-            f" {third.mountings} more changes of load; scale {percent(third.error_now)} ->"
-            f" {percent(third.error)}"
+            f" {seen} by which '{third.like}' is wrong or borne by something else, and in part"
+            " coils whose static gains are not the elastic ones; it costs"
+            f" {_time(third.duration)}, {third.mountings} more changes of load; scale"
+            f" {percent(third.error_now)} -> {percent(third.error)}"
         )
 
 
