@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 import truenewton as tn
 from truenewton.mirrors.known import Mirror, p45
-from truenewton.mirrors.shapes import scaled_modes
 from truenewton.mirrors.shell.held_glass import (
     ExternalForces,
     HeldGlass,
@@ -37,7 +36,7 @@ from truenewton.mirrors.shell.held_glass import (
     weight_on,
 )
 from truenewton.statics.arms import arms
-from truenewton.statics.modes import stiffness_modes
+from truenewton.statics.modes import scaled_modes, stiffness_modes
 
 SEED = 14
 START = datetime.datetime(2026, 3, 2, 8, 0, tzinfo=datetime.UTC)

@@ -74,7 +74,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     free = problem_of(campaign, reading_noise(sound, moments))
     belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
     free = with_share_in_balance(free, sifted, minimum.values[: free.n])
-    if free.noise.share != 1.0:
+    if free.dependent:
         belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
     if not belongs.all():
         actuator = problem.standing_out(minimum.values, moments)

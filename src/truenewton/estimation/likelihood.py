@@ -94,7 +94,9 @@ def _terms(a: Array, data: Sequence[DataSet], values: Array) -> _Terms:
         sums = part.sums
         rho, rho_c, rho_rho = _imbalance(sums, scaled_arms, part.external(psi))
         noisy = scaled_arms * part.variance  # A diag(alpha) Sigma
-        s_inverse = np.asarray(np.linalg.inv(noisy @ scaled_arms.T + part.disturbance), dtype=np.float64)
+        s_inverse = np.asarray(
+            np.linalg.inv(noisy @ scaled_arms.T + part.disturbance), dtype=np.float64
+        )
         root = np.linalg.cholesky(s_inverse).T  # S^-1 = root' root
         white, taken = (
             root @ a,
@@ -298,7 +300,9 @@ def start_values(a: Array, data: Sequence[DataSet], prior: Prior) -> Array:
     nothing = np.zeros((n, 0))
     for part in data:
         sums = part.sums
-        s_inverse = np.asarray(np.linalg.inv((a * part.variance) @ a.T + part.disturbance), dtype=np.float64)
+        s_inverse = np.asarray(
+            np.linalg.inv((a * part.variance) @ a.T + part.disturbance), dtype=np.float64
+        )
         white, weighed = np.linalg.cholesky(s_inverse).T @ a, s_inverse @ a
         _add_product(matrix, white, sums.square, nothing, nothing.T)
         at = np.arange(n)

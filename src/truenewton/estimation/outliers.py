@@ -84,8 +84,10 @@ def _within(
     limit: float, problem: Problem, moments: Moments
 ) -> tuple[NDArray[np.bool_], Array, Fitted]:
     """Fit the groups whose squared distance from the fit is within a limit."""
+    whole = 0.0  # alpha of all groups: should others make it negative, too few are left
     try:
         fitted, distance = _fitted(problem, moments, moments)
+        whole = float(np.median(fitted[1].values[: problem.n]))
         if distance.max() <= limit:
             return np.ones(len(moments.rows), dtype=bool), distance, fitted
         del fitted  # an estimate holds matrices of all unknowns; the next one needs their room
@@ -101,6 +103,8 @@ def _within(
     while True:
         refuse_too_many(int(np.count_nonzero(~belongs)), len(belongs))
         fitted, distance = _fitted(problem, chosen_groups(moments, belongs), moments)
+        if np.median(fitted[1].values[: problem.n]) <= 0.0 < whole:
+            raise NotConverged("too few shapes agree", remedy="look at `truenewton info`")
         if passes == MOST_PASSES or np.array_equal(distance <= limit, belongs):
             return belongs, distance, fitted
         belongs, passes = distance <= limit, passes + 1

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -69,6 +70,11 @@ class Problem:
     elastic: tuple[DataSet, ...] = ()
     moved: Array | float = 0.0
     disturbance: Array | float = 0.0
+
+    @property
+    def dependent(self) -> bool:
+        """Whether the readings of a row depend on each other, as far as the balance feels it."""
+        return bool(np.isfinite(self.noise.share_freedom))
 
     @cached_property
     def a(self) -> Array:
@@ -153,7 +159,9 @@ def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Pro
     """Return the problem with the share of the repeats' scatter that reaches the balance.
 
     From the imbalance of deviations from the mean, A diag(alpha) (c - c_mean), of some repeated
-    rows; 1 unless they say otherwise by more than four standard errors.
+    rows; 1 unless they say otherwise by more than four standard errors. Where more reaches it than
+    independent readings would bring, something pushes many actuators at once, most in one
+    direction: then it disturbs the balance by as much, direction by direction.
     """
     if problem.noise.source != NoiseSource.REPEATS:
         return problem
@@ -166,6 +174,11 @@ def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Pro
     freedom = 3 * len(rho) * float(1.0 - repeats.size / repeats.sum())  # their means are theirs
     if abs(share - 1.0) < 4 * np.sqrt(2 / freedom):
         return problem
+    if share > 1.0:
+        size, directions = scipy.linalg.eigh(rho.T @ rho / len(rho), s)
+        pushed = (s @ directions) * np.sqrt(np.maximum(size - 1.0, 0.0))
+        noise = replace(problem.noise, share_freedom=freedom)
+        return replace(problem, disturbance=pushed @ pushed.T, noise=noise)
     return replace(problem, noise=replace(problem.noise, share=share, share_freedom=freedom))
 
 

@@ -29,7 +29,7 @@ from truenewton.records.campaign import Campaign
 
 MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
 MOST = 0.3  # of the rows; beyond this the campaign is refused
-LONG_TAILS = 1.15  # of scatter over what the median says: beyond, rows are no accidents
+LONG_TAILS = 1.08  # of scatter over what the median says: beyond, rows are no accidents
 FAR_OUT = 3.0  # times the usual limit, where rows are the tail of what happened to all
 QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 

@@ -81,8 +81,10 @@ def independent_readings(samples: Sequence[Array], n: int) -> float:
         return float(n)
     scaled = deviations / np.sqrt(np.mean(deviations**2, axis=0))
     # (tr C)^2 / tr C^2, less what chance alone makes of C between m rows.
-    square = float(np.sum((scaled @ scaled.T / m) ** 2)) if m < n else float(
-        np.sum((scaled.T @ scaled / m) ** 2)
+    square = (
+        float(np.sum((scaled @ scaled.T / m) ** 2))
+        if m < n
+        else float(np.sum((scaled.T @ scaled / m) ** 2))
     )
     return float(np.clip(n**2 / max(square - n * (n - 1) / m, 1.0), 1.0, n))
 

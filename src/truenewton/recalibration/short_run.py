@@ -87,7 +87,7 @@ def balancing(
         free = held_to(posed, known, ~new)
         belongs, distance, (problem, minimum) = balancing_groups(free, moments)
     free = with_share_in_balance(free, sifted, minimum.values[: problem.n])
-    if free.noise.share != 1.0:
+    if free.dependent:
         belongs, distance, (problem, minimum) = balancing_groups(free, moments)
     lost: list[RejectedRow] = []
     if not belongs.all():

@@ -1,9 +1,9 @@
 """What a bench does beside the model: named where the data show it, taken out where that cures them.
 
-    fitted         a fit, and what the score of an effect needs of it
-    derivative     what an effect is: its derivative, score and information
-    catalogue      the effects
-    score_test     is one there?
-    correction     taken out of the data, its size estimated with alpha
-    remainder      errors of what is left
+fitted         a fit, and what the score of an effect needs of it
+derivative     what an effect is: its derivative, score and information
+catalogue      the effects
+score_test     is one there?
+correction     taken out of the data, its size estimated with alpha
+remainder      errors of what is left
 """

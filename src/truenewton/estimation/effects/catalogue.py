@@ -52,6 +52,11 @@ class Effect:
     of: str = ""
     corrected: Callable[[FittedRows], bool] = lambda _: True
 
+    @property
+    def within(self) -> bool:
+        """Whether rows of one group differ by it."""
+        return "hour" in self.name or "file" in self.name
+
 
 def _hour(within: WithinGroups) -> slice:
     return slice(len(within.weight), len(within.weight) + 1)
@@ -80,8 +85,12 @@ def gain_by_file(fit: FittedRows) -> Derivative | None:
 
 
 def gain_by_load(fit: FittedRows) -> Derivative | None:
-    """Alpha of all differs from load to load; or shapes do, which only POSITION tells apart."""
-    h = fit.moments.of_load.T[1:]
+    """Alpha of all differs from load to load; or shapes do, which only POSITION tells apart.
+
+    h is 1 under a load, less its mean over all rows: alpha stays that of the whole campaign.
+    """
+    of_load, weight = fit.moments.of_load, fit.moments.weight
+    h = (of_load - weight @ of_load / weight.sum()).T[1:]
     return on_readings(fit, of_groups(fit.moments, h), -fit.fitted, each=False, gain=True)
 
 
@@ -196,6 +205,8 @@ _COIL = "use smaller forces, or have the coil drivers looked at"
 _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
+ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
+
 CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by hour", "1/h", partial(gain_by_hour, each=False), _WARM),
     Effect("gain by hour of each", "1/h", partial(gain_by_hour, each=True), _WARM, "actuator"),
@@ -208,7 +219,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("zero by hour", "N/h", partial(zero_by_hour, each=False), _ZERO),
     Effect("zero by hour of each", "N/h", partial(zero_by_hour, each=True), _ZERO, "actuator"),
     Effect("zero by file", "N", partial(zero_by_file, each=False), _ZERO, "file"),
-    Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file"),
+    ZEROS_OF_EACH,
     Effect("quadratic coil", "1/N", partial(power_of_force, power=2, each=False), _COIL),
     Effect("quadratic coil of each", "1/N", partial(power_of_force, power=2, each=True), _COIL,
            "actuator"),

@@ -17,6 +17,7 @@ import scipy.stats
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.effects.catalogue import ZEROS_OF_EACH
 from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
@@ -48,6 +49,8 @@ class Examined:
         Those named, the likeliest first.
     structure
         How well shapes repeat over loads and signs; None where that was not asked.
+    correlated
+        Whether noise hangs together from row to row, so that shapes may balance too well.
     """
 
     problem: Problem
@@ -56,6 +59,7 @@ class Examined:
     told: float = 0.0
     effects: tuple[FoundEffect, ...] = ()
     structure: Structure | None = None
+    correlated: bool = False
 
     @property
     def probability(self) -> float:
@@ -75,7 +79,7 @@ class Examined:
     def fits(self) -> bool:
         """Whether both the balance and the repetition of shapes fit."""
         repeated = self.structure is None or self.structure.probability > FITS
-        return self.probability > FITS and repeated and not self.too_well
+        return self.probability > FITS and repeated and (self.correlated or not self.too_well)
 
     @property
     def excess(self) -> float:
@@ -116,14 +120,19 @@ def examined(
     if structure is None:
         return plain
     # What files or hours do to all readings looks like noise that they share, until it is out.
-    alone = replace(problem, noise=replace(problem.noise, share=1.0, share_freedom=np.inf))
+    unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)
+    alone = replace(problem, noise=unshared, disturbance=0.0)
     start = _pooled(alone, moments, minimum, structure)
     if start is None:
         return plain
-    cured, named_first = _cured(start, independent=True, samples=samples)
-    if cured is not None and (cured.effects or problem.noise.share == 1.0):
+    # Noise that is independent within a row but balances too well hangs together from row to row.
+    start = replace(start, correlated=start.too_well and not problem.dependent)
+    cured, named_first = _cured(start, independent=True, samples=samples, within=problem.dependent)
+    if start.correlated and (cured is None or not cured.effects):
+        return _correlated(start, named_first.effects)
+    if cured is not None and (cured.effects or not problem.dependent):
         return cured
-    if problem.noise.share != 1.0:
+    if problem.dependent:
         start = replace(plain, structure=structure) if moments.pooled else plain
         cured, named_first = _cured(start, independent=False, samples=samples)
         if cured is not None:
@@ -152,22 +161,25 @@ def _pooled(
 
 
 def _cured(
-    start: Examined, *, independent: bool, samples: Sequence[Array]
+    start: Examined, *, independent: bool, samples: Sequence[Array], within: bool = False
 ) -> tuple[Examined | None, Examined]:
     """Take out the likeliest effects until all fits; None where that fails.
 
-    Also what came of the first effect named, where it could not be taken out.
+    Also what came of the first effect named, where it could not be taken out. Only effects by which
+    rows of one group differ are taken for what they share, if ``within``.
     """
     now, first = start, start
     for _ in range(MOST):
         fit = FittedRows(now.problem, now.moments, now.minimum, independent)
         found = named(tests(fit))
+        if within:
+            found = [test for test in found if test.effect.within]
         if not found:
             return (now if now.fits else None), first
         if not first.effects:
             first = replace(start, effects=(_found(fit, found[0], None),))
         force = unknown_force(fit)
-        if force is not None and force.log_probability < found[0].log_probability:
+        if not within and force is not None and force.log_probability < found[0].log_probability:
             return _with_unknown_forces(now), first
         after = None
         for test in _alike(found):
@@ -226,6 +238,26 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
     return replace(now, effects=(*now.effects, *effects))
 
 
+def _correlated(start: Examined, effects: tuple[FoundEffect, ...]) -> Examined:
+    """Return the fit to noise that hangs together from row to row, as sure as zeros by file leave.
+
+    Where it is slow each file has zeros of its own, which shapes do not feel but statics do.
+    """
+    fit = FittedRows(start.problem, start.moments, start.minimum, independent=True)
+    moved = correction(fit, ZEROS_OF_EACH)
+    found = FoundEffect(
+        name="correlated noise",
+        where="",
+        probability=1.0 - start.probability,
+        size=start.minimum.chi2 / start.problem.degrees_of_freedom(start.moments),
+        unit="",
+        corrected=False,
+        remedy="average longer at each shape, and take the shapes of each file in another order",
+    )
+    minimum = start.minimum if moved is None else moved.minimum
+    return replace(start, minimum=minimum, effects=(*effects, found))
+
+
 def _unsure(best: Examined, named_first: Examined) -> Minimum:
     """Return the minimum, less sure by what it would move if the effect named were taken out."""
     t = min(len(best.minimum.reading_covariance), len(named_first.minimum.values))
@@ -254,13 +286,14 @@ def _after(
     if structure is not None:
         structure = structure_of(corrected.moments, corrected.problem.noise, samples)
     told = 0.0 if np.any(test.derivative.information) else corrected.told
-    return Examined(
-        corrected.problem,
-        corrected.moments,
-        corrected.minimum,
-        now.told + told,
-        (*now.effects, _found(fit, test, corrected)),
-        structure,
+    return replace(
+        now,
+        problem=corrected.problem,
+        moments=corrected.moments,
+        minimum=corrected.minimum,
+        told=now.told + told,
+        effects=(*now.effects, _found(fit, test, corrected)),
+        structure=structure,
     )
 
 

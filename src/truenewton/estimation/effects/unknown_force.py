@@ -49,9 +49,11 @@ def unknown_force(fit: FittedRows) -> UnknownForce | None:
     towards = pulled / np.sqrt(square)
     rows = fit.white_rho.reshape(-1, 3)
     statistic = np.sum((rows @ towards) ** 2, axis=0)
-    factor = np.tril(fit.information_factor[0]) if fit.information_factor[1] else np.triu(
-        fit.information_factor[0]
-    ).T
+    factor = (
+        np.tril(fit.information_factor[0])
+        if fit.information_factor[1]
+        else np.triu(fit.information_factor[0]).T
+    )
     solved = scipy.linalg.solve_triangular(factor, fit.white_jacobian.T, lower=True)
     by_row = solved.T.reshape(len(rows), 3, -1)
     taken = np.einsum("rak,rbk->ab", by_row, by_row, optimize=True)
