@@ -67,7 +67,7 @@ def _files(within: WithinGroups) -> slice:
 
 
 def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """Alpha drifts, of all together or of each: g = -c^ h, h the hours."""
+    """Let alpha drift, of all together or of each: g = -c^ h, h the hours."""
     within = fit.moments.within
     if within is None or not np.any(within.square > 0) or (each and fit.problem.n > MOST_EACH):
         return None
@@ -76,7 +76,7 @@ def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
 
 
 def gain_by_file(fit: FittedRows) -> Derivative | None:
-    """Alpha of all differs from file to file: g = -c^."""
+    """Let alpha of all differ from file to file: g = -c^."""
     within = fit.moments.within
     if within is None or len(within.weight) < 3:
         return None
@@ -85,7 +85,7 @@ def gain_by_file(fit: FittedRows) -> Derivative | None:
 
 
 def gain_by_load(fit: FittedRows) -> Derivative | None:
-    """Alpha of all differs from load to load; or shapes do, which only POSITION tells apart.
+    """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart.
 
     h is 1 under a load, less its mean over all rows: alpha stays that of the whole campaign.
     """
@@ -95,7 +95,7 @@ def gain_by_load(fit: FittedRows) -> Derivative | None:
 
 
 def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """The zero of the readings moves from file to file, of all alike or of each."""
+    """Move the zero of the readings from file to file, of all alike or of each."""
     within = fit.moments.within
     if within is None or len(within.weight) < 3 or (each and fit.problem.n > MOST_EACH):
         return None
@@ -104,7 +104,7 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
 
 
 def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """The zero of the readings drifts, or the force of the bias magnets, of all alike or of each.
+    """Let the zero of the readings drift, or the bias magnets, of all alike or of each.
 
     Which of both it is, no balance tells: readings and B move together.
     """
@@ -117,14 +117,14 @@ def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
 
 
 def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative | None:
-    """Coils are not linear: g = -c^2 or -c^3, of all alike or of each."""
+    """Bend the coils: g = -c^2 or -c^3, of all alike or of each."""
     if each and fit.problem.n > MOST_EACH:
         return None
     return on_readings(fit, _always(fit.moments), -(fit.fitted**power), each=each)
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
-    """The coils' force changes with the displacement z, by other than COILGRAD: g = -c^ z."""
+    """Change the force of coils with the displacement z beside COILGRAD: g = -c^ z."""
     if fit.moments.displacement is None:
         return None
     field = -fit.fitted * fit.moments.displacement
@@ -132,13 +132,13 @@ def coil_gradient(fit: FittedRows) -> Derivative | None:
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:
-    """The bias magnets' force changes with z, by other than BIASGRAD: A z in the balance."""
+    """Change the force of bias magnets with z beside BIASGRAD: A z in the balance."""
     z = fit.moments.displacement
     return None if z is None else on_balance(fit, (z @ fit.problem.a.T)[:, :, None])
 
 
 def weight_of_load(fit: FittedRows) -> Derivative | None:
-    """The weight of a load is another than declared; two loads say nothing of that."""
+    """Let the weight of a load be another than declared; two loads say nothing of that."""
     of_load = fit.moments.of_load
     if of_load.shape[1] < 3:
         return None
@@ -146,7 +146,7 @@ def weight_of_load(fit: FittedRows) -> Derivative | None:
 
 
 def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
-    """Something touches the mirror in shapes of one sign: a force and two moments, k of a sign."""
+    """Touch the mirror in shapes of one sign: a force and two moments."""
     positive = np.asarray(fit.moments.labels[:, 2] > 0, dtype=np.float64)
     h = fit.moments.of_load * positive[:, None] if by_load else positive[:, None]
     if np.ptp(fit.moments.labels[:, 2]) == 0:
@@ -156,7 +156,7 @@ def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
 
 
 def positions(fit: FittedRows) -> Derivative | None:
-    """Actuators stand off their coordinates: e_x and e_y times alpha c^, for each."""
+    """Move actuators off their coordinates: e_x and e_y times alpha c^, for each."""
     n, alpha = fit.problem.n, fit.alpha
     if n > MOST_EACH:
         return None
@@ -206,6 +206,7 @@ _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
+POSITIONS = Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by hour", "1/h", partial(gain_by_hour, each=False), _WARM),
@@ -230,5 +231,5 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("bias gradient", "N/m", bias_gradient, _POSITION),
     Effect("contact in one sign", "N, N m", partial(contact, by_load=False), _TOUCH, "axis"),
     Effect("contact in one sign by load", "N, N m", partial(contact, by_load=True), _TOUCH, "load"),
-    Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator"),
+    POSITIONS,
 )  # fmt: skip

@@ -168,29 +168,31 @@ def on_readings(
         else:
             spread = rows.second - rows.first * mean
             information[np.arange(k), np.arange(k)] += spread @ field**2 / noise
-    feigned: Array | float = 0.0
+    feigned = np.zeros((k, n, n))
     if gain:
         trace = rows.first @ pooling.squared_lengths
         gram = fit.problem.a.T @ fit.root.T @ fit.root @ fit.problem.a
         feigned = trace[:, None, None] * (fit.alpha[:, None] * gram * fit.noise_covariance)
-    if each:
-        jacobian = -fit.scaled_arms[:, None, :] * by_actuator[:, None]
-        jacobian = jacobian.reshape(len(fit.rows), 3, k * n)
-        whole = np.zeros((k, n, k, n))
-        whole[:, np.arange(n), :, np.arange(n)] = np.moveaxis(information, 2, 0)
-        information = whole.reshape(k * n, k * n)
-        score = score.ravel()
-        feigned = feigned if isinstance(feigned, float) else feigned.reshape(k * n, n)
-    else:
-        jacobian = -np.einsum("ai,rki->rak", fit.scaled_arms, by_actuator, optimize=True)
-        information, score = information.sum(axis=2), score.sum(axis=1)
-        feigned = feigned if isinstance(feigned, float) else feigned.sum(axis=1)
 
     def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
         size = theta.reshape(k, n) if each else np.repeat(theta[:, None], n, axis=1)
         return problem, _without(before, rows, field, size, gain=gain)
 
-    return Derivative(jacobian, remove, score, information, feigned)
+    if each:
+        jacobian = -fit.scaled_arms[:, None, :] * by_actuator[:, None]
+        whole = np.zeros((k, n, k, n))
+        whole[:, np.arange(n), :, np.arange(n)] = np.moveaxis(information, 2, 0)
+        return Derivative(
+            jacobian.reshape(len(fit.rows), 3, k * n),
+            remove,
+            score.ravel(),
+            whole.reshape(k * n, k * n),
+            feigned.reshape(k * n, n),
+        )
+    jacobian = -np.einsum("ai,rki->rak", fit.scaled_arms, by_actuator, optimize=True)
+    return Derivative(
+        jacobian, remove, score.sum(axis=1), information.sum(axis=2), feigned.sum(axis=1)
+    )
 
 
 def _between(first: Array, mean: Array, field: Array) -> Array:

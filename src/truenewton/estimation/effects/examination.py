@@ -17,8 +17,9 @@ import scipy.stats
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import FoundEffect
-from truenewton.estimation.effects.catalogue import ZEROS_OF_EACH
-from truenewton.estimation.effects.correction import Correction, correction
+from truenewton.estimation.effects.catalogue import MOST_EACH, POSITIONS, ZEROS_OF_EACH
+from truenewton.estimation.effects.correction import Correction, correction, with_error
+from truenewton.estimation.effects.derivative import scored
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
@@ -27,6 +28,7 @@ from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import Noise
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.structure import FITS, Structure, structure_of
+from truenewton.statics.layout import Layout
 
 MOST = 4  # effects at once
 MOST_FORCES = 3  # actuators at which forces come and go
@@ -236,6 +238,34 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
         for force in found.values()
     )
     return replace(now, effects=(*now.effects, *effects))
+
+
+def positions_are_unsure(layout: Layout) -> bool:
+    """Tell whether the positions of the magnets have a declared uncertainty, and are not too many.
+
+    Beyond `MOST_EACH` actuators the error that it makes is not taken into account.
+    """
+    declared = bool(np.any(layout.x_error[layout.enabled]) or np.any(layout.y_error))
+    return declared and int(layout.enabled.sum()) <= MOST_EACH
+
+
+def with_positions_unsure(left: Examined) -> Minimum:
+    """Return the minimum of an examined fit with what unsure positions add to its covariance.
+
+    How far magnets stand off the data say themselves where they can; else as far as is declared.
+    """
+    if any(effect.name == POSITIONS.name for effect in left.effects):
+        return left.minimum  # they are unknowns already
+    fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
+    taken_out = correction(fit, POSITIONS)
+    if taken_out is not None:
+        return taken_out.minimum
+    derivative = POSITIONS.derivative(fit)
+    if derivative is None:
+        return left.minimum
+    layout = left.problem.campaign.layout
+    errors = np.concatenate([layout.x_error[layout.enabled], layout.y_error[layout.enabled]])
+    return with_error(fit, scored(fit, derivative).moves, np.diag(errors**2))
 
 
 def _correlated(start: Examined, effects: tuple[FoundEffect, ...]) -> Examined:
