@@ -19,6 +19,7 @@ from truenewton.estimation.effects.derivative import (
     of_groups,
     of_rows,
     on_readings,
+    without_direction,
 )
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.moments import Moments, WithinGroups
@@ -43,6 +44,8 @@ class Effect:
         What the user can do about it.
     corrected
         Whether it is taken out of the data of a fit where that cures them; else it is said.
+    part_of
+        Name of an effect that holds it: it is tried wherever that one is likely, and before it.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Effect:
     remedy: str
     of: str = ""
     corrected: Callable[[FittedRows], bool] = lambda _: True
+    part_of: str = ""
 
     @property
     def within(self) -> bool:
@@ -101,6 +105,15 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
         return None
     rows = of_rows(fit.moments, within, _files(within))
     return on_readings(fit, rows, np.ones_like(fit.fitted), each=each)
+
+
+def put_on_anew(fit: FittedRows) -> Derivative | None:
+    """Move forces at rest from file to file, but not their sum: a load stands elsewhere.
+
+    As the zeros of each, less the direction that moves the sum: with it the scale would be lost.
+    """
+    zeros = zero_by_file(fit, each=True)
+    return None if zeros is None else without_direction(zeros, fit.scaled_arms[0])
 
 
 def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -221,6 +234,8 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("zero by hour of each", "N/h", partial(zero_by_hour, each=True), _ZERO, "actuator"),
     Effect("zero by file", "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,
+    Effect("load put on anew by file", "N", put_on_anew,
+           "put loads on at the same place each time", "file", part_of=ZEROS_OF_EACH.name),
     Effect("quadratic coil", "1/N", partial(power_of_force, power=2, each=False), _COIL),
     Effect("quadratic coil of each", "1/N", partial(power_of_force, power=2, each=True), _COIL,
            "actuator"),

@@ -195,6 +195,31 @@ def on_readings(
     )
 
 
+def without_direction(derivative: Derivative, direction: Array) -> Derivative:
+    """Return an effect whose (K, n) parameters do nothing along one (n,) direction."""
+    n, unit = len(direction), direction / np.linalg.norm(direction)
+
+    def left(values: Array) -> Array:
+        each = values.reshape(*values.shape[:-1], -1, n)
+        return np.asarray((each - (each @ unit)[..., None] * unit).reshape(values.shape))
+
+    def both(values: Array | float) -> Array | float:
+        return values if isinstance(values, float) else left(left(values).T)
+
+    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return derivative.remove(problem, before, left(theta))
+
+    score, feigned = derivative.score, derivative.feigned
+    return Derivative(
+        left(derivative.jacobian),
+        remove,
+        score if isinstance(score, float) else left(score),
+        both(derivative.information),
+        feigned if isinstance(feigned, float) else left(feigned.T).T,
+        both(derivative.feigned_information),
+    )
+
+
 def _between(first: Array, mean: Array, field: Array) -> Array:
     """Return (K, K, n) sums over groups of r h h' e^2, with h the means of groups."""
     square = field**2

@@ -298,10 +298,14 @@ def _unsure(best: Examined, named_first: Examined) -> Minimum:
 
 
 def _alike(found: list[EffectTest]) -> list[EffectTest]:
-    """Return the likeliest effects, the one with the fewest parameters first; at most four."""
+    """Return the likeliest effects, fewest parameters first, parts before wholes."""
     best = found[0].log_probability
     some = [test for test in found if test.log_probability <= ALIKE * best][:MOST]
-    return sorted(some, key=lambda test: len(test.scored.score))
+    wholes = {test.effect.name for test in some}
+    parts = [test for test in found if test.effect.part_of in wholes and test not in some]
+    return sorted(
+        [*parts, *some], key=lambda test: (len(test.scored.score), not test.effect.part_of)
+    )
 
 
 def _after(
