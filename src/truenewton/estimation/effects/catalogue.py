@@ -44,8 +44,6 @@ class Effect:
         What the user can do about it.
     corrected
         Whether it is taken out of the data of a fit where that cures them; else it is said.
-    part_of
-        Name of an effect that holds it: it is tried wherever that one is likely, and before it.
     """
 
     name: str
@@ -54,7 +52,6 @@ class Effect:
     remedy: str
     of: str = ""
     corrected: Callable[[FittedRows], bool] = lambda _: True
-    part_of: str = ""
 
     @property
     def within(self) -> bool:
@@ -219,6 +216,14 @@ _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
+# What zeros of each are found to be where they leave the sums of the forces alone.
+PUT_ON_ANEW = Effect(
+    "load put on anew by file",
+    "N",
+    put_on_anew,
+    "put loads on at the same place each time",
+    "file",
+)
 POSITIONS = Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (
@@ -234,8 +239,6 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("zero by hour of each", "N/h", partial(zero_by_hour, each=True), _ZERO, "actuator"),
     Effect("zero by file", "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,
-    Effect("load put on anew by file", "N", put_on_anew,
-           "put loads on at the same place each time", "file", part_of=ZEROS_OF_EACH.name),
     Effect("quadratic coil", "1/N", partial(power_of_force, power=2, each=False), _COIL),
     Effect("quadratic coil of each", "1/N", partial(power_of_force, power=2, each=True), _COIL,
            "actuator"),
