@@ -13,9 +13,17 @@ from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
-from truenewton.estimation.diagnosis import Diagnosis, Goodness, NoiseSource, RejectedRow
+from truenewton.estimation.diagnosis import (
+    Diagnosis,
+    FoundEffect,
+    Goodness,
+    NoiseSource,
+    RejectedRow,
+)
+from truenewton.estimation.column_order import misordered_columns
 from truenewton.estimation.displaced_rows import is_displaced
 from truenewton.estimation.effects.examination import Examined, chi2_probability, examined
+from truenewton.estimation.effects.exchanges import exchanged_columns
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import (
     diagnose,
@@ -37,8 +45,14 @@ from truenewton.estimation.problem import (
     with_share_in_balance,
 )
 from truenewton.estimation.repeats import WEIGHED_NOISE
-from truenewton.estimation.sifted import Sifted, refuse_too_many
+from truenewton.estimation.sifted import Sifted, naming, refuse_too_many
 from truenewton.estimation.stiffness_ml import population_prior, population_spread
+from truenewton.estimation.strange_actuators import (
+    constant_actuators,
+    strange_alphas,
+    stuck_faults,
+)
+from truenewton.estimation.structure import FITS
 from truenewton.estimation.undetermined import (
     tolerable,
     undetermined_patterns,
@@ -66,16 +80,39 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
+    suspects = list(sifted.suspects)
+    try:
+        return _found(sifted, population, suspects)
+    except (RankDeficient, TooManyOutliers, NotConverged) as error:
+        raise naming(error, suspects) from None
+
+
+def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Estimate:
+    """Find it, and add what is suspected besides."""
     campaign, sound, moments = sifted.campaign, sifted.sound, sifted.moments
     rejected = sifted.rejected
     rows = sum(int(c.valid.sum()) for c in campaign.cycles)
     refuse(structural_faults(sound, moments))
     refuse_too_many(len(rejected), rows)
     free = problem_of(campaign, reading_noise(sound, moments))
-    belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    refuse(stuck_faults(campaign, moments, free.noise))
+    suspects += constant_actuators(campaign, moments, free.noise)
+    order = misordered_columns(campaign, moments)
+    suspects += order
+    try:
+        belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    except (RankDeficient, TooManyOutliers, NotConverged):
+        suspects += exchanged_columns(free, moments)
+        raise
     free = with_share_in_balance(free, sifted, minimum.values[: free.n])
     if free.noise.share != 1.0:
         belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    wrong = False
+    if not belongs.all() or not _balances(problem, moments, minimum):
+        exchanged = exchanged_columns(free, moments)
+        wrong = bool(order or exchanged)
+        suspects[:] = [effect for effect in suspects if not exchanged or effect not in order]
+        suspects += exchanged
     if not belongs.all():
         actuator = problem.standing_out(minimum.values, moments)
         rejected += tuple(rows_of(sound, ~belongs, distance, actuator))
@@ -85,6 +122,8 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     left = Examined(problem, moments, minimum)
     if patterns.size:
         minimum = with_undetermined_patterns(minimum, patterns)
+    elif wrong:
+        minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
     else:
         left = examined(problem, moments, minimum, sifted.structure, sifted.samples)
         problem, moments, minimum = left.problem, left.moments, left.minimum
@@ -99,15 +138,32 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         minimum = problem.fitted(moments, minimum.values)
         method = f"ml, population {spread:.2g}"
     freedom = problem.degrees_of_freedom(moments) - left.told
-    estimate = replace(
-        estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1], freedom),
-        effects=left.effects,
+    estimate = estimate_of(
+        method, problem, moments, minimum, rejected, patterns.shape[1], freedom
     )
+    error = np.sqrt(np.diag(minimum.reading_covariance)[: problem.n])
+    alphas = () if wrong else strange_alphas(campaign, minimum.values[: problem.n], error)
+    suspects += alphas
+    estimate = replace(estimate, effects=(*suspects, *left.effects))
+    warnings = (*estimate.diagnosis.warnings, *map(_in_words, suspects))
+    estimate = replace(estimate, diagnosis=replace(estimate.diagnosis, warnings=warnings))
     if estimate.diagnosis.undetermined:
         diagnosis = diagnose(sound, moments)
         if 3 * diagnosis.span < problem.n - 1:  # not even without noise
             refuse(diagnosis.faults, diagnosis.undetermined)
     return estimate
+
+
+def _in_words(effect: FoundEffect) -> Fault:
+    return Fault(f"{effect.name}: {effect.where}", effect.remedy)
+
+
+def _balances(problem: Problem, moments: Moments, minimum: Minimum) -> bool:
+    """Tell whether the balance of a fit is as good as the noise lets expect."""
+    if problem.noise.source == NoiseSource.MINIMUM:
+        return False
+    freedom = problem.degrees_of_freedom(moments)
+    return chi2_probability(minimum.chi2, freedom, problem.noise) > FITS
 
 
 def _fitted(
