@@ -22,6 +22,8 @@ files, in the order in which data pass through them:
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
     repeats          rows by the group that they repeat, a block of groups after the other
     moments          repeats put together: number, mean, scatter
+    file_labels      files whose load, SIGN or SHAPE is not what they say
+    copied_files     files that are copies of others
     sifted           rows far from their repeats left out; what one reading of the rows leaves
     row_readers      the second reading of the rows, once for all who want to see them
     shape_sums       sums over shapes: what the likelihood needs of the means
@@ -33,6 +35,8 @@ files, in the order in which data pass through them:
     likelihood       maximum likelihood itself: score, information, minimisation
     outliers         shapes that do not balance
     minimum          what goes into the likelihood, and what comes out
+    column_order     whether FORCE and POSITION stand in one order
+    strange_actuators readings that are stuck, coils without force, poles exchanged
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix

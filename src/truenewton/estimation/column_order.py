@@ -47,8 +47,10 @@ def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[FoundEffec
     ids = campaign.layout.id[campaign.layout.enabled][moved].tolist()
     percent = f"asymmetry of the stiffness {100 * before:.0f} %, in the best order"
     percent += f" {100 * after:.0f} %"
-    which = f"{moved.size} of {len(order)} columns" if not few else (
-        f"actuators {', '.join(map(str, ids[:-1]))} and {ids[-1]}"
+    which = (
+        f"{moved.size} of {len(order)} columns"
+        if not few
+        else (f"actuators {', '.join(map(str, ids[:-1]))} and {ids[-1]}")
     )
     return (
         FoundEffect(
@@ -96,6 +98,4 @@ def likeliest_order(stiffness: Array) -> NDArray[np.int64]:
 
 def asymmetry(stiffness: Array) -> float:
     """Return |K - K'| / |K + K'|."""
-    return float(
-        np.linalg.norm(stiffness - stiffness.T) / np.linalg.norm(stiffness + stiffness.T)
-    )
+    return float(np.linalg.norm(stiffness - stiffness.T) / np.linalg.norm(stiffness + stiffness.T))

@@ -13,6 +13,7 @@ from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.estimation.column_order import misordered_columns
 from truenewton.estimation.diagnosis import (
     Diagnosis,
     FoundEffect,
@@ -20,7 +21,6 @@ from truenewton.estimation.diagnosis import (
     NoiseSource,
     RejectedRow,
 )
-from truenewton.estimation.column_order import misordered_columns
 from truenewton.estimation.displaced_rows import is_displaced
 from truenewton.estimation.effects.examination import Examined, chi2_probability, examined
 from truenewton.estimation.effects.exchanges import exchanged_columns
@@ -96,19 +96,20 @@ def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Est
     refuse_too_many(len(rejected), rows)
     free = problem_of(campaign, reading_noise(sound, moments))
     refuse(stuck_faults(campaign, moments, free.noise))
-    suspects += constant_actuators(campaign, moments, free.noise)
+    constant = constant_actuators(campaign, moments, free.noise)
+    suspects += constant
     order = misordered_columns(campaign, moments)
     suspects += order
     try:
         belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
     except (RankDeficient, TooManyOutliers, NotConverged):
-        suspects += exchanged_columns(free, moments)
+        suspects += () if constant else exchanged_columns(free, moments)
         raise
     free = with_share_in_balance(free, sifted, minimum.values[: free.n])
     if free.noise.share != 1.0:
         belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
     wrong = False
-    if not belongs.all() or not _balances(problem, moments, minimum):
+    if not constant and not (belongs.all() and _balances(problem, moments, minimum)):
         exchanged = exchanged_columns(free, moments)
         wrong = bool(order or exchanged)
         suspects[:] = [effect for effect in suspects if not exchanged or effect not in order]
@@ -138,11 +139,9 @@ def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Est
         minimum = problem.fitted(moments, minimum.values)
         method = f"ml, population {spread:.2g}"
     freedom = problem.degrees_of_freedom(moments) - left.told
-    estimate = estimate_of(
-        method, problem, moments, minimum, rejected, patterns.shape[1], freedom
-    )
+    estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1], freedom)
     error = np.sqrt(np.diag(minimum.reading_covariance)[: problem.n])
-    alphas = () if wrong else strange_alphas(campaign, minimum.values[: problem.n], error)
+    alphas = () if wrong or order else strange_alphas(campaign, minimum.values[: problem.n], error)
     suspects += alphas
     estimate = replace(estimate, effects=(*suspects, *left.effects))
     warnings = (*estimate.diagnosis.warnings, *map(_in_words, suspects))

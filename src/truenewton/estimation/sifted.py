@@ -110,7 +110,7 @@ def naming(error: TrueNewtonError, suspects: Sequence[FoundEffect]) -> TrueNewto
         return error
     what = "; ".join(f"{effect.name}: {effect.where}" for effect in suspects)
     return type(error)(
-        f"{error.fault} ({what})",
+        f"{what} ({error.fault})",
         remedy=suspects[0].remedy,
         path=error.path,
         got=error.got,

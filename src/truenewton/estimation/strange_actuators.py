@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.stats
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.diagnosis import FoundEffect, NoiseSource
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import Noise
@@ -14,8 +15,10 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 
 ALIVE = 100.0  # times its noise the variance of a typical reading over shapes is
+HARDLY = 0.03  # of a typical change, where nothing tells the noise
 STUCK = 1e-9  # of a typical reading: it does not change at all
 SIGMAS = 3.0  # from 0
+MOST = 0.03  # of the actuators
 WELL_KNOWN = 0.1  # error of an alpha in terms of the typical one
 
 
@@ -57,7 +60,9 @@ def stuck_faults(campaign: Campaign, moments: Moments, noise: Noise) -> tuple[Fa
     )
 
 
-def _change(moments: Moments, noise: Noise) -> tuple[Array, Array, Array]:
+def _change(
+    moments: Moments, noise: Noise
+) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Return (n,) rms change of the readings over shapes [N]; whether noise makes as much; rest.
 
     The last tells whether the reading is 0 at rest as well.
@@ -79,8 +84,11 @@ def _change(moments: Moments, noise: Noise) -> tuple[Array, Array, Array]:
     known = moments.repeats if moments.repeats else 1e9
     limit = float(scipy.stats.f.isf(FALSE_ALARM / n, freedom, known))
     dead = (ratio <= limit) & (np.median(ratio) > ALIVE * limit)
-    error = np.sqrt(noise.variance / weight.sum())
-    return np.sqrt(square / weight.sum()), dead, statics < 5.0 * np.sqrt(count) * error
+    change = np.sqrt(square / weight.sum())
+    if noise.source == NoiseSource.MINIMUM:
+        dead = change < HARDLY * np.median(change)
+    at_zero = statics < 5.0 * change * np.sqrt(count / len(mean))
+    return change, np.asarray(dead), np.asarray(at_zero)
 
 
 def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[FoundEffect, ...]:
@@ -100,6 +108,10 @@ def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Foun
     known = error < WELL_KNOWN * typical
     dead = known & (np.abs(alpha) < SIGMAS * error)
     negative = known & (alpha <= -SIGMAS * error)
+    if np.count_nonzero(dead | negative) > max(
+        2, MOST * alpha.size
+    ):  # the model is wrong, not they
+        return ()
     names = (
         (dead, "dead actuator, alpha is 0", "look at its coil and magnet"),
         (negative, "alpha is negative, the poles are exchanged",

@@ -4,6 +4,7 @@
     derivative     what an effect is: its derivative, score and information
     catalogue      the effects
     score_test     is one there?
+    exchanges      columns of FORCE that stand for other actuators
     correction     taken out of the data, its size estimated with alpha
     remainder      errors of what is left
 """
