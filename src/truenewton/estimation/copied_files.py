@@ -3,29 +3,33 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from itertools import combinations
-
-import numpy as np
 
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
 
-LABELS = 48  # SHAPE times SIGN whose rows are compared
-SHARE = 0.2  # of these that are identical
+SHARE = 0.2  # of the rows compared that are identical
 FEWEST = 2  # rows
 
 
-def copied_files(campaign: Campaign) -> tuple[FoundEffect, ...]:
+def copied_files(
+    campaign: Campaign, prints: Mapping[tuple[int, int], bytes]
+) -> tuple[FoundEffect, ...]:
     """Name files that hold the readings of others: rows of the same SHAPE and SIGN, bit by bit.
 
     Nothing is said where even files of different origin repeat to the last bit: then there is no
     noise.
+
+    Parameters
+    ----------
+    campaign, prints
+        The files; readings of some of their rows (`repeats.RepeatSums`).
     """
     cycles = campaign.cycles
-    codes = np.unique(np.concatenate([c.shape[c.valid] * c.sign[c.valid] for c in cycles]))
-    chosen = codes[np.unique(np.linspace(0, len(codes) - 1, LABELS).astype(np.int64))]
-    rows = [_rows_of(cycle, chosen.tolist()) for cycle in cycles]
+    rows: list[dict[int, bytes]] = [{} for _ in cycles]
+    for (file, code), readings in prints.items():
+        rows[file][code] = readings
     same = {}
     for one, other in combinations(range(len(cycles)), 2):
         common = rows[one].keys() & rows[other].keys()
@@ -57,16 +61,3 @@ def _one_file(campaign: Campaign, same: dict[tuple[int, int], float]) -> bool:
         (a := source[k]) is not None and (b := source[j]) is not None and a.sha256 == b.sha256
         for k, j in same
     )
-
-
-def _rows_of(cycle: Cycle, chosen: list[int]) -> dict[int, bytes]:
-    """Return the readings of the first row of each chosen SHAPE times SIGN."""
-    codes = cycle.shape[cycle.valid] * cycle.sign[cycle.valid]
-    labels, first = np.unique(codes, return_index=True)
-    wanted = np.isin(labels, chosen)
-    order = np.argsort(first[wanted])
-    rows = cycle.used(cycle.force, first[wanted][order])
-    return {
-        int(code): np.ascontiguousarray(row).tobytes()
-        for code, row in zip(labels[wanted][order], rows, strict=True)
-    }

@@ -79,7 +79,7 @@ def sift(campaign: Campaign) -> Sifted:
         A cycle would lose all its rows.
     """
     sums = RepeatSums(campaign)
-    suspects = (*copied_files(campaign), *mislabelled_files(campaign, sums.moments))
+    suspects = (*copied_files(campaign, sums.prints), *mislabelled_files(campaign, sums.moments))
     tails = _tails(sums)
     try:
         sums, sound, rejected = _left_out(sums, campaign, 1.0)

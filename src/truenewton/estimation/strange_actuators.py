@@ -60,9 +60,7 @@ def stuck_faults(campaign: Campaign, moments: Moments, noise: Noise) -> tuple[Fa
     )
 
 
-def _change(
-    moments: Moments, noise: Noise
-) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+def _change(moments: Moments, noise: Noise) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
     """Return (n,) rms change of the readings over shapes [N]; whether noise makes as much; rest.
 
     The last tells whether the reading is 0 at rest as well.
