@@ -55,9 +55,11 @@ def test_a_file_under_another_name_is_named(noise, cycles, at):
 
 @pytest.mark.parametrize("noise", NOISE)
 def test_nothing_is_said_of_sound_files_or_of_warm_coils(noise):
-    for change in (lambda k: 1.0, lambda k: 1.0 + 0.002 * k, lambda k: 1.0 + 0.0022 * (k > 3)):
+    k = np.arange(8)
+    for gains in (np.ones(8), 1.0 + 0.002 * k, 1.0 + 0.0022 * (k > 3)):
         files = [
-            with_force(c, lambda f, k=k: f * change(k)) for k, c in enumerate(cycles_of(noise))
+            with_force(c, lambda f, gain=gain: f * gain)
+            for c, gain in zip(cycles_of(noise), gains, strict=True)
         ]
         words = " ".join(said(files)[0])
         for word in ("load", "copy", "exchanged", "order", "stuck", "dead", "negative", "SIGN"):

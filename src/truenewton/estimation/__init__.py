@@ -36,7 +36,7 @@ files, in the order in which data pass through them:
     outliers         shapes that do not balance
     minimum          what goes into the likelihood, and what comes out
     column_order     whether FORCE and POSITION stand in one order
-    strange_actuators readings that are stuck, coils without force, poles exchanged
+    odd_actuators    readings that are stuck, coils without force, poles exchanged
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix

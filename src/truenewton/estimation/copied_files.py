@@ -3,19 +3,47 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from itertools import combinations
 
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.records.campaign import Campaign
 
 SHARE = 0.2  # of the rows compared that are identical
+PRINTED = 48  # labels whose rows are compared
 FEWEST = 2  # rows
 
 
-def copied_files(
-    campaign: Campaign, prints: Mapping[tuple[int, int], bytes]
-) -> tuple[FoundEffect, ...]:
+class RowPrints:
+    """Readings of one row of each file under some labels, SHAPE times SIGN, as bytes.
+
+    Parameters
+    ----------
+    codes
+        (g,) labels of the groups of rows.
+
+    Attributes
+    ----------
+    taken
+        By file and label.
+    """
+
+    def __init__(self, codes: NDArray[np.int64]) -> None:
+        labels = np.unique(codes)
+        some = np.unique(np.linspace(0, len(labels) - 1, PRINTED).astype(np.int64))
+        self._codes, self._chosen = codes, np.isin(codes, labels[some])
+        self.taken: dict[tuple[int, int], bytes] = {}
+
+    def take(self, file: int, groups: NDArray[np.int64], force: Array) -> None:
+        """Take the prints of (m, n) rows of a file [N], which stand in (m,) groups."""
+        for row in np.flatnonzero(self._chosen[groups]).tolist():
+            self.taken.setdefault((file, int(self._codes[groups[row]])), force[row].tobytes())
+
+
+def copied_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
     """Name files that hold the readings of others: rows of the same SHAPE and SIGN, bit by bit.
 
     Nothing is said where even files of different origin repeat to the last bit: then there is no
@@ -24,11 +52,11 @@ def copied_files(
     Parameters
     ----------
     campaign, prints
-        The files; readings of some of their rows (`repeats.RepeatSums`).
+        The files; prints of their rows.
     """
     cycles = campaign.cycles
     rows: list[dict[int, bytes]] = [{} for _ in cycles]
-    for (file, code), readings in prints.items():
+    for (file, code), readings in prints.taken.items():
         rows[file][code] = readings
     same = {}
     for one, other in combinations(range(len(cycles)), 2):

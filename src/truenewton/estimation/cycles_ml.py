@@ -36,6 +36,11 @@ from truenewton.estimation.likelihood import chi2_at, gram_of_e
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.odd_actuators import (
+    constant_actuators,
+    strange_alphas,
+    stuck_faults,
+)
 from truenewton.estimation.outliers import Fitted, balancing_groups, rows_of
 from truenewton.estimation.problem import (
     Problem,
@@ -47,11 +52,6 @@ from truenewton.estimation.problem import (
 from truenewton.estimation.repeats import WEIGHED_NOISE
 from truenewton.estimation.sifted import Sifted, naming, refuse_too_many
 from truenewton.estimation.stiffness_ml import population_prior, population_spread
-from truenewton.estimation.strange_actuators import (
-    constant_actuators,
-    strange_alphas,
-    stuck_faults,
-)
 from truenewton.estimation.structure import FITS
 from truenewton.estimation.undetermined import (
     tolerable,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.estimation.copied_files import RowPrints
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.displaced_rows import (
     BalancedRows,
@@ -30,7 +31,6 @@ from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
-PRINTED = 48  # labels whose rows are compared with those of other files
 SAMPLE_ROWS = 1000  # whose deviations are held: they tell a variance of three degrees to 3 %
 
 
@@ -161,7 +161,7 @@ class RepeatSums:
         (m, n) deviations of some repeated rows of each block, see `deviations`; together they stand
         evenly among all rows.
     prints
-        Readings of one row of each file under some SHAPE times SIGN, as bytes: by file and label.
+        Of some rows, so that copies of them are known.
     stale
         Whether what was left out has emptied a group or moved the reference: the sums must be made
         of the rest anew.
@@ -195,11 +195,7 @@ class RepeatSums:
         self._hours = hours(campaign)
         self._zero, self._gain = np.zeros((2, len(campaign.cycles) + 1, n))
         self.furthest = np.zeros((len(starts), n))
-        self._codes = (self._labels[:, 1] * self._labels[:, 2])[self._coming]
-        codes = np.unique(self._codes)
-        some = np.unique(np.linspace(0, len(codes) - 1, PRINTED).astype(np.int64))
-        self._printed = np.isin(self._codes, codes[some])
-        self.prints: dict[tuple[int, int], bytes] = {}
+        self.prints = RowPrints(np.prod(self._labels[self._coming, 1:], axis=1))
         self.samples = [np.empty((0, n))] * len(starts)
         for block in range(len(starts)):
             self._sum(block, self.read(block))
@@ -310,21 +306,13 @@ class RepeatSums:
             apart *= mean[part.at]
             self._gain[[k, -1]] += of_both @ apart
 
-    def _print(self, block: int, part: BlockRows) -> None:
-        """Take the prints of some rows."""
-        groups = self.group(block, part)
-        for row in np.flatnonzero(self._printed[groups]).tolist():
-            key = part.cycle_index, int(self._codes[groups[row]])
-            if key not in self.prints:
-                self.prints[key] = part.force[row].tobytes()
-
     def _sum(self, block: int, read: list[BlockRows]) -> None:
         """Sum over the rows that were read of a block of groups."""
         groups, n = self._blocks[block], len(self._scatter)
         weight, heaviest = self._weight[groups], max(layer.weight for layer in self._layers)
         centre, known = np.zeros((len(weight), n)), np.zeros((len(weight), 3))
         for part in read:
-            self._print(block, part)
+            self.prints.take(part.cycle_index, self.group(block, part), part.force)
             share = part.weight / heaviest
             centre[part.at] += part.force if share == 1.0 else share * part.force
             if part.known is not None:
