@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.block_rows import BlockRows, DistinctRows, distinct
+from truenewton.estimation.copied_files import RowPrints
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.displaced_rows import (
     BalancedRows,
@@ -90,6 +91,8 @@ class RepeatSums:
     samples
         (m, n) deviations of some repeated rows of each block, see `deviations`; together they stand
         evenly among all rows.
+    prints
+        Of some rows, so that copies of them are known.
     stale
         Whether what was left out has emptied a group or moved the reference: the sums must be made
         of the rest anew.
@@ -123,6 +126,7 @@ class RepeatSums:
         self._hours = hours(campaign)
         self._zero, self._gain = np.zeros((2, len(campaign.cycles) + 1, n))
         self.furthest = np.zeros((len(starts), n))
+        self.prints = RowPrints(np.prod(self._labels[self._coming, 1:], axis=1))
         self.samples = [np.empty((0, n))] * len(starts)
         for block in range(len(starts)):
             self._sum(block, self.read(block))
@@ -239,6 +243,7 @@ class RepeatSums:
         weight, heaviest = self._weight[groups], max(layer.weight for layer in self._layers)
         centre, known = np.zeros((len(weight), n)), np.zeros((len(weight), 3))
         for part in read:
+            self.prints.take(part.cycle_index, self.group(block, part), part.force)
             share = part.weight / heaviest
             centre[part.at] += part.force if share == 1.0 else share * part.force
             if part.known is not None:

@@ -18,9 +18,11 @@ import numpy as np
 import scipy.stats
 
 from truenewton.arrays import Array
-from truenewton.errors import TooManyOutliers
+from truenewton.errors import TooManyOutliers, TrueNewtonError
 from truenewton.estimation.block_rows import BlockRows
-from truenewton.estimation.diagnosis import RejectedRow
+from truenewton.estimation.copied_files import copied_files
+from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
+from truenewton.estimation.file_labels import mislabelled_files, mislabelled_rows
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import reading_noise
@@ -30,6 +32,7 @@ from truenewton.records.campaign import Campaign
 
 MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
 MOST = 0.3  # of the rows; beyond this the campaign is refused
+SYSTEMATIC = 0.15  # of the rows of a file: where more lie far, its labels are looked at
 LONG_TAILS = 1.08  # of scatter over what the median says: beyond, rows are no accidents
 FAR_OUT = 3.0  # times the usual limit, where rows are the tail of what happened to all
 QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
@@ -49,6 +52,8 @@ class Sifted:
         Of the sound rows; pooled where shapes repeat over loads and signs.
     structure
         How well they do; None where nothing tells.
+    suspects
+        Files that are not what they say.
     samples
         (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N], in
         some parts.
@@ -60,6 +65,7 @@ class Sifted:
     moments: Moments
     samples: tuple[Array, ...]
     structure: Structure | None
+    suspects: tuple[FoundEffect, ...] = ()
 
 
 def sift(campaign: Campaign) -> Sifted:
@@ -73,17 +79,46 @@ def sift(campaign: Campaign) -> Sifted:
     TooManyOutliers
         A cycle would lose all its rows.
     """
+    sums = RepeatSums(campaign)
+    suspects = (*copied_files(campaign, sums.prints), *mislabelled_files(campaign, sums.moments))
     try:
-        sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=True)
+        sums, sound, rejected = _left_out(sums, campaign, accidents=True)
         few = len(rejected) <= MOST * (len(rejected) + sums.moments.rows.sum())
         accidents = not rejected or (few and _tails(sums) <= LONG_TAILS)
     except TooManyOutliers:  # of one cycle: it differs as a whole
         accidents = False
     if not accidents:
-        sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
+        try:
+            sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
+        except TooManyOutliers as error:
+            suspects += mislabelled_rows(campaign, range(len(campaign.cycles)))
+            raise naming(error, suspects) from None
+    suspects += mislabelled_rows(campaign, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
     moments, structure = pooled_where_it_fits(sums.moments, noise, sums.samples)
-    return Sifted(campaign, sound, tuple(rejected), moments, tuple(sums.samples), structure)
+    samples = tuple(sums.samples)
+    return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects)
+
+
+def _hit(campaign: Campaign, rejected: list[RejectedRow]) -> list[int]:
+    """Return the files that lost more rows than accidents take."""
+    lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign.cycles))
+    rows = [int(cycle.valid.sum()) for cycle in campaign.cycles]
+    return np.flatnonzero(lost > np.maximum(2, SYSTEMATIC * np.array(rows))).tolist()
+
+
+def naming(error: TrueNewtonError, suspects: Sequence[FoundEffect]) -> TrueNewtonError:
+    """Return a refusal that names what is suspected of being its cause."""
+    if not suspects:
+        return error
+    what = "; ".join(f"{effect.name}: {effect.where}" for effect in suspects)
+    return type(error)(
+        f"{what} ({error.fault})",
+        remedy=suspects[0].remedy,
+        path=error.path,
+        got=error.got,
+        want=error.want,
+    )
 
 
 def _left_out(

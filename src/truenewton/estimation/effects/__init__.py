@@ -4,6 +4,7 @@ fitted            a fit, and what the score of an effect needs of it
 derivative        what an effect is: its derivative, score and information
 catalogue         the effects
 score_test        is one there?
+exchanges         columns of FORCE that stand for other actuators
 correction        taken out of the data, its size estimated with alpha
 unknown_force     a force that comes and goes at one actuator
 examination       a fit examined: what was named, taken out, and is left
