@@ -22,6 +22,7 @@ from truenewton.estimation.effects.derivative import (
     of_groups,
     of_rows,
     on_readings,
+    without_direction,
 )
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.moments import Moments, WithinGroups
@@ -120,6 +121,15 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     rows = of_rows(fit.moments, within, _files(within))
     moved = _once(fit, "zero/file", lambda: on_readings(fit, rows, np.ones_like(fit.fitted)))
     return _of(fit, moved, each=each)
+
+
+def put_on_anew(fit: FittedRows) -> Derivative | None:
+    """Move forces at rest from file to file, but not their sum: a load stands elsewhere.
+
+    As the zeros of each, less the direction that moves the sum: with it the scale would be lost.
+    """
+    zeros = zero_by_file(fit, each=True)
+    return None if zeros is None else without_direction(zeros, fit.scaled_arms[0])
 
 
 def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -224,6 +234,14 @@ _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
+# What zeros of each are found to be where they leave the sums of the forces alone.
+PUT_ON_ANEW = Effect(
+    "load put on anew by file",
+    "N",
+    put_on_anew,
+    "put loads on at the same place each time",
+    "file",
+)
 POSITIONS = Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (

@@ -17,23 +17,23 @@ import scipy.stats
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import FoundEffect
-from truenewton.estimation.effects.catalogue import MOST_EACH, POSITIONS, ZEROS_OF_EACH
-from truenewton.estimation.effects.correction import Correction, correction, with_error
-from truenewton.estimation.effects.derivative import scored
+from truenewton.estimation.effects.catalogue import PUT_ON_ANEW, ZEROS_OF_EACH
+from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
+from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import Noise
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.structure import FITS, Structure, structure_of
-from truenewton.statics.layout import Layout
 
 MOST = 4  # effects at once
 MOST_FORCES = 3  # actuators at which forces come and go
 ROUNDS = 4  # for the size of each
 NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
+SEEN = 0.5  # of tau^2: so much of a spread of zeros the data must show
 ALIKE = 0.85  # of the logarithm of the smallest probability: effects about as likely
 
 
@@ -188,6 +188,7 @@ def _cured(
             corrected = correction(fit, test.effect)
             if corrected is None:
                 continue
+            test, corrected = _as_mounting(fit, test, corrected)
             trial = _after(now, fit, test, corrected, samples)
             if trial.fits or after is None:
                 after = trial
@@ -240,34 +241,6 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
     return replace(now, effects=(*now.effects, *effects))
 
 
-def positions_are_unsure(layout: Layout) -> bool:
-    """Tell whether the positions of the magnets have a declared uncertainty, and are not too many.
-
-    Beyond `MOST_EACH` actuators the error that it makes is not taken into account.
-    """
-    declared = bool(np.any(layout.x_error[layout.enabled]) or np.any(layout.y_error))
-    return declared and int(layout.enabled.sum()) <= MOST_EACH
-
-
-def with_positions_unsure(left: Examined) -> Minimum:
-    """Return the minimum of an examined fit with what unsure positions add to its covariance.
-
-    How far magnets stand off the data say themselves where they can; else as far as is declared.
-    """
-    if any(effect.name == POSITIONS.name for effect in left.effects):
-        return left.minimum  # they are unknowns already
-    fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
-    taken_out = correction(fit, POSITIONS)
-    if taken_out is not None:
-        return taken_out.minimum
-    derivative = POSITIONS.derivative(fit)
-    if derivative is None:
-        return left.minimum
-    layout = left.problem.campaign.layout
-    errors = np.concatenate([layout.x_error[layout.enabled], layout.y_error[layout.enabled]])
-    return with_error(fit, scored(fit, derivative).moves, np.diag(errors**2))
-
-
 def _correlated(start: Examined, effects: tuple[FoundEffect, ...]) -> Examined:
     """Return the fit to noise that hangs together from row to row, as sure as zeros by file leave.
 
@@ -302,6 +275,31 @@ def _alike(found: list[EffectTest]) -> list[EffectTest]:
     best = found[0].log_probability
     some = [test for test in found if test.log_probability <= ALIKE * best][:MOST]
     return sorted(some, key=lambda test: test.derivative.count)
+
+
+def _as_mounting(
+    fit: FittedRows, test: EffectTest, corrected: Correction
+) -> tuple[EffectTest, Correction]:
+    """Take zeros that leave the sum of the forces alone for a load that was put on elsewhere.
+
+    Zeros of their size tau would move the sums by tau |nz alpha| in each file, and so spread the
+    scale: that is believed unless the sums hold still as chance makes it once in a hundred times.
+    """
+    if test.effect is not ZEROS_OF_EACH:
+        return test, corrected
+    n, theta, tau2 = fit.problem.n, corrected.theta, corrected.theta @ corrected.theta
+    tau2 /= max(corrected.told, 1.0)
+    along = fit.scaled_arms[0] / np.linalg.norm(fit.scaled_arms[0])
+    sums = theta.reshape(-1, n) @ along
+    known = corrected.covariance.reshape(len(sums), n, len(sums), n)
+    spread = tau2 * np.eye(len(sums)) - np.einsum("kilj,i,j->kl", known, along, along)
+    values, vectors = np.linalg.eigh(spread)
+    seen = values > SEEN * tau2
+    chi2 = float(np.sum((vectors[:, seen].T @ sums) ** 2 / values[seen]))
+    if not seen.any() or scipy.stats.chi2.cdf(chi2, np.count_nonzero(seen)) > FALSE_ALARM:
+        return test, corrected
+    anew = correction(fit, PUT_ON_ANEW)
+    return (test, corrected) if anew is None else (replace(test, effect=PUT_ON_ANEW), anew)
 
 
 def _after(
