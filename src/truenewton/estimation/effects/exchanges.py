@@ -38,6 +38,7 @@ TURNS, TRIED = 72, 4  # of the places as a whole; the best of these
 FEW = 4  # actuators that are named one by one
 FAR = 10.0  # in units of the rms coordinate, beyond which one place is as bad as another
 CLEARLY = 3.0  # times as far from its own place as all are from where they are seen
+ALIKE = 10.0  # alphas of a fit that counts lie within this factor
 BETTER = 0.25  # of chi^2, where nothing tells what it should be
 
 
@@ -49,6 +50,8 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[FoundEffect, 
     problem, moments
         What was fitted, or could not be; all groups, also those that do not balance.
     """
+    if problem.noise.source != NoiseSource.MINIMUM and _fit(problem, moments)[0] > FITS:
+        return ()  # single rows lie far, no more
     for order in seen_orders(problem, moments):
         moved = np.flatnonzero(order != np.arange(problem.n))
         if moved.size and _cures(problem, moments, order):
@@ -89,10 +92,13 @@ def _fit(problem: Problem, moments: Moments) -> tuple[float, float]:
         scaled = problem
         if problem.noise.source == NoiseSource.MINIMUM:
             scaled = roughly_scaled(problem, moments)
-        chi2 = scaled.fitted(moments).chi2
+        minimum = scaled.fitted(moments)
     except (TrueNewtonError, np.linalg.LinAlgError):
         return 0.0, np.inf
-    chi2 *= float(scaled.noise.variance.mean() / problem.noise.variance.mean())
+    alpha = np.abs(minimum.values[: problem.n])
+    if np.ptp(np.log(np.maximum(alpha, 1e-300))) > np.log(ALIKE):  # a fit of forces that vanish
+        return 0.0, np.inf
+    chi2 = minimum.chi2 * float(scaled.noise.variance.mean() / problem.noise.variance.mean())
     return chi2_probability(chi2, problem.degrees_of_freedom(moments), problem.noise), chi2
 
 
