@@ -19,6 +19,8 @@ from truenewton.estimation.effects.examination import (
     Examined,
     chi2_probability,
     examined,
+)
+from truenewton.estimation.effects.unsure_positions import (
     positions_are_unsure,
     with_positions_unsure,
 )

@@ -30,7 +30,7 @@ class Layout:
     enabled
         (n,) false where an actuator applies no force and takes no part.
     x_error, y_error
-        (n,) standard uncertainties of x and y [m]; 0 where none is declared.
+        (n,) standard uncertainties of x and y [m]; None where none is declared.
 
     Raises
     ------
@@ -43,18 +43,16 @@ class Layout:
     y: Array
     nz: Array
     enabled: NDArray[np.bool_]
-    x_error: Array = 0.0  # type: ignore[assignment]  # spread over the actuators below
-    y_error: Array = 0.0  # type: ignore[assignment]
+    x_error: Array | None = None
+    y_error: Array | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "id", dtype=np.int64)
         freeze(self, "x", "y", "nz")
         freeze(self, "enabled", dtype=np.bool_)
-        for name in ("x_error", "y_error"):
-            if np.ndim(getattr(self, name)) == 0:
-                object.__setattr__(self, name, np.full(self.n, float(getattr(self, name))))
-        freeze(self, "x_error", "y_error")
-        for name in ("id", "x", "y", "nz", "enabled", "x_error", "y_error"):
+        errors = [name for name in ("x_error", "y_error") if getattr(self, name) is not None]
+        freeze(self, *errors)
+        for name in ("id", "x", "y", "nz", "enabled", *errors):
             shape = getattr(self, name).shape
             if shape != (self.n,):
                 raise GeometryError(
@@ -72,11 +70,13 @@ class Layout:
                     f"{name.upper()} of actuator {self.id[bad][0]} is not finite",
                     remedy="give the position and direction of every actuator",
                 )
-        errors = np.concatenate([self.x_error, self.y_error])
-        if not (np.isfinite(errors).all() and (errors >= 0.0).all() and (errors < FARTHEST).all()):
-            raise GeometryError(
-                "E_X or E_Y is negative or not finite", remedy="give standard uncertainties in m"
-            )
+        for name in errors:
+            error = getattr(self, name)
+            if not (np.isfinite(error) & (error >= 0.0) & (error < FARTHEST)).all():
+                raise GeometryError(
+                    f"E_{name[0].upper()} is negative or not finite",
+                    remedy="give standard uncertainties in m",
+                )
         if np.abs([self.x, self.y]).max() > FARTHEST:
             raise GeometryError(
                 f"an actuator stands {np.abs([self.x, self.y]).max():.3g} m from the axis",
@@ -130,8 +130,8 @@ def layout(
     id: ArrayLike | None = None,
     nz: ArrayLike | None = None,
     enabled: ArrayLike | None = None,
-    x_error: ArrayLike = 0.0,
-    y_error: ArrayLike = 0.0,
+    x_error: ArrayLike | None = None,
+    y_error: ArrayLike | None = None,
 ) -> Layout:
     """Make a layout; names count from 1, forces point along +z, all enabled, unless told.
 
@@ -145,8 +145,8 @@ def layout(
         y=_metres(y),
         nz=np.ones(n) if nz is None else np.asarray(nz, dtype=float),
         enabled=np.ones(n, dtype=bool) if enabled is None else np.asarray(enabled, dtype=bool),
-        x_error=_metres(x_error),
-        y_error=_metres(y_error),
+        x_error=None if x_error is None else _metres(x_error),
+        y_error=None if y_error is None else _metres(y_error),
     )
 
 

@@ -58,7 +58,7 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     first = effect.derivative(fit)
     if first is None:
         return None
-    result, theta = scored(fit, first), np.zeros(first.jacobian.shape[2])
+    result, theta = scored(fit, first), np.zeros(first.count)
     # A first spread from the score itself: U U' = V of the effect, on the average.
     size = np.trace(result.variance) / np.sum(result.variance**2)
     tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)

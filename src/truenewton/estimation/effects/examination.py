@@ -17,14 +17,8 @@ import scipy.stats
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import FoundEffect
-from truenewton.estimation.effects.catalogue import (
-    MOST_EACH,
-    POSITIONS,
-    PUT_ON_ANEW,
-    ZEROS_OF_EACH,
-)
-from truenewton.estimation.effects.correction import Correction, correction, with_error
-from truenewton.estimation.effects.derivative import scored
+from truenewton.estimation.effects.catalogue import PUT_ON_ANEW, ZEROS_OF_EACH
+from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
@@ -34,7 +28,6 @@ from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import Noise
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.structure import FITS, Structure, structure_of
-from truenewton.statics.layout import Layout
 
 MOST = 4  # effects at once
 MOST_FORCES = 3  # actuators at which forces come and go
@@ -248,34 +241,6 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
     return replace(now, effects=(*now.effects, *effects))
 
 
-def positions_are_unsure(layout: Layout) -> bool:
-    """Tell whether the positions of the magnets have a declared uncertainty, and are not too many.
-
-    Beyond `MOST_EACH` actuators the error that it makes is not taken into account.
-    """
-    declared = bool(np.any(layout.x_error[layout.enabled]) or np.any(layout.y_error))
-    return declared and int(layout.enabled.sum()) <= MOST_EACH
-
-
-def with_positions_unsure(left: Examined) -> Minimum:
-    """Return the minimum of an examined fit with what unsure positions add to its covariance.
-
-    How far magnets stand off the data say themselves where they can; else as far as is declared.
-    """
-    if any(effect.name == POSITIONS.name for effect in left.effects):
-        return left.minimum  # they are unknowns already
-    fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
-    taken_out = correction(fit, POSITIONS)
-    if taken_out is not None:
-        return taken_out.minimum
-    derivative = POSITIONS.derivative(fit)
-    if derivative is None:
-        return left.minimum
-    layout = left.problem.campaign.layout
-    errors = np.concatenate([layout.x_error[layout.enabled], layout.y_error[layout.enabled]])
-    return with_error(fit, scored(fit, derivative).moves, np.diag(errors**2))
-
-
 def _correlated(start: Examined, effects: tuple[FoundEffect, ...]) -> Examined:
     """Return the fit to noise that hangs together from row to row, as sure as zeros by file leave.
 
@@ -309,7 +274,7 @@ def _alike(found: list[EffectTest]) -> list[EffectTest]:
     """Return the likeliest effects, the one with the fewest parameters first; at most four."""
     best = found[0].log_probability
     some = [test for test in found if test.log_probability <= ALIKE * best][:MOST]
-    return sorted(some, key=lambda test: len(test.scored.score))
+    return sorted(some, key=lambda test: test.derivative.count)
 
 
 def _as_mounting(
@@ -363,7 +328,7 @@ def _after(
 def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> FoundEffect:
     """Return an effect in words and numbers."""
     campaign, effect = fit.problem.campaign, test.effect
-    theta = np.zeros(len(test.scored.score)) if corrected is None else corrected.theta
+    theta = np.zeros(test.derivative.count) if corrected is None else corrected.theta
     worst = int(np.abs(theta).argmax())
     where = ""
     if corrected is not None and effect.of == "file":
