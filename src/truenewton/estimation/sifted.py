@@ -23,7 +23,7 @@ from truenewton.estimation.block_rows import BlockRows
 from truenewton.estimation.copied_files import copied_files
 from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.file_labels import mislabelled_files, mislabelled_rows
-from truenewton.estimation.moments import Moments
+from truenewton.estimation.moments import QUARTILE, Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.repeats import RepeatSums
@@ -35,7 +35,6 @@ MOST = 0.3  # of the rows; beyond this the campaign is refused
 SYSTEMATIC = 0.15  # of the rows of a file: where more lie far, its labels are looked at
 LONG_TAILS = 1.08  # of scatter over what the median says: beyond, rows are no accidents
 FAR_OUT = 3.0  # times the usual limit, where rows are the tail of what happened to all
-QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +94,8 @@ def sift(campaign: Campaign) -> Sifted:
             raise naming(error, suspects) from None
     suspects += mislabelled_rows(campaign, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
-    moments, structure = pooled_where_it_fits(sums.moments, noise, sums.samples)
+    moments = replace(sums.moments, displacement=sums.displacement())
+    moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
     samples = tuple(sums.samples)
     return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects)
 
