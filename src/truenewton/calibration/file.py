@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from truenewton.calibration.result import Calibration
+from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
+from truenewton.records.fault import Fault
 from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
 
 ACTUATORS = TableFormat(
@@ -66,6 +68,38 @@ CALIBRATION = FileFormat(
         ImageFormat("COVARIANCE", "covariance"),
         ImageFormat("SYSTEMATIC", "systematic_covariance"),
         SOURCES,
+        TableFormat(
+            "REJECTED",
+            (
+                Column("CYCLE", "cycle", kind="int"),
+                Column("ROW", "row", kind="int"),
+                Column("ACTUATOR", "actuator", kind="int"),
+                Column("SIGMAS", "sigmas"),
+                Column("AGAINST", "against", kind="str"),
+            ),
+            of="rejected_rows",
+            optional=True,
+        ),
+        TableFormat(
+            "EFFECTS",
+            (
+                Column("EFFECT", "name", kind="str"),
+                Column("PLACE", "where", kind="str"),
+                Column("PROBABILITY", "probability"),
+                Column("SIZE", "size"),
+                Column("UNIT", "unit", kind="str"),
+                Column("CORRECTED", "corrected", kind="bool"),
+                Column("REMEDY", "remedy", kind="str"),
+            ),
+            of="effects",
+            optional=True,
+        ),
+        TableFormat(
+            "WARNINGS",
+            (Column("FAULT", "fault", kind="str"), Column("REMEDY", "remedy", kind="str")),
+            of="diagnosis.warnings",
+            optional=True,
+        ),
     ),
 )
 
@@ -82,4 +116,8 @@ def calibration_from(file: FitsFile) -> Calibration:
     values["layout"]["enabled"] = np.isfinite(values["alpha"])
     count = Unknowns(values["alpha"].size, values["torque_y"].size).count
     file.require_squares(("COVARIANCE", "SYSTEMATIC"), count, "n + 1 + 2 L")
+    warnings = values.pop("diagnosis", {}).get("warnings", {"fault": (), "remedy": ()})
+    if warnings["fault"]:
+        faults = map(Fault, warnings["fault"], warnings["remedy"])
+        values["diagnosis"] = Diagnosis(warnings=tuple(faults))
     return file.filled(Calibration, values)

@@ -72,13 +72,14 @@ class Calibration:
     sources
         The files.
     diagnosis, goodness
-        How well alpha is determined, and how well the data fit; None when read from a file.
+        How well alpha is determined, of which a file holds the warnings alone; and how well the
+        data fit, None when read from a file.
     scale_errors
         What limits the common scale, largest first; empty when read from a file.
     rejected_rows
-        The rows left out; empty when read from a file.
+        The rows left out.
     effects
-        What the bench did beside the model, the likeliest first; empty when read from a file.
+        What the bench did beside the model, the likeliest first.
     """
 
     instrument: str

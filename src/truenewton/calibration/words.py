@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.result import Calibration
-from truenewton.estimation.diagnosis import ErrorKind, RejectedRow
+from truenewton.estimation.diagnosis import ErrorKind, NoiseSource, RejectedRow
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.weights import NEGLIGIBLE, READINGS, scale_total, tilt_as_load, typical
@@ -18,6 +18,12 @@ from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
 
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
+
+NOISE_FROM = {
+    NoiseSource.REPEATS: "from repeated shapes",
+    NoiseSource.DECLARED: "as declared by FORCERR",
+    NoiseSource.MINIMUM: "from the fit",
+}
 
 
 def summary_lines(calibration: Calibration) -> Iterator[str]:
@@ -102,6 +108,7 @@ def summary_values(
         "scale_errors": [
             {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
+        "effects": [asdict(effect) for effect in c.effects],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
         "imbalance": [asdict(line) for line in imbalances],
     }
@@ -138,7 +145,8 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
             my, mx = (with_error(1e3 * m, 1e3 * e) for m, e in zip(torques, errors, strict=True))
             yield f"torques, {load.name}", f"{my}, {mx}", "M_y, M_x [mN m]"
     if np.isfinite(c.noise):
-        yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", "from repeated shapes"
+        source = c.goodness.against if c.goodness is not None else NoiseSource.REPEATS
+        yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", NOISE_FROM[source]
     if c.goodness is not None:
         note = f"DOF {c.goodness.degrees_of_freedom}, noise from {c.goodness.against}"
         if np.isfinite(c.goodness.probability):

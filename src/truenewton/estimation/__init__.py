@@ -20,7 +20,9 @@ files, in the order in which data pass through them:
     cycles_svd       the paper's method: E alpha' = r by singular value decomposition
     cycle_errors     the paper's error: each cycle solved alone
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
+    block_rows       rows of a cycle, read a block of groups at a time
     repeats          rows by the group that they repeat, a block of groups after the other
+    pooling          rows pooled over loads and signs: what shapes share besides repeats
     moments          repeats put together: number, mean, scatter
     sifted           rows far from their repeats left out; what one reading of the rows leaves
     row_readers      the second reading of the rows, once for all who want to see them
@@ -28,11 +30,13 @@ files, in the order in which data pass through them:
     imbalance        what a reading is out of balance by, in terms of its noise
     multiple_tests   what chance alone does to one of many
     noise            of one reading: from repeats, as declared, or left to the fit
+    structure        whether shapes repeat over loads and signs
     weights          errors of the weights, and the budget of the common scale
     problem          what the likelihood is asked: data, noise, unknowns, priors
     likelihood       maximum likelihood itself: score, information, minimisation
     outliers         shapes that do not balance
     minimum          what goes into the likelihood, and what comes out
+    effects          what a bench does beside the model: named, and taken out where that cures
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix

@@ -15,7 +15,16 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import Diagnosis, Goodness, NoiseSource, RejectedRow
 from truenewton.estimation.displaced_rows import is_displaced
-from truenewton.estimation.effects.examination import Examined, chi2_probability, examined
+from truenewton.estimation.effects.examination import (
+    Examined,
+    chi2_probability,
+    examined,
+)
+from truenewton.estimation.effects.unsure_positions import (
+    positions_are_unsure,
+    with_positions_unsure,
+)
+from truenewton.estimation.effects.words import effect_warnings, misfit_warnings, warmer_loads
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import (
     diagnose,
@@ -45,11 +54,13 @@ from truenewton.estimation.undetermined import (
     with_patterns_held,
     with_undetermined_patterns,
 )
-from truenewton.estimation.weights import scale_errors
+from truenewton.estimation.weights import scale_errors, temperature_errors, weight_errors
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
+
+LOUDER = 1.5  # times FORCERR: a scatter of the repeats that is said
 
 
 def find(sifted: Sifted, population: bool = False) -> Estimate:
@@ -71,7 +82,9 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     rows = sum(int(c.valid.sum()) for c in campaign.cycles)
     refuse(structural_faults(sound, moments))
     refuse_too_many(len(rejected), rows)
-    free = problem_of(campaign, reading_noise(sound, moments))
+    force = moments.sums.force.sum(axis=1) / moments.sums.weight
+    errors = {**weight_errors(sound), **temperature_errors(sound, force)}
+    free = problem_of(campaign, reading_noise(sound, moments), errors)
     belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
     free = with_share_in_balance(free, sifted, minimum.values[: free.n])
     if free.dependent:
@@ -88,6 +101,8 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     else:
         left = examined(problem, moments, minimum, sifted.structure, sifted.samples)
         problem, moments, minimum = left.problem, left.moments, left.minimum
+        if positions_are_unsure(sound.layout):
+            minimum = with_positions_unsure(left)
         if not left.fits:
             minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
     method = "ml"
@@ -99,9 +114,11 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         minimum = problem.fitted(moments, minimum.values)
         method = f"ml, population {spread:.2g}"
     freedom = problem.degrees_of_freedom(moments) - left.told
+    estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1], freedom)
+    effects = (*left.effects, *warmer_loads(sound, estimate.scale_errors))
+    warnings = (*estimate.diagnosis.warnings, *effect_warnings(effects), *misfit_warnings(left))
     estimate = replace(
-        estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1], freedom),
-        effects=left.effects,
+        estimate, effects=effects, diagnosis=replace(estimate.diagnosis, warnings=warnings)
     )
     if estimate.diagnosis.undetermined:
         diagnosis = diagnose(sound, moments)
@@ -151,7 +168,6 @@ def estimate_of(
     campaign, n, unknowns = problem.campaign, problem.n, problem.unknowns
     chi2 = minimum.chi2
     freedom = problem.degrees_of_freedom(moments) if freedom is None else freedom
-    size = chi2 / freedom if freedom > 0 else float("nan")
     tested = problem.noise.source != NoiseSource.MINIMUM and freedom > 0
     probability = chi2_probability(chi2, freedom, problem.noise) if tested else float("nan")
     declared = float("nan")
@@ -167,7 +183,7 @@ def estimate_of(
         values=minimum.values[: unknowns.count],
         reading_covariance=minimum.reading_covariance,
         systematic_covariance=minimum.changes @ minimum.changes.T,
-        noise=float(np.sqrt(size * problem.noise.variance.mean() * moments.typical_variance)),
+        noise=float(np.sqrt(problem.noise.variance.mean() * moments.typical_variance)),
         condition=e_condition,
         rank=unknowns.count - diagnosis.undetermined,
         diagnosis=diagnosis,
@@ -231,6 +247,14 @@ def _campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> 
         yield Fault(
             f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
             "check ADDED, TILT and their errors",
+        )
+    declared = all(cycle.force_error for cycle in problem.campaign.cycles)
+    louder = float(np.sqrt(problem.noise.variance.mean())) / WEIGHED_NOISE
+    if declared and problem.noise.source == NoiseSource.REPEATS and louder > LOUDER:
+        noise = 1e3 * moments.noise
+        yield Fault(
+            f"repeated shapes scatter by {noise:.2g} mN, {louder:.1f} times what FORCERR says",
+            "look for what moves the mirror or the readings between repeats, and correct FORCERR",
         )
     anew = int(np.count_nonzero(np.isnan(moments.reference)))
     if anew and any(map(is_displaced, problem.campaign.cycles)):

@@ -99,6 +99,7 @@ class ErrorKind(Enum):
     TILT = "tilt of load '{}'"
     EARLIER = "earlier calibration"
     TEMPERATURE = "temperature since then"
+    BETWEEN_LOADS = "temperature between the loads"
 
 
 @dataclass(frozen=True)

@@ -44,9 +44,9 @@ class Pooling:
         """R."""
         return int(self.basis.shape[1])
 
-    def rows(self, values: Array) -> Array:
-        """Return (R, m) U' r v of (g, m) values v of the groups."""
-        weighed = self.basis.T.multiply(self.weight).tocsr()
+    def rows(self, values: Array, factor: Array | float = 1.0) -> Array:
+        """Return (R, m) U' r v of (g, m) values v of the groups, times a (g,) factor."""
+        weighed = self.basis.T.multiply(self.weight * factor).tocsr()
         return np.asarray(weighed @ values)
 
     @property

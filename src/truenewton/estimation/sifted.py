@@ -19,11 +19,12 @@ import scipy.stats
 
 from truenewton.arrays import Array
 from truenewton.errors import TooManyOutliers
+from truenewton.estimation.block_rows import BlockRows
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.repeats import BlockRows, RepeatSums
+from truenewton.estimation.repeats import RepeatSums
 from truenewton.estimation.structure import Structure, pooled_where_it_fits
 from truenewton.records.campaign import Campaign
 

@@ -9,12 +9,14 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource, ScaleError
-from truenewton.records.campaign import Campaign
+from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.statics.load import Load
 
 READINGS = ErrorSource(ErrorKind.READINGS)
+MAGNETS = -1.1e-3  # [1/K] of NdFeB, the law of a mirror that nobody tracked [lit]
 NEGLIGIBLE = 1e-5  # sources of a relative error of the common scale below it are not listed
 
+SAME_WARMTH = 0.05  # [K] within which no load is warmer than another
 # For each independent source, (L,) change of W of each load by one standard uncertainty [N].
 WeightErrors = Mapping[ErrorSource, Array]
 
@@ -39,6 +41,32 @@ def weight_errors(campaign: Campaign) -> dict[ErrorSource, Array]:
             source = ErrorSource(ErrorKind.TILT, load.name)
             errors[source][load_index] = by_angle * np.radians(load.tilt_error)
     return {source: change for source, change in errors.items() if change.any()}
+
+
+def temperature_errors(campaign: Campaign, force: Array) -> dict[ErrorSource, Array]:
+    """Return (L,) changes of W [N] that stand for bias magnets warmer under one load than another.
+
+    Their force B, of two magnets each, changes by twice `MAGNETS`, and no balance tells that from a
+    weight. B from the loads, all alpha alike: W + B + s F = 0, F the mean sum of commanded forces.
+
+    Parameters
+    ----------
+    campaign
+        The cycles; nothing where one has no TEMPERATURE, or no load is warmer than another.
+    force
+        (L,) F [N].
+    """
+    weights = campaign.effective_weights
+    warmth = np.array(
+        [
+            mean_temperature(c for c in campaign.cycles if c.load.key == load.key)
+            for load in campaign.loads
+        ]
+    )
+    if len(weights) < 2 or not np.isfinite(warmth).all() or np.ptp(warmth) < SAME_WARMTH:
+        return {}
+    bias = np.polyfit(force, -weights, 1)[1] if np.ptp(force) else 0.0
+    return {ErrorSource(ErrorKind.BETWEEN_LOADS): 2 * MAGNETS * bias * (warmth - warmth.mean())}
 
 
 def added_source(load: Load) -> ErrorSource:

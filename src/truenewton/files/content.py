@@ -95,6 +95,8 @@ class FitsFile:
                 put(keyword.attribute, self._keyword(keyword))
         for extension in form.extensions:
             if isinstance(extension, TableFormat):
+                if extension.optional and extension.name not in self.extensions:
+                    continue
                 for column in extension.columns:
                     if not callable(column.attribute):
                         name = f"{extension.of}.{column.attribute}".lstrip(".")

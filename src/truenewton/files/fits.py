@@ -180,7 +180,12 @@ def write_fits(
         A keyword holds what no FITS header can.
     """
     matrix = None if form.matrix is None else _pixels(record, form.matrix)
-    hdus = fits.HDUList([fits.PrimaryHDU(matrix), *(_hdu(record, e) for e in form.extensions)])
+    parts = [
+        _hdu(record, part)
+        for part in form.extensions
+        if not (isinstance(part, TableFormat) and part.optional and not value_of(record, part.of))
+    ]
+    hdus = fits.HDUList([fits.PrimaryHDU(matrix), *parts])
     for key, value, comment in header_of(record, form):
         try:
             hdus[0].header.append(_card(key, value, comment), end=True)

@@ -99,11 +99,15 @@ class Column:
 
 @dataclass(frozen=True)
 class TableFormat:
-    """A binary table; the attributes of its columns are those of ``of``."""
+    """A binary table; the attributes of its columns are those of ``of``.
+
+    One that is ``optional`` is written where it has rows, and may be missing.
+    """
 
     name: str
     columns: tuple[Column, ...]
     of: str = ""
+    optional: bool = False
 
 
 @dataclass(frozen=True)

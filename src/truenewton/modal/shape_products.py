@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.estimation.block_rows import distinct
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.repeats import distinct, row_groups, row_weights
+from truenewton.estimation.repeats import row_groups, row_weights
 from truenewton.estimation.row_readers import RowBlock
 from truenewton.files.stored_rows import blocks
 from truenewton.records.campaign import Campaign

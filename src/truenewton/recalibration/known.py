@@ -13,7 +13,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.weights import WeightErrors, added_source, weight_errors
+from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.records.campaign import Campaign, mean_temperature
@@ -24,7 +24,6 @@ from truenewton.tracking.file import tracking_from
 from truenewton.tracking.law import Tracking
 
 EARLIER = ErrorSource(ErrorKind.EARLIER)
-MAGNETS = -1.1e-3  # [1/K] of NdFeB, the law of a mirror that nobody tracked [lit]
 
 
 @dataclass(frozen=True, eq=False)

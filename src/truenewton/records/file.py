@@ -26,7 +26,8 @@ ID = Column("ID", "layout.id", kind="int")
 X, Y = (Column(name, f"layout.{name.lower()}", "m") for name in "XY")
 NZ = Column("NZ", "layout.nz", absent=1.0)
 ENABLED = Column("ENABLED", "layout.enabled", kind="bool", absent=True)
-ACTUATORS = TableFormat("ACTUATORS", (ID, X, Y, NZ, ENABLED))
+E_X, E_Y = (Column(f"E_{name}", f"layout.{name.lower()}_error", "m", absent=None) for name in "XY")
+ACTUATORS = TableFormat("ACTUATORS", (ID, X, Y, NZ, ENABLED, E_X, E_Y))
 
 CYCLE = FileFormat(
     (

@@ -29,6 +29,8 @@ class Layout:
         (n,) cosine between the force of each actuator and +z; 1 on a flat mirror.
     enabled
         (n,) false where an actuator applies no force and takes no part.
+    x_error, y_error
+        (n,) standard uncertainties of x and y [m]; None where none is declared.
 
     Raises
     ------
@@ -41,12 +43,16 @@ class Layout:
     y: Array
     nz: Array
     enabled: NDArray[np.bool_]
+    x_error: Array | None = None
+    y_error: Array | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "id", dtype=np.int64)
         freeze(self, "x", "y", "nz")
         freeze(self, "enabled", dtype=np.bool_)
-        for name in ("id", "x", "y", "nz", "enabled"):
+        errors = [name for name in ("x_error", "y_error") if getattr(self, name) is not None]
+        freeze(self, *errors)
+        for name in ("id", "x", "y", "nz", "enabled", *errors):
             shape = getattr(self, name).shape
             if shape != (self.n,):
                 raise GeometryError(
@@ -63,6 +69,13 @@ class Layout:
                 raise GeometryError(
                     f"{name.upper()} of actuator {self.id[bad][0]} is not finite",
                     remedy="give the position and direction of every actuator",
+                )
+        for name in errors:
+            error = getattr(self, name)
+            if not (np.isfinite(error) & (error >= 0.0) & (error < FARTHEST)).all():
+                raise GeometryError(
+                    f"E_{name[0].upper()} is negative or not finite",
+                    remedy="give standard uncertainties in m",
                 )
         if np.abs([self.x, self.y]).max() > FARTHEST:
             raise GeometryError(
@@ -117,10 +130,13 @@ def layout(
     id: ArrayLike | None = None,
     nz: ArrayLike | None = None,
     enabled: ArrayLike | None = None,
+    x_error: ArrayLike | None = None,
+    y_error: ArrayLike | None = None,
 ) -> Layout:
     """Make a layout; names count from 1, forces point along +z, all enabled, unless told.
 
-    ``x`` and ``y`` are (n,) numbers in metres or Quantities of any length; the others (n,) too.
+    ``x``, ``y`` and their errors are (n,) numbers in metres or Quantities of any length; the others
+    (n,) too.
     """
     n = np.size(x)
     return Layout(
@@ -129,6 +145,8 @@ def layout(
         y=_metres(y),
         nz=np.ones(n) if nz is None else np.asarray(nz, dtype=float),
         enabled=np.ones(n, dtype=bool) if enabled is None else np.asarray(enabled, dtype=bool),
+        x_error=None if x_error is None else _metres(x_error),
+        y_error=None if y_error is None else _metres(y_error),
     )
 
 

@@ -15,7 +15,10 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.estimation.effects.derivative import (
     Derivative,
+    OnReadings,
     RowFunctions,
+    of_all,
+    of_each,
     of_groups,
     of_rows,
     on_readings,
@@ -66,79 +69,95 @@ def _files(within: WithinGroups) -> slice:
     return slice(0, len(within.weight))
 
 
+def _once(fit: FittedRows, name: str, made: Callable[[], OnReadings]) -> OnReadings:
+    """Return what an effect does, which those of all and those of each actuator share."""
+    if name not in fit.found:
+        fit.found[name] = made()
+    found: OnReadings = fit.found[name]
+    return found
+
+
+def _of(fit: FittedRows, effect: OnReadings, *, each: bool) -> Derivative | None:
+    if each:
+        return of_each(fit, effect) if fit.problem.n <= MOST_EACH else None
+    return of_all(fit, effect)
+
+
 def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """Alpha drifts, of all together or of each: g = -c^ h, h the hours."""
+    """Let alpha drift, of all together or of each: g = -c^ h, h the hours."""
     within = fit.moments.within
-    if within is None or not np.any(within.square > 0) or (each and fit.problem.n > MOST_EACH):
+    if within is None or not np.any(within.square > 0):
         return None
     rows = of_rows(fit.moments, within, _hour(within))
-    return on_readings(fit, rows, -fit.fitted, each=each, gain=True)
+    drift = _once(fit, "gain/hour", lambda: on_readings(fit, rows, -fit.fitted, gain=True))
+    return _of(fit, drift, each=each)
 
 
 def gain_by_file(fit: FittedRows) -> Derivative | None:
-    """Alpha of all differs from file to file: g = -c^."""
+    """Let alpha of all differ from file to file: g = -c^."""
     within = fit.moments.within
     if within is None or len(within.weight) < 3:
         return None
     rows = of_rows(fit.moments, within, _files(within))
-    return on_readings(fit, rows, -fit.fitted, each=False, gain=True)
+    return of_all(fit, on_readings(fit, rows, -fit.fitted, gain=True))
 
 
 def gain_by_load(fit: FittedRows) -> Derivative | None:
-    """Alpha of all differs from load to load; or shapes do, which only POSITION tells apart.
+    """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart.
 
     h is 1 under a load, less its mean over all rows: alpha stays that of the whole campaign.
     """
     of_load, weight = fit.moments.of_load, fit.moments.weight
     h = (of_load - weight @ of_load / weight.sum()).T[1:]
-    return on_readings(fit, of_groups(fit.moments, h), -fit.fitted, each=False, gain=True)
+    return of_all(fit, on_readings(fit, of_groups(fit.moments, h), -fit.fitted, gain=True))
 
 
 def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """The zero of the readings moves from file to file, of all alike or of each."""
+    """Move the zero of the readings from file to file, of all alike or of each."""
     within = fit.moments.within
-    if within is None or len(within.weight) < 3 or (each and fit.problem.n > MOST_EACH):
+    if within is None or len(within.weight) < 3:
         return None
     rows = of_rows(fit.moments, within, _files(within))
-    return on_readings(fit, rows, np.ones_like(fit.fitted), each=each)
+    moved = _once(fit, "zero/file", lambda: on_readings(fit, rows, np.ones_like(fit.fitted)))
+    return _of(fit, moved, each=each)
 
 
 def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
-    """The zero of the readings drifts, or the force of the bias magnets, of all alike or of each.
+    """Let the zero of the readings drift, or the bias magnets, of all alike or of each.
 
     Which of both it is, no balance tells: readings and B move together.
     """
     within = fit.moments.within
-    if within is None or not np.any(within.square > 0) or (each and fit.problem.n > MOST_EACH):
+    if within is None or not np.any(within.square > 0):
         return None
-    return on_readings(
-        fit, of_rows(fit.moments, within, _hour(within)), np.ones_like(fit.fitted), each=each
-    )
+    rows = of_rows(fit.moments, within, _hour(within))
+    drift = _once(fit, "zero/hour", lambda: on_readings(fit, rows, np.ones_like(fit.fitted)))
+    return _of(fit, drift, each=each)
 
 
 def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative | None:
-    """Coils are not linear: g = -c^2 or -c^3, of all alike or of each."""
-    if each and fit.problem.n > MOST_EACH:
-        return None
-    return on_readings(fit, _always(fit.moments), -(fit.fitted**power), each=each)
+    """Bend the coils: g = -c^2 or -c^3, of all alike or of each."""
+    field = -fit.fitted * (fit.fitted if power == 2 else fit.fitted * fit.fitted)
+    bent = _once(fit, f"power/{power}", lambda: on_readings(fit, _always(fit.moments), field))
+    return _of(fit, bent, each=each)
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
-    """The coils' force changes with the displacement z, by other than COILGRAD: g = -c^ z."""
+    """Change the force of coils with the displacement z beside COILGRAD: g = -c^ z."""
     if fit.moments.displacement is None:
         return None
     field = -fit.fitted * fit.moments.displacement
-    return on_readings(fit, _always(fit.moments), field, each=False)
+    return of_all(fit, on_readings(fit, _always(fit.moments), field))
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:
-    """The bias magnets' force changes with z, by other than BIASGRAD: A z in the balance."""
+    """Change the force of bias magnets with z beside BIASGRAD: A z in the balance."""
     z = fit.moments.displacement
     return None if z is None else on_balance(fit, (z @ fit.problem.a.T)[:, :, None])
 
 
 def weight_of_load(fit: FittedRows) -> Derivative | None:
-    """The weight of a load is another than declared; two loads say nothing of that."""
+    """Let the weight of a load be another than declared; two loads say nothing of that."""
     of_load = fit.moments.of_load
     if of_load.shape[1] < 3:
         return None
@@ -146,7 +165,7 @@ def weight_of_load(fit: FittedRows) -> Derivative | None:
 
 
 def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
-    """Something touches the mirror in shapes of one sign: a force and two moments, k of a sign."""
+    """Touch the mirror in shapes of one sign: a force and two moments."""
     positive = np.asarray(fit.moments.labels[:, 2] > 0, dtype=np.float64)
     h = fit.moments.of_load * positive[:, None] if by_load else positive[:, None]
     if np.ptp(fit.moments.labels[:, 2]) == 0:
@@ -156,20 +175,18 @@ def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
 
 
 def positions(fit: FittedRows) -> Derivative | None:
-    """Actuators stand off their coordinates: e_x and e_y times alpha c^, for each."""
+    """Move actuators off their coordinates: e_x and e_y times alpha c^, for each."""
     n, alpha = fit.problem.n, fit.alpha
     if n > MOST_EACH:
         return None
-    jacobian = np.zeros((len(fit.rows), 3, 2, n))
-    jacobian[:, 1, 0] = jacobian[:, 2, 1] = fit.fitted_rows * alpha
+    count, covariance = len(fit.rows), fit.noise_covariance
+    arms = np.zeros((3, 2, n))
+    arms[1, 0] = arms[2, 1] = alpha
     s_inverse = fit.root.T @ fit.root
-    covariance = fit.noise_covariance
     by_alpha = (s_inverse @ fit.problem.a)[1:]  # e_x, e_y by the arms
-    count = len(fit.rows)
     feigned = count * alpha[None, :, None] * by_alpha[:, None, :] * covariance
-    own = count * np.einsum(
-        "xy,i,j,ij->xiyj", s_inverse[1:, 1:], alpha, alpha, covariance, optimize=True
-    )
+    between = count * np.outer(alpha, alpha) * covariance
+    own = s_inverse[1:, None, 1:, None] * between[None, :, None, :]
 
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
         moved = np.zeros((3, n))
@@ -177,8 +194,9 @@ def positions(fit: FittedRows) -> Derivative | None:
         return replace(problem, moved=problem.moved + moved), moments
 
     return Derivative(
-        jacobian.reshape(count, 3, 2 * n),
         remove,
+        arms=arms.reshape(3, 2 * n),
+        rows=fit.fitted_rows,
         feigned=feigned.reshape(2 * n, n),
         feigned_information=own.reshape(2 * n, 2 * n),
     )
@@ -192,7 +210,7 @@ def on_balance(fit: FittedRows, change: Array) -> Derivative:
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
         return problem, replace(moments, known=moments.known + change @ theta)
 
-    return Derivative(jacobian, remove)
+    return Derivative(remove, jacobian=jacobian)
 
 
 def _always(moments: Moments) -> RowFunctions:
@@ -206,6 +224,7 @@ _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
+POSITIONS = Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by hour", "1/h", partial(gain_by_hour, each=False), _WARM),
@@ -230,5 +249,5 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("bias gradient", "N/m", bias_gradient, _POSITION),
     Effect("contact in one sign", "N, N m", partial(contact, by_load=False), _TOUCH, "axis"),
     Effect("contact in one sign by load", "N, N m", partial(contact, by_load=True), _TOUCH, "load"),
-    Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator"),
+    POSITIONS,
 )  # fmt: skip

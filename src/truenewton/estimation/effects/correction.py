@@ -58,7 +58,7 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
     first = effect.derivative(fit)
     if first is None:
         return None
-    result, theta = scored(fit, first), np.zeros(first.jacobian.shape[2])
+    result, theta = scored(fit, first), np.zeros(first.count)
     # A first spread from the score itself: U U' = V of the effect, on the average.
     size = np.trace(result.variance) / np.sum(result.variance**2)
     tau2 = float(max(np.sum(result.score**2) * size - 1.0, 1e-3)) * float(size)
@@ -70,7 +70,7 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
         uphill = result.score + theta / tau2
         told = float(np.sum(1.0 - np.diag(inverse) / tau2))
         if settled and float(uphill @ inverse @ uphill) < SMALL:
-            minimum = _with_error(at, result.moves, inverse)
+            minimum = with_error(at, result.moves, inverse)
             return Correction(effect, theta, inverse, told, at.problem, at.moments, minimum)
         theta = theta - inverse @ uphill
         before, tau2 = tau2, max(float(theta @ theta) / max(told, 1e-3), 1e-300)
@@ -107,7 +107,7 @@ def _inverse(matrix: Array) -> Array | None:
     return np.asarray(scipy.linalg.cho_solve(factor, np.eye(len(matrix))))
 
 
-def _with_error(fit: FittedRows, moves: Array, covariance: Array) -> Minimum:
+def with_error(fit: FittedRows, moves: Array, covariance: Array) -> Minimum:
     """Return the minimum with what the error of an effect adds to its covariance, B' C B."""
     minimum = fit.minimum
     t = min(len(minimum.reading_covariance), moves.shape[1])

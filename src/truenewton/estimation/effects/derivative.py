@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,6 +27,8 @@ from truenewton.arrays import Array
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
+
+NO_NOISE = 1e-3  # share of D in terms of H, below which it is not worth its products
 
 Removal = Callable[[Problem, Moments, Array], tuple[Problem, Moments]]
 
@@ -36,22 +39,34 @@ class Derivative:
 
     Attributes
     ----------
-    jacobian
-        (R, 3, k) J.
     remove
         Takes an effect of (k,) parameters out of the data.
+    jacobian
+        (R, 3, k) J; None where each actuator has parameters of its own.
+    arms, rows
+        (3, k) and (R, k), whose products by elements make J of these; (R, k / 2) where x and y
+        have the same rows.
     score, information
-        (k,) and (k, k) of what pooled rows leave, structure; 0 where an effect says nothing of it.
+        (k,) and (k, k) of what pooled rows leave, structure, 0 where an effect says nothing of it;
+        where each actuator has K parameters (K, K, n), as those of different ones share nothing.
     feigned, feigned_information
-        (k, n) D_te on alpha and (k, k) D_tt; 0 where noise of the fitted readings feigns nothing.
+        (k, n) D_te on alpha and (k, k) D_tt; None where noise of fitted readings feigns nothing.
     """
 
-    jacobian: Array
     remove: Removal
+    jacobian: Array | None = None
+    arms: Array | None = None
+    rows: Array | None = None
     score: Array | float = 0.0
     information: Array | float = 0.0
-    feigned: Array | float = 0.0
+    feigned: Array | None = None
     feigned_information: Array | float = 0.0
+
+    @property
+    def count(self) -> int:
+        """K."""
+        parameters = self.jacobian if self.jacobian is not None else self.arms
+        return 0 if parameters is None else int(parameters.shape[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,31 +87,75 @@ class Scored:
 
     score: Array
     variance: Array
-    moves: Array
     information: Array
     whole: Array
+    moved: Callable[[], Array]
+
+    @cached_property
+    def moves(self) -> Array:
+        """(k, free) B."""
+        return self.moved()
 
 
 def scored(fit: FittedRows, derivative: Derivative) -> Scored:
     """Return score and information of an effect."""
-    n, k = fit.problem.n, derivative.jacobian.shape[2]
-    white = np.einsum("ab,rbk->rak", fit.root, derivative.jacobian, optimize=True).reshape(-1, k)
-    whole = white.T @ white + derivative.information
-    cross = white.T @ fit.white_jacobian  # M_te
-    told = cross.copy()
-    told[:, :n] -= derivative.feigned
-    moves = fit.solved(told)
-    # M = H + D of the fit: B M B' = (M_te - D_te) B' + B D B'.
-    by_noise = fit.minimum.noise_information @ moves[:, :n].T
-    both = cross @ moves.T
-    variance = whole - both - both.T + told @ moves.T + moves[:, :n] @ by_noise
-    return Scored(
-        score=white.T @ fit.white_rho + derivative.score,
-        variance=0.5 * (variance + variance.T),
-        moves=moves,
-        information=whole - derivative.feigned_information - told @ moves.T,
+    n = fit.problem.n
+    score, whole, told = _from_balance(fit, derivative)
+    whole += _of_all(derivative.information)
+    if derivative.feigned is not None:
+        told[:, :n] -= derivative.feigned  # M_te - D_te
+    half = fit.half_solved(told)
+    by_fit = half.T @ half
+
+    def moved() -> Array:
+        return fit.solved_half(half)
+
+    result = Scored(
+        score=score + derivative.score,
+        variance=whole - by_fit,
+        information=whole - derivative.feigned_information - by_fit,
         whole=np.diag(whole).copy(),
+        moved=moved,
     )
+    # B M B' = (M_te - D_te) B' + B D B', as M = H + D at the fit.
+    if fit.minimum.noise_share > NO_NOISE:
+        on_alpha, noise = result.moves[:, :n], fit.minimum.noise_information
+        less = on_alpha @ noise.root.T
+        result.variance[:] += (on_alpha * noise.diagonal) @ on_alpha.T - less @ less.T
+    if derivative.feigned is not None:
+        both = derivative.feigned @ result.moves[:, :n].T
+        result.variance[:] -= both + both.T
+    return result
+
+
+def _from_balance(fit: FittedRows, derivative: Derivative) -> tuple[Array, Array, Array]:
+    """Return (k,) sum of J' S^-1 rho, (k, k) of J' S^-1 J, and (k, free) M_te."""
+    if derivative.jacobian is not None:
+        k = derivative.count
+        white = np.einsum("ab,rbk->rak", fit.root, derivative.jacobian, optimize=True)
+        white = white.reshape(-1, k)
+        return white.T @ fit.white_rho, white.T @ white, white.T @ fit.white_jacobian
+    arms, rows = derivative.arms, derivative.rows
+    assert arms is not None and rows is not None  # noqa: PT018  # the one or the other
+    pulled, times = fit.root @ arms, arms.shape[1] // rows.shape[1]
+    n, white_rho = fit.problem.n, fit.white_rho.reshape(-1, 3)
+    score = np.sum(pulled * np.tile(white_rho.T @ rows, times), axis=0)
+    cross = np.empty((derivative.count, fit.free))
+    fitted = np.tile(rows.T @ fit.fitted_rows, (times, 1))
+    np.multiply(pulled.T @ fit.white_arms, fitted, out=cross[:, :n])
+    share = np.tile(rows.T @ fit.share, (times, 1))
+    cross[:, n:] = np.einsum("kl,ak,lau->ku", share, pulled, fit.white_beside, optimize=True)
+    return score, (pulled.T @ pulled) * np.tile(rows.T @ rows, (times, times)), cross
+
+
+def _of_all(information: Array | float) -> Array | float:
+    """Return (k, k) information, spread out where it is that of each actuator by itself."""
+    if isinstance(information, float) or information.ndim == 2:
+        return information
+    k, _, n = information.shape
+    whole = np.zeros((k, n, k, n))
+    whole[:, np.arange(n), :, np.arange(n)] = np.moveaxis(information, 2, 0)
+    return whole.reshape(k * n, k * n)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,75 +187,111 @@ def of_rows(moments: Moments, within: WithinGroups, chosen: slice) -> RowFunctio
     return RowFunctions(within.first[chosen] * counted, within.second[chosen] * counted, chosen)
 
 
+@dataclass(frozen=True, eq=False)
+class OnReadings:
+    """What an effect on readings does, g = h(row) e(group, actuator), by actuator.
+
+    Attributes
+    ----------
+    remove
+        Takes the effect of (K, n) sizes out of moments.
+    rows
+        (R, K, n) U' r h e.
+    score, information
+        (K, n) and (K, K, n) of what pooled rows leave.
+    feigned
+        (K, n, n) D_te of each actuator on alpha; None where noise does not reach e.
+    """
+
+    remove: Callable[[Moments, Array], Moments]
+    rows: Array
+    score: Array
+    information: Array
+    feigned: Array | None
+
+
 def on_readings(
-    fit: FittedRows, rows: RowFunctions, field: Array, *, each: bool, gain: bool = False
-) -> Derivative:
-    """Return the derivative of an effect on readings, g = h(row) e(group, actuator).
+    fit: FittedRows, functions: RowFunctions, field: Array, *, gain: bool = False
+) -> OnReadings:
+    """Return what an effect on readings does.
 
     Between groups e is taken at the fit; within them, where a gain changes, it is -c_mean.
 
     Parameters
     ----------
-    fit, rows
+    fit, functions
         The fit; h.
     field
         (g, n) e.
-    each
-        Whether every actuator has its own parameter, in the order (K, n), or all share one.
     gain
         Whether e is -c^, which noise reaches; else 1 where rows of one group differ.
     """
-    moments, noise, n = fit.moments, fit.problem.noise.variance, fit.problem.n
-    pooling, k = moments.pooling, len(rows.first)
-    weight = np.where(moments.weight > 0, moments.weight, 1.0)
-    mean = rows.first / weight
-    by_actuator = np.empty((len(fit.rows), k, n))
+    moments, noise, first = fit.moments, fit.problem.noise.variance, functions.first
+    k, n, pooling = len(first), fit.problem.n, moments.pooling
+    mean = first / np.where(moments.weight > 0, moments.weight, 1.0)
+    rows = np.empty((len(fit.rows), k, n))
     for index, h in enumerate(mean):
-        by_actuator[:, index] = pooling.rows(h[:, None] * field)
+        rows[:, index] = pooling.rows(field, h)
     score, information = np.zeros((k, n)), np.zeros((k, k, n))
     if fit.independent:
-        score -= rows.first @ (field * fit.apart) / noise
-        information -= np.einsum("rki,rli->kli", by_actuator, by_actuator, optimize=True) / noise
-        information += _between(rows.first, mean, field) / noise
-        if rows.chosen is not None and moments.within is not None:
+        square = field**2
+        score -= first @ (field * fit.apart)
+        information -= np.einsum("rki,rli->kli", rows, rows, optimize=True)
+        information += np.stack([(mean * one) @ square for one in first])
+        if functions.chosen is not None and moments.within is not None:
             own, sums = _own(moments.within, gain=gain)
-            score -= sums[rows.chosen] / noise
+            score -= sums[functions.chosen]
+            square = np.square(own, out=square)
             for index in range(k):
-                products = moments.within.products(range(*rows.chosen.indices(10**9))[index])
-                spread = products[rows.chosen] * (moments.weight > 0) - mean * rows.first[index]
-                information[index] += spread @ own**2 / noise
+                products = moments.within.products(range(*functions.chosen.indices(10**9))[index])
+                apart = products[functions.chosen] * (moments.weight > 0) - mean * first[index]
+                information[index] += apart @ square
         else:
-            spread = rows.second - rows.first * mean
-            information[np.arange(k), np.arange(k)] += spread @ field**2 / noise
-    feigned: Array | float = 0.0
+            apart = functions.second - first * mean
+            information[np.arange(k), np.arange(k)] += apart @ square
+        score, information = score / noise, information / noise
+    feigned = None
     if gain:
-        trace = rows.first @ pooling.squared_lengths
-        gram = fit.problem.a.T @ fit.root.T @ fit.root @ fit.problem.a
+        trace = first @ pooling.squared_lengths
+        gram = fit.white_arms.T @ fit.white_arms
         feigned = trace[:, None, None] * (fit.alpha[:, None] * gram * fit.noise_covariance)
-    if each:
-        jacobian = -fit.scaled_arms[:, None, :] * by_actuator[:, None]
-        jacobian = jacobian.reshape(len(fit.rows), 3, k * n)
-        whole = np.zeros((k, n, k, n))
-        whole[:, np.arange(n), :, np.arange(n)] = np.moveaxis(information, 2, 0)
-        information = whole.reshape(k * n, k * n)
-        score = score.ravel()
-        feigned = feigned if isinstance(feigned, float) else feigned.reshape(k * n, n)
-    else:
-        jacobian = -np.einsum("ai,rki->rak", fit.scaled_arms, by_actuator, optimize=True)
-        information, score = information.sum(axis=2), score.sum(axis=1)
-        feigned = feigned if isinstance(feigned, float) else feigned.sum(axis=1)
+
+    def remove(before: Moments, size: Array) -> Moments:
+        return _without(before, functions, field, size, gain=gain)
+
+    return OnReadings(remove, rows, score, information, feigned)
+
+
+def of_each(fit: FittedRows, effect: OnReadings) -> Derivative:
+    """Return the derivative of an effect with parameters of each actuator, in the order (K, n)."""
+    count, k, n = effect.rows.shape
 
     def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        size = theta.reshape(k, n) if each else np.repeat(theta[:, None], n, axis=1)
-        return problem, _without(before, rows, field, size, gain=gain)
+        return problem, effect.remove(before, theta.reshape(k, n))
 
-    return Derivative(jacobian, remove, score, information, feigned)
+    return Derivative(
+        remove,
+        arms=-np.tile(fit.scaled_arms, k),
+        rows=effect.rows.reshape(count, k * n),
+        score=effect.score.ravel(),
+        information=effect.information,
+        feigned=None if effect.feigned is None else effect.feigned.reshape(k * n, n),
+    )
 
 
-def _between(first: Array, mean: Array, field: Array) -> Array:
-    """Return (K, K, n) sums over groups of r h h' e^2, with h the means of groups."""
-    square = field**2
-    return np.stack([(mean * one) @ square for one in first])
+def of_all(fit: FittedRows, effect: OnReadings) -> Derivative:
+    """Return the derivative of an effect whose parameters all actuators share."""
+
+    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return problem, effect.remove(before, np.repeat(theta[:, None], fit.problem.n, axis=1))
+
+    return Derivative(
+        remove,
+        jacobian=-np.einsum("ai,rki->rak", fit.scaled_arms, effect.rows, optimize=True),
+        score=effect.score.sum(axis=1),
+        information=effect.information.sum(axis=2),
+        feigned=None if effect.feigned is None else effect.feigned.sum(axis=1),
+    )
 
 
 def _own(within: WithinGroups, *, gain: bool) -> tuple[Array | float, Array]:

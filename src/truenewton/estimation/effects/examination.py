@@ -271,7 +271,7 @@ def _alike(found: list[EffectTest]) -> list[EffectTest]:
     """Return the likeliest effects, the one with the fewest parameters first; at most four."""
     best = found[0].log_probability
     some = [test for test in found if test.log_probability <= ALIKE * best][:MOST]
-    return sorted(some, key=lambda test: len(test.scored.score))
+    return sorted(some, key=lambda test: test.derivative.count)
 
 
 def _after(
@@ -300,7 +300,7 @@ def _after(
 def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> FoundEffect:
     """Return an effect in words and numbers."""
     campaign, effect = fit.problem.campaign, test.effect
-    theta = np.zeros(len(test.scored.score)) if corrected is None else corrected.theta
+    theta = np.zeros(test.derivative.count) if corrected is None else corrected.theta
     worst = int(np.abs(theta).argmax())
     where = ""
     if corrected is not None and effect.of == "file":

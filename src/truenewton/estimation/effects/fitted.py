@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.linalg
@@ -27,12 +28,15 @@ class FittedRows:
     independent
         Whether readings are independent of each other, so that what pooled rows leave of the means
         tells of effects as well.
+    found
+        What several effects need of it, by name, once found.
     """
 
     problem: Problem
     moments: Moments
     minimum: Minimum
     independent: bool
+    found: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
     def alpha(self) -> Array:
@@ -102,22 +106,37 @@ class FittedRows:
         return len(self.minimum.values) - (prior.measured if prior.held else 0)
 
     @cached_property
+    def white_arms(self) -> Array:
+        """(3, n) S^-1/2 A."""
+        return np.asarray(self.root @ self.problem.a)
+
+    @cached_property
+    def white_beside(self) -> Array:
+        """(L, 3, free - n) S^-1/2 dk/dpsi of each load."""
+        nuisance = self.problem.data(self.moments)[0].nuisance
+        return np.asarray(self.root @ nuisance[:, :, : self.free - self.problem.n])
+
+    @cached_property
     def white_jacobian(self) -> Array:
         """(3 R, free) S^-1/2 J of alpha and the unknowns beside it."""
-        n, of_loads = self.problem.n, self.problem.data(self.moments)[0]
+        n = self.problem.n
         jacobian = np.empty((len(self.rows), 3, self.free))
-        np.multiply(
-            (self.root @ self.problem.a)[None], self.fitted_rows[:, None], out=jacobian[:, :, :n]
-        )
-        beside = self.root @ of_loads.nuisance[:, :, : self.free - n]
-        jacobian[:, :, n:] = np.tensordot(self.share, beside, axes=1)
+        np.multiply(self.white_arms[None], self.fitted_rows[:, None], out=jacobian[:, :, :n])
+        jacobian[:, :, n:] = np.tensordot(self.share, self.white_beside, axes=1)
         return jacobian.reshape(-1, self.free)
 
     @cached_property
-    def information_factor(self) -> tuple[Array, bool]:
-        """Cholesky factor of H of the free unknowns."""
-        return scipy.linalg.cho_factor(mirrored(self.minimum.information[: self.free, : self.free]))
+    def information_factor(self) -> Array:
+        """Lower Cholesky factor of H of the free unknowns."""
+        information = mirrored(self.minimum.information[: self.free, : self.free])
+        return np.asarray(scipy.linalg.cholesky(information, lower=True, check_finite=False))
 
-    def solved(self, cross: Array) -> Array:
-        """Return (k, free) cross H^-1."""
-        return np.asarray(scipy.linalg.cho_solve(self.information_factor, cross.T).T)
+    def half_solved(self, cross: Array) -> Array:
+        """Return (free, k) L^-1 cross' of (k, free), L the Cholesky factor of H."""
+        solve = scipy.linalg.solve_triangular
+        return np.asarray(solve(self.information_factor, cross.T, lower=True, check_finite=False))
+
+    def solved_half(self, half: Array) -> Array:
+        """Return (k, free) cross H^-1 from the half of it."""
+        factor, solve = self.information_factor, scipy.linalg.solve_triangular
+        return np.asarray(solve(factor, half, lower=True, trans=1, check_finite=False).T)

@@ -13,13 +13,13 @@ import numpy as np
 import scipy.special
 import scipy.stats
 
-from truenewton.arrays import Array
 from truenewton.estimation.effects.catalogue import CATALOGUE, Effect
-from truenewton.estimation.effects.derivative import Derivative, Scored, scored
+from truenewton.estimation.effects.derivative import Derivative, scored
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 
 FEW = 30  # parameters
+MANY = 2  # parameters of each actuator, beyond which the structure alone tells
 BLIND = 1e-6  # of the information that the data would hold, were all else known
 
 
@@ -29,7 +29,7 @@ class EffectTest:
 
     Attributes
     ----------
-    effect, derivative, scored
+    effect, derivative
         What was tested.
     statistic, degrees_of_freedom, log_probability
         A chi^2, its degrees of freedom, and the logarithm of the chance of a larger one.
@@ -37,7 +37,6 @@ class EffectTest:
 
     effect: Effect
     derivative: Derivative
-    scored: Scored
     statistic: float
     degrees_of_freedom: float
     log_probability: float
@@ -48,7 +47,7 @@ def tests(fit: FittedRows) -> list[EffectTest]:
     found = []
     for effect in CATALOGUE:
         derivative = effect.derivative(fit)
-        if derivative is not None and derivative.jacobian.shape[2]:
+        if derivative is not None and derivative.count:
             test = _tested(fit, effect, derivative)
             if test is not None:
                 found.append(test)
@@ -63,6 +62,8 @@ def named(found: list[EffectTest]) -> list[EffectTest]:
 
 def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTest | None:
     """Test one effect; None where the data are blind to it."""
+    if derivative.count > MANY * fit.problem.n:
+        return _tested_by_structure(effect, derivative)
     result = scored(fit, derivative)
     seen = np.diag(result.variance) > BLIND * result.whole
     if not seen.any():
@@ -78,9 +79,21 @@ def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTe
     else:
         scale = float(np.sum(v**2) / np.trace(v))
         statistic, freedom = float(u @ u) / scale, float(np.trace(v)) / scale
-    return EffectTest(
-        effect, derivative, result, statistic, freedom, log_chance(statistic, freedom)
-    )
+    return EffectTest(effect, derivative, statistic, freedom, log_chance(statistic, freedom))
+
+
+def _tested_by_structure(effect: Effect, derivative: Derivative) -> EffectTest | None:
+    """Test an effect of several parameters of each actuator by what pooled rows leave alone."""
+    information, score = derivative.information, derivative.score
+    if isinstance(information, float) or isinstance(score, float) or not information.any():
+        return None
+    blocks = np.moveaxis(information, 2, 0)
+    values, vectors = np.linalg.eigh(blocks)
+    held = values > 1e2 * BLIND * values.max()
+    along = np.einsum("nab,an->nb", vectors, score.reshape(information.shape[1:]))
+    statistic = float(np.sum(along[held] ** 2 / values[held]))
+    freedom = float(np.count_nonzero(held))
+    return EffectTest(effect, derivative, statistic, freedom, log_chance(statistic, freedom))
 
 
 def log_chance(chi2: float, freedom: float) -> float:
@@ -90,8 +103,3 @@ def log_chance(chi2: float, freedom: float) -> float:
         return exact
     half = 0.5 * freedom  # the first term of the incomplete Gamma function's expansion
     return float((half - 1.0) * np.log(0.5 * chi2) - 0.5 * chi2 - scipy.special.gammaln(half))
-
-
-def shift_by(result: Scored, n: int, theta: Array) -> Array:
-    """Return (n,) how far alpha moves if an effect of (k,) parameters is left in the data."""
-    return np.asarray(result.moves[:, :n].T @ theta)

@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import log_chance
@@ -49,12 +48,7 @@ def unknown_force(fit: FittedRows) -> UnknownForce | None:
     towards = pulled / np.sqrt(square)
     rows = fit.white_rho.reshape(-1, 3)
     statistic = np.sum((rows @ towards) ** 2, axis=0)
-    factor = (
-        np.tril(fit.information_factor[0])
-        if fit.information_factor[1]
-        else np.triu(fit.information_factor[0]).T
-    )
-    solved = scipy.linalg.solve_triangular(factor, fit.white_jacobian.T, lower=True)
+    solved = fit.half_solved(fit.white_jacobian)
     by_row = solved.T.reshape(len(rows), 3, -1)
     taken = np.einsum("rak,rbk->ab", by_row, by_row, optimize=True)
     freedom = np.maximum(len(rows) - np.einsum("an,ab,bn->n", towards, taken, towards), 1.0)

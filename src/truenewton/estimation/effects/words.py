@@ -1,0 +1,70 @@
+"""What effects were found, and what is left, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from truenewton.estimation.diagnosis import ErrorKind, FoundEffect, ScaleError
+from truenewton.estimation.effects.examination import Examined
+from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.fault import Fault
+
+
+def effect_warnings(effects: Iterable[FoundEffect]) -> Iterator[Fault]:
+    """Say of each effect what it is, where, and whether it was taken out of the data."""
+    for effect in effects:
+        what = f"the data show {in_words(effect)}"
+        done = "taken out of them" if effect.corrected else "which was not taken out of them"
+        yield Fault(f"{what}, {done}", effect.remedy)
+
+
+def in_words(effect: FoundEffect) -> str:
+    """Return an effect with its size and where it is largest."""
+    size = ""
+    if effect.size:
+        per_cent = effect.unit in ("", "1/h") and effect.name != "correlated noise"
+        value, unit = (100 * effect.size, effect.unit.replace("1", "%")) if per_cent else (
+            effect.size, effect.unit
+        )  # fmt: skip
+        size = f" of {value:.2g} {unit or '%' if per_cent else unit}".rstrip()
+    where = f" ({effect.where})" if effect.where else ""
+    return f"{effect.name}{size}{where}"
+
+
+def misfit_warnings(left: Examined) -> Iterator[Fault]:
+    """Say that the model does not fit, and by how much errors grew for it."""
+    if left.fits:
+        return
+    if left.excess > 1.0:
+        yield Fault(
+            f"the model does not fit the data: E_STAT is {np.sqrt(left.excess):.2g} times larger"
+            " for it",
+            "look for what the bench does beside it (docs/effects.md)",
+        )
+    elif left.too_well:
+        yield Fault(
+            "the shapes balance better than the scatter of their repeats lets expect",
+            "look for what differs between files: a label, a drift, zeros that move",
+        )
+
+
+def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iterator[FoundEffect]:
+    """Name a temperature that differs between loads by more than the readings leave open."""
+    relative = {line.source.kind: line.relative for line in scale_errors}
+    if relative.get(ErrorKind.BETWEEN_LOADS, 0.0) <= relative.get(ErrorKind.READINGS, np.inf):
+        return
+    warmth = [
+        mean_temperature(c for c in campaign.cycles if c.load.key == load.key)
+        for load in campaign.loads
+    ]
+    yield FoundEffect(
+        name=str(ErrorKind.BETWEEN_LOADS.value),
+        where="",
+        probability=0.0,
+        size=max(warmth) - min(warmth),
+        unit="K",
+        corrected=False,
+        remedy="keep the temperature, or take bare and loaded cycles in turn",
+    )
