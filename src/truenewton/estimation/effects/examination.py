@@ -136,18 +136,20 @@ def examined(
         return cured
     if problem.dependent:
         start = replace(plain, structure=structure) if moments.pooled else plain
+        before = named_first.effects
         cured, named_first = _cured(start, independent=False, samples=samples)
         if cured is not None:
             return cured
+        if start.too_well:  # even without what readings of a row share
+            return _correlated(start, named_first.effects or before)
     best = plain if plain.fits and not start.fits else start
-    if named_first.effects and named_first.fits:
-        # What two readings of the data explain, alpha may be wrong by.
-        return replace(best, effects=named_first.effects, minimum=_unsure(best, named_first))
-    for one in (start, plain):
-        forced = _with_unknown_forces(one)
-        if forced is not None:
-            return forced
-    return replace(best, effects=named_first.effects)
+    if not named_first.effects or not named_first.fits:
+        for one in (start, plain):
+            forced = _with_unknown_forces(one)
+            if forced is not None:
+                return forced
+    # What two readings of the data explain, alpha may be wrong by.
+    return replace(best, effects=named_first.effects, minimum=_unsure(best, named_first))
 
 
 def _pooled(
@@ -167,21 +169,22 @@ def _cured(
 ) -> tuple[Examined | None, Examined]:
     """Take out the likeliest effects until all fits; None where that fails.
 
-    Also what came of the first effect named, where it could not be taken out. Only effects by which
-    rows of one group differ are taken for what they share, if ``within``.
+    Also what came of the first effect named, where it could not be taken out. The first is one by
+    which rows of one group differ, what they seemed to share, if ``within``.
     """
     now, first = start, start
     for _ in range(MOST):
         fit = FittedRows(now.problem, now.moments, now.minimum, independent)
         found = named(tests(fit))
-        if within:
+        shared = within and not now.effects  # noise, or what such an effect does
+        if shared:
             found = [test for test in found if test.effect.within]
         if not found:
             return (now if now.fits else None), first
         if not first.effects:
             first = replace(start, effects=(_found(fit, found[0], None),))
         force = unknown_force(fit)
-        if not within and force is not None and force.log_probability < found[0].log_probability:
+        if not shared and force is not None and force.log_probability < found[0].log_probability:
             return _with_unknown_forces(now), first
         after = None
         for test in _alike(found):
@@ -198,6 +201,9 @@ def _cured(
             return None, first
         if after.fits and not after.effects[-1].corrected:
             return None, after
+        if not now.effects:
+            left_in = replace(after.effects[0], corrected=False)
+            first = replace(after, effects=(left_in,))
         now = after
     return (now if now.fits else None), first
 
