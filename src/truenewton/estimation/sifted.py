@@ -2,8 +2,8 @@
 
 A row is far whose reading of one actuator lies far from the mean of the others of its group. The
 worst row of each group goes first, the scatter is taken anew, until none is left; where only two
-rows disagree neither can be trusted and both go. The threshold lets a sound campaign lose a row
-once in a hundred campaigns.
+rows disagree neither can be trusted and both go. A sound campaign loses a row
+once in four hundred.
 
 Where those that are left still scatter more than their median says, rows were no accidents but the
 tail of what happened to all, a drift perhaps: then only those go that stand out of that as well.
@@ -24,7 +24,7 @@ from truenewton.estimation.copied_files import copied_files
 from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.file_labels import mislabelled_files, mislabelled_rows
 from truenewton.estimation.moments import QUARTILE, Moments
-from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.repeats import RepeatSums
 from truenewton.estimation.structure import Structure, pooled_where_it_fits
@@ -186,7 +186,7 @@ def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(accidents & (noise > 1.5 * robust), robust, noise)
     tests = moments.rows.sum() * len(noise)
-    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / tests, moments.repeats - 1)
+    limit = scipy.stats.t.isf(OF_EACH_KIND / 2 / tests, moments.repeats - 1)
     limit *= 1.0 if accidents else FAR_OUT
     suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
     if suspicious.size:  # noise of rounding
