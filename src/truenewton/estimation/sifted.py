@@ -2,8 +2,8 @@
 
 A row is far whose reading of one actuator lies far from the mean of the others of its group. The
 worst row of each group goes first, the scatter is taken anew, until none is left; where only two
-rows disagree neither can be trusted and both go. The threshold lets a sound campaign lose a row
-once in a hundred campaigns.
+rows disagree neither can be trusted and both go. A sound campaign loses a row
+once in four hundred.
 
 Where those that are left still scatter more than their median says, rows were no accidents but the
 tail of what happened to all, a drift perhaps: then only those go that stand out of that as well.
@@ -23,8 +23,8 @@ from truenewton.estimation.block_rows import BlockRows
 from truenewton.estimation.copied_files import copied_files
 from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.file_labels import mislabelled_files, mislabelled_rows
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.moments import QUARTILE, Moments
+from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.repeats import RepeatSums
 from truenewton.estimation.structure import Structure, pooled_where_it_fits
@@ -35,7 +35,6 @@ MOST = 0.3  # of the rows; beyond this the campaign is refused
 SYSTEMATIC = 0.15  # of the rows of a file: where more lie far, its labels are looked at
 LONG_TAILS = 1.08  # of scatter over what the median says: beyond, rows are no accidents
 FAR_OUT = 3.0  # times the usual limit, where rows are the tail of what happened to all
-QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +94,8 @@ def sift(campaign: Campaign) -> Sifted:
             raise naming(error, suspects) from None
     suspects += mislabelled_rows(campaign, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
-    moments, structure = pooled_where_it_fits(sums.moments, noise, sums.samples)
+    moments = replace(sums.moments, displacement=sums.displacement())
+    moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
     samples = tuple(sums.samples)
     return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects)
 
@@ -186,7 +186,7 @@ def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(accidents & (noise > 1.5 * robust), robust, noise)
     tests = moments.rows.sum() * len(noise)
-    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / tests, moments.repeats - 1)
+    limit = scipy.stats.t.isf(OF_EACH_KIND / 2 / tests, moments.repeats - 1)
     limit *= 1.0 if accidents else FAR_OUT
     suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
     if suspicious.size:  # noise of rounding

@@ -28,8 +28,6 @@ from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
 
-MOST_EACH = 2000  # actuators up to which an effect with a parameter for each is looked for
-
 
 @dataclass(frozen=True)
 class Effect:
@@ -78,10 +76,8 @@ def _once(fit: FittedRows, name: str, made: Callable[[], OnReadings]) -> OnReadi
     return found
 
 
-def _of(fit: FittedRows, effect: OnReadings, *, each: bool) -> Derivative | None:
-    if each:
-        return of_each(fit, effect) if fit.problem.n <= MOST_EACH else None
-    return of_all(fit, effect)
+def _of(fit: FittedRows, effect: OnReadings, *, each: bool) -> Derivative:
+    return of_each(fit, effect) if each else of_all(fit, effect)
 
 
 def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -103,7 +99,7 @@ def gain_by_file(fit: FittedRows) -> Derivative | None:
     return of_all(fit, on_readings(fit, rows, -fit.fitted, gain=True))
 
 
-def gain_by_load(fit: FittedRows) -> Derivative | None:
+def gain_by_load(fit: FittedRows) -> Derivative:
     """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart.
 
     h is 1 under a load, less its mean over all rows: alpha stays that of the whole campaign.
@@ -145,7 +141,7 @@ def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
     return _of(fit, drift, each=each)
 
 
-def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative | None:
+def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
     """Bend the coils: g = -c^2 or -c^3, of all alike or of each."""
     field = -fit.fitted * (fit.fitted if power == 2 else fit.fitted * fit.fitted)
     bent = _once(fit, f"power/{power}", lambda: on_readings(fit, _always(fit.moments), field))
@@ -184,11 +180,9 @@ def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
     return on_balance(fit, units.reshape(len(h), 3, -1))
 
 
-def positions(fit: FittedRows) -> Derivative | None:
+def positions(fit: FittedRows) -> Derivative:
     """Move actuators off their coordinates: e_x and e_y times alpha c^, for each."""
     n, alpha = fit.problem.n, fit.alpha
-    if n > MOST_EACH:
-        return None
     count, covariance = len(fit.rows), fit.noise_covariance
     arms = np.zeros((3, 2, n))
     arms[1, 0] = arms[2, 1] = alpha

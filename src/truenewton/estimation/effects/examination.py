@@ -30,6 +30,7 @@ from truenewton.estimation.problem import Problem
 from truenewton.estimation.structure import FITS, Structure, structure_of
 
 MOST = 4  # effects at once
+MOST_ACTUATORS = 2000  # beyond which there is no room for the fitted readings of every shape
 MOST_FORCES = 3  # actuators at which forces come and go
 ROUNDS = 4  # for the size of each
 NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
@@ -119,7 +120,7 @@ def examined(
         Deviations of some rows from their repeats, in parts of (m, n) [N].
     """
     plain = Examined(problem, moments, minimum)
-    if structure is None:
+    if structure is None or problem.n > MOST_ACTUATORS:
         return plain
     # What files or hours do to all readings looks like noise that they share, until it is out.
     unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)
@@ -136,18 +137,20 @@ def examined(
         return cured
     if problem.dependent:
         start = replace(plain, structure=structure) if moments.pooled else plain
+        before = named_first.effects
         cured, named_first = _cured(start, independent=False, samples=samples)
         if cured is not None:
             return cured
+        if start.too_well:  # even without what readings of a row share
+            return _correlated(start, named_first.effects or before)
     best = plain if plain.fits and not start.fits else start
-    if named_first.effects and named_first.fits:
-        # What two readings of the data explain, alpha may be wrong by.
-        return replace(best, effects=named_first.effects, minimum=_unsure(best, named_first))
-    for one in (start, plain):
-        forced = _with_unknown_forces(one)
-        if forced is not None:
-            return forced
-    return replace(best, effects=named_first.effects)
+    if not named_first.effects or not named_first.fits:
+        for one in (start, plain):
+            forced = _with_unknown_forces(one)
+            if forced is not None:
+                return forced
+    # What two readings of the data explain, alpha may be wrong by.
+    return replace(best, effects=named_first.effects, minimum=_unsure(best, named_first))
 
 
 def _pooled(
@@ -167,21 +170,22 @@ def _cured(
 ) -> tuple[Examined | None, Examined]:
     """Take out the likeliest effects until all fits; None where that fails.
 
-    Also what came of the first effect named, where it could not be taken out. Only effects by which
-    rows of one group differ are taken for what they share, if ``within``.
+    Also what came of the first effect named, where it could not be taken out. The first is one by
+    which rows of one group differ, what they seemed to share, if ``within``.
     """
     now, first = start, start
     for _ in range(MOST):
         fit = FittedRows(now.problem, now.moments, now.minimum, independent)
         found = named(tests(fit))
-        if within:
+        shared = within and not now.effects  # noise, or what such an effect does
+        if shared:
             found = [test for test in found if test.effect.within]
         if not found:
             return (now if now.fits else None), first
         if not first.effects:
             first = replace(start, effects=(_found(fit, found[0], None),))
         force = unknown_force(fit)
-        if not within and force is not None and force.log_probability < found[0].log_probability:
+        if not shared and force is not None and force.log_probability < found[0].log_probability:
             return _with_unknown_forces(now), first
         after = None
         for test in _alike(found):
@@ -198,6 +202,9 @@ def _cured(
             return None, first
         if after.fits and not after.effects[-1].corrected:
             return None, after
+        if not now.effects:
+            left_in = replace(after.effects[0], corrected=False)
+            first = replace(after, effects=(left_in,))
         now = after
     return (now if now.fits else None), first
 
