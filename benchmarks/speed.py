@@ -36,8 +36,9 @@ from scipy.linalg.lapack import dpotri
 
 import truenewton as tn
 from truenewton.calibration import methods
-from truenewton.estimation import problem
+from truenewton.estimation import cycles_ml, problem
 from truenewton.estimation.cycle_errors import CycleErrors
+from truenewton.estimation.effects.examination import Examined
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.systems import system_e
 from truenewton.linalg import ROWS_AT_ONCE, mirrored
@@ -109,6 +110,16 @@ def without_cycle_errors(campaign: tn.Campaign) -> tn.Calibration:
         return tn.calibrate(campaign)
 
 
+def without_catalogue(campaign: tn.Campaign) -> tn.Calibration:
+    """Calibrate, but look for no effects."""
+
+    def nothing(fitted: Any, moments: Any, minimum: Any, *_: Any) -> Examined:
+        return Examined(fitted, moments, minimum)
+
+    with replaced(cycles_ml, "examined", nothing):
+        return without_cycle_errors(campaign)
+
+
 def iterations_taken(campaign: tn.Campaign) -> int:
     """Count the steps of all minimisations of one calibration."""
     taken: list[int] = []
@@ -120,7 +131,7 @@ def iterations_taken(campaign: tn.Campaign) -> int:
         return estimate
 
     with replaced(problem, "minimise", counted):
-        without_cycle_errors(campaign)
+        without_catalogue(campaign)
     return sum(taken)
 
 
@@ -245,7 +256,12 @@ def measure(n: int, repeats: int) -> None:
     )  # fmt: skip
     print(f"n = {n}: timing", file=sys.stderr)
     errors = steps_of_errors(campaign)
-    main = {**reference, **errors, "calibrate": lambda: without_cycle_errors(campaign)}
+    main = {
+        **reference,
+        **errors,
+        "calibrate": lambda: without_catalogue(campaign),
+        "calibrate, effects looked for": lambda: without_cycle_errors(campaign),
+    }
     taken = least(main, repeats)
     beside = {"E_CYCLE": lambda: read_rows(campaign, (CycleErrors(campaign, values).take,))}
     if n <= GELSD_UP_TO:
@@ -276,7 +292,9 @@ def measure(n: int, repeats: int) -> None:
         f" = distinct shapes {shapes:.1f} MB + {(peak - shapes) / square:.1f} n^2"
     )
     calibrated = taken["calibrate"]
+    catalogue = taken["calibrate, effects looked for"] - calibrated
     ratios = [
+        ("the catalogue of effects / calibrate", catalogue / calibrated, 2),
         ("calibrate / reference", calibrated / whole, 1.5),
         ("E_ALPHA without COVARIANCE / reference", (with_errors - taken[PRODUCT]) / whole, None),
         ("reference with start and errors / reference", with_errors / whole, None),

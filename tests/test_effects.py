@@ -304,7 +304,7 @@ def gain_by_load(bench):
 
 def weight_of_load(bench):
     bench.external = bench.external + np.outer(bench.load == 1, [0.05, 0.0, 0.0])
-    return None  # of three weights none but one direction
+    return  # of three weights none but one direction
 
 
 def zero_by_hour(bench):

@@ -43,8 +43,9 @@ def larger_shapes(day: Day) -> None:
     day.z = day.z * np.where(day.under(), 1.02, 1.0)
 
 
-@fault("shapes 2 % larger under the ring, no POSITION")
+@fault("shapes 2 % larger under the ring, no POSITION", cause="gain by load")
 def larger_shapes_unseen(day: Day) -> None:
+    """No fault; but without POSITION nobody can tell it from coils that changed."""
     larger_shapes(day)
     day.has_position = False
 

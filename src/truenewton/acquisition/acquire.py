@@ -80,7 +80,7 @@ def acquire(
     if operator is None:
         raise BenchFault("nobody puts the loads on", remedy="give an operator")
     with Interruption() as interruption, locked(folder) as folder:
-        shapes = begin_or_resume(folder, plan, mirror, beside)
+        plan, shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
         complete = finished_cycles(folder, plan, mirror, 2 * len(shapes))
         files = tuple(folder / name for name in cycle_names(plan))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import difflib
 import hashlib
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from truenewton.acquisition.clock import instant_of
+from truenewton.acquisition.drift import with_turns
 from truenewton.acquisition.journal import remove_journal
 from truenewton.acquisition.load_check import mean_sum
 from truenewton.acquisition.plan import CampaignPlan, read_plan
@@ -54,11 +55,12 @@ def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
 
 def begin_or_resume(
     folder: Path, plan: CampaignPlan, mirror: Mirror, beside: str | os.PathLike[str]
-) -> Array:
-    """Keep plan and shapes in a folder that has none; else return the shapes that it has.
+) -> tuple[CampaignPlan, Array]:
+    """Keep plan and shapes in a folder that has none; else return what it was begun with.
 
-    They are (shapes, n) displacements [m], and never made twice: modes of one stiffness may come
-    out turned on another machine.
+    Where the plan leaves its turns open, the first run chooses them for good. The shapes are
+    (shapes, n) displacements [m], and never made twice: modes of one stiffness may come out turned
+    on another machine.
 
     Raises
     ------
@@ -74,19 +76,25 @@ def begin_or_resume(
             path.unlink()
     if (folder / PLAN).exists():
         refuse_other_plan(folder, plan, beside)
-        return _read_shapes(folder / SHAPES)
+        return _with_turns_begun(plan, read_plan(folder / PLAN)), _read_shapes(folder / SHAPES)
     if any(path.name.endswith(SUFFIXES) for path in folder.iterdir()):
         raise OutputExists(
             f"holds FITS files but no {PLAN}", remedy="choose another name", path=folder
         )
     shapes = shapes_and_forces(plan, mirror, beside)[0]
+    plan = with_turns(plan, mirror, len(shapes))
     with file_beside(folder / SHAPES, overwrite=True) as temporary:
         np.save(temporary, shapes)
     with file_beside(folder / PLAN) as temporary:  # last: with it the campaign has begun
         temporary.write_text(_plan_text(plan, beside), encoding="utf-8")
     with in_one_line(folder):
         to_disk(folder)
-    return shapes
+    return plan, shapes
+
+
+def _with_turns_begun(plan: CampaignPlan, begun: CampaignPlan) -> CampaignPlan:
+    """Return a plan that leaves its turns open with those of the plan of its folder."""
+    return plan if plan.turns else replace(plan, turns=begun.turns)
 
 
 def refuse_other_plan(
@@ -99,10 +107,11 @@ def refuse_other_plan(
     CampaignMismatch, UnreadableFile, FormatError, LimitExceeded
     """
     path = Path(folder) / PLAN
-    plan_begun = toml_text(read_plan(path))  # as this version writes it, defaults included
+    begun_plan = read_plan(path)
+    plan_begun = toml_text(begun_plan)  # as this version writes it, defaults included
     notes = [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
     begun = [*notes, *plan_begun.splitlines()]
-    wanted = _plan_text(plan, beside).splitlines()
+    wanted = _plan_text(_with_turns_begun(plan, begun_plan), beside).splitlines()
     if begun == wanted:
         return
     lines = list(difflib.unified_diff(begun, wanted, n=0, lineterm=""))

@@ -23,7 +23,8 @@ from truenewton.statics.load import Load, check_load
 POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "limits.displacement",
             "limits.saturation")  # fmt: skip
 NOT_NEGATIVE = ("settling", "pause", "limits.gap", "shapes.count", "bench.seed",
-                "bench.force_noise")  # fmt: skip
+                "bench.force_noise", "drift.alpha", "drift.zero", "drift.remounting")  # fmt: skip
+MOST_CYCLES, MOST_TURNS = 999, 3
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,25 @@ class MirrorLimits:
 
 
 @dataclass(frozen=True)
+class AssumedDrift:
+    """What drifts during a campaign, as far as the prediction reckons with it [guess].
+
+    Attributes
+    ----------
+    alpha
+        Relative change of all alphas in an hour.
+    zero
+        Change of the zeros of all force readings in an hour [N].
+    remounting
+        Standard deviation by which the zeros of all move at each change of load [N].
+    """
+
+    alpha: float = 3e-3
+    zero: float = 1e-5
+    remounting: float = 1e-5
+
+
+@dataclass(frozen=True)
 class CampaignPlan:
     """A day at the bench.
 
@@ -84,7 +104,7 @@ class CampaignPlan:
     mirror
         Name of a known mirror, or a TOML file of one.
     loads
-        In the order in which they are put on; two different ones at least give the scale.
+        In the order in which they are put on first; two different ones at least give the scale.
     cycles
         Runs through all shapes, both signs, under each load.
     samples
@@ -97,6 +117,11 @@ class CampaignPlan:
         Standard deviation of one reading that the prediction reckons with [N].
     shapes, limits, bench
         As they say.
+    turns
+        How often the way goes through the loads, there and back (`mountings`): 1, all cycles of a
+        load before the next is put on; 2, bare-ring-bare; 3, bare-ring-bare-ring; 0, what pays.
+    drift
+        What the choice of turns reckons with; for the prediction only.
     """
 
     mirror: str
@@ -109,11 +134,17 @@ class CampaignPlan:
     shapes: PlannedShapes = PlannedShapes()
     limits: MirrorLimits = MirrorLimits()
     bench: BenchChoice = BenchChoice()
+    turns: int = 1
+    drift: AssumedDrift = AssumedDrift()
 
     def __post_init__(self) -> None:
-        for name, low, high in (("cycles", 1, 999), ("samples", 1, 10**9)):
+        for name, low, high in (
+            ("cycles", 1, MOST_CYCLES), ("samples", 1, 10**9), ("turns", 0, MOST_TURNS),
+        ):  # fmt: skip
             if not low <= getattr(self, name) <= high:
                 raise _wrong(name, getattr(self, name), f"give {low} to {high}")
+        if self.turns > self.cycles:
+            raise _wrong("turns", self.turns, "give no more turns than cycles, or 0 for what pays")
         shapes, limits, bench = self.shapes, self.limits, self.bench
         for name in (*POSITIVE, *NOT_NEGATIVE):
             value = attrgetter(name)(self)

@@ -1,4 +1,4 @@
-"""Taking what is missing of a campaign: load by load, cycle by cycle, shape by shape."""
+"""Taking what is missing of a campaign: mounting by mounting, cycle by cycle, shape by shape."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from truenewton.acquisition.clock import SteadyClock
 from truenewton.acquisition.journal import Journal, journal_path, remove_journal
 from truenewton.acquisition.limits import shape_name
 from truenewton.acquisition.load_check import judge, mean_sum, sum_at_rest, sum_error
+from truenewton.acquisition.mountings import mounting_words, mountings
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.acquisition.taker import Taker, force_noise, shape_fields
 from truenewton.arrays import Array
@@ -58,10 +59,13 @@ class Run:
 
 def take_all(run: Run) -> None:
     """Take whatever is missing, in the order of the plan."""
-    for load in run.plan.loads:
-        numbers = range(1, run.plan.cycles + 1)
-        missing = [number for number in numbers if (load.key, number) not in run.complete]
+    order = mountings(run.plan)
+    for index, mounting in enumerate(order):
+        load = mounting.load
+        missing = [number for number in mounting.cycles if (load.key, number) not in run.complete]
         if missing:
+            if run.plan.turns > 1:
+                run.taker.onlooker.say(mounting_words(order, index))
             rest_force = _put_on(run, load, missing[0])
             for number in missing:
                 _take_cycle(run, load, number, rest_force)

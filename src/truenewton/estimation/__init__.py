@@ -24,6 +24,8 @@ files, in the order in which data pass through them:
     repeats          rows by the group that they repeat, a block of groups after the other
     pooling          rows pooled over loads and signs: what shapes share besides repeats
     moments          repeats put together: number, mean, scatter
+    file_labels      files whose load, SIGN or SHAPE is not what they say
+    copied_files     files that are copies of others
     sifted           rows far from their repeats left out; what one reading of the rows leaves
     row_readers      the second reading of the rows, once for all who want to see them
     shape_sums       sums over shapes: what the likelihood needs of the means
@@ -37,6 +39,8 @@ files, in the order in which data pass through them:
     outliers         shapes that do not balance
     minimum          what goes into the likelihood, and what comes out
     effects          what a bench does beside the model: named, and taken out where that cures
+    column_order     whether FORCE and POSITION stand in one order
+    odd_actuators    readings that are stuck, coils without force, poles exchanged
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix

@@ -13,13 +13,21 @@ from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
-from truenewton.estimation.diagnosis import Diagnosis, Goodness, NoiseSource, RejectedRow
+from truenewton.estimation.column_order import misordered_columns
+from truenewton.estimation.diagnosis import (
+    Diagnosis,
+    FoundEffect,
+    Goodness,
+    NoiseSource,
+    RejectedRow,
+)
 from truenewton.estimation.displaced_rows import is_displaced
 from truenewton.estimation.effects.examination import (
     Examined,
     chi2_probability,
     examined,
 )
+from truenewton.estimation.effects.exchanges import exchanged_columns
 from truenewton.estimation.effects.unsure_positions import (
     positions_are_unsure,
     with_positions_unsure,
@@ -37,6 +45,11 @@ from truenewton.estimation.likelihood import chi2_at, gram_of_e
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.odd_actuators import (
+    constant_actuators,
+    strange_alphas,
+    stuck_faults,
+)
 from truenewton.estimation.outliers import Fitted, balancing_groups, rows_of
 from truenewton.estimation.problem import (
     Problem,
@@ -46,8 +59,9 @@ from truenewton.estimation.problem import (
     with_share_in_balance,
 )
 from truenewton.estimation.repeats import WEIGHED_NOISE
-from truenewton.estimation.sifted import Sifted, refuse_too_many
+from truenewton.estimation.sifted import Sifted, naming, refuse_too_many
 from truenewton.estimation.stiffness_ml import population_prior, population_spread
+from truenewton.estimation.structure import FITS
 from truenewton.estimation.undetermined import (
     tolerable,
     undetermined_patterns,
@@ -77,6 +91,15 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
+    suspects = list(sifted.suspects)
+    try:
+        return _found(sifted, population, suspects)
+    except (RankDeficient, TooManyOutliers, NotConverged) as error:
+        raise naming(error, suspects) from None
+
+
+def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Estimate:
+    """Find it, and add what is suspected besides."""
     campaign, sound, moments = sifted.campaign, sifted.sound, sifted.moments
     rejected = sifted.rejected
     rows = sum(int(c.valid.sum()) for c in campaign.cycles)
@@ -85,10 +108,25 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(sound), **temperature_errors(sound, force)}
     free = problem_of(campaign, reading_noise(sound, moments), errors)
-    belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    refuse(stuck_faults(campaign, moments, free.noise))
+    constant = constant_actuators(campaign, moments, free.noise)
+    suspects += constant
+    order = misordered_columns(campaign, moments)
+    suspects += order
+    try:
+        belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    except (RankDeficient, TooManyOutliers, NotConverged):
+        suspects += () if constant else exchanged_columns(free, moments)
+        raise
     free = with_share_in_balance(free, sifted, minimum.values[: free.n])
     if free.dependent:
         belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    wrong = False
+    if not constant and not (belongs.all() and _balances(problem, moments, minimum)):
+        exchanged = exchanged_columns(free, moments)
+        wrong = bool(order or exchanged)
+        suspects[:] = [effect for effect in suspects if not exchanged or effect not in order]
+        suspects += exchanged
     if not belongs.all():
         actuator = problem.standing_out(minimum.values, moments)
         rejected += tuple(rows_of(sound, ~belongs, distance, actuator))
@@ -98,6 +136,8 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     left = Examined(problem, moments, minimum)
     if patterns.size:
         minimum = with_undetermined_patterns(minimum, patterns)
+    elif wrong:
+        minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
     else:
         left = examined(problem, moments, minimum, sifted.structure, sifted.samples)
         problem, moments, minimum = left.problem, left.moments, left.minimum
@@ -115,7 +155,10 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         method = f"ml, population {spread:.2g}"
     freedom = problem.degrees_of_freedom(moments) - left.told
     estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1], freedom)
-    effects = (*left.effects, *warmer_loads(sound, estimate.scale_errors))
+    error = np.sqrt(np.diag(minimum.reading_covariance)[: problem.n])
+    if not (wrong or order):
+        suspects += strange_alphas(campaign, minimum.values[: problem.n], error)
+    effects = (*suspects, *left.effects, *warmer_loads(sound, estimate.scale_errors))
     warnings = (*estimate.diagnosis.warnings, *effect_warnings(effects), *misfit_warnings(left))
     estimate = replace(
         estimate, effects=effects, diagnosis=replace(estimate.diagnosis, warnings=warnings)
@@ -125,6 +168,14 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
         if 3 * diagnosis.span < problem.n - 1:  # not even without noise
             refuse(diagnosis.faults, diagnosis.undetermined)
     return estimate
+
+
+def _balances(problem: Problem, moments: Moments, minimum: Minimum) -> bool:
+    """Tell whether the balance of a fit is as good as the noise lets expect."""
+    if problem.noise.source == NoiseSource.MINIMUM:
+        return False
+    freedom = problem.degrees_of_freedom(moments)
+    return chi2_probability(minimum.chi2, freedom, problem.noise) > FITS
 
 
 def _fitted(

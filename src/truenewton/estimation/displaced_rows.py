@@ -9,6 +9,7 @@ counts from the mean of each cycle instead; and where most sensors do, all do.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,22 +33,22 @@ def common_reference(campaign: Campaign) -> Array:
     return _reference(displaced)
 
 
-def displacements(campaign: Campaign) -> tuple[Array, ...] | None:
-    """Return for each cycle (N, n) displacements of the rows that count [m], gradients or not.
+def displacements(
+    campaign: Campaign,
+) -> tuple[Callable[[NDArray[np.int64]], Array], ...] | None:
+    """Return for each cycle what reads displacements of some rows that count, (m, n) [m].
 
-    None where a cycle has no POSITION, or left it on disk: rows larger than memory are read for
-    what is declared only.
+    Whether gradients are declared or not; None where a cycle has no POSITION.
     """
-    cycles = campaign.cycles
-    if not all(isinstance(cycle.position, np.ndarray) for cycle in cycles):
+    if any(cycle.position is None for cycle in campaign.cycles):
         return None
-    reference = _reference(list(cycles))
-    return tuple(
-        cycle.used(cycle.position, slice(None))
-        - np.where(np.isnan(reference), cycle.rest_position, reference)
-        for cycle in cycles
-        if cycle.position is not None
-    )
+    reference = _reference(list(campaign.cycles))
+
+    def reader(cycle: Cycle) -> Callable[[NDArray[np.int64]], Array]:
+        zero = np.where(np.isnan(reference), cycle.rest_position, reference)
+        return lambda rows: cycle.used(cycle.position, rows) - zero  # type: ignore[arg-type]
+
+    return tuple(map(reader, campaign.cycles))
 
 
 def _reference(displaced: list[Cycle]) -> Array:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -24,6 +25,8 @@ from truenewton.errors import CampaignMismatch
 from truenewton.estimation.pooling import Pooling, each_by_itself, over_loads_and_signs
 from truenewton.estimation.shape_sums import ShapeSums, shape_sums
 from truenewton.statics.load import Load
+
+QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,11 +172,14 @@ class Moments:
                 z[(self.labels[:, 0] == k) & np.isin(signed, both)] for k in (0, load_index)
             )
             first, other = first - first.mean(axis=0), other - other.mean(axis=0)
-            square = float(np.sum(first**2))
-            if square == 0.0:
+            square = np.sum(first**2, axis=1)
+            moved = square > 1e-3 * square.max()
+            if not moved.any():
                 continue
-            ratio = float(np.sum(first * other)) / square
-            variance[load_index] = np.mean((other - ratio * first) ** 2) / square
+            ratios = np.sum(first * other, axis=1)[moved] / square[moved]
+            ratio = float(np.median(ratios))  # a file may have other shapes than it says
+            spread = float(np.median(np.abs(ratios - ratio))) / QUARTILE
+            variance[load_index] = 0.5 * np.pi * spread**2 / len(ratios)
             if abs(ratio - 1.0) > 4 * np.sqrt(variance[load_index]):
                 size[load_index] = ratio
         return size, variance

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 FALSE_ALARM = 0.01  # chance that a sound mirror, or campaign, is accused of anything
+OF_EACH_KIND = FALSE_ALARM / 4  # by its rows, shapes, effects, or by a fit that is improbable
 
 
 def chance_of_any(chance: float, tests: int) -> float:

@@ -2,8 +2,8 @@
 
 They are those whose squared Mahalanobis distance r rho' S^-1 rho (three degrees of freedom) is
 larger than chance allows, from a start on the three quarters of the shapes that fit best, which
-outliers in a tenth of them cannot drag; the very first of them agree with their opposites. The
-threshold lets a sound campaign lose a shape once in a hundred campaigns.
+outliers in a tenth of them cannot drag; the very first of them agree with their opposites. A
+sound campaign loses a shape once in four hundred.
 
 They are accidents only if few go and the others balance without them. Where the rest does not, the
 model falls short, and soft shapes, of small forces, would go for it (docs/effects.md): then only
@@ -22,7 +22,7 @@ from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.imbalance import MEDIAN_CHI2
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments, chosen_groups
-from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.repeats import row_groups
 from truenewton.estimation.sifted import FAR_OUT, refuse_too_many
@@ -52,7 +52,7 @@ def balancing_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.boo
     ------
     RankDeficient, NotConverged, TooManyOutliers
     """
-    limit = float(scipy.stats.chi2.isf(FALSE_ALARM / len(moments.rows), 3))
+    limit = float(scipy.stats.chi2.isf(OF_EACH_KIND / len(moments.rows), 3))
     try:
         belongs, distance, fitted = _within(limit, problem, moments)
         if belongs.all() or _accidents(belongs, moments, fitted):

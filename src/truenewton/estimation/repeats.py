@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.block_rows import BlockRows, DistinctRows, distinct
+from truenewton.estimation.copied_files import RowPrints
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.displaced_rows import (
     BalancedRows,
@@ -27,6 +28,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
+MOST_DISPLACED = 2**24  # means of displacements that are taken
 SAMPLE_ROWS = 1000  # whose deviations are held: they tell a variance of three degrees to 3 %
 
 
@@ -90,6 +92,8 @@ class RepeatSums:
     samples
         (m, n) deviations of some repeated rows of each block, see `deviations`; together they stand
         evenly among all rows.
+    prints
+        Of some rows, so that copies of them are known.
     stale
         Whether what was left out has emptied a group or moved the reference: the sums must be made
         of the rest anew.
@@ -123,6 +127,7 @@ class RepeatSums:
         self._hours = hours(campaign)
         self._zero, self._gain = np.zeros((2, len(campaign.cycles) + 1, n))
         self.furthest = np.zeros((len(starts), n))
+        self.prints = RowPrints(np.prod(self._labels[self._coming, 1:], axis=1))
         self.samples = [np.empty((0, n))] * len(starts)
         for block in range(len(starts)):
             self._sum(block, self.read(block))
@@ -140,7 +145,6 @@ class RepeatSums:
             known=self._known,
             scatter=self._scatter,
             reference=self._reference,
-            displacement=self._displacement(turn),
             within=self._within(turn),
         )
 
@@ -149,26 +153,37 @@ class RepeatSums:
         weight, hours = np.zeros((2, len(self.campaign.cycles), len(self._number)))
         square = np.zeros(len(self._number))
         for layer in self._layers:
-            k, rows, group = layer.cycle_index, layer.rows, layer.group
-            lost = [row.row for row in self._lost if row.cycle == k]
-            counted = ~np.isin(np.flatnonzero(self.campaign.cycles[k].valid)[rows], lost)
-            group, hour = group[counted], self._hours[k][rows[counted]]
+            k, counted = layer.cycle_index, self._counted(layer)
+            group, hour = layer.group[counted], self._hours[k][layer.rows[counted]]
             weight[k, group] += layer.weight
             hours[k, group] += layer.weight * hour
             square[group] += layer.weight * hour**2
         weight, hours, square = weight[:, turn], hours[:, turn], square[turn]
         return WithinGroups(weight, hours, square, self._mean, self._zero, self._gain)
 
-    def _displacement(self, turn: NDArray[np.int64]) -> Array | None:
-        """Return (g, n) mean displacements, where every cycle holds POSITION in memory."""
+    def _counted(self, layer: DistinctRows) -> NDArray[np.bool_]:
+        """Return (m,) which rows of a layer are not left out."""
+        lost = [row.row for row in self._lost if row.cycle == layer.cycle_index]
+        every = np.flatnonzero(self.campaign.cycles[layer.cycle_index].valid)
+        return np.asarray(~np.isin(every[layer.rows], lost))
+
+    def displacement(self) -> Array | None:
+        """Return (g, n) mean displacements of the groups in their order [m]; None without POSITION.
+
+        Nor beyond `MOST_DISPLACED` values: their reading would take as long as that of FORCE.
+        """
+        if self._mean.size > MOST_DISPLACED:
+            return None
         moved = displacements(self.campaign)
         if moved is None:
             return None
         total, rows = np.zeros_like(self._mean), np.zeros(len(self._number))
         for layer in self._layers:
-            total[layer.group] += layer.weight * moved[layer.cycle_index][layer.rows]
-            rows[layer.group] += layer.weight
-        return np.asarray((total / rows[:, None])[turn])
+            counted = self._counted(layer)
+            group = layer.group[counted]
+            total[group] += layer.weight * moved[layer.cycle_index](layer.rows[counted])
+            rows[group] += layer.weight
+        return np.asarray((total / rows[:, None])[np.argsort(self._coming)])
 
     def read(self, block: int) -> list[BlockRows]:
         """Read the rows of a block of groups that are not left out."""
@@ -239,6 +254,7 @@ class RepeatSums:
         weight, heaviest = self._weight[groups], max(layer.weight for layer in self._layers)
         centre, known = np.zeros((len(weight), n)), np.zeros((len(weight), 3))
         for part in read:
+            self.prints.take(part.cycle_index, self.group(block, part), part.force)
             share = part.weight / heaviest
             centre[part.at] += part.force if share == 1.0 else share * part.force
             if part.known is not None:

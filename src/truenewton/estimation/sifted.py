@@ -2,8 +2,8 @@
 
 A row is far whose reading of one actuator lies far from the mean of the others of its group. The
 worst row of each group goes first, the scatter is taken anew, until none is left; where only two
-rows disagree neither can be trusted and both go. The threshold lets a sound campaign lose a row
-once in a hundred campaigns.
+rows disagree neither can be trusted and both go. A sound campaign loses a row
+once in four hundred.
 
 Where those that are left still scatter more than their median says, rows were no accidents but the
 tail of what happened to all, a drift perhaps: then only those go that stand out of that as well.
@@ -18,11 +18,13 @@ import numpy as np
 import scipy.stats
 
 from truenewton.arrays import Array
-from truenewton.errors import TooManyOutliers
+from truenewton.errors import TooManyOutliers, TrueNewtonError
 from truenewton.estimation.block_rows import BlockRows
-from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.copied_files import copied_files
+from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
+from truenewton.estimation.file_labels import mislabelled_files, mislabelled_rows
+from truenewton.estimation.moments import QUARTILE, Moments
+from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.repeats import RepeatSums
 from truenewton.estimation.structure import Structure, pooled_where_it_fits
@@ -30,9 +32,9 @@ from truenewton.records.campaign import Campaign
 
 MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
 MOST = 0.3  # of the rows; beyond this the campaign is refused
+SYSTEMATIC = 0.15  # of the rows of a file: where more lie far, its labels are looked at
 LONG_TAILS = 1.08  # of scatter over what the median says: beyond, rows are no accidents
 FAR_OUT = 3.0  # times the usual limit, where rows are the tail of what happened to all
-QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,8 @@ class Sifted:
         Of the sound rows; pooled where shapes repeat over loads and signs.
     structure
         How well they do; None where nothing tells.
+    suspects
+        Files that are not what they say.
     samples
         (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N], in
         some parts.
@@ -60,6 +64,7 @@ class Sifted:
     moments: Moments
     samples: tuple[Array, ...]
     structure: Structure | None
+    suspects: tuple[FoundEffect, ...] = ()
 
 
 def sift(campaign: Campaign) -> Sifted:
@@ -73,17 +78,47 @@ def sift(campaign: Campaign) -> Sifted:
     TooManyOutliers
         A cycle would lose all its rows.
     """
+    sums = RepeatSums(campaign)
+    suspects = (*copied_files(campaign, sums.prints), *mislabelled_files(campaign, sums.moments))
     try:
-        sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=True)
+        sums, sound, rejected = _left_out(sums, campaign, accidents=True)
         few = len(rejected) <= MOST * (len(rejected) + sums.moments.rows.sum())
         accidents = not rejected or (few and _tails(sums) <= LONG_TAILS)
     except TooManyOutliers:  # of one cycle: it differs as a whole
         accidents = False
     if not accidents:
-        sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
+        try:
+            sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
+        except TooManyOutliers as error:
+            suspects += mislabelled_rows(campaign, range(len(campaign.cycles)))
+            raise naming(error, suspects) from None
+    suspects += mislabelled_rows(campaign, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
-    moments, structure = pooled_where_it_fits(sums.moments, noise, sums.samples)
-    return Sifted(campaign, sound, tuple(rejected), moments, tuple(sums.samples), structure)
+    moments = replace(sums.moments, displacement=sums.displacement())
+    moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
+    samples = tuple(sums.samples)
+    return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects)
+
+
+def _hit(campaign: Campaign, rejected: list[RejectedRow]) -> list[int]:
+    """Return the files that lost more rows than accidents take."""
+    lost = np.bincount([row.cycle for row in rejected], minlength=len(campaign.cycles))
+    rows = [int(cycle.valid.sum()) for cycle in campaign.cycles]
+    return np.flatnonzero(lost > np.maximum(2, SYSTEMATIC * np.array(rows))).tolist()
+
+
+def naming(error: TrueNewtonError, suspects: Sequence[FoundEffect]) -> TrueNewtonError:
+    """Return a refusal that names what is suspected of being its cause."""
+    if not suspects:
+        return error
+    what = "; ".join(f"{effect.name}: {effect.where}" for effect in suspects)
+    return type(error)(
+        f"{what} ({error.fault})",
+        remedy=suspects[0].remedy,
+        path=error.path,
+        got=error.got,
+        want=error.want,
+    )
 
 
 def _left_out(
@@ -151,7 +186,7 @@ def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(accidents & (noise > 1.5 * robust), robust, noise)
     tests = moments.rows.sum() * len(noise)
-    limit = scipy.stats.t.isf(FALSE_ALARM / 2 / tests, moments.repeats - 1)
+    limit = scipy.stats.t.isf(OF_EACH_KIND / 2 / tests, moments.repeats - 1)
     limit *= 1.0 if accidents else FAR_OUT
     suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
     if suspicious.size:  # noise of rounding

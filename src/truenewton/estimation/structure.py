@@ -58,9 +58,10 @@ def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> St
         readings depend on each other. None where nothing repeats.
     """
     pooling = replace(moments, pooled=True).pooling
-    apart = moments.mean - pooling.groups(pooling.rows(moments.mean))
-    apart *= apart
-    chi2 = float(moments.weight @ apart @ (1.0 / noise.variance))
+    # Of what is left the squares alone: every mean less its part in the rows needs their room.
+    whole = np.einsum("g,gi,gi->i", moments.weight, moments.mean, moments.mean)
+    left = np.maximum(whole - np.sum(pooling.rows(moments.mean) ** 2, axis=0), 0.0)
+    chi2 = float(left @ (1.0 / noise.variance))
     independent = independent_readings(samples, len(noise.variance))
     freedom = (moments.groups - pooling.count) * independent
     chi2 *= independent / len(noise.variance)

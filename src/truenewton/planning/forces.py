@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from truenewton.acquisition.drift import with_turns
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
 from truenewton.acquisition.shapes import expected_alpha, model_glass, shapes_and_forces
 from truenewton.arrays import Array
@@ -26,7 +27,7 @@ class Prepared:
     Attributes
     ----------
     plan, mirror
-        What is planned, and for which mirror.
+        What is planned, its turns known, and for which mirror.
     shapes, force
         (shapes, n) displacements [m] and the commanded forces that they take, loads aside [N].
     own, tool
@@ -69,6 +70,7 @@ def prepared(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Prepar
     """
     mirror = planned_mirror(plan, folder)
     shapes, force, given = shapes_and_forces(plan, mirror, folder)
+    plan = with_turns(plan, mirror, len(shapes))
     return Prepared(plan, mirror, shapes, force, *holding(mirror), given)
 
 

@@ -10,15 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
+from truenewton.acquisition.drift import OrderCost, order_costs
+from truenewton.acquisition.mountings import mountings
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
-from truenewton.bench.simulated.control import Control
 from truenewton.errors import TrueNewtonError, located
 from truenewton.estimation.prediction import Prediction, predict
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import typical
 from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain, within_limits
+from truenewton.planning.third_load import ThirdLoad, third_load
 from truenewton.records.fault import Fault
 
 
@@ -42,13 +44,7 @@ def _predicted_for(ready: Prepared, cycles: Sequence[int]) -> list[Prediction]:
 
 def duration(plan: CampaignPlan, shapes: int) -> float:
     """Return how long a plan takes [s]: so many shapes, both signs, and the changes of load."""
-    readings = len(plan.loads) * plan.cycles * 2 * shapes
-    return readings * reading_time(plan) + (len(plan.loads) - 1) * plan.pause
-
-
-def reading_time(plan: CampaignPlan) -> float:
-    """Return the time of one reading, settling included [s]."""
-    return plan.settling + plan.samples / Control.rate
+    return mountings(plan, shapes)[-1].end
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +79,10 @@ class Outlook:
         Errors against cycles, and against factors of the added weights (empty without any).
     warnings
         Each with its remedy.
+    orders
+        What each number of turns costs, one first; none where the scale is free.
+    third_load
+        What a third load would show; None where there are three, or no scale.
     """
 
     ready: Prepared
@@ -92,6 +92,8 @@ class Outlook:
     against_cycles: Curve
     against_weight: Curve
     warnings: tuple[Fault, ...]
+    orders: tuple[OrderCost, ...]
+    third_load: ThirdLoad | None
 
 
 def read_outlook(path: str | os.PathLike[str]) -> Outlook:
@@ -135,6 +137,8 @@ def outlook(ready: Prepared) -> Outlook:
         _curve(*_by_cycles(ready)),
         _curve(*_by_weight(ready)),
         warnings,
+        order_costs(ready.plan, ready.mirror, len(ready.shapes)),
+        third_load(ready),
     )
 
 

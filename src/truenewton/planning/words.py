@@ -6,9 +6,11 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from truenewton.acquisition.drift import OrderCost, turns_that_pay, without_remounting
+from truenewton.acquisition.mountings import mountings, reading_time
 from truenewton.calibration.words import warning_lines
 from truenewton.estimation.weights import NEGLIGIBLE
-from truenewton.planning.outlook import Curve, Outlook, reading_time, typical_errors
+from truenewton.planning.outlook import Curve, Outlook, typical_errors
 from truenewton.planning.target import Way
 from truenewton.rounding import percent
 
@@ -41,6 +43,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
             ("  budget of the scale", budget, ""),
             ("  common scale", percent(from_weights), "E_SYST, from the weights"),
         ]  # fmt: skip
+    order = mountings(plan, shapes)
     readings = 2 * shapes * plan.cycles * len(plan.loads)
     rows += [
         ("  reading noise", percent(from_readings),
@@ -48,7 +51,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
         ("least known", prediction.diagnosis.weakest,
          f"{percent(prediction.diagnosis.weakest_share)} of the variance E_STAT^2"),
         ("duration", _time(outlook.duration),
-         f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(plan.loads) - 1} x"
+         f"{readings} readings of {1e3 * reading_time(plan):.3g} ms, {len(order) - 1} x"
          f" {_time(plan.pause)} to change the load"),
         ("largest force", f"{strain.force:.3g} N",
          f"actuator {strain.actuator} under {strain.load}; {strain.force_at_worst:.3g} N should its"
@@ -59,10 +62,64 @@ def lines(outlook: Outlook) -> Iterator[str]:
     ]  # fmt: skip
     for name, value, note in rows:
         yield f"  {name:<24}{value:<26}{note}".rstrip()
+    yield from _order_lines(outlook)
     yield "  typical errors of alpha against"
     yield from _table("cycles", outlook.against_cycles)
     yield from _table("added weights, times", outlook.against_weight)
     yield from warning_lines(outlook.warnings)
+
+
+def _order_lines(outlook: Outlook) -> Iterator[str]:
+    """Yield when which load is put on, what that saves and costs, and what a third one would."""
+    plan, drift = outlook.ready.plan, outlook.ready.plan.drift
+    order = mountings(plan, len(outlook.ready.shapes))
+    yield f"  {'order of the loads':<24}{', '.join(map(str, order))}"
+    if len(order) > 1:
+        changes = (f"'{each.load.name}' after {_time(each.start)}" for each in order[1:])
+        yield f"  {'change to':<24}{', '.join(changes)}"
+    if len(outlook.orders) > 1:
+        yield (
+            f"  drift of {percent(drift.alpha)} of alpha and {1e6 * drift.zero:.3g} uN an hour,"
+            f" {1e6 * drift.remounting:.3g} uN at each mounting: of the common scale"
+        )
+        for cost in outlook.orders:
+            yield f"    {_turns(cost.turns):<22}{_order_cost(cost, plan.turns)}"
+        yield f"    {_remounting_pays(outlook)}"
+    if (third := outlook.third_load) is not None:
+        seen = f"{1e3 * third.seen:.2g} mN ({percent(third.relative)} of scale)"
+        yield (
+            f"  a third load, as heavy and as well known as '{third.like}', shows what two cannot:"
+            f" {seen} by which '{third.like}' is wrong or borne by something else, and in part"
+            " coils whose static gains are not the elastic ones; it costs"
+            f" {_time(third.duration)}, {third.mountings} more changes of load; scale"
+            f" {percent(third.error_now)} -> {percent(third.error)}"
+        )
+
+
+def _turns(turns: int) -> str:
+    return ("one after the other", "there and back", "there, back, there")[turns - 1]
+
+
+def _order_cost(cost: OrderCost, planned: int) -> str:
+    """Return what an order costs: time, and errors of the scale."""
+    taken = " (planned)" if cost.turns == planned else ""
+    return (
+        f"alpha {percent(abs(cost.gain))}, zeros {percent(abs(cost.zero))}, mounting"
+        f" {percent(cost.remounting)}; with weights and readings {percent(cost.error)};"
+        f" {_time(cost.duration)}{taken}"
+    )
+
+
+def _remounting_pays(outlook: Outlook) -> str:
+    """Return what mounting again costs and saves, against the same time in more cycles."""
+    ready, most = outlook.ready, outlook.orders[-1]
+    without = without_remounting(ready.plan, ready.mirror, len(ready.shapes), most)
+    extra = most.changes - outlook.orders[0].changes
+    return (
+        f"mounting {extra} times more costs {_time(most.duration - outlook.orders[0].duration)};"
+        f" that time in cycles instead leaves {percent(without)}, in turn {percent(most.error)}:"
+        f" turns = {turns_that_pay(ready.plan, ready.mirror, len(ready.shapes))} recommended"
+    )
 
 
 def _table(name: str, curve: Curve) -> Iterator[str]:
@@ -126,6 +183,16 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
         "weakest": prediction.diagnosis.weakest,
         "undetermined": prediction.diagnosis.undetermined,
         "duration": outlook.duration,
+        "turns": ready.plan.turns,
+        "mountings": [
+            {"load": each.load.name, "cycles": [each.cycles[0], each.cycles[-1]],
+             "start": each.start, "end": each.end}
+            for each in mountings(ready.plan, len(ready.shapes))
+        ],
+        "orders": [
+            {**dataclasses.asdict(cost), "error": cost.error} for cost in outlook.orders
+        ],
+        "third_load": outlook.third_load and dataclasses.asdict(outlook.third_load),
         **{f"largest_{key}" if key in ("force", "stroke") else key: value
            for key, value in dataclasses.asdict(outlook.strain).items()},
         "curves": {

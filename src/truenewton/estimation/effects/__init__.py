@@ -1,12 +1,13 @@
 """What a bench does beside the model: named where data show it, taken out where that cures them.
 
-    fitted            a fit, and what the score of an effect needs of it
-    derivative        what an effect is: its derivative, score and information
-    catalogue         the effects
-    score_test        is one there?
-    correction        taken out of the data, its size estimated with alpha
-    unknown_force     a force that comes and goes at one actuator
-    examination       a fit examined: what was named, taken out, and is left
-    unsure_positions  magnets whose positions have a declared uncertainty
-    words             the same in words
+fitted            a fit, and what the score of an effect needs of it
+derivative        what an effect is: its derivative, score and information
+catalogue         the effects
+score_test        is one there?
+exchanges         columns of FORCE that stand for other actuators
+correction        taken out of the data, its size estimated with alpha
+unknown_force     a force that comes and goes at one actuator
+examination       a fit examined: what was named, taken out, and is left
+unsure_positions  magnets whose positions have a declared uncertainty
+words             the same in words
 """

@@ -22,12 +22,11 @@ from truenewton.estimation.effects.derivative import (
     of_groups,
     of_rows,
     on_readings,
+    without_direction,
 )
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
-
-MOST_EACH = 2000  # actuators up to which an effect with a parameter for each is looked for
 
 
 @dataclass(frozen=True)
@@ -77,10 +76,8 @@ def _once(fit: FittedRows, name: str, made: Callable[[], OnReadings]) -> OnReadi
     return found
 
 
-def _of(fit: FittedRows, effect: OnReadings, *, each: bool) -> Derivative | None:
-    if each:
-        return of_each(fit, effect) if fit.problem.n <= MOST_EACH else None
-    return of_all(fit, effect)
+def _of(fit: FittedRows, effect: OnReadings, *, each: bool) -> Derivative:
+    return of_each(fit, effect) if each else of_all(fit, effect)
 
 
 def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -102,7 +99,7 @@ def gain_by_file(fit: FittedRows) -> Derivative | None:
     return of_all(fit, on_readings(fit, rows, -fit.fitted, gain=True))
 
 
-def gain_by_load(fit: FittedRows) -> Derivative | None:
+def gain_by_load(fit: FittedRows) -> Derivative:
     """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart.
 
     h is 1 under a load, less its mean over all rows: alpha stays that of the whole campaign.
@@ -122,6 +119,15 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     return _of(fit, moved, each=each)
 
 
+def put_on_anew(fit: FittedRows) -> Derivative | None:
+    """Move forces at rest from file to file, but not their sum: a load stands elsewhere.
+
+    As the zeros of each, less the direction that moves the sum: with it the scale would be lost.
+    """
+    zeros = zero_by_file(fit, each=True)
+    return None if zeros is None else without_direction(zeros, fit.scaled_arms[0])
+
+
 def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
     """Let the zero of the readings drift, or the bias magnets, of all alike or of each.
 
@@ -135,7 +141,7 @@ def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
     return _of(fit, drift, each=each)
 
 
-def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative | None:
+def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
     """Bend the coils: g = -c^2 or -c^3, of all alike or of each."""
     field = -fit.fitted * (fit.fitted if power == 2 else fit.fitted * fit.fitted)
     bent = _once(fit, f"power/{power}", lambda: on_readings(fit, _always(fit.moments), field))
@@ -174,11 +180,9 @@ def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
     return on_balance(fit, units.reshape(len(h), 3, -1))
 
 
-def positions(fit: FittedRows) -> Derivative | None:
+def positions(fit: FittedRows) -> Derivative:
     """Move actuators off their coordinates: e_x and e_y times alpha c^, for each."""
     n, alpha = fit.problem.n, fit.alpha
-    if n > MOST_EACH:
-        return None
     count, covariance = len(fit.rows), fit.noise_covariance
     arms = np.zeros((3, 2, n))
     arms[1, 0] = arms[2, 1] = alpha
@@ -224,6 +228,14 @@ _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
+# What zeros of each are found to be where they leave the sums of the forces alone.
+PUT_ON_ANEW = Effect(
+    "load put on anew by file",
+    "N",
+    put_on_anew,
+    "put loads on at the same place each time",
+    "file",
+)
 POSITIONS = Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (

@@ -294,6 +294,29 @@ def of_all(fit: FittedRows, effect: OnReadings) -> Derivative:
     )
 
 
+def without_direction(derivative: Derivative, direction: Array) -> Derivative:
+    """Return an effect whose (K, n) parameters do nothing along one (n,) direction."""
+    arms, rows = derivative.arms, derivative.rows
+    assert arms is not None and rows is not None  # noqa: PT018  # of each actuator
+    n, unit = len(direction), direction / np.linalg.norm(direction)
+
+    def left(values: Array) -> Array:
+        each = values.reshape(*values.shape[:-1], -1, n)
+        return np.asarray((each - (each @ unit)[..., None] * unit).reshape(values.shape))
+
+    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return derivative.remove(problem, before, left(theta))
+
+    return Derivative(
+        remove,
+        jacobian=left(arms * rows[:, None]),
+        score=left(np.zeros(derivative.count) + derivative.score),
+        information=left(
+            left(np.zeros((derivative.count,) * 2) + _of_all(derivative.information)).T
+        ),
+    )
+
+
 def _own(within: WithinGroups, *, gain: bool) -> tuple[Array | float, Array]:
     """Return e as the rows of a group have it, and the (K, n) weighted sums of h (c - c_mean) e."""
     return (-within.mean, -within.gain) if gain else (np.ones_like(within.mean), within.zero)

@@ -17,21 +17,24 @@ import scipy.stats
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import FoundEffect
-from truenewton.estimation.effects.catalogue import ZEROS_OF_EACH
+from truenewton.estimation.effects.catalogue import PUT_ON_ANEW, ZEROS_OF_EACH
 from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
+from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import Noise
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.structure import FITS, Structure, structure_of
 
 MOST = 4  # effects at once
+MOST_ACTUATORS = 2000  # beyond which there is no room for the fitted readings of every shape
 MOST_FORCES = 3  # actuators at which forces come and go
 ROUNDS = 4  # for the size of each
 NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
+SEEN = 0.5  # of tau^2: so much of a spread of zeros the data must show
 ALIKE = 0.85  # of the logarithm of the smallest probability: effects about as likely
 
 
@@ -117,7 +120,7 @@ def examined(
         Deviations of some rows from their repeats, in parts of (m, n) [N].
     """
     plain = Examined(problem, moments, minimum)
-    if structure is None:
+    if structure is None or problem.n > MOST_ACTUATORS:
         return plain
     # What files or hours do to all readings looks like noise that they share, until it is out.
     unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)
@@ -189,6 +192,7 @@ def _cured(
             corrected = correction(fit, test.effect)
             if corrected is None:
                 continue
+            test, corrected = _as_mounting(fit, test, corrected)
             trial = _after(now, fit, test, corrected, samples)
             if trial.fits or after is None:
                 after = trial
@@ -278,6 +282,31 @@ def _alike(found: list[EffectTest]) -> list[EffectTest]:
     best = found[0].log_probability
     some = [test for test in found if test.log_probability <= ALIKE * best][:MOST]
     return sorted(some, key=lambda test: test.derivative.count)
+
+
+def _as_mounting(
+    fit: FittedRows, test: EffectTest, corrected: Correction
+) -> tuple[EffectTest, Correction]:
+    """Take zeros that leave the sum of the forces alone for a load that was put on elsewhere.
+
+    Zeros of their size tau would move the sums by tau |nz alpha| in each file, and so spread the
+    scale: that is believed unless the sums hold still as chance makes it once in a hundred times.
+    """
+    if test.effect is not ZEROS_OF_EACH:
+        return test, corrected
+    n, theta, tau2 = fit.problem.n, corrected.theta, corrected.theta @ corrected.theta
+    tau2 /= max(corrected.told, 1.0)
+    along = fit.scaled_arms[0] / np.linalg.norm(fit.scaled_arms[0])
+    sums = theta.reshape(-1, n) @ along
+    known = corrected.covariance.reshape(len(sums), n, len(sums), n)
+    spread = tau2 * np.eye(len(sums)) - np.einsum("kilj,i,j->kl", known, along, along)
+    values, vectors = np.linalg.eigh(spread)
+    seen = values > SEEN * tau2
+    chi2 = float(np.sum((vectors[:, seen].T @ sums) ** 2 / values[seen]))
+    if not seen.any() or scipy.stats.chi2.cdf(chi2, np.count_nonzero(seen)) > FALSE_ALARM:
+        return test, corrected
+    anew = correction(fit, PUT_ON_ANEW)
+    return (test, corrected) if anew is None else (replace(test, effect=PUT_ON_ANEW), anew)
 
 
 def _after(

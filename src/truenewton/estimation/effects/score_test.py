@@ -16,7 +16,7 @@ import scipy.stats
 from truenewton.estimation.effects.catalogue import CATALOGUE, Effect
 from truenewton.estimation.effects.derivative import Derivative, scored
 from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.multiple_tests import OF_EACH_KIND
 
 FEW = 30  # parameters
 MANY = 2  # parameters of each actuator, beyond which the structure alone tells
@@ -58,8 +58,8 @@ def tests(fit: FittedRows) -> list[EffectTest]:
 
 
 def named(found: list[EffectTest]) -> list[EffectTest]:
-    """Return the effects that are there, by tests of which chance alone makes one in a hundred."""
-    limit = np.log(-np.expm1(np.log1p(-FALSE_ALARM) / max(len(found), 1)))
+    """Return the effects that are there; of four hundred sound campaigns one is accused of one."""
+    limit = np.log(-np.expm1(np.log1p(-OF_EACH_KIND) / max(len(found), 1)))
     return [test for test in found if test.log_probability < limit]
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import log_chance
-from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
+from truenewton.estimation.multiple_tests import OF_EACH_KIND, chance_of_any
 from truenewton.estimation.problem import Problem
 
 
@@ -55,7 +55,7 @@ def unknown_force(fit: FittedRows) -> UnknownForce | None:
     chances = np.array([log_chance(*pair) for pair in zip(statistic, freedom, strict=True)])
     worst = int(chances.argmin())
     chance = float(chances[worst])
-    if chance_of_any(float(np.exp(chance)), len(chances)) >= FALSE_ALARM:
+    if chance_of_any(float(np.exp(chance)), len(chances)) >= OF_EACH_KIND:
         return None
     excess = float(statistic[worst] / freedom[worst]) - 1.0
     ids = fit.problem.campaign.layout.id[fit.problem.campaign.layout.enabled]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from truenewton.estimation.effects.catalogue import MOST_EACH, POSITIONS
+from truenewton.estimation.effects.catalogue import POSITIONS
 from truenewton.estimation.effects.correction import correction, with_error
 from truenewton.estimation.effects.derivative import scored
-from truenewton.estimation.effects.examination import Examined
+from truenewton.estimation.effects.examination import MOST_ACTUATORS, Examined
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.minimum import Minimum
 from truenewton.statics.layout import Layout
@@ -16,10 +16,10 @@ from truenewton.statics.layout import Layout
 def positions_are_unsure(layout: Layout) -> bool:
     """Tell whether the positions of the magnets have a declared uncertainty, and are not too many.
 
-    Beyond `MOST_EACH` actuators the error that it makes is not taken into account.
+    Beyond `MOST_ACTUATORS` the error that it makes is not taken into account.
     """
     declared = layout.x_error is not None or layout.y_error is not None
-    return declared and int(layout.enabled.sum()) <= MOST_EACH
+    return declared and int(layout.enabled.sum()) <= MOST_ACTUATORS
 
 
 def with_positions_unsure(left: Examined) -> Minimum:

@@ -1,0 +1,179 @@
+"""Files under a name that is not theirs: the load of another, SIGN or SHAPE counted otherwise.
+
+Forces at rest tell the load of a file without any fit. With one static force for each file and one
+elastic force for each SHAPE times its SIGN, rows are c = s_file + e_shape; least squares for s of
+all files, e eliminated, need no more than sums that `moments` has (a Laplacian over the files).
+Files under one load then lie together, those under another apart: where as many clusters as loads
+stand clearly apart, a file in the cluster of another load has the wrong name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.moments import Moments, WithinGroups
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import enabled_arms
+
+CLEAR = 0.3  # of the distance between loads: files of one load lie nearer together
+PLAUSIBLE = 5.0  # alpha, or its inverse: beyond, what lies apart is not the weight
+MOVED = 0.3  # of the distance from its own label, within which a row fits that of another
+SHARE = 0.3  # of the rows of a file that fit other labels
+ALIKE = 0.8  # of these that moved the same way
+
+
+def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[FoundEffect, ...]:
+    """Name files whose forces at rest are those of another load than they say.
+
+    Parameters
+    ----------
+    campaign, moments
+        The files; their rows, none left out.
+    """
+    if moments.within is None or len(campaign.loads) < 2 or len(campaign.cycles) < 3:
+        return ()
+    rest = rest_by_file(moments, moments.within)
+    if rest is None:
+        return ()
+    count, said = len(campaign.loads), np.array(campaign.load_index)
+    cluster = clusters(np.linalg.norm(rest[:, None] - rest, axis=2), count)
+    if cluster is None:
+        return ()
+    together = np.zeros((count, count), dtype=np.int64)
+    np.add.at(together, (cluster, said), 1)
+    true = scipy.optimize.linear_sum_assignment(-together)[1][cluster]
+    wrong = np.flatnonzero(true != said)
+    if not wrong.size:
+        return ()
+    means = np.array([rest[true == load].mean(axis=0) for load in range(count)])
+    total = means @ enabled_arms(campaign.layout)[0]
+    first, second = np.triu_indices(count, 1)
+    weights = campaign.effective_weights
+    alpha = np.abs((weights[first] - weights[second]) / (total[first] - total[second]))
+    if not ((alpha > 1.0 / PLAUSIBLE) & (alpha < PLAUSIBLE)).all():
+        return ()
+    return tuple(
+        FoundEffect(
+            name="the file's load is another",
+            where=f"{campaign.cycles[k].name}, at rest as under {campaign.loads[true[k]].name}",
+            probability=0.0,
+            size=float(np.sqrt(np.mean((means[true[k]] - means[said[k]]) ** 2))),
+            unit="N",
+            corrected=False,
+            remedy="correct LOAD of the file, or leave it out",
+        )
+        for k in wrong.tolist()
+    )
+
+
+def rest_by_file(moments: Moments, within: WithinGroups) -> Array | None:
+    """Return (files, n) static forces of each file but for what is common to all [N].
+
+    None where files share too few shapes to be compared.
+    """
+    files = len(within.weight)
+    _, code = np.unique(moments.labels[:, 1:], axis=0, return_inverse=True)
+    code, codes = code.ravel(), int(code.max()) + 1
+    weight, sums = np.zeros((files, codes)), np.zeros((codes, moments.mean.shape[1]))
+    np.add.at(weight.T, code, within.weight.T)
+    np.add.at(sums, code, moments.weight[:, None] * moments.mean)
+    total = np.maximum(weight.sum(axis=0), 1e-300)
+    apart = within.zero[:files] + within.weight @ moments.mean - (weight / total) @ sums
+    laplacian = np.diag(weight.sum(axis=1)) - (weight / total) @ weight.T
+    values, vectors = np.linalg.eigh(laplacian)
+    if values[1] <= 1e-9 * values[-1]:
+        return None
+    return np.asarray((vectors[:, 1:] / values[1:]) @ (vectors[:, 1:].T @ apart))
+
+
+def clusters(distance: Array, count: int) -> NDArray[np.int64] | None:
+    """Return (files,) cluster of each of the files, so many in all; None where none is clear.
+
+    Of two that are merged the nearest are first (single linkage), by (files, files) distances.
+    """
+    member, heights = np.arange(len(distance)), []
+    while len(left := np.unique(member)) > 1:
+        if len(left) == count:
+            answer = np.searchsorted(left, member)
+        apart = np.where(member[:, None] == member, np.inf, distance)
+        one, other = np.unravel_index(apart.argmin(), apart.shape)
+        heights.append((len(left), float(apart[one, other])))
+        member[member == member[other]] = member[one]
+    between = dict(heights).get(count, 0.0)
+    within = dict(heights).get(count + 1, np.inf)
+    return answer if within < CLEAR * between else None
+
+
+def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[FoundEffect, ...]:
+    """Name files whose rows fit other labels than theirs: SIGN reversed, or SHAPE counted anew.
+
+    Parameters
+    ----------
+    campaign
+        The files, in memory; else nothing is said.
+    files
+        Which of them to look at: their rows lie far from their repeats.
+    """
+    suspicious = list(files)
+    if not suspicious or not all(isinstance(c.force, np.ndarray) for c in campaign.cycles):
+        return ()
+    rows = [cycle.used_force - cycle.used_force[cycle.rest_rows].mean(axis=0)
+            for cycle in campaign.cycles]  # fmt: skip
+    codes = [cycle.shape[cycle.valid] * cycle.sign[cycle.valid] for cycle in campaign.cycles]
+    found = []
+    for k in suspicious:
+        others = [j for j in range(len(rows)) if j != k]
+        name = _other_labels(rows[k], codes[k], [rows[j] for j in others],
+                             [codes[j] for j in others])  # fmt: skip
+        if name:
+            found.append(
+                FoundEffect(
+                    name=name,
+                    where=campaign.cycles[k].name,
+                    probability=0.0,
+                    size=float(np.sqrt(np.mean(rows[k] ** 2))),
+                    unit="N",
+                    corrected=False,
+                    remedy="correct SHAPE and SIGN of the file, or leave it out",
+                )
+            )
+    return tuple(found)
+
+
+def _other_labels(
+    rows: Array,
+    codes: NDArray[np.int64],
+    other_rows: list[Array],
+    other_codes: list[NDArray[np.int64]],
+) -> str:
+    """Say how rows of one file are labelled otherwise than those of others; '' where they agree."""
+    known = np.unique(np.concatenate(other_codes))
+    typical = np.empty((len(known), rows.shape[1]))
+    for at, code in enumerate(known):  # the median: one of the others may be wrong, too
+        same = [r[c == code] for r, c in zip(other_rows, other_codes, strict=True)]
+        typical[at] = np.median(np.concatenate(same), axis=0)
+    shared = np.isin(codes, known)
+    rows, codes = rows[shared], codes[shared]
+    if not len(rows):
+        return ""
+    square = np.sum(rows**2, axis=1)[:, None] + np.sum(typical**2, axis=1) - 2 * rows @ typical.T
+    square = np.maximum(square, 0.0)
+    own = square[np.arange(len(rows)), np.searchsorted(known, codes)]
+    moved = square.min(axis=1) < MOVED**2 * own
+    if np.count_nonzero(moved) < max(3, SHARE * len(rows)):
+        return ""
+    best, said = known[square.argmin(axis=1)][moved], codes[moved]
+    if np.mean(best == -said) > ALIKE:
+        return "SIGN reversed"
+    shapes = np.unique(np.abs(known))
+    step = np.searchsorted(shapes, np.abs(best)) - np.searchsorted(shapes, np.abs(said))
+    step %= len(shapes)
+    if step.any() and np.mean(step == np.bincount(step).argmax()) > ALIKE:
+        return "SHAPE counted from another one"
+    return "SHAPE and SIGN label other rows"

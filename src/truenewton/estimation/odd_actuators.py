@@ -1,0 +1,130 @@
+"""Actuators that do not do as they say: a reading that is stuck, no force, the poles exchanged."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import FoundEffect, NoiseSource
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.multiple_tests import FALSE_ALARM
+from truenewton.estimation.noise import Noise
+from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
+
+ALIVE = 100.0  # times its noise the variance of a typical reading over shapes is
+HARDLY = 0.03  # of a typical change, where nothing tells the noise
+STUCK = 1e-9  # of a typical reading: it does not change at all
+SIGMAS = 3.0  # from 0
+MOST = 0.03  # of the actuators
+WELL_KNOWN = 0.1  # error of an alpha in terms of the typical one
+
+
+def constant_actuators(
+    campaign: Campaign, moments: Moments, noise: Noise
+) -> tuple[FoundEffect, ...]:
+    """Name actuators whose reading does not change from shape to shape by more than noise."""
+    change, within_noise, rest = _change(moments, noise)
+    ids = campaign.layout.id[campaign.layout.enabled]
+    return tuple(
+        FoundEffect(
+            name="dead actuator, no force is commanded" if rest[i] else "stuck reading",
+            where=f"actuator {ids[i]}",
+            probability=0.0,
+            size=float(change[i]),
+            unit="N",
+            corrected=False,
+            remedy="look at its coil, driver and cable; set ENABLED to F if it gives no force",
+        )
+        for i in np.flatnonzero(within_noise)
+    )
+
+
+def stuck_faults(campaign: Campaign, moments: Moments, noise: Noise) -> tuple[Fault, ...]:
+    """Name actuators whose reading does not change at all: no alpha of theirs can be had.
+
+    Nor the common scale: whatever force it exerts, and it may be any, could carry the load.
+    """
+    change, _, _ = _change(moments, noise)
+    ids = campaign.layout.id[campaign.layout.enabled][change <= STUCK * np.median(change)]
+    if not ids.size or ids.size == change.size:
+        return ()
+    which = f"actuator{'s' if ids.size > 1 else ''} {', '.join(map(str, ids.tolist()))}"
+    return (
+        Fault(
+            f"the reading of {which} is stuck: it is the same for all shapes",
+            "have its electronics looked at; set ENABLED to F if it exerts no force",
+        ),
+    )
+
+
+def _change(moments: Moments, noise: Noise) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return (n,) rms change of the readings over shapes [N]; whether noise makes as much; rest.
+
+    The last tells whether the reading is 0 at rest as well.
+    """
+    counted = moments.weight > 0
+    loads, weight, mean = moments.labels[counted, 0], moments.weight[counted], moments.mean[counted]
+    n = mean.shape[1]
+    square, statics, count = np.zeros(n), np.zeros(n), len(np.unique(loads))
+    for load in np.unique(loads):
+        some = loads == load
+        centre = weight[some] @ mean[some] / weight[some].sum()
+        square += weight[some] @ (mean[some] - centre) ** 2
+        statics = np.maximum(statics, np.abs(centre))
+    freedom = len(mean) - count
+    if freedom < 1:
+        nothing = np.zeros(n, dtype=bool)
+        return np.ones(n), nothing, nothing
+    ratio = square / freedom / noise.variance
+    known = moments.repeats if moments.repeats else 1e9
+    limit = float(scipy.stats.f.isf(FALSE_ALARM / n, freedom, known))
+    dead = (ratio <= limit) & (np.median(ratio) > ALIVE * limit)
+    change = np.sqrt(square / weight.sum())
+    if noise.source == NoiseSource.MINIMUM:
+        dead = change < HARDLY * np.median(change)
+    at_zero = statics < 5.0 * change * np.sqrt(count / len(mean))
+    return change, np.asarray(dead), np.asarray(at_zero)
+
+
+def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[FoundEffect, ...]:
+    """Name actuators whose alpha is 0 or negative while that of the others is not.
+
+    Parameters
+    ----------
+    campaign
+        The actuators.
+    alpha, error
+        (n,) of the enabled ones, and E_STAT.
+    """
+    typical = float(np.median(alpha))
+    if typical <= 0.0:
+        return ()
+    ids = campaign.layout.id[campaign.layout.enabled]
+    known = error < WELL_KNOWN * typical
+    dead = known & (np.abs(alpha) < SIGMAS * error)
+    negative = known & (alpha <= -SIGMAS * error)
+    if np.count_nonzero(dead | negative) > max(
+        2, MOST * alpha.size
+    ):  # the model is wrong, not they
+        return ()
+    names = (
+        (dead, "dead actuator, alpha is 0", "look at its coil and magnet"),
+        (negative, "alpha is negative, the poles are exchanged",
+         "exchange the poles of its cable, or the sign of its column of FORCE"),
+    )  # fmt: skip
+    return tuple(
+        FoundEffect(
+            name=name,
+            where=f"actuator {ids[i]}",
+            probability=float(scipy.stats.norm.sf((typical - alpha[i]) / error[i])),
+            size=float(alpha[i]),
+            unit="",
+            corrected=False,
+            remedy=remedy,
+        )
+        for which, name, remedy in names
+        for i in np.flatnonzero(which)
+    )

@@ -1,0 +1,59 @@
+"""A load that is put on again stands elsewhere: named, taken out, and the scale is as good."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import truenewton as tn
+from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.mirrors.known import p45
+from truenewton.mirrors.shell.held_glass import forces_under, weight_on
+from truenewton.records.campaign import Campaign
+from truenewton.statics.load import Load
+
+ANEW = "load put on anew by file"
+MIRROR = replace(p45(), weight_error=0.0)
+LOADS = (Load("bare"), Load("ring", -0.289, 0.0, tool="ring"))
+
+
+def put_on_again(seed, noise, scatter=0.3e-3):
+    """Return a campaign whose ring is put on anew, off centre by so much, for its last cycle."""
+    bench = static_bench(MIRROR, seed, loads=LOADS, force_noise=noise)
+    random = np.random.default_rng(seed)
+    here, there = (
+        forces_under(bench.glass, weight_on(MIRROR, 0.0, -0.289, off_centre=centre))
+        for centre in (np.zeros(2), random.normal(0.0, scatter, 2))
+    )
+    cycles = [
+        replace(cycle, force=cycle.force + (there - here) / bench.truth.alpha)
+        if cycle.load.added and cycle.number == 4 else cycle
+        for cycle in run_cycles(bench, 4)
+    ]  # fmt: skip
+    return Campaign(tuple(cycles)), bench.truth.alpha
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-5])
+def test_alpha_is_as_good_as_with_one_mounting(noise):
+    ratio, pull = [], []
+    for seed in range(1, 5):
+        campaign, alpha = put_on_again(seed, noise)
+        found = tn.calibrate(campaign)
+        assert [(effect.name, effect.corrected) for effect in found.effects] == [(ANEW, True)]
+        once = tn.calibrate(put_on_again(seed, noise, 0.0)[0])
+        assert not once.effects
+        ratio.append(np.sum((found.alpha - alpha) ** 2) / np.sum((once.alpha - alpha) ** 2))
+        pull.append(np.mean(((found.alpha - alpha) / found.reading_error) ** 2))
+    assert np.sqrt(np.mean(ratio)) < 1.5
+    assert np.mean(pull) < 1.5
+
+
+def test_zeros_that_move_the_sum_as_well_are_not_taken_for_it():
+    bench = static_bench(MIRROR, 2, loads=LOADS, force_noise=1e-4)
+    random = np.random.default_rng(2)
+    cycles = [
+        replace(cycle, force=cycle.force + random.normal(0.0, 2e-4, 45))
+        for cycle in run_cycles(bench, 4)
+    ]
+    found = tn.calibrate(Campaign(tuple(cycles)))
+    assert [effect.name for effect in found.effects] == ["zero by file of each"]
