@@ -1,4 +1,4 @@
-"""Rows pooled over loads and signs: U against its definition, sums against U, fits against truth."""
+"""Rows pooled over loads and signs: U by its definition, sums against U, fits against truth."""
 
 from dataclasses import replace
 
@@ -161,7 +161,7 @@ def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kin
     for seed in range(30):
         bench = SmallBench([seed, 7], 1e-2, order=(0, 0, 0, 1) if kind == "unbalanced" else (0, 1))
         campaign = bench.campaign()
-        cycles = list(replace(c, force_error=1e-2) for c in campaign.cycles)
+        cycles = [replace(c, force_error=1e-2) for c in campaign.cycles]
         if kind == "one sign under a load":
             cycles[1] = replace(cycles[1], valid=cycles[1].sign > 0)
         campaign = Campaign(tuple(cycles))
