@@ -152,7 +152,7 @@ def _tails(sums: RepeatSums) -> float:
 
 
 def _gross(sums: RepeatSums) -> bool:
-    """Tell whether rows scatter as no drift makes them: in spikes, or by as much as their forces."""
+    """Tell whether rows scatter as no drift makes them: in spikes, or as much as their forces."""
     moments = sums.moments
     noise = np.sqrt(moments.scatter.mean() / max(moments.repeats, 1))
     force = np.sqrt(np.mean(moments.mean**2) * moments.typical_variance)
