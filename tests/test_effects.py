@@ -183,8 +183,7 @@ def test_an_effect_is_taken_out_of_rows_as_of_their_moments(name):
     for g, k, hour, force in after:
         square[g] += (force - mean[g]) ** 2
         for index, times in ((k, 1.0), (4, hour)):
-            left[:, index] += times * (force - mean[g]) * np.stack([np.ones(14),
-                                                                    fit.moments.mean[g]])  # fmt: skip
+            left[:, index] += times * (force - mean[g]) * [np.ones(14), fit.moments.mean[g]]
     _, moments = derivative.remove(fit.problem, fit.moments, theta)
     assert moments.mean == pytest.approx(mean, abs=1e-13)
     assert moments.scatter == pytest.approx(square.sum(axis=0), rel=1e-9)

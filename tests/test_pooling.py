@@ -1,4 +1,4 @@
-"""Rows pooled over loads and signs: U by its definition, sums against U, fits against truth."""
+"""Rows pooled over loads and signs: U by its definition, sums by U, fits by the truth."""
 
 from dataclasses import replace
 
@@ -110,7 +110,7 @@ def noiseless(kind):
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
 def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
     campaign, bench = noiseless(kind)
-    moments = replace(campaign_moments(campaign), pooled=True)
+    moments = replace(sift(campaign).moments, pooled=True)
     pooling = moments.pooling
     assert pooling.count < moments.groups or kind == "one sign"
     back = pooling.groups(pooling.rows(moments.mean))
