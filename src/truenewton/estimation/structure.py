@@ -75,7 +75,7 @@ def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> St
 
 
 def independent_readings(samples: Sequence[Array], n: int) -> float:
-    """Return how many of n readings are as good as independent, from parts of (m, n) samples [N]."""
+    """Return how many of n readings are as good as independent, by parts of (m, n) samples."""
     deviations = np.concatenate(samples) if samples else np.empty((0, n))
     m = len(deviations)
     if m < 2:
