@@ -216,7 +216,7 @@ def scores_of_clean(count, noise, order, error=None):
 @pytest.mark.study
 @pytest.mark.parametrize(("noise", "order", "error"),
                          [(1e-3, (0, 0, 0, 0, 1, 1, 1, 1), None), (1e-3, THREE, None),
-                          (3e-2, (0, 0, 0, 0, 1, 1, 1, 1), None), (5e-2, (0, 1), 5e-2)],
+                          (3e-2, (0, 0, 0, 0, 1, 1, 1, 1), None), (2e-2, (0, 1), 2e-2)],
                          ids=["1 mN", "three loads", "loud", "one cycle, loud"])  # fmt: skip
 def test_clean_campaigns_score_as_chance_says(noise, order, error):
     """Of 200: z standard normal, p uniform, within four standard errors."""
