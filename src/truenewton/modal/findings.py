@@ -11,6 +11,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate, calibration_of
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.verdict import refuse_unusable
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
@@ -104,6 +105,7 @@ def find_modes(
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     reader: MotionReader | None = None,
+    force: bool = False,
 ) -> ModalFindings:
     """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
 
@@ -123,9 +125,13 @@ def find_modes(
         As in `true_stiffness`.
     reader
         What has read the cycles already, see `motion_reader`; they are read where None.
+    force
+        Take alpha whose verdict is 'not to be used', too.
 
     Raises
     ------
+    NotToBeUsed
+        The verdict on alpha, unless forced.
     RankDeficient, TooManyOutliers, NotConverged
         The data tell no stiffness, or no alpha.
     FormatError
@@ -135,6 +141,8 @@ def find_modes(
     UnknownName
         An ID that no enabled actuator has, or that is both off and slaved.
     """
+    if calibration is not None:
+        refuse_unusable(calibration, force=force)
     measured, at_rest = None, None
     if isinstance(data, StiffnessMatrix):
         matrix = data
@@ -153,6 +161,7 @@ def find_modes(
             measured = stiffness_of(reader)
             matrix = measured.matrix
     calibration = calibration or calibrate(data)
+    refuse_unusable(calibration, force=force)
     stiffnesses = [
         true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)
         for alpha in (None, calibration)

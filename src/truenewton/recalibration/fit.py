@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.verdict import warn_of
 from truenewton.errors import FormatError, RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
 from truenewton.estimation.diagnosis import RejectedRow, ScaleError
@@ -90,6 +91,8 @@ def recalibrate(
     campaign: Campaign | str | os.PathLike[str],
     known: Calibration | Tracking | str | os.PathLike[str],
     actuators: Sequence[int] = (),
+    *,
+    force: bool = False,
 ) -> Recalibration:
     """Calibrate replaced actuators by a short run, all others being known.
 
@@ -101,9 +104,13 @@ def recalibrate(
         The earlier calibration, or the law that tracking found, or a path to either.
     actuators
         IDs of the actuators replaced; if none are named, who changed is found out.
+    force
+        Take what is known whose verdict is 'not to be used', too.
 
     Raises
     ------
+    NotToBeUsed
+        The verdict on what is known, unless forced.
     UnreadableFile, FormatError, CampaignMismatch
         Files that cannot be used, or not together.
     UnknownName
@@ -117,7 +124,7 @@ def recalibrate(
         raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
     if data.stiffness is not None:
         raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
-    before = known_from(known, data)
+    before = known_from(known, data, force=force)
     ids = data.layout.id[data.layout.enabled]
     new = _new(data, before, actuators)
     sifted = sift(data)
@@ -149,6 +156,7 @@ def recalibrate(
     rejected = (*sifted.rejected, *lost)
     calibration = _calibration(before, problem, moments, minimum, rejected, scale, stay)
     probability = float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan")
+    warn_of(calibration)
     return Recalibration(
         calibration=calibration,
         asked=tuple(ids[new].tolist()),

@@ -10,7 +10,8 @@ import numpy as np
 from truenewton.arrays import Array, spread
 from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
-from truenewton.errors import CampaignMismatch, FormatError
+from truenewton.calibration.verdict import Level, refuse_unusable
+from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
@@ -57,7 +58,10 @@ class EarlierCalibration:
 
 
 def known_from(
-    given: Calibration | Tracking | str | os.PathLike[str], campaign: Campaign
+    given: Calibration | Tracking | str | os.PathLike[str],
+    campaign: Campaign,
+    *,
+    force: bool = False,
 ) -> EarlierCalibration:
     """Return what is known of the mirror of a campaign.
 
@@ -68,9 +72,13 @@ def known_from(
         campaign; or a path to either.
     campaign
         The new run.
+    force
+        Take what is not to be used, too.
 
     Raises
     ------
+    NotToBeUsed
+        The verdict on it, unless forced.
     UnreadableFile, FormatError, CampaignMismatch, RankDeficient
     """
     name = "the earlier calibration"
@@ -98,6 +106,7 @@ def known_from(
         )
     n = given.layout.n
     if isinstance(given, Tracking):
+        _refuse_unusable_days(given, force=force, path=name)
         temperature = mean_temperature(campaign.cycles)
         recorded = bool(np.isfinite(temperature))
         at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
@@ -110,6 +119,7 @@ def known_from(
                 remedy="give a calibration whose scale comes from weights",
                 path=name,
             )
+        refuse_unusable(given, force=force, path=name)
         alpha, temperature = given.alpha, given.temperature
         covariance = given.covariance[:n, :n]
         systematic_covariance = given.systematic_covariance[:n, :n]
@@ -127,6 +137,17 @@ def known_from(
         loads=loads,
         sources=sources,
     )
+
+
+def _refuse_unusable_days(tracking: Tracking, *, force: bool, path: str) -> None:
+    """Refuse a law that rests on days that are not to be used, unless forced."""
+    days = [day.name for day in tracking.days if day.verdict == Level.UNUSABLE]
+    if days and not force:
+        raise NotToBeUsed(
+            f"{Level.UNUSABLE}: it rests on {days[0]}, which is not",
+            remedy="track the other days; --anyway, or force=True, takes it all the same",
+            path=path,
+        )
 
 
 def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:
