@@ -38,7 +38,7 @@ import truenewton as tn
 from truenewton.calibration import methods
 from truenewton.estimation import cycles_ml, problem
 from truenewton.estimation.cycle_errors import CycleErrors
-from truenewton.estimation.effects.examination import Examined
+from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.systems import system_e
 from truenewton.linalg import ROWS_AT_ONCE, mirrored

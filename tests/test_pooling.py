@@ -1,4 +1,4 @@
-"""Rows pooled over loads and signs: U against its definition, sums against U, fits against truth."""
+"""Rows pooled over loads and signs: U by its definition, sums by U, fits by the truth."""
 
 from dataclasses import replace
 
@@ -110,7 +110,7 @@ def noiseless(kind):
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
 def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
     campaign, bench = noiseless(kind)
-    moments = replace(campaign_moments(campaign), pooled=True)
+    moments = replace(sift(campaign).moments, pooled=True)
     pooling = moments.pooling
     assert pooling.count < moments.groups or kind == "one sign"
     back = pooling.groups(pooling.rows(moments.mean))
@@ -161,7 +161,7 @@ def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kin
     for seed in range(30):
         bench = SmallBench([seed, 7], 1e-2, order=(0, 0, 0, 1) if kind == "unbalanced" else (0, 1))
         campaign = bench.campaign()
-        cycles = list(replace(c, force_error=1e-2) for c in campaign.cycles)
+        cycles = [replace(c, force_error=1e-2) for c in campaign.cycles]
         if kind == "one sign under a load":
             cycles[1] = replace(cycles[1], valid=cycles[1].sign > 0)
         campaign = Campaign(tuple(cycles))

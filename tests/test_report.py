@@ -85,9 +85,12 @@ def test_a_fit_worse_than_its_noise_is_used_with_care():
     bent = Campaign(tuple(replace(c, force=c.force + wrong) for c in campaign.cycles))
     judged = verdict(investigate(bent))
     assert judged.title == "Limited"
-    [fault] = [fault for fault, _ in judged.advice if "out of balance" in fault]
-    factor = float(re.search(r"by ([\d.]+) times", fault)[1])
-    assert factor == pytest.approx(0.002 / 1e-4 * np.sqrt(4), rel=0.25)  # four repeats a mean
+    assert any("unknown force" in fault and "not taken out" in fault for fault, _ in judged.advice)
+    # As uncertain as four repeats of that noise would be.
+    sound, found = investigate(campaign).calibration, investigate(bent).calibration
+    assert np.mean(found.reading_error / sound.reading_error) > 10
+    sigmas = (found.alpha - sound.alpha) / found.reading_error
+    assert np.sqrt(np.mean(sigmas**2)) < 2
 
 
 @pytest.fixture(scope="module")

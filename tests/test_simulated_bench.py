@@ -110,7 +110,7 @@ def test_the_loop_behind_the_protocol_gives_the_rows_of_its_campaign(loop):
 
 
 def test_a_closed_loop_campaign_fits_and_gives_alpha_within_its_errors():
-    """Not without the gradients: then chi^2 says so."""
+    """Without the gradients POSITION tells them; without that too, something is said to be."""
     plan = static_bench(p45(), 2)
     cycles = tuple(run_cycles(plan, 3, loop_of(plan)))
     found = tn.calibrate(tn.Campaign(cycles))
@@ -123,7 +123,17 @@ def test_a_closed_loop_campaign_fits_and_gives_alpha_within_its_errors():
     assert at_mean < 1.5 < at_nominal
     assert found.reading_error.max() < 1e-4
     bare = tuple(replace(c, coil_gradient=None, bias_gradient=None) for c in cycles)
-    assert tn.calibrate(tn.Campaign(bare)).goodness.reduced > 20
+    told = tn.calibrate(tn.Campaign(bare))
+    sizes = {name: sum(e.size for e in told.effects if e.name == name)
+             for name in ("coil gradient", "bias gradient")}  # fmt: skip
+    assert sizes == pytest.approx({"coil gradient": 600, "bias gradient": 31}, rel=0.05)
+    assert all(effect.corrected for effect in told.effects)
+    sigmas = (told.alpha - expected * there) / told.reading_error
+    assert np.sqrt(np.mean(sigmas**2)) < 2
+    told = tn.calibrate(tn.Campaign(tuple(replace(c, position=None) for c in bare)))
+    assert told.effects
+    assert not any(effect.corrected for effect in told.effects)
+    assert told.reading_error.mean() > 3 * found.reading_error.mean()
 
 
 def test_unknown_fidelity_and_a_gap_that_closes_are_refused():

@@ -329,9 +329,23 @@ def test_loads_at_different_temperatures_put_the_scale_off_by_several_times_as_m
     """As docs/tracking.md warns."""
     cold, warm = days_of(8, -1.1e-3, temperatures=(18.0, 20.0), gap=0.0)
     mixed = [c for c in cold.cycles if not c.load.added] + [c for c in warm.cycles if c.load.added]
-    off = tn.calibrate(tn.Campaign(tuple(mixed))).alpha / tn.calibrate(cold).alpha - 1
+    alpha = tn.calibrate(cold).alpha
+    blind = [dataclasses.replace(c, position=None) for c in mixed]
+    told = tn.calibrate(tn.Campaign(tuple(blind)))
     # About (W + B) / Q and 1: what is held beside what is added, and the ring's own share.
+    off = told.alpha / alpha - 1
     assert off.mean() == pytest.approx(4.4 * 2.2e-3, rel=0.15)
+    assert np.all(np.abs(off * alpha) < 2 * told.error)
+    effects = {effect.name: effect.corrected for effect in told.effects}
+    assert effects == {"gain by load": False, "temperature between the loads": False}
+    # Where POSITION tells that the shapes were the same, it is the gain, and is taken out.
+    told = tn.calibrate(tn.Campaign(tuple(mixed)))
+    assert (
+        abs(np.mean(told.alpha / alpha - 1)) < 1.5e-3
+    )  # half the way from 18 to 20 deg C, and noise
+    gain = next(effect for effect in told.effects if effect.name == "gain by load")
+    assert gain.corrected
+    assert gain.size == pytest.approx(-2.2e-3, rel=0.1)
 
 
 def test_days_share_the_error_of_a_weight_only_where_all_agrees():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -21,12 +20,8 @@ from truenewton.estimation.diagnosis import (
     NoiseSource,
     RejectedRow,
 )
-from truenewton.estimation.displaced_rows import is_displaced
-from truenewton.estimation.effects.examination import (
-    Examined,
-    chi2_probability,
-    examined,
-)
+from truenewton.estimation.effects.examination import examined
+from truenewton.estimation.effects.examined import Examined, chi2_probability
 from truenewton.estimation.effects.exchanges import exchanged_columns
 from truenewton.estimation.effects.unsure_positions import (
     positions_are_unsure,
@@ -34,6 +29,7 @@ from truenewton.estimation.effects.unsure_positions import (
 )
 from truenewton.estimation.effects.words import effect_warnings, misfit_warnings, warmer_loads
 from truenewton.estimation.estimate import Estimate, Scale
+from truenewton.estimation.fit_warnings import campaign_warnings, noise_warnings
 from truenewton.estimation.identifiability import (
     diagnose,
     in_words,
@@ -71,10 +67,7 @@ from truenewton.estimation.undetermined import (
 from truenewton.estimation.weights import scale_errors, temperature_errors, weight_errors
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
-
-LOUDER = 1.5  # times FORCERR: a scatter of the repeats that is said
 
 
 def find(sifted: Sifted, population: bool = False) -> Estimate:
@@ -261,8 +254,8 @@ def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) 
     value, vector = largest_eigenvalue(covariance)
     weakest = in_words(vector, layout)
     warnings = (
-        *_noise_warnings(free, weakest, held, float(np.sqrt(value / n))),
-        *_campaign_warnings(problem, moments, minimum),
+        *noise_warnings(free, weakest, held, float(np.sqrt(value / n))),
+        *campaign_warnings(problem, moments, minimum),
     )
     return Diagnosis(
         undetermined=free,
@@ -271,49 +264,6 @@ def _diagnosis(problem: Problem, moments: Moments, minimum: Minimum, held: int) 
         weakest_share=value / float(np.trace(covariance)),
         leverage=tuple(leverage(problem.a * minimum.values[:n], problem.noise.variance).tolist()),
     )
-
-
-def _noise_warnings(free: int, weakest: str, held: int, error: float) -> Iterator[Fault]:
-    """Warn of patterns hardly above the noise, and of those held, with the error of each."""
-    if free:
-        patterns = "pattern of alpha stands" if free == 1 else "patterns of alpha stand"
-        yield Fault(
-            f"{free} {patterns} hardly above the noise, the weakest {weakest}",
-            "repeat more often, use larger forces, or add a stiffness matrix",
-        )
-    if held:
-        each = "pattern of alpha drowns" if held == 1 else "patterns of alpha drown"
-        yield Fault(
-            f"{held} {each} in noise: held even over the mirror, each uncertain by as much as"
-            f" alpha varies otherwise, {100 * error:.2g} % of it RMS",
-            "trust E_ALPHA, and differences along other patterns by COVARIANCE",
-        )
-
-
-def _campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Fault]:
-    """Warn of weights that disagree more than their errors allow, and of sensors set anew."""
-    loads = len(problem.campaign.loads)  # the common scale and B take up two of them
-    size = float(np.sum(minimum.values[problem.unknowns.weights] ** 2))
-    if loads > 2 and scipy.stats.chi2.sf(size, loads - 2) <= 1e-3:
-        yield Fault(
-            f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
-            "check ADDED, TILT and their errors",
-        )
-    declared = all(cycle.force_error for cycle in problem.campaign.cycles)
-    louder = float(np.sqrt(problem.noise.variance.mean())) / WEIGHED_NOISE
-    if declared and problem.noise.source == NoiseSource.REPEATS and louder > LOUDER:
-        noise = 1e3 * moments.noise
-        yield Fault(
-            f"repeated shapes scatter by {noise:.2g} mN, {louder:.1f} times what FORCERR says",
-            "look for what moves the mirror or the readings between repeats, and correct FORCERR",
-        )
-    anew = int(np.count_nonzero(np.isnan(moments.reference)))
-    if anew and any(map(is_displaced, problem.campaign.cycles)):
-        yield Fault(
-            f"the zeros of {anew} sensors were set anew between files: these count from each"
-            " file's own mean, and E_STAT knows nothing of motion between files",
-            "keep the zeros of the sensors through a campaign",
-        )
 
 
 def patterns_near_noise(minimum: Minimum, shapes: int) -> int:

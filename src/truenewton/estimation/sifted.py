@@ -34,6 +34,8 @@ MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
 MOST = 0.3  # of the rows; beyond this the campaign is refused
 SYSTEMATIC = 0.15  # of the rows of a file: where more lie far, its labels are looked at
 LONG_TAILS = 1.08  # of scatter over what the median says: beyond, rows are no accidents
+SPIKES = 3.0  # the same, beyond which they are accidents all the same: too many
+GROSS = 0.3  # of the forces, by which no drift makes rows scatter
 FAR_OUT = 3.0  # times the usual limit, where rows are the tail of what happened to all
 
 
@@ -80,15 +82,20 @@ def sift(campaign: Campaign) -> Sifted:
     """
     sums = RepeatSums(campaign)
     suspects = (*copied_files(campaign, sums.prints), *mislabelled_files(campaign, sums.moments))
+    refusal: TooManyOutliers | None = None
     try:
         sums, sound, rejected = _left_out(sums, campaign, accidents=True)
-        few = len(rejected) <= MOST * (len(rejected) + sums.moments.rows.sum())
-        accidents = not rejected or (few and _tails(sums) <= LONG_TAILS)
-    except TooManyOutliers:  # of one cycle: it differs as a whole
-        accidents = False
+        rows = len(rejected) + int(sums.moments.rows.sum())
+        if len(rejected) > MOST * rows:
+            refusal = _too_many(len(rejected), rows)
+        accidents = not rejected or (refusal is None and _tails(sums) <= LONG_TAILS)
+    except TooManyOutliers as error:  # of one cycle: it differs as a whole
+        accidents, refusal = False, error
     if not accidents:
         try:
             sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
+            if refusal is not None and _gross(sums):
+                raise refusal
         except TooManyOutliers as error:
             suspects += mislabelled_rows(campaign, range(len(campaign.cycles)))
             raise naming(error, suspects) from None
@@ -142,6 +149,14 @@ def _tails(sums: RepeatSums) -> float:
         return 1.0
     noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(sums.samples)
     return float(np.median(noise / np.maximum(robust, 1e-300)))
+
+
+def _gross(sums: RepeatSums) -> bool:
+    """Tell whether rows scatter as no drift makes them: in spikes, or as much as their forces."""
+    moments = sums.moments
+    noise = np.sqrt(moments.scatter.mean() / max(moments.repeats, 1))
+    force = np.sqrt(np.mean(moments.mean**2) * moments.typical_variance)
+    return bool(_tails(sums) > SPIKES or noise > GROSS * force)
 
 
 def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:

@@ -75,7 +75,7 @@ def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> St
 
 
 def independent_readings(samples: Sequence[Array], n: int) -> float:
-    """Return how many of the n readings of a row are as good as independent of each other."""
+    """Return how many of n readings are as good as independent, by parts of (m, n) samples."""
     deviations = np.concatenate(samples) if samples else np.empty((0, n))
     m = len(deviations)
     if m < 2:
@@ -93,7 +93,9 @@ def independent_readings(samples: Sequence[Array], n: int) -> float:
 def pooled_where_it_fits(
     moments: Moments, noise: Noise, samples: Sequence[Array]
 ) -> tuple[Moments, Structure | None]:
-    """Return the moments pooled over loads and signs where shapes repeat so; and the test.
+    """Return the moments pooled over loads and signs where shapes repeat so, and the test.
+
+    ``samples`` as in `structure_of`, (m, n) [N].
 
     None where nothing tells the noise of a reading, or there is no more than rounding, or nothing
     is to be pooled.

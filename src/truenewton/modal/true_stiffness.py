@@ -20,7 +20,7 @@ shell model that knows nothing of it, by up to a third for the softest (docs/sti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import scipy.linalg
@@ -217,4 +217,5 @@ def _following(
 
 def _some(layout: Layout, chosen: NDArray[np.bool_]) -> Layout:
     """Return the actuators of a layout that are chosen, (n,)."""
-    return Layout(*(getattr(layout, field.name)[chosen] for field in fields(layout)))
+    columns = {field.name: getattr(layout, field.name) for field in fields(layout)}
+    return replace(layout, **{k: v[chosen] for k, v in columns.items() if v is not None})

@@ -7,7 +7,8 @@ score_test        is one there?
 exchanges         columns of FORCE that stand for other actuators
 correction        taken out of the data, its size estimated with alpha
 unknown_force     a force that comes and goes at one actuator
-examination       a fit examined: what was named, taken out, and is left
+examination       a fit examined: what is named, and what is taken out
+examined          what is left of it then, and how well that fits
 unsure_positions  magnets whose positions have a declared uncertainty
 words             the same in words
 """

@@ -108,7 +108,7 @@ def _inverse(matrix: Array) -> Array | None:
 
 
 def with_error(fit: FittedRows, moves: Array, covariance: Array) -> Minimum:
-    """Return the minimum with what the error of an effect adds to its covariance, B' C B."""
+    """Return the minimum with what (k, k) C and (k, free) B add to its covariance, B' C B."""
     minimum = fit.minimum
     t = min(len(minimum.reading_covariance), moves.shape[1])
     added = np.zeros_like(minimum.reading_covariance)

@@ -9,7 +9,7 @@ Where nothing cures, nothing is taken out, and the errors grow by what does not 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import scipy.stats
@@ -19,15 +19,15 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.effects.catalogue import PUT_ON_ANEW, ZEROS_OF_EACH
 from truenewton.estimation.effects.correction import Correction, correction
+from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
-from truenewton.estimation.noise import Noise
 from truenewton.estimation.problem import Problem
-from truenewton.estimation.structure import FITS, Structure, structure_of
+from truenewton.estimation.structure import Structure, structure_of
 
 MOST = 4  # effects at once
 MOST_ACTUATORS = 2000  # beyond which there is no room for the fitted readings of every shape
@@ -36,69 +36,6 @@ ROUNDS = 4  # for the size of each
 NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
 SEEN = 0.5  # of tau^2: so much of a spread of zeros the data must show
 ALIKE = 0.85  # of the logarithm of the smallest probability: effects about as likely
-
-
-@dataclass(frozen=True, eq=False)
-class Examined:
-    """What is left after effects were looked for.
-
-    Attributes
-    ----------
-    problem, moments, minimum
-        The data without the effects that were taken out, and their fit.
-    told
-        How many of their parameters the balance had to tell.
-    effects
-        Those named, the likeliest first.
-    structure
-        How well shapes repeat over loads and signs; None where that was not asked.
-    correlated
-        Whether noise hangs together from row to row, so that shapes may balance too well.
-    """
-
-    problem: Problem
-    moments: Moments
-    minimum: Minimum
-    told: float = 0.0
-    effects: tuple[FoundEffect, ...] = ()
-    structure: Structure | None = None
-    correlated: bool = False
-
-    @property
-    def probability(self) -> float:
-        """Chance of a larger chi^2 of the balance."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
-        return chi2_probability(self.minimum.chi2, freedom, self.problem.noise)
-
-    @property
-    def too_well(self) -> bool:
-        """Whether the shapes balance better than their noise lets expect."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
-        if freedom <= 0:
-            return False
-        return chi2_probability(self.minimum.chi2, freedom, self.problem.noise) > 1.0 - FITS
-
-    @property
-    def fits(self) -> bool:
-        """Whether both the balance and the repetition of shapes fit."""
-        repeated = self.structure is None or self.structure.probability > FITS
-        return self.probability > FITS and repeated and (self.correlated or not self.too_well)
-
-    @property
-    def excess(self) -> float:
-        """By how much the variance of what is left is larger than the noise says, if at all."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
-        balance = self.minimum.chi2 / max(freedom, 1.0)
-        return max(1.0, balance, self.structure.reduced if self.structure else 1.0)
-
-
-def chi2_probability(chi2: float, freedom: float, noise: Noise) -> float:
-    """Return how often chance makes chi^2 as large, the noise being known only so well."""
-    if freedom <= 0:
-        return 1.0
-    if np.isinf(noise.share_freedom):
-        return float(scipy.stats.chi2.sf(chi2, freedom))
-    return float(scipy.stats.f.sf(chi2 / freedom, freedom, noise.share_freedom))
 
 
 def examined(

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.diagnosis import FoundEffect, NoiseSource
-from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.estimation.effects.examined import chi2_probability
 from truenewton.estimation.identifiability import centred_means
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem, roughly_scaled

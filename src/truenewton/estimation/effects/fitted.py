@@ -127,7 +127,7 @@ class FittedRows:
 
     @cached_property
     def information_factor(self) -> Array:
-        """Lower Cholesky factor of H of the free unknowns."""
+        """(free, free) lower Cholesky factor of H."""
         information = mirrored(self.minimum.information[: self.free, : self.free])
         return np.asarray(scipy.linalg.cholesky(information, lower=True, check_finite=False))
 

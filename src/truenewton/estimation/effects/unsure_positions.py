@@ -7,7 +7,8 @@ import numpy as np
 from truenewton.estimation.effects.catalogue import POSITIONS
 from truenewton.estimation.effects.correction import correction, with_error
 from truenewton.estimation.effects.derivative import scored
-from truenewton.estimation.effects.examination import MOST_ACTUATORS, Examined
+from truenewton.estimation.effects.examination import MOST_ACTUATORS
+from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.minimum import Minimum
 from truenewton.statics.layout import Layout

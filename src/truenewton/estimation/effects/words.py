@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from truenewton.estimation.diagnosis import ErrorKind, FoundEffect, ScaleError
-from truenewton.estimation.effects.examination import Examined
+from truenewton.estimation.effects.examined import Examined
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 
