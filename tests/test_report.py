@@ -296,7 +296,7 @@ def test_the_page_holds_all_it_needs(p45):
         assert not {"src", "href"} & set(attributes) or attributes.get("href") == "#main", tag
         assert attributes.get("xlink:href", "#").startswith(("#", "data:image/png;")), tag
     text = "".join(reader.text)
-    parts = ("Sound", "What to do", "Map of the mirror", "Alpha by ring", "Error budget",
+    parts = ("Limited", "What to do", "Map of the mirror", "Alpha by ring", "Error budget",
              "Residuals by shape and cycle", "Singular values", "The balance before and after",
              "Stiffness modes", "Turbulence", "Dissipation", "Temperatures and times",
              "Made again by")  # fmt: skip

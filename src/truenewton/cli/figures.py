@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import typer
@@ -32,5 +31,4 @@ def run(
             raise RankDeficient(fault, remedy=remedy)
         more = still_figures(findings)
         written = write_figures(findings.calibration, output, more=more, overwrite=overwrite)
-    print(f"verdict: {findings.calibration.verdict}", file=sys.stderr)
-    print(*written, sep="\n")
+    print(f"verdict: {findings.calibration.verdict}", *written, sep="\n")

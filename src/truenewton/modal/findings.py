@@ -143,25 +143,9 @@ def find_modes(
     """
     if calibration is not None:
         refuse_unusable(calibration, force=force)
-    measured, at_rest = None, None
-    if isinstance(data, StiffnessMatrix):
-        matrix = data
-    else:
-        if reader is None:
-            sifted = sift(data)
-            reader = motion_reader(sifted)
-            if calibration is None:
-                calibration = calibration_of(data, cycles_ml.find(sifted), (reader.take,))
-            else:
-                read_rows(data, (reader.take,))
-        at_rest = reader.force_at_rest
-        if data.stiffness is not None:
-            matrix = data.stiffness
-        else:
-            measured = stiffness_of(reader)
-            matrix = measured.matrix
-    calibration = calibration or calibrate(data)
+    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader)
     refuse_unusable(calibration, force=force)
+    at_rest = None if reader is None else reader.force_at_rest
     stiffnesses = [
         true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)
         for alpha in (None, calibration)
@@ -179,6 +163,26 @@ def find_modes(
     comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
     sources = _sources(reader, matrix)
     return ModalFindings(measured, calibration, before, after, comparison, sources)
+
+
+def _with_alpha(
+    data: Campaign | StiffnessMatrix, calibration: Calibration | None, reader: MotionReader | None
+) -> tuple[StiffnessMatrix, MeasuredStiffness | None, Calibration, MotionReader | None]:
+    """Return the stiffness, how it was measured, alpha, and what has read the cycles."""
+    if isinstance(data, StiffnessMatrix):
+        return data, None, calibration or calibrate(data), None
+    if reader is None:
+        sifted = sift(data)
+        reader = motion_reader(sifted)
+        if calibration is None:
+            calibration = calibration_of(data, cycles_ml.find(sifted), (reader.take,))
+        else:
+            read_rows(data, (reader.take,))
+    calibration = calibration or calibrate(data)
+    if data.stiffness is not None:
+        return data.stiffness, None, calibration, reader
+    measured = stiffness_of(reader)
+    return measured.matrix, measured, calibration, reader
 
 
 def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:
