@@ -124,7 +124,8 @@ def warn_of(calibration: Calibration, stacklevel: int = 3) -> None:
 
 
 def _grave(c: Calibration) -> Iterator[Fault]:
-    """Yield why a calibration is not to be used."""
+    """Yield why a calibration is not to be used, causes before what they do."""
+    yield from effect_warnings(effect for effect in c.effects if _is_of_files(effect))
     alpha = c.alpha[c.layout.enabled]
     few = max(2, FEW * alpha.size)
     negative, silent = int(np.count_nonzero(alpha <= 0)), list(filter(_is_silent, c.effects))
@@ -139,11 +140,10 @@ def _grave(c: Calibration) -> Iterator[Fault]:
             f"{len(silent)} of {alpha.size} actuators are dead, or their readings stuck",
             "look at what drives and reads them; set ENABLED to F where there is no force",
         )
-    yield from effect_warnings(effect for effect in c.effects if _is_of_files(effect))
     if c.goodness is not None and c.goodness.reduced > SENSELESS:
         yield Fault(
             f"what is left of the balance is {np.sqrt(c.goodness.reduced):.2g} times the noise",
-            "look for what differs between the files: LOAD, SHAPE, SIGN, the order of FORCE",
+            "look for copies among the files, and for a wrong LOAD, SHAPE, SIGN or order of FORCE",
         )
     weights = [(c.weight + load.added) * np.cos(np.radians(load.tilt)) for load in c.loads]
     if c.scale == Scale.WEIGHTS and (not weights or np.ptp(weights) == 0.0):
