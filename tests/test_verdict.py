@@ -122,9 +122,11 @@ def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp
         assert not command[-1].exists()
     assert inside("modes", folder, "--calibration", alpha, "--anyway")[0] == 0
     code, out, _ = inside(
-        "recalibrate", tmp_path / "good", "--known", alpha, "--actuators", "3", "--force"
-    )
+        "recalibrate", tmp_path / "good", "--known", alpha, "--actuators", "3", "--force",
+        "-o", tmp_path / "again.fits",
+    )  # fmt: skip
     assert code == 0
+    assert tn.read(tmp_path / "again.fits").verdict.level == "not to be used"
 
 
 def test_python_warns_of_what_is_not_to_be_used_and_refuses_to_go_on(tmp_path):

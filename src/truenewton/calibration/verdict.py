@@ -38,6 +38,7 @@ SENSELESS = 1e4
 PLAUSIBLE = (0.2, 5.0)  # alpha in the median
 UNEVEN = 2.0  # times as much imbalance in modes that the fit has not seen: said
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
+UNUSABLE_BEFORE = "earlier calibration that is not to be used"
 # Effects in which the files are not what they say: the user alone can settle them.
 OF_FILES = (
     "copy of another file",
@@ -49,6 +50,7 @@ OF_FILES = (
     "another order of FORCE",
     "order of FORCE is not that of POSITION",
     "asymmetric stiffness",
+    UNUSABLE_BEFORE,
 )
 SILENT = ("dead actuator", "stuck reading")
 

@@ -51,8 +51,8 @@ def verdict_lines(verdict: Verdict, but: Fault | None = None) -> Iterator[str]:
 
 def warning_lines(warnings: Iterable[Fault]) -> Iterator[str]:
     """Yield a line for each warning."""
-    for fault, remedy in warnings:
-        yield f"  WARNING: {fault}; {remedy}"
+    for warning in warnings:
+        yield f"  WARNING: {'; '.join(filter(None, warning))}"
 
 
 def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:

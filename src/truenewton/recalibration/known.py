@@ -10,7 +10,7 @@ import numpy as np
 from truenewton.arrays import Array, spread
 from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.verdict import Level, refuse_unusable
+from truenewton.calibration.verdict import Level, Verdict, refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
 from truenewton.estimation.estimate import Scale
@@ -18,6 +18,7 @@ from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, w
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
@@ -45,6 +46,8 @@ class EarlierCalibration:
         At which alpha holds [deg C]; NaN if unknown.
     loads, sources
         Under which it was found, and from which files.
+    verdict
+        On it.
     """
 
     name: str
@@ -55,6 +58,7 @@ class EarlierCalibration:
     temperature: float
     loads: tuple[Load, ...]
     sources: tuple[Source, ...]
+    verdict: Verdict
 
 
 def known_from(
@@ -85,16 +89,7 @@ def known_from(
     loads: tuple[Load, ...] = ()
     sources: tuple[Source, ...] = ()
     if not isinstance(given, Calibration | Tracking):
-        name = os.fspath(given)
-        file = read_fits(given)
-        if "TRACKING" in file.extensions:
-            given = tracking_from(file)
-        elif "CALIBRATION" in file.extensions:
-            given = calibration_from(file)
-        else:
-            raise FormatError(
-                "is no calibration", remedy="give --known the calibration from before", path=name
-            )
+        name, given = os.fspath(given), _read(given)
     same_instrument = given.instrument == campaign.instrument
     if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(
@@ -106,7 +101,7 @@ def known_from(
         )
     n = given.layout.n
     if isinstance(given, Tracking):
-        _refuse_unusable_days(given, force=force, path=name)
+        verdict = _verdict_on_days(given, force=force, path=name)
         temperature = mean_temperature(campaign.cycles)
         recorded = bool(np.isfinite(temperature))
         at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
@@ -120,6 +115,7 @@ def known_from(
                 path=name,
             )
         refuse_unusable(given, force=force, path=name)
+        verdict = given.verdict
         alpha, temperature = given.alpha, given.temperature
         covariance = given.covariance[:n, :n]
         systematic_covariance = given.systematic_covariance[:n, :n]
@@ -136,18 +132,35 @@ def known_from(
         temperature=temperature,
         loads=loads,
         sources=sources,
+        verdict=verdict,
     )
 
 
-def _refuse_unusable_days(tracking: Tracking, *, force: bool, path: str) -> None:
-    """Refuse a law that rests on days that are not to be used, unless forced."""
+def _read(path: str | os.PathLike[str]) -> Calibration | Tracking:
+    file = read_fits(path)
+    if "TRACKING" in file.extensions:
+        return tracking_from(file)
+    if "CALIBRATION" in file.extensions:
+        return calibration_from(file)
+    remedy = "give --known the calibration from before"
+    raise FormatError("is no calibration", remedy=remedy, path=os.fspath(path))
+
+
+def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
+    """Return the verdict on a law; refuse one that rests on what is not to be used, unless forced.
+
+    Raises
+    ------
+    NotToBeUsed
+    """
     days = [day.name for day in tracking.days if day.verdict == Level.UNUSABLE]
-    if days and not force:
-        raise NotToBeUsed(
-            f"{Level.UNUSABLE}: it rests on {days[0]}, which is not",
-            remedy="track the other days; --anyway, or force=True, takes it all the same",
-            path=path,
-        )
+    if not days:
+        return Verdict(Level.SOUND)
+    fault = Fault(f"it rests on {days[0]}, which is not to be used", "track the other days")
+    if not force:
+        remedy = f"{fault.remedy}; --anyway, or force=True, takes it all the same"
+        raise NotToBeUsed(f"{Level.UNUSABLE}: {fault.fault}", remedy=remedy, path=path)
+    return Verdict(Level.UNUSABLE, (fault,))
 
 
 def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:

@@ -32,8 +32,8 @@ def lines(tracking: Tracking, validity: Validity | None) -> Iterator[str]:
         f" alpha at {_degrees(t.temperature)} on {t.date:%Y-%m-%d}"
     )
     for day in t.days:
-        verdict = f"  {day.verdict}" if day.verdict else ""
-        yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {day.name}{verdict}"
+        verdict = f"{day.verdict}: " if day.verdict else ""
+        yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {verdict}{day.name}"
     for family in t.families:
         unit, (low, high) = UNITS[family.effect], family.spread_interval
         mean = with_error(100 * family.mean, 100 * family.mean_error)
