@@ -178,7 +178,8 @@ def with_held_out(c, before, after):
         (lambda c: negative(c, 45), "not to be used", "negative for 45 of 45"),
         (lambda c: with_effect(c, "copy of another file"), "not to be used", "copy of another"),
         (lambda c: with_effect(c, "the file's load is another"), "not to be used", "load is"),
-        (lambda c: with_effect(c, "SIGN reversed"), "not to be used", "SIGN reversed"),
+        (lambda c: with_effect(c, "SIGN reversed"), "limited", "SIGN reversed"),
+        (lambda c: with_goodness(with_effect(c, "SIGN reversed"), 9.0), "not to be used", "SIGN"),
         (lambda c: with_effect(c, "exchanged columns"), "not to be used", "exchanged columns"),
         (lambda c: with_effect(c, "another order of FORCE"), "not to be used", "another order"),
         (lambda c: replace(c, effects=3 * with_effect(c, "stuck reading").effects),
@@ -244,6 +245,16 @@ def test_a_stiffness_in_another_order_is_not_to_be_used(clean):
         return
     assert verdict.level == Level.UNUSABLE
     assert "asymmetric stiffness" in str(verdict)
+
+
+def test_a_stiffness_of_the_other_sign_is_said_and_gives_no_modes():
+    other = stiffness(np.negative)
+    verdict = tn.calibrate(other).verdict
+    assert verdict.level == Level.LIMITED
+    assert "stiffness of the other sign" in verdict.faults[0].fault
+    with pytest.raises(NotToBeUsed, match="42 of 42 elastic modes are negative; reverse the sign"):
+        tn.find_modes(other)
+    assert tn.find_modes(stiffness()).after.modes.stiffness[3:].min() > 0
 
 
 def test_a_calibration_of_a_stiffness_keeps_its_verdict(tmp_path):

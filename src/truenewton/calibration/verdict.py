@@ -43,15 +43,15 @@ UNUSABLE_BEFORE = "earlier calibration that is not to be used"
 OF_FILES = (
     "copy of another file",
     "the file's load is another",
-    "SIGN reversed",
-    "SHAPE counted from another one",
-    "SHAPE and SIGN label other rows",
     "exchanged columns",
     "another order of FORCE",
     "order of FORCE is not that of POSITION",
     "asymmetric stiffness",
     UNUSABLE_BEFORE,
 )
+# Labels of rows say which of them repeat, which the balance of each does not ask: where the rest
+# fits, the rows that disagreed were left out.
+OF_ROWS = ("SIGN reversed", "SHAPE counted from another one", "SHAPE and SIGN label other rows")
 SILENT = ("dead actuator", "stuck reading")
 
 
@@ -127,10 +127,12 @@ def warn_of(calibration: Calibration, stacklevel: int = 3) -> None:
 
 def _grave(c: Calibration) -> Iterator[Fault]:
     """Yield why a calibration is not to be used, causes before what they do."""
-    yield from effect_warnings(effect for effect in c.effects if _is_of_files(effect))
+    fits = c.goodness is None or not c.goodness.probability < IMPROBABLE
+    grave = OF_FILES if fits else OF_FILES + OF_ROWS
+    yield from effect_warnings(_uncorrected(c, grave))
     alpha = c.alpha[c.layout.enabled]
     few = max(2, FEW * alpha.size)
-    negative, silent = int(np.count_nonzero(alpha <= 0)), list(filter(_is_silent, c.effects))
+    negative, silent = int(np.count_nonzero(alpha <= 0)), _uncorrected(c, SILENT)
     if negative > few:
         yield Fault(
             f"alpha is negative for {negative} of {alpha.size} actuators",
@@ -174,7 +176,8 @@ def _grave(c: Calibration) -> Iterator[Fault]:
 
 
 def _limits(c: Calibration) -> Iterator[Fault]:
-    """Yield what limits a calibration that can be used."""
+    """Yield what limits a calibration that can be used, what the bench did first."""
+    yield from effect_warnings(_uncorrected(c))
     if c.diagnosis is not None:
         yield from c.diagnosis.warnings
     median = float(np.nanmedian(c.alpha))
@@ -284,9 +287,6 @@ def _off_family(c: Calibration) -> NDArray[np.int64]:
     return np.flatnonzero(far)
 
 
-def _is_of_files(effect: FoundEffect) -> bool:
-    return not effect.corrected and effect.name.startswith(OF_FILES)
-
-
-def _is_silent(effect: FoundEffect) -> bool:
-    return effect.name.startswith(SILENT)
+def _uncorrected(c: Calibration, names: tuple[str, ...] = ("",)) -> list[FoundEffect]:
+    """Return the effects that were not taken out, those of some names."""
+    return [e for e in c.effects if not e.corrected and e.name.startswith(names)]

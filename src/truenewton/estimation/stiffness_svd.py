@@ -198,12 +198,22 @@ def find(matrix: StiffnessMatrix, fit: ElasticMethod) -> Estimate:
             eigenvalues=tuple((singular_values**2).tolist()),
             warnings=tuple(_orientation_warnings(matrix)),
         ),
-        effects=tuple(_asymmetric(matrix)),
+        effects=tuple(_not_as_agreed(matrix)),
     )
 
 
-def _asymmetric(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
-    """Name an asymmetry that no gains explain: rows and columns are not of one order."""
+def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
+    """Name an asymmetry that no gains explain, rows and columns in two orders; the other sign."""
+    if np.trace(matrix.used_stiffness) < 0.0:
+        yield FoundEffect(
+            name="stiffness of the other sign",
+            where="",
+            probability=0.0,
+            size=0.0,
+            unit="",
+            corrected=False,
+            remedy="reverse the sign of STIFFNESS; relative alpha is the same, modes are not",
+        )
     size = asymmetry(matrix)
     if size > DISORDER:
         yield FoundEffect(

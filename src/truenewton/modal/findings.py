@@ -11,7 +11,8 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate, calibration_of
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.verdict import refuse_unusable
+from truenewton.calibration.verdict import Level, refuse_unusable
+from truenewton.errors import NotToBeUsed
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
@@ -131,7 +132,7 @@ def find_modes(
     Raises
     ------
     NotToBeUsed
-        The verdict on alpha, unless forced.
+        The verdict on alpha, or most modes are negative; unless forced.
     RankDeficient, TooManyOutliers, NotConverged
         The data tell no stiffness, or no alpha.
     FormatError
@@ -160,6 +161,7 @@ def find_modes(
         modal_base(matrix, one, seen, static_force(one, calibration, at_rest), efficiency)
         for one in stiffnesses
     )
+    _refuse_negative(after, force=force)
     comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
     sources = _sources(reader, matrix)
     return ModalFindings(measured, calibration, before, after, comparison, sources)
@@ -183,6 +185,23 @@ def _with_alpha(
         return data.stiffness, None, calibration, reader
     measured = stiffness_of(reader)
     return measured.matrix, measured, calibration, reader
+
+
+def _refuse_negative(base: ModalBase, *, force: bool) -> None:
+    """Refuse a stiffness most of whose elastic modes are negative, unless forced.
+
+    Raises
+    ------
+    NotToBeUsed
+    """
+    elastic = base.modes.stiffness[3:]
+    negative = int(np.count_nonzero(elastic < 0.0))
+    if 2 * negative > elastic.size and not force:
+        raise NotToBeUsed(
+            f"{Level.UNUSABLE}: {negative} of {elastic.size} elastic modes are negative",
+            remedy="reverse the sign of STIFFNESS, or of POSITION in cycles; --anyway, or"
+            " force=True, takes it all the same",
+        )
 
 
 def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:
