@@ -125,7 +125,8 @@ def test_without_gradients_nothing_counts():
     for left_out in ({"position": None}, {"coil_gradient": None, "bias_gradient": None}):
         bare = Campaign(tuple(replace(c, **left_out) for c in campaign.cycles))
         assert np.isnan(common_reference(bare)).all()
-        assert not calibrate(bare).diagnosis.warnings
+        faults = [fault for fault, _ in calibrate(bare).diagnosis.warnings]
+        assert not any("zeros of" in fault for fault in faults)
 
 
 def test_repeats_and_residuals_count_from_the_same():

@@ -654,8 +654,8 @@ def test_weights_that_disagree_are_warned_of():
         else c
         for c in campaign.cycles
     )
-    [(fault, _)] = find(Campaign(wrong)).diagnosis.warnings
-    assert fault.startswith("the weights of the 3 loads disagree by ")
+    found = find(Campaign(wrong))
+    assert found.diagnosis.warnings[0].fault.startswith("the weights of the 3 loads disagree by ")
 
 
 def test_a_file_that_declares_no_noise_makes_all_count_alike():

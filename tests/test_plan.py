@@ -179,12 +179,12 @@ def test_too_few_shapes_are_refused_and_weak_ones_warned_of(ready):
     few = replace(PLAN, shapes=PlannedShapes(count=8))
     with pytest.raises(RankDeficient, match="too few shapes: 8 for 45"):
         predicted(prepared(few))
-    loud = predicted(ready.changed(replace(PLAN, force_noise=0.1)))
+    loud = predicted(ready.changed(replace(PLAN, force_noise=0.15)))
     assert loud.diagnosis.undetermined > 4
     assert "so many that the campaign will be refused" in loud.diagnosis.warnings[0][0]
     # The estimator says the same of such a campaign.
     bench = static_bench(p45(), 5, loads=LOADS, force_noise=1e-4)
-    bench = replace(bench, shapes=ready.shapes, force_noise=0.1)
+    bench = replace(bench, shapes=ready.shapes, force_noise=0.15)
     with pytest.raises(RankDeficient):
         tn.calibrate(Campaign(tuple(run_cycles(bench, PLAN.cycles))))
 

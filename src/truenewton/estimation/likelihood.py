@@ -167,7 +167,10 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> M
     """
     values, before = start.copy(), np.inf
     for iteration in range(1, STEPS + 1):
-        terms = _terms(a, data, values)
+        try:
+            terms = _terms(a, data, values)
+        except np.linalg.LinAlgError:  # alpha ran away along a pattern that nothing holds
+            raise _no_more_than_noise() from None
         pull = prior.pull(values)
         step, decrement, factor = _step(terms, prior, terms.gradient + pull)
         # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.

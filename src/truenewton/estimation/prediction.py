@@ -106,7 +106,6 @@ def predict(
     free = load_fault(campaign)
     refuse(fault for fault in structural_faults(campaign, moments) if fault != free)
     problem = problem_of(campaign, reading_noise(campaign, moments))
-    moments = replace(moments, pooled=True)  # as planned, shapes repeat over loads and signs
     n = problem.n
     alpha = np.ones(n) if alpha is None else alpha
     values = _true_values(problem, moments, alpha)

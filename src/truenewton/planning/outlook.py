@@ -37,7 +37,8 @@ def predicted(ready: Prepared) -> Prediction:
 def _predicted_for(ready: Prepared, cycles: Sequence[int]) -> list[Prediction]:
     """Predict for several numbers of cycles."""
     campaign = noiseless(ready)
-    moments = campaign_moments(campaign)
+    # As planned, shapes repeat over loads and signs.
+    moments = replace(campaign_moments(campaign), pooled=True)
     alpha = np.full(moments.mean.shape[1], expected_alpha(ready.mirror))
     return [predict(campaign, moments, r, alpha) for r in cycles]
 

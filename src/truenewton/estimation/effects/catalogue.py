@@ -243,7 +243,8 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by hour of each", "1/h", partial(gain_by_hour, each=True), _WARM, "actuator"),
     Effect("gain by file", "", gain_by_file, _WARM, "file"),
     Effect("gain by load", "", gain_by_load, "record POSITION, which tells whether shapes differ"
-           " between loads, and take bare and loaded cycles in turn", "load",
+           " between loads, and TEMPERATURE: what warms coils changes the bias magnets too, and the"
+           " scale with them", "load",
            lambda fit: fit.moments.displacement is not None),
     Effect("weight of a load", "N", weight_of_load, "weigh mirror and loads anew", "load",
            lambda _: False),

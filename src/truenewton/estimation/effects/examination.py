@@ -31,7 +31,7 @@ from truenewton.estimation.structure import Structure, structure_of
 
 MOST = 4  # effects at once
 MOST_ACTUATORS = 2000  # beyond which there is no room for the fitted readings of every shape
-MOST_FORCES = 3  # actuators at which forces come and go
+MOST_FORCES = 2  # actuators at which forces come and go: three can make any imbalance
 ROUNDS = 4  # for the size of each
 NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
 SEEN = 0.5  # of tau^2: so much of a spread of zeros the data must show
@@ -264,9 +264,18 @@ def _after(
         moments=corrected.moments,
         minimum=corrected.minimum,
         told=now.told + told,
-        effects=(*now.effects, _found(fit, test, corrected)),
+        effects=_with_one_more(now.effects, _found(fit, test, corrected)),
         structure=structure,
     )
+
+
+def _with_one_more(effects: tuple[FoundEffect, ...], more: FoundEffect) -> tuple[FoundEffect, ...]:
+    """Return effects with one more; of one that was found before, with the size of both."""
+    before = [effect for effect in effects if effect.name == more.name]
+    if not before:
+        return (*effects, more)
+    size = more.size + before[0].size
+    return tuple(replace(one, size=size) if one is before[0] else one for one in effects)
 
 
 def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> FoundEffect:

@@ -43,7 +43,7 @@ def misfit_warnings(left: Examined) -> Iterator[Fault]:
             " for it",
             "look for what the bench does beside it (docs/effects.md)",
         )
-    elif left.too_well:
+    elif left.too_well and left.structure is not None:
         yield Fault(
             "the shapes balance better than the scatter of their repeats lets expect",
             "look for what differs between files: a label, a drift, zeros that move",
