@@ -42,8 +42,6 @@ from faulty.fault import FAULTS, ORDERS, Fault
 
 import truenewton as tn
 from truenewton.errors import TrueNewtonError
-from truenewton.report.investigate import Findings
-from truenewton.report.verdict import verdict
 
 # In the order of the modules that list them.
 SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]
@@ -72,8 +70,8 @@ def named(calibration: tn.Calibration) -> tuple[Word, ...]:
     """Return what a calibration says of its data."""
     if hasattr(calibration, "effects"):
         return tuple(Word(e.name, e.where, e.corrected) for e in calibration.effects)
-    advice = verdict(Findings(None, calibration)).advice
-    return tuple(Word(fault) for fault, _ in advice if not WEAK.search(fault))
+    faults = calibration.verdict.faults
+    return tuple(Word(fault) for fault, _ in faults if not WEAK.search(fault))
 
 
 @dataclass(frozen=True, eq=False)

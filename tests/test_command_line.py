@@ -104,7 +104,9 @@ def test_info_and_figures_take_a_calibration(inside, folder, tmp_path):
     assert out.startswith("a calibration, method ml, scale weights\n")
     code, out, _ = inside("figures", alpha, "-o", tmp_path / "figures")
     assert code == 0
-    assert len(out.splitlines()) == 2 * (3 + 3)  # the paper's; errors, leverage, budget
+    assert len(out.splitlines()) == 1 + 2 * (
+        3 + 3
+    )  # the verdict; the paper's; errors, leverage, budget
 
 
 def test_prove_prints_the_paper_and_passes(inside):

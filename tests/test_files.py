@@ -161,13 +161,14 @@ def test_the_calibration_file_is_as_the_contract_says(p45_folder, tmp_path):
     calibration = calibrate(read(p45_folder), "svd")
     calibration.write(tmp_path / "a.fits")
     with fits.open(tmp_path / "a.fits") as hdus:
-        names = ["CALIBRATION", "LOADS", "COVARIANCE", "SYSTEMATIC", "SOURCES"]
+        names = ["CALIBRATION", "LOADS", "COVARIANCE", "SYSTEMATIC", "SOURCES", "BUDGET"]
         assert [hdu.name for hdu in hdus[1:]] == names
         structure = {"SIMPLE", "BITPIX", "NAXIS", "EXTEND", "CHECKSUM", "DATASUM"}
         # DOF and CHI2 are absent: this method does not know them.
         assert set(hdus[0].header) - structure == {
             "INSTRUME", "DATE-OBS", "DATE-END", "TEMPERAT", "WEIGHT", "E_WEIGHT", "BIAS", "E_BIAS",
             "METHOD", "SCALE", "NSHAPES", "NREJECT", "NINVALID", "CONDITIO", "RANK", "NOISE",
+            "VERDICT",
         }  # fmt: skip
         assert hdus[0].header["DATE-OBS"] == "2026-01-01T09:00:00.000"
         assert hdus[0].header["TEMPERAT"] == 20.0
@@ -213,7 +214,7 @@ def test_a_calibration_is_read_as_it_was_written(p45_folder, tmp_path):
     calibration.write(tmp_path / "a.fits")
     assert same(
         read(tmp_path / "a.fits"),
-        dataclasses.replace(calibration, diagnosis=None, scale_errors=()),
+        dataclasses.replace(calibration, diagnosis=None),
     )
 
 

@@ -86,6 +86,14 @@ class TooManyOutliers(TrueNewtonError, ValueError):
     """A campaign in which so many rows do not belong that the rest cannot be trusted."""
 
 
+class NotToBeUsed(TrueNewtonError, ValueError):
+    """A calibration whose verdict is 'not to be used', and that nobody forced."""
+
+
+class TrueNewtonWarning(UserWarning):
+    """A calibration that is not to be used, or whose data show what was not taken out of them."""
+
+
 class NotConverged(TrueNewtonError, ArithmeticError):
     """An iteration that does not settle."""
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.verdict import warn_of
 from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
@@ -44,13 +45,20 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch
+
+    Warns
+    -----
+    TrueNewtonWarning
+        A calibration is not to be used, or its data show what was not taken out of them.
     """
     every = fits_paths(paths)
     whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
     files = [read_fits(path, whole=whole) for path in every]
     if len(files) == 1:
         if "CALIBRATION" in files[0].extensions:
-            return calibration_from(files[0])
+            calibration = calibration_from(files[0])
+            warn_of(calibration)
+            return calibration
         if "STIFFNESS" in files[0].extensions:
             return stiffness_from(files[0])
     matrices = [file for file in files if "STIFFNESS" in file.extensions]
@@ -93,6 +101,7 @@ def read_calibration(path: str | os.PathLike[str]) -> Calibration:
     calibrations = read_calibrations(path)
     if not calibrations:
         raise FormatError("is no calibration", remedy="give what `calibrate -o` wrote", path=path)
+    warn_of(calibrations[0])
     return calibrations[0]
 
 

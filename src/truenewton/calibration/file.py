@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from truenewton.calibration.result import Calibration
-from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.errors import FormatError
+from truenewton.estimation.diagnosis import (
+    Diagnosis,
+    ErrorKind,
+    ErrorSource,
+    Goodness,
+    NoiseSource,
+    ScaleError,
+)
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
@@ -48,6 +58,10 @@ CALIBRATION = FileFormat(
         Keyword("NOISE", "noise", "standard deviation of one force reading", "N", absent=np.nan),
         Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="count", absent=None),
         Keyword("CHI2", "chi2", "against FORCERR", absent=np.nan),
+        Keyword("FITCHI2", "goodness.chi2", "of the balance against FITNOISE", absent=np.nan),
+        Keyword("FITNOISE", "goodness.against", "source of the noise", kind="str", absent=""),
+        Keyword("FITPROB", "goodness.probability", "of a larger FITCHI2", absent=np.nan),
+        Keyword("VERDICT", lambda c: str(c.verdict.level), "of all in this file", kind="str"),
     ),
     (
         ACTUATORS,
@@ -100,6 +114,26 @@ CALIBRATION = FileFormat(
             of="diagnosis.warnings",
             optional=True,
         ),
+        TableFormat(
+            "BUDGET",
+            (
+                Column("KIND", "source.kind.name", kind="str"),
+                Column("NAME", "source.name", kind="str", absent=""),
+                Column("RELATIVE", "relative"),
+            ),
+            of="scale_errors",
+            optional=True,
+        ),
+        TableFormat(
+            "IMBALANCE",
+            (
+                Column("MODES", "modes", kind="str"),
+                Column("BEFORE", "before"),
+                Column("AFTER", "after"),
+            ),
+            of="imbalances",
+            optional=True,
+        ),
     ),
 )
 
@@ -116,8 +150,35 @@ def calibration_from(file: FitsFile) -> Calibration:
     values["layout"]["enabled"] = np.isfinite(values["alpha"])
     count = Unknowns(values["alpha"].size, values["torque_y"].size).count
     file.require_squares(("COVARIANCE", "SYSTEMATIC"), count, "n + 1 + 2 L")
+    try:
+        values["goodness"] = _goodness(values["degrees_of_freedom"], **values["goodness"])
+        values["scale_errors"] = _scale_errors(values.pop("scale_errors", None))
+    except (KeyError, ValueError) as error:
+        raise FormatError(
+            f"FITNOISE or a KIND of BUDGET is {error}", remedy="calibrate again", path=file.path
+        ) from None
     warnings = values.pop("diagnosis", {}).get("warnings", {"fault": (), "remedy": ()})
     if warnings["fault"]:
         faults = map(Fault, warnings["fault"], warnings["remedy"])
         values["diagnosis"] = Diagnosis(warnings=tuple(faults))
     return file.filled(Calibration, values)
+
+
+def _goodness(
+    freedom: int | None, chi2: float, against: str, probability: float
+) -> Goodness | None:
+    """Return how well the data fit; None of files that do not say, or where it has no meaning."""
+    if freedom is None or not against:
+        return None
+    return Goodness(chi2, freedom, NoiseSource(against), probability)
+
+
+def _scale_errors(columns: dict[str, Any] | None) -> tuple[ScaleError, ...]:
+    """Return the budget of the common scale; nothing of files that do not say."""
+    if columns is None:
+        return ()
+    source = columns["source"]
+    rows = zip(source["kind"]["name"], source["name"], columns["relative"].tolist(), strict=True)
+    return tuple(
+        ScaleError(ErrorSource(ErrorKind[kind], name), relative) for kind, name, relative in rows
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread, spread_square
 from truenewton.calibration.result import Calibration
-from truenewton.errors import UnknownName
+from truenewton.calibration.verdict import warn_of
+from truenewton.errors import NotConverged, RankDeficient, UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.estimate import Estimate
@@ -74,15 +75,23 @@ def calibrate(
         There is no such method, or it takes no such data.
     TypeError
         The data are neither.
+
+    Warns
+    -----
+    TrueNewtonWarning
+        The verdict is 'not to be used', or the data show what was not taken out of them.
     """
     refuse_method(data, method, population=population)
     if isinstance(data, Campaign):
-        return calibration_of(data, find_alpha(sift(data), method, population=population))
-    if isinstance(data, StiffnessMatrix):
-        return _from_stiffness(
-            data, stiffness_svd.find(data, METHODS[method].of_stiffness(population))
+        made = calibration_of(data, find_alpha(sift(data), method, population=population))
+    elif isinstance(data, StiffnessMatrix):
+        made = _from_stiffness(data, METHODS[method].of_stiffness(population))
+    else:
+        raise TypeError(
+            f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix"
         )
-    raise TypeError(f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix")
+    warn_of(made)
+    return made
 
 
 def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: bool) -> None:
@@ -119,7 +128,6 @@ def calibration_of(
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
     read_rows(campaign, (cycle_errors.take, *readers))
-    warnings = (*estimate.diagnosis.warnings, *_implausible(estimate.values[unknowns.alpha]))
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
@@ -147,18 +155,26 @@ def calibration_of(
         + (_matrix_source(matrix) if matrix else ()),
         rejected_rows=estimate.rejected,
         effects=estimate.effects,
-        **_common(replace(estimate, diagnosis=replace(estimate.diagnosis, warnings=warnings)), on),
+        **_common(estimate, on),
     )
 
 
-def _from_stiffness(matrix: StiffnessMatrix, estimate: Estimate) -> Calibration:
-    on = matrix.layout.enabled
+def _from_stiffness(matrix: StiffnessMatrix, method: stiffness_svd.ElasticMethod) -> Calibration:
+    on, estimate = matrix.layout.enabled, stiffness_svd.find(matrix, method)
+    imbalances: tuple[stiffness_svd.Imbalance, ...] = ()
+    warnings = estimate.diagnosis.warnings
+    try:
+        imbalances = stiffness_svd.imbalances(matrix, method)
+    except (RankDeficient, NotConverged) as error:
+        warnings += (Fault(f"every second mode alone gives no alpha: {error.fault}", error.remedy),)
     # B is not to be had from elastic forces.
     reading, systematic = (
         np.pad(covariance, (0, 1), constant_values=np.nan)
         for covariance in (estimate.reading_covariance, estimate.systematic_covariance)
     )
-    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
+    diagnosis = replace(estimate.diagnosis, warnings=warnings)
+    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic,
+                       diagnosis=diagnosis)  # fmt: skip
     return Calibration(
         instrument=matrix.instrument,
         date=matrix.date,
@@ -176,6 +192,8 @@ def _from_stiffness(matrix: StiffnessMatrix, estimate: Estimate) -> Calibration:
         rejected=0,
         invalid=0,
         sources=_matrix_source(matrix),
+        effects=estimate.effects,
+        imbalances=imbalances,
         **_common(estimate, on),
     )
 
@@ -208,20 +226,6 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "goodness": goodness,
         "scale_errors": estimate.scale_errors,
     }
-
-
-def _implausible(alpha: Array) -> Iterator[Fault]:
-    """Warn of an alpha that only a slip of a unit or a sign explains."""
-    if (alpha <= 0).any():
-        yield Fault(
-            f"alpha is negative for {np.count_nonzero(alpha <= 0)} actuators",
-            "check the signs of FORCE, WEIGHT and ADDED: z points up",
-        )
-    elif not 0.2 < np.median(alpha) < 5.0:
-        yield Fault(
-            f"alpha is about {np.median(alpha):.2g}",
-            "check the units of FORCE, WEIGHT and ADDED: they are Newton",
-        )
 
 
 def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:

@@ -18,6 +18,7 @@ from truenewton.estimation.diagnosis import (
     RejectedRow,
     ScaleError,
 )
+from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
@@ -28,6 +29,8 @@ from truenewton.statics.load import Load
 if TYPE_CHECKING:
     from astropy.table import QTable
     from matplotlib.axes import Axes
+
+    from truenewton.calibration.verdict import Verdict
 
 
 LARGEST_ALPHA = 1e9  # true Newton / commanded Newton; keeps squares finite
@@ -73,13 +76,15 @@ class Calibration:
         The files.
     diagnosis, goodness
         How well alpha is determined, of which a file holds the warnings alone; and how well the
-        data fit, None when read from a file.
+        data fit.
     scale_errors
-        What limits the common scale, largest first; empty when read from a file.
+        What limits the common scale, largest first.
     rejected_rows
         The rows left out.
     effects
         What the bench did beside the model, the likeliest first.
+    imbalances
+        Of elastic modes, fitted and held out; empty but for a stiffness file.
     """
 
     instrument: str
@@ -115,6 +120,7 @@ class Calibration:
     scale_errors: tuple[ScaleError, ...] = ()
     rejected_rows: tuple[RejectedRow, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
+    imbalances: tuple[Imbalance, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "alpha", "reading_error", "systematic_error", "cycle_error", "covariance",
@@ -137,6 +143,13 @@ class Calibration:
             f" {self.alpha[on].min():.3g} .. {self.alpha[on].max():.3g}, typical error"
             f" {np.median(self.error[on]):.2g}, method {self.method}, scale {self.scale}>"
         )
+
+    @property
+    def verdict(self) -> Verdict:
+        """Sound, limited or not to be used, with the faults; by what a file holds."""
+        from truenewton.calibration.verdict import verdict_on
+
+        return verdict_on(self)
 
     @property
     def error(self) -> Array:

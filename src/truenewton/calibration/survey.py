@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.methods import calibrate
-from truenewton.calibration.words import rejected_lines, rejected_values, row, warning_lines
-from truenewton.errors import RankDeficient
+from truenewton.calibration.methods import calibrate, calibration_of, find_alpha
+from truenewton.calibration.verdict import Level, Verdict
+from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import sift
@@ -23,10 +24,11 @@ def survey(data: Campaign | StiffnessMatrix) -> tuple[dict[str, Any], list[str]]
     """Return what data hold, for scripts and for people."""
     if isinstance(data, Campaign):
         holds, what = "campaign", "campaign"
-        facts, (contents, *lines), diagnosis = _survey_campaign(data)
+        facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data)
     else:
         holds, what = "stiffness", "stiffness matrix"
-        facts, (contents, *lines), diagnosis = _survey_stiffness(data)
+        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data)
+    refused = verdict.level == Level.NONE
     disabled = int(np.count_nonzero(~data.layout.enabled))
     values = {
         "holds": holds,
@@ -35,20 +37,21 @@ def survey(data: Campaign | StiffnessMatrix) -> tuple[dict[str, Any], list[str]]
         "disabled": disabled,
         **facts,
         "separation": diagnosis.separation,
-        "faults": [fault._asdict() for fault in diagnosis.faults],
+        "faults": [fault._asdict() for fault in verdict.faults] if refused else [],
+        "verdict": verdict.values,
     }
     off = f" ({disabled} disabled)" if disabled else ""
     headline = f"a {what} of {data.instrument}: {data.layout.n} actuators{off}{contents}"
     lines.insert(0, headline)
-    for fault, remedy in diagnosis.faults:
-        lines.append(f"  not enough for alpha: {fault}; {remedy}")
-    if not diagnosis.faults:
+    if refused:
+        lines += [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in verdict.faults]
+    else:
         lines.append(f"  enough for alpha, which stands apart by {diagnosis.separation:.3g}")
-        lines += warning_lines(diagnosis.warnings)
+        lines += verdict_lines(verdict)
     return values, lines
 
 
-def _survey_campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str], Diagnosis]:
+def _survey_campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a campaign alone, the first the end of the headline."""
     sifted = sift(campaign)
     moments = sifted.moments
@@ -92,10 +95,18 @@ def _survey_campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str], Dia
         noise = f"{1e3 * moments.noise:.3g} mN, from repeated shapes"
         lines.append(row("noise of one reading", noise))
     lines += rejected_lines(campaign, sifted.rejected)
-    return values, lines, diagnose(sifted.sound, moments)
+    diagnosis = diagnose(sifted.sound, moments)
+    try:
+        verdict = calibration_of(campaign, find_alpha(sifted)).verdict
+    except (RankDeficient, TooManyOutliers, NotConverged) as error:
+        faults = diagnosis.faults or (Fault(error.fault, error.remedy),)
+        verdict = Verdict(Level.NONE, faults)
+    return values, lines, diagnosis, verdict
 
 
-def _survey_stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str], Diagnosis]:
+def _survey_stiffness(
+    matrix: StiffnessMatrix,
+) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a stiffness matrix alone, the first the end of the headline."""
     modes = modal_stiffness(matrix)
     softest, median, stiffest = float(modes[-1]), float(np.median(modes)), float(modes[0])
@@ -113,7 +124,8 @@ def _survey_stiffness(matrix: StiffnessMatrix) -> tuple[dict[str, Any], list[str
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
     try:
-        diagnosis = calibrate(matrix).diagnosis or Diagnosis()
-    except RankDeficient as error:
-        diagnosis = Diagnosis(faults=(Fault(error.fault, error.remedy),))
-    return values, lines, diagnosis
+        made = calibrate(matrix)
+    except (RankDeficient, NotConverged) as error:
+        refusal = Verdict(Level.NONE, (Fault(error.fault, error.remedy),))
+        return values, lines, Diagnosis(), refusal
+    return values, lines, made.diagnosis or Diagnosis(), made.verdict

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.result import Calibration
-from truenewton.estimation.diagnosis import ErrorKind, NoiseSource, RejectedRow
+from truenewton.calibration.verdict import Verdict, rejected_sentence, scale_limit
+from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
-from truenewton.estimation.weights import NEGLIGIBLE, READINGS, scale_total, tilt_as_load, typical
+from truenewton.estimation.weights import NEGLIGIBLE, typical
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
-
-WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 
 NOISE_FROM = {
     NoiseSource.REPEATS: "from repeated shapes",
@@ -36,7 +35,7 @@ def summary_lines(calibration: Calibration) -> Iterator[str]:
     if limit is not None:
         fault, remedy = limit
         yield f"  {fault[0].upper()}{fault[1:]}{': ' if remedy else ''}{remedy}."
-    yield from warning_lines(c.diagnosis.warnings if c.diagnosis else ())
+    yield from verdict_lines(c.verdict, but=limit)
 
 
 def row(name: str, value: str, note: str = "") -> str:
@@ -44,17 +43,23 @@ def row(name: str, value: str, note: str = "") -> str:
     return f"  {name:<24}{value:<36}{note}".rstrip()
 
 
+def verdict_lines(verdict: Verdict, but: Fault | None = None) -> Iterator[str]:
+    """Yield the level of a verdict and a line for each of its faults, but for one said already."""
+    yield row("verdict", f"{verdict.level}{', by the common scale' * (verdict.faults == (but,))}")
+    yield from warning_lines(fault for fault in verdict.faults if fault != but)
+
+
 def warning_lines(warnings: Iterable[Fault]) -> Iterator[str]:
     """Yield a line for each warning."""
-    for fault, remedy in warnings:
-        yield f"  WARNING: {fault}; {remedy}"
+    for warning in warnings:
+        yield f"  WARNING: {'; '.join(filter(None, warning))}"
 
 
 def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:
     """Yield the rows left out, a line each, the farthest first, at most five."""
-    rows = rejected_values(campaign, rejected)
+    rows = sorted(rejected, key=lambda row: -row.sigmas)
     for row in rows[:5]:
-        yield f"  left out: {rejected_sentence(row)}"
+        yield f"  left out: {rejected_sentence(row, campaign.cycles[row.cycle].name)}"
     if len(rows) > 5:
         yield f"  and {len(rows) - 5} rows more"
 
@@ -68,14 +73,13 @@ def imbalance_lines(imbalances: Sequence[Imbalance]) -> Iterator[str]:
             yield f"    {line.modes:<32}{line.before:9.4f}   {line.after:10.4f}"
 
 
-def summary_values(
-    calibration: Calibration, imbalances: Sequence[Imbalance] = ()
-) -> dict[str, Any]:
+def summary_values(calibration: Calibration) -> dict[str, Any]:
     """Return the same figures for a script."""
     c = calibration
     return {
         "instrument": c.instrument,
         "date": c.date.isoformat(),
+        "verdict": c.verdict.values,
         "method": c.method,
         "scale": c.scale,
         "shapes": c.shapes_used,
@@ -110,7 +114,7 @@ def summary_values(
         ],
         "effects": [asdict(effect) for effect in c.effects],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
-        "imbalance": [asdict(line) for line in imbalances],
+        "imbalance": [asdict(line) for line in c.imbalances],
     }
 
 
@@ -181,26 +185,6 @@ def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
         yield "  the paper's error", f"{low:.1e} .. {high:.1e}", "E_CYCLE, 3 sigma"
 
 
-def scale_limit(c: Calibration) -> Fault | None:
-    """Return what limits the common scale and what would help; None where the weights do not."""
-    if not c.scale_errors or c.scale_errors[0].source == READINGS:
-        return None
-    total, largest = scale_total(c.scale_errors), c.scale_errors[0]
-    share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
-    fault = f"the common scale is known to {percent(total)}, {share} from the {largest.source}"
-    remedies = []
-    heaviest = max(c.loads, key=lambda load: load.added_error)
-    if largest.source.kind in WEIGHED and heaviest.added_error:
-        better = np.sqrt(total**2 - 0.99 * largest.relative**2)
-        finer = 1e3 * heaviest.added_error / 10
-        remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")
-    if not any(load.tilt for load in c.loads):
-        tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
-        if tilted < total:
-            remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
-    return Fault(fault, "; ".join(remedies))
-
-
 def rejected_values(
     campaign: Campaign, rejected: Sequence[RejectedRow]
 ) -> list[dict[str, int | float | str]]:
@@ -215,12 +199,3 @@ def rejected_values(
         }
         for row in sorted(rejected, key=lambda row: -row.sigmas)
     ]
-
-
-def rejected_sentence(row: dict[str, int | float | str]) -> str:
-    """Say of one row how far it lay, and which actuator stands out."""
-    return (
-        f"{row['file']} row {row['row']}, {row['sigmas']:.0f} sigma from"
-        f" {'its repeats' if row['against'] == 'repeats' else 'balance'}, actuator"
-        f" {row['actuator']} stands out"
-    )

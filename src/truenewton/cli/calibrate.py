@@ -18,11 +18,13 @@ def run(
     ),
     method: str = options.METHOD,
     population: bool = options.POPULATION,
+    force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
-    from truenewton.calibration.methods import calibrate, held_out
+    from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.verdict import refuse_unusable
     from truenewton.calibration.words import (
         imbalance_lines,
         rejected_lines,
@@ -32,17 +34,15 @@ def run(
     from truenewton.cli.terminal import print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
-    from truenewton.records.stiffness_matrix import StiffnessMatrix
+    from truenewton.records.campaign import Campaign
 
     refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     calibration = calibrate(data, method, population=population)
+    refuse_unusable(calibration, force=force)
     if output is not None:
         calibration.write(output, overwrite=overwrite)
-    if isinstance(data, StiffnessMatrix):
-        judged = held_out(data, method, population=population)
-        values, more = summary_values(calibration, judged), imbalance_lines(judged)
-    else:
-        values, more = summary_values(calibration), rejected_lines(data, calibration.rejected_rows)
-    lines = [*summary_lines(calibration), *more]
-    print_result(lines, output, values=values if json else None)
+    lines = [*summary_lines(calibration), *imbalance_lines(calibration.imbalances)]
+    if isinstance(data, Campaign):
+        lines += rejected_lines(data, calibration.rejected_rows)
+    print_result(lines, output, values=summary_values(calibration) if json else None)

@@ -31,4 +31,4 @@ def run(
             raise RankDeficient(fault, remedy=remedy)
         more = still_figures(findings)
         written = write_figures(findings.calibration, output, more=more, overwrite=overwrite)
-    print(*written, sep="\n")
+    print(f"verdict: {findings.calibration.verdict}", *written, sep="\n")

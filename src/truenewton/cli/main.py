@@ -6,11 +6,12 @@ import importlib
 import io
 import os
 import sys
+import warnings
 from typing import Any
 
 import typer
 
-from truenewton.errors import TrueNewtonError
+from truenewton.errors import TrueNewtonError, TrueNewtonWarning
 
 # The base of what typer raises for a wrong command line; it comes from click, or from typer's own
 # copy of it, as the version has it.
@@ -58,7 +59,10 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False) or 0
+        with warnings.catch_warnings():  # the commands themselves show each verdict
+            warnings.simplefilter("ignore", TrueNewtonWarning)
+            code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False)
+        code = code or 0
         if sys.stdout is not None:  # as where a shell closed it
             sys.stdout.flush()
     except TrueNewtonError as error:

@@ -41,6 +41,7 @@ def run(
         None, "-o", "--output", help="Modal base to write; matrices are written beside it."
     ),
     figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
+    anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
 ) -> None:
@@ -74,6 +75,7 @@ def run(
             efficiency=efficiency,
             off=floating,
             slaved=following,
+            force=anyway,
         )
         if output is not None:
             more += write_modes(modes, output, limits, overwrite=overwrite)[1:]

@@ -8,6 +8,12 @@ METHOD = typer.Option("ml", help="ml, maximum likelihood; svd, the paper's.")
 POPULATION = typer.Option(
     False, "--population", help="Take alpha for samples of one normal population (ml)."
 )
+ANYWAY = typer.Option(
+    False, "--anyway", help="Go on though the verdict on alpha is 'not to be used'."
+)
+FORCE = typer.Option(  # which is a number to `modes`
+    False, "--force", "--anyway", help="Go on though the verdict on alpha is 'not to be used'."
+)
 JSON = typer.Option(False, "--json", help="Print figures as JSON, for scripts.")
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")
 PATHS = typer.Argument(

@@ -18,10 +18,12 @@ def run(
         ..., "--actuators", help="IDs that were replaced, as 17,18; or auto: find who changed."
     ),
     output: Path | None = typer.Option(None, "-o", "--output", help="Calibration file to write."),
+    force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
+    from truenewton.calibration.verdict import refuse_unusable
     from truenewton.cli.terminal import print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
@@ -36,7 +38,8 @@ def run(
     data = read_data(*paths)
     if not isinstance(data, Campaign):
         raise FormatError("holds no cycles", remedy="give the run after the change", path=paths[0])
-    made = recalibrate(data, known, ids)
+    made = recalibrate(data, known, ids, force=force)
+    refuse_unusable(made.calibration, force=force)
     if output is not None:
         made.calibration.write(output, overwrite=overwrite)
     print_result(lines(made), output, values=values(made) if json else None)

@@ -18,6 +18,7 @@ def run(
     accuracy: float | None = typer.Option(
         None, help="Wanted, relative to alpha (0.005): says when to calibrate again."
     ),
+    force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
 ) -> None:
@@ -34,7 +35,7 @@ def run(
     if accuracy is not None and not accuracy > 0:
         raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
     refuse_existing(output, figures, overwrite=overwrite)
-    tracking = track(*paths)
+    tracking = track(*paths, force=force)
     validity = None if accuracy is None else validity_of(tracking, accuracy)
     drawn: list[Path] = []
     if output is not None:

@@ -15,7 +15,7 @@ import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
-from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.diagnosis import Diagnosis, FoundEffect
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.systems import balance_rows
@@ -26,6 +26,8 @@ from truenewton.statics.arms import enabled_arms
 
 # Softer modes mix with the rigid motions through the bias magnets' gradient [N/m].
 SOFTEST = 1e3
+# Asymmetry that no gains explain: a third of scatter in alpha makes a quarter, another order one.
+DISORDER = 0.5
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,33 @@ def find(matrix: StiffnessMatrix, fit: ElasticMethod) -> Estimate:
             eigenvalues=tuple((singular_values**2).tolist()),
             warnings=tuple(_orientation_warnings(matrix)),
         ),
+        effects=tuple(_not_as_agreed(matrix)),
     )
+
+
+def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
+    """Name an asymmetry that no gains explain, rows and columns in two orders; the other sign."""
+    if np.trace(matrix.used_stiffness) < 0.0:
+        yield FoundEffect(
+            name="stiffness of the other sign",
+            where="",
+            probability=0.0,
+            size=0.0,
+            unit="",
+            corrected=False,
+            remedy="reverse the sign of STIFFNESS; relative alpha is the same, modes are not",
+        )
+    size = asymmetry(matrix)
+    if size > DISORDER:
+        yield FoundEffect(
+            name="asymmetric stiffness",
+            where="",
+            probability=0.0,
+            size=size,
+            unit="|K + K'|",
+            corrected=False,
+            remedy="put rows and columns of STIFFNESS in the order of the ACTUATORS table",
+        )
 
 
 def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:

@@ -95,6 +95,7 @@ MODES = FileFormat(
         _integer("RIGID", "findings.measured.rigid_assumed", "motions taken to cost nothing"),
         _text("METHOD", "findings.calibration.method", "estimator of alpha"),
         _text("SCALE", "findings.calibration.scale", "what fixes the common scale of alpha"),
+        _text("VERDICT", lambda w: str(w.findings.calibration.verdict.level), "on alpha"),
         Keyword("SEEING", "base.seen.atmosphere.seeing", "at 500 nm", "arcsec"),
         Keyword("R0", "base.seen.atmosphere.fried_parameter", "at 500 nm", "m"),
         _finite("L0", "base.seen.atmosphere.outer_scale", "outer scale; absent if infinite", "m"),

@@ -11,6 +11,8 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate, calibration_of
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.verdict import Level, refuse_unusable
+from truenewton.errors import NotToBeUsed
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
@@ -104,6 +106,7 @@ def find_modes(
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     reader: MotionReader | None = None,
+    force: bool = False,
 ) -> ModalFindings:
     """Find the stiffness modes of a mirror, and what turbulence costs with 1, 2, ... of them.
 
@@ -123,9 +126,13 @@ def find_modes(
         As in `true_stiffness`.
     reader
         What has read the cycles already, see `motion_reader`; they are read where None.
+    force
+        Take alpha whose verdict is 'not to be used', too.
 
     Raises
     ------
+    NotToBeUsed
+        The verdict on alpha, or most modes are negative; unless forced.
     RankDeficient, TooManyOutliers, NotConverged
         The data tell no stiffness, or no alpha.
     FormatError
@@ -135,24 +142,11 @@ def find_modes(
     UnknownName
         An ID that no enabled actuator has, or that is both off and slaved.
     """
-    measured, at_rest = None, None
-    if isinstance(data, StiffnessMatrix):
-        matrix = data
-    else:
-        if reader is None:
-            sifted = sift(data)
-            reader = motion_reader(sifted)
-            if calibration is None:
-                calibration = calibration_of(data, cycles_ml.find(sifted), (reader.take,))
-            else:
-                read_rows(data, (reader.take,))
-        at_rest = reader.force_at_rest
-        if data.stiffness is not None:
-            matrix = data.stiffness
-        else:
-            measured = stiffness_of(reader)
-            matrix = measured.matrix
-    calibration = calibration or calibrate(data)
+    if calibration is not None:
+        refuse_unusable(calibration, force=force)
+    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader)
+    refuse_unusable(calibration, force=force)
+    at_rest = None if reader is None else reader.force_at_rest
     stiffnesses = [
         true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)
         for alpha in (None, calibration)
@@ -167,9 +161,47 @@ def find_modes(
         modal_base(matrix, one, seen, static_force(one, calibration, at_rest), efficiency)
         for one in stiffnesses
     )
+    _refuse_negative(after, force=force)
     comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
     sources = _sources(reader, matrix)
     return ModalFindings(measured, calibration, before, after, comparison, sources)
+
+
+def _with_alpha(
+    data: Campaign | StiffnessMatrix, calibration: Calibration | None, reader: MotionReader | None
+) -> tuple[StiffnessMatrix, MeasuredStiffness | None, Calibration, MotionReader | None]:
+    """Return the stiffness, how it was measured, alpha, and what has read the cycles."""
+    if isinstance(data, StiffnessMatrix):
+        return data, None, calibration or calibrate(data), None
+    if reader is None:
+        sifted = sift(data)
+        reader = motion_reader(sifted)
+        if calibration is None:
+            calibration = calibration_of(data, cycles_ml.find(sifted), (reader.take,))
+        else:
+            read_rows(data, (reader.take,))
+    calibration = calibration or calibrate(data)
+    if data.stiffness is not None:
+        return data.stiffness, None, calibration, reader
+    measured = stiffness_of(reader)
+    return measured.matrix, measured, calibration, reader
+
+
+def _refuse_negative(base: ModalBase, *, force: bool) -> None:
+    """Refuse a stiffness most of whose elastic modes are negative, unless forced.
+
+    Raises
+    ------
+    NotToBeUsed
+    """
+    elastic = base.modes.stiffness[3:]
+    negative = int(np.count_nonzero(elastic < 0.0))
+    if 2 * negative > elastic.size and not force:
+        raise NotToBeUsed(
+            f"{Level.UNUSABLE}: {negative} of {elastic.size} elastic modes are negative",
+            remedy="reverse the sign of STIFFNESS, or of POSITION in cycles; --anyway, or"
+            " force=True, takes it all the same",
+        )
 
 
 def _sources(reader: MotionReader | None, matrix: StiffnessMatrix) -> tuple[Source, ...]:

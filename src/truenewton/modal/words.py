@@ -127,13 +127,13 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
         ("between actuators", fitting_error_text(base)),
         ("static force", static_force_text(base.costs[0])),
     ]  # fmt: skip
-    warnings = (*(c.diagnosis.warnings if c.diagnosis else ()), *findings.warnings)
     return [
         f"{base.matrix.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
         *(row(name, text) for name, text in rows if text),
         *_table(base),
         *_within(findings, limits),
-        *warning_lines(warnings),
+        row("verdict on alpha", str(c.verdict)),
+        *warning_lines(findings.warnings),
     ]
 
 
@@ -182,6 +182,7 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         "instrument": base.matrix.instrument,
         "date": base.matrix.date.isoformat(),
         **_attributes(findings.calibration, "method", "scale"),
+        "verdict": findings.calibration.verdict.values,
         **_attributes(base.seen.atmosphere, "seeing", "fried_parameter", "outer_scale"),
         **_attributes(base.seen.pupil, "diameter", "radius"),
         "efficiency": base.costs[0].efficiency,

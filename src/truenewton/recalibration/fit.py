@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.verdict import UNUSABLE_BEFORE, Level, warn_of
 from truenewton.errors import FormatError, RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
-from truenewton.estimation.diagnosis import RejectedRow, ScaleError
+from truenewton.estimation.diagnosis import Diagnosis, FoundEffect, RejectedRow, ScaleError
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.minimum import Minimum
@@ -46,6 +47,7 @@ from truenewton.recalibration.short_run import (
     pulls,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.fault import Fault
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.law import Outlier, Tracking
@@ -90,6 +92,8 @@ def recalibrate(
     campaign: Campaign | str | os.PathLike[str],
     known: Calibration | Tracking | str | os.PathLike[str],
     actuators: Sequence[int] = (),
+    *,
+    force: bool = False,
 ) -> Recalibration:
     """Calibrate replaced actuators by a short run, all others being known.
 
@@ -101,9 +105,13 @@ def recalibrate(
         The earlier calibration, or the law that tracking found, or a path to either.
     actuators
         IDs of the actuators replaced; if none are named, who changed is found out.
+    force
+        Take what is known whose verdict is 'not to be used', too.
 
     Raises
     ------
+    NotToBeUsed
+        The verdict on what is known, unless forced.
     UnreadableFile, FormatError, CampaignMismatch
         Files that cannot be used, or not together.
     UnknownName
@@ -112,12 +120,8 @@ def recalibrate(
         Too little data, or too many have moved.
     TooManyOutliers, NotConverged
     """
-    data = campaign if isinstance(campaign, Campaign) else read(campaign)
-    if not isinstance(data, Campaign):
-        raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
-    if data.stiffness is not None:
-        raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
-    before = known_from(known, data)
+    data = _run_from(campaign)
+    before = known_from(known, data, force=force)
     ids = data.layout.id[data.layout.enabled]
     new = _new(data, before, actuators)
     sifted = sift(data)
@@ -149,6 +153,9 @@ def recalibrate(
     rejected = (*sifted.rejected, *lost)
     calibration = _calibration(before, problem, moments, minimum, rejected, scale, stay)
     probability = float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan")
+    limits = tuple(_limits(before, data, probability))
+    calibration = _with_faults(calibration, before, limits)
+    warn_of(calibration)
     return Recalibration(
         calibration=calibration,
         asked=tuple(ids[new].tolist()),
@@ -157,8 +164,38 @@ def recalibrate(
         chi2=chi2,
         degrees_of_freedom=degrees,
         probability=probability,
-        limits=tuple(_limits(before, data, probability)),
+        limits=limits,
     )
+
+
+def _run_from(campaign: Campaign | str | os.PathLike[str]) -> Campaign:
+    data = campaign if isinstance(campaign, Campaign) else read(campaign)
+    if not isinstance(data, Campaign):
+        raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
+    if data.stiffness is not None:
+        raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
+    return data
+
+
+def _with_faults(
+    calibration: Calibration, known: EarlierCalibration, limits: Sequence[str]
+) -> Calibration:
+    """Return the calibration with what cannot be said, and with the faults of the earlier one.
+
+    Else a calibration that is not to be used could be used after a short run.
+    """
+    diagnosis = calibration.diagnosis or Diagnosis()
+    warnings = diagnosis.warnings + tuple(Fault(limit, "") for limit in limits)
+    warnings += tuple(
+        Fault(f"the earlier calibration: {fault}", remedy) for fault, remedy in known.verdict.faults
+    )
+    effects = calibration.effects
+    if known.verdict.level == Level.UNUSABLE:
+        effects += (
+            FoundEffect(UNUSABLE_BEFORE, known.name, 0.0, 0.0, "", corrected=False,
+                        remedy=known.verdict.faults[0].remedy),
+        )  # fmt: skip
+    return replace(calibration, diagnosis=replace(diagnosis, warnings=warnings), effects=effects)
 
 
 def _new(

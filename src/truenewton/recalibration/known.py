@@ -10,13 +10,15 @@ import numpy as np
 from truenewton.arrays import Array, spread
 from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
-from truenewton.errors import CampaignMismatch, FormatError
+from truenewton.calibration.verdict import Level, Verdict, refuse_unusable
+from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of
 from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
@@ -44,6 +46,8 @@ class EarlierCalibration:
         At which alpha holds [deg C]; NaN if unknown.
     loads, sources
         Under which it was found, and from which files.
+    verdict
+        On it.
     """
 
     name: str
@@ -54,10 +58,14 @@ class EarlierCalibration:
     temperature: float
     loads: tuple[Load, ...]
     sources: tuple[Source, ...]
+    verdict: Verdict
 
 
 def known_from(
-    given: Calibration | Tracking | str | os.PathLike[str], campaign: Campaign
+    given: Calibration | Tracking | str | os.PathLike[str],
+    campaign: Campaign,
+    *,
+    force: bool = False,
 ) -> EarlierCalibration:
     """Return what is known of the mirror of a campaign.
 
@@ -68,25 +76,20 @@ def known_from(
         campaign; or a path to either.
     campaign
         The new run.
+    force
+        Take what is not to be used, too.
 
     Raises
     ------
+    NotToBeUsed
+        The verdict on it, unless forced.
     UnreadableFile, FormatError, CampaignMismatch, RankDeficient
     """
     name = "the earlier calibration"
     loads: tuple[Load, ...] = ()
     sources: tuple[Source, ...] = ()
     if not isinstance(given, Calibration | Tracking):
-        name = os.fspath(given)
-        file = read_fits(given)
-        if "TRACKING" in file.extensions:
-            given = tracking_from(file)
-        elif "CALIBRATION" in file.extensions:
-            given = calibration_from(file)
-        else:
-            raise FormatError(
-                "is no calibration", remedy="give --known the calibration from before", path=name
-            )
+        name, given = os.fspath(given), _read(given)
     same_instrument = given.instrument == campaign.instrument
     if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(
@@ -98,6 +101,7 @@ def known_from(
         )
     n = given.layout.n
     if isinstance(given, Tracking):
+        verdict = _verdict_on_days(given, force=force, path=name)
         temperature = mean_temperature(campaign.cycles)
         recorded = bool(np.isfinite(temperature))
         at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
@@ -110,6 +114,8 @@ def known_from(
                 remedy="give a calibration whose scale comes from weights",
                 path=name,
             )
+        refuse_unusable(given, force=force, path=name)
+        verdict = given.verdict
         alpha, temperature = given.alpha, given.temperature
         covariance = given.covariance[:n, :n]
         systematic_covariance = given.systematic_covariance[:n, :n]
@@ -126,7 +132,35 @@ def known_from(
         temperature=temperature,
         loads=loads,
         sources=sources,
+        verdict=verdict,
     )
+
+
+def _read(path: str | os.PathLike[str]) -> Calibration | Tracking:
+    file = read_fits(path)
+    if "TRACKING" in file.extensions:
+        return tracking_from(file)
+    if "CALIBRATION" in file.extensions:
+        return calibration_from(file)
+    remedy = "give --known the calibration from before"
+    raise FormatError("is no calibration", remedy=remedy, path=os.fspath(path))
+
+
+def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
+    """Return the verdict on a law; refuse one that rests on what is not to be used, unless forced.
+
+    Raises
+    ------
+    NotToBeUsed
+    """
+    days = [day.name for day in tracking.days if day.verdict == Level.UNUSABLE]
+    if not days:
+        return Verdict(Level.SOUND)
+    fault = Fault(f"it rests on {days[0]}, which is not to be used", "track the other days")
+    if not force:
+        remedy = f"{fault.remedy}; --anyway, or force=True, takes it all the same"
+        raise NotToBeUsed(f"{Level.UNUSABLE}: {fault.fault}", remedy=remedy, path=path)
+    return Verdict(Level.UNUSABLE, (fault,))
 
 
 def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:

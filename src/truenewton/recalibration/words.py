@@ -38,8 +38,6 @@ def lines(made: Recalibration) -> Iterator[str]:
         f" probability {made.probability:.2g}; "
         + ("the rest agree" if made.moved else "none has moved (false alarm on 1 % of mirrors)")
     )
-    for limit in made.limits:
-        yield f"  WARNING: {limit}"
 
 
 def values(made: Recalibration) -> dict[str, Any]:

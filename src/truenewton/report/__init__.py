@@ -3,7 +3,7 @@
 investigate  the calibration, or why there is none, and the evidence for it
 evidence     residuals, balance before and after, singular values
 change       what changed between two calibrations
-verdict      the verdict in words and three numbers, and what to do
+verdict      the verdict with three numbers, and what to do
 budget       the error budget
 layers       what is known of each actuator, one layer a quantity
 figures      figures of the evidence, for papers and the page

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.methods import held_out
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.displaced_rows import BalancedRows, is_displaced
@@ -227,9 +226,7 @@ def _balance_lines(
     return tuple(lines)
 
 
-def stiffness_evidence(
-    matrix: StiffnessMatrix, calibration: Calibration, method: str, *, population: bool
-) -> Evidence:
+def stiffness_evidence(matrix: StiffnessMatrix, calibration: Calibration) -> Evidence:
     """Return the evidence that a stiffness matrix gives for its relative alpha."""
     a, on = comparable_arms(matrix), matrix.layout.enabled
     modes, alpha = elastic_modes(matrix), calibration.alpha[on]
@@ -245,7 +242,7 @@ def stiffness_evidence(
         ),
         balance=tuple(
             BalanceLine(line.modes, "", line.before, line.after, float("nan"))
-            for line in held_out(matrix, method, population=population)
+            for line in calibration.imbalances
         ),
         actuator_residual=spread(_pull(after, even, scaled_arms, s), on),
         actuator_noise=np.full(on.size, np.nan),

@@ -126,8 +126,8 @@ def investigate(
     try:
         if isinstance(data, StiffnessMatrix):
             calibration = calibrate(data, method, population=population)
-            evidence = stiffness_evidence(data, calibration, method, population=population)
-            modes, no_modes = _modes(data, lambda: find_modes(data, calibration))
+            evidence = stiffness_evidence(data, calibration)
+            modes, no_modes = _modes(data, lambda: find_modes(data, calibration, force=True))
             return Findings(data, calibration, evidence, modes=modes, no_modes=no_modes)
         sifted = sift(data)
         estimate = find_alpha(sifted, method, population=population)
@@ -147,7 +147,9 @@ def _findings_of(sifted: Sifted, estimate: Estimate) -> Findings:
     calibration = calibration_of(campaign, estimate, readers)
     evidence, modes = campaign_evidence(sifted, calibration, imbalance), None
     if reader is not None:
-        modes, no_modes = _modes(campaign, lambda: find_modes(campaign, calibration, reader=reader))
+        modes, no_modes = _modes(
+            campaign, lambda: find_modes(campaign, calibration, reader=reader, force=True)
+        )
     return Findings(campaign, calibration, evidence, modes=modes, no_modes=no_modes)
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.estimate import Scale
 from truenewton.linalg import factor_of
@@ -49,13 +50,15 @@ class DatedCalibration:
         return c.date + (c.date_end - c.date) / 2
 
 
-def gathered(given: Iterable[Given]) -> tuple[DatedCalibration, ...]:
+def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
     """Read and calibrate what is given; return the calibrations in the order of time.
 
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch, RankDeficient
         Files that cannot be tracked, or not together.
+    NotToBeUsed
+        The verdict on one of them, unless forced.
     """
     days = sorted(
         (day for item in given for day in _dated(item)),
@@ -63,6 +66,7 @@ def gathered(given: Iterable[Given]) -> tuple[DatedCalibration, ...]:
     )
     for day in days:
         _refuse_unfit(day)
+        refuse_unusable(day.calibration, force=force, path=day.name)
     for earlier, day in combinations(days, 2):
         _refuse_other_mirror(earlier, day)
     without = [day for day in days if not np.isfinite(day.calibration.temperature)]

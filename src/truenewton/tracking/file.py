@@ -64,6 +64,7 @@ DAYS = TableFormat(
         Column("TEMPERATURE", "temperature", "deg_C"),
         Column("ALPHA", "alpha", each="TRACKING"),
         Column("E_STAT", "error", each="TRACKING"),
+        Column("VERDICT", "verdict", kind="str", absent=""),
     ),
     of="days",
 )

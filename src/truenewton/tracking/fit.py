@@ -35,7 +35,7 @@ PATIENCE = 2  # looks behind an actuator that hides another
 MOST = 0.25  # of the actuators that may leave the family, or there is none
 
 
-def track(*given: Given) -> Tracking:
+def track(*given: Given, force: bool = False) -> Tracking:
     """Find how alpha varies with temperature and time.
 
     Parameters
@@ -44,15 +44,19 @@ def track(*given: Given) -> Tracking:
         Calibrations, campaigns, or paths to them, of two days or temperatures at least, in any
         order. Cycles of one campaign whose temperatures differ by more than 1 K are calibrated
         apart.
+    force
+        Take calibrations whose verdict is 'not to be used', too.
 
     Raises
     ------
+    NotToBeUsed
+        The verdict on one of them, unless forced.
     UnreadableFile, FormatError, CampaignMismatch
         Files that cannot be tracked, or not together.
     RankDeficient
         One calibration only, or all at one temperature on one day.
     """
-    days = gathered(given)
+    days = gathered(given, force=force)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(
@@ -91,7 +95,9 @@ def track(*given: Given) -> Tracking:
         degrees_of_freedom=len(fit.alpha) * fit.actuator_degrees,
         limits=limits,
         days=tuple(
-            DayRecord(day.name, day.date, c.temperature, c.alpha, c.reading_error)
+            DayRecord(
+                day.name, day.date, c.temperature, c.alpha, c.reading_error, str(c.verdict.level)
+            )
             for day, c in ((day, day.calibration) for day in days)
         ),
     )

@@ -35,6 +35,8 @@ class DayRecord:
         Its file, the middle of its data (UTC), their mean temperature [deg C].
     alpha, error
         (n,) and E_STAT.
+    verdict
+        Its level: 'sound', 'limited', 'not to be used'; '' in older files.
     """
 
     name: str
@@ -42,6 +44,7 @@ class DayRecord:
     temperature: float
     alpha: Array
     error: Array
+    verdict: str = ""
 
 
 @dataclass(frozen=True)

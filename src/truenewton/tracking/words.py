@@ -32,7 +32,8 @@ def lines(tracking: Tracking, validity: Validity | None) -> Iterator[str]:
         f" alpha at {_degrees(t.temperature)} on {t.date:%Y-%m-%d}"
     )
     for day in t.days:
-        yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {day.name}"
+        verdict = f"{day.verdict}: " if day.verdict else ""
+        yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {verdict}{day.name}"
     for family in t.families:
         unit, (low, high) = UNITS[family.effect], family.spread_interval
         mean = with_error(100 * family.mean, 100 * family.mean_error)
@@ -113,7 +114,8 @@ def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
         "probability": t.probability,
         "limits": list(t.limits),
         "days": [
-            {"file": day.name, "date": day.date.isoformat(), "temperature": day.temperature}
+            {"file": day.name, "date": day.date.isoformat(), "temperature": day.temperature,
+             "verdict": day.verdict}
             for day in t.days
         ],
         "actuators": {

@@ -1,0 +1,292 @@
+"""The verdict on a calibration: sound, limited, or not to be used; the same wherever it is asked.
+
+It rests on what a calibration file holds and on nothing else, so that a file read back is judged as
+the calibration was that wrote it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.errors import NotToBeUsed, TrueNewtonWarning
+from truenewton.estimation.diagnosis import ErrorKind, FoundEffect, RejectedRow
+from truenewton.estimation.effects.words import effect_warnings
+from truenewton.estimation.estimate import Scale
+from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
+from truenewton.records.fault import Fault
+from truenewton.rounding import percent, with_error
+
+if TYPE_CHECKING:
+    from truenewton.calibration.result import Calibration
+
+FAR = 5.0  # robust standard deviations, for an actuator off the others
+FEW = 0.03  # of the actuators, and two at least, may be dead or reversed: else all are in doubt
+IMPROBABLE = 1e-3  # of a fit; as weights are warned of
+MANY = 0.02  # of the rows left out
+# Beyond, alpha of a typical actuator cannot be told from 0 by three sigma.
+UNKNOWN = 1 / 3
+# Of chi2/DOF. E_STAT grows with its root, as if what is left were noise; where that is a hundred
+# times the noise it is the data that are not what they say: with a mN of noise, 0.1 N per reading.
+SENSELESS = 1e4
+PLAUSIBLE = (0.2, 5.0)  # alpha in the median
+UNEVEN = 2.0  # times as much imbalance in modes that the fit has not seen: said
+WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
+UNUSABLE_BEFORE = "earlier calibration that is not to be used"
+# Effects in which the files are not what they say: the user alone can settle them.
+OF_FILES = (
+    "copy of another file",
+    "the file's load is another",
+    "exchanged columns",
+    "another order of FORCE",
+    "order of FORCE is not that of POSITION",
+    "asymmetric stiffness",
+    UNUSABLE_BEFORE,
+)
+# Labels of rows say which of them repeat, which the balance of each does not ask: where the rest
+# fits, the rows that disagreed were left out.
+OF_ROWS = ("SIGN reversed", "SHAPE counted from another one", "SHAPE and SIGN label other rows")
+SILENT = ("dead actuator", "stuck reading")
+
+
+class Level(StrEnum):
+    """What a calibration is good for."""
+
+    SOUND = "sound"
+    LIMITED = "limited"
+    UNUSABLE = "not to be used"
+    NONE = "no alpha"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What to think of a calibration.
+
+    Attributes
+    ----------
+    level
+        'sound', 'limited', 'not to be used'; of data that give none 'no alpha'.
+    faults
+        What is wrong, the gravest first, each with what to do about it; none of a sound one.
+    """
+
+    level: Level
+    faults: tuple[Fault, ...] = ()
+
+    def __str__(self) -> str:
+        if not self.faults:
+            return str(self.level)
+        more = f" (and {len(self.faults) - 1} more)" if len(self.faults) > 1 else ""
+        return f"{self.level}: {'; '.join(filter(None, self.faults[0]))}{more}"
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """The same for a script."""
+        return {"level": str(self.level), "faults": [fault._asdict() for fault in self.faults]}
+
+
+def verdict_on(calibration: Calibration) -> Verdict:
+    """Judge a calibration by what its file holds of it."""
+    grave = list(dict.fromkeys(_grave(calibration)))
+    faults = tuple(dict.fromkeys((*grave, *_limits(calibration))))
+    level = Level.UNUSABLE if grave else Level.LIMITED if faults else Level.SOUND
+    return Verdict(level, faults)
+
+
+def refuse_unusable(calibration: Calibration, *, force: bool, path: object = None) -> None:
+    """Raise `NotToBeUsed` where a calibration is not to be used, unless forced.
+
+    Raises
+    ------
+    NotToBeUsed
+    """
+    verdict = verdict_on(calibration)
+    if verdict.level == Level.UNUSABLE and not force:
+        fault, remedy = verdict.faults[0]
+        remedy = f"{remedy}; --anyway, or force=True, takes it all the same"
+        raise NotToBeUsed(f"{verdict.level}: {fault}", remedy=remedy, path=path)
+
+
+def warn_of(calibration: Calibration, stacklevel: int = 3) -> None:
+    """Warn in Python of what is not to be used, and of effects that were not taken out.
+
+    Warns
+    -----
+    TrueNewtonWarning
+    """
+    verdict = verdict_on(calibration)
+    if verdict.level == Level.UNUSABLE or any(not e.corrected for e in calibration.effects):
+        warnings.warn(f"{calibration.instrument}: {verdict}", TrueNewtonWarning, stacklevel)
+
+
+def _grave(c: Calibration) -> Iterator[Fault]:
+    """Yield why a calibration is not to be used, causes before what they do."""
+    fits = c.goodness is None or not c.goodness.probability < IMPROBABLE
+    grave = OF_FILES if fits else OF_FILES + OF_ROWS
+    yield from effect_warnings(_uncorrected(c, grave))
+    alpha = c.alpha[c.layout.enabled]
+    few = max(2, FEW * alpha.size)
+    negative, silent = int(np.count_nonzero(alpha <= 0)), _uncorrected(c, SILENT)
+    if negative > few:
+        yield Fault(
+            f"alpha is negative for {negative} of {alpha.size} actuators",
+            "check the signs and the order of FORCE, and the signs of WEIGHT and ADDED: z points"
+            " up",
+        )
+    if len(silent) > few:
+        yield Fault(
+            f"{len(silent)} of {alpha.size} actuators are dead, or their readings stuck",
+            "look at what drives and reads them; set ENABLED to F where there is no force",
+        )
+    if c.goodness is not None and c.goodness.reduced > SENSELESS:
+        yield Fault(
+            f"what is left of the balance is {np.sqrt(c.goodness.reduced):.2g} times the noise",
+            "look for copies among the files, and for a wrong LOAD, SHAPE, SIGN or order of FORCE",
+        )
+    weights = [(c.weight + load.added) * np.cos(np.radians(load.tilt)) for load in c.loads]
+    if c.scale == Scale.WEIGHTS and (not weights or np.ptp(weights) == 0.0):
+        yield Fault(
+            "no load differs from another, so nothing fixes the common scale",
+            "add cycles under a load of another known weight",
+        )
+    error = typical(c.error, c.alpha)
+    if error > UNKNOWN:
+        yield Fault(
+            f"alpha is known to {percent(error)} typically, so it is not told from 0",
+            "add shapes and cycles, use larger forces, or loads that differ more in weight",
+        )
+    if c.imbalances:
+        _, *unseen = c.imbalances
+        before, after = (
+            float(np.sqrt(np.mean([getattr(line, name) ** 2 for line in unseen])))
+            for name in ("before", "after")
+        )
+        if after > before:
+            yield Fault(
+                f"modes that the fit has not seen balance worse with alpha ({percent(after)} of"
+                f" their force) than without ({percent(before)})",
+                "measure the stiffness with less noise, or calibrate with cycles under weights",
+            )
+
+
+def _limits(c: Calibration) -> Iterator[Fault]:
+    """Yield what limits a calibration that can be used, what the bench did first."""
+    yield from effect_warnings(_uncorrected(c))
+    if c.diagnosis is not None:
+        yield from c.diagnosis.warnings
+    median = float(np.nanmedian(c.alpha))
+    if median > 0 and not PLAUSIBLE[0] < median < PLAUSIBLE[1]:
+        yield Fault(
+            f"alpha is about {median:.2g}",
+            "check the units of FORCE, WEIGHT and ADDED: they are Newton",
+        )
+    fit = c.goodness
+    if fit is not None and fit.probability < IMPROBABLE:
+        yield Fault(
+            f"the shapes are out of balance by {np.sqrt(fit.reduced):.2g} times what their noise"
+            " explains",
+            "look for a drift, and give POSITION with COILGRAD and BIASGRAD",
+        )
+    if c.rejected > MANY * (c.rejected + c.shapes_used):
+        part = percent(c.rejected / (c.rejected + c.shapes_used))
+        yield Fault(f"{part} of the rows do not fit", "find out what happened during the run")
+    yield from _scale_faults(c)
+    yield from _row_faults(c)
+    if c.imbalances:
+        fitted, *unseen = (line.after for line in c.imbalances)
+        if max(unseen) > UNEVEN * fitted:
+            yield Fault(
+                f"modes that the fit has not seen are out of balance by up to"
+                f" {percent(max(unseen))} of their force, fitted ones by {percent(fitted)}",
+                "trust smooth patterns of alpha the least; cycles under known weights would hold"
+                " them",
+            )
+    named = {effect.where for effect in c.effects}
+    for k in _off_family(c):
+        if f"actuator {c.layout.id[k]}" not in named:
+            alpha = with_error(float(c.alpha[k]), float(c.reading_error[k]))
+            yield Fault(
+                f"actuator {c.layout.id[k]} stands off the others: alpha is {alpha}",
+                "look at its coil, magnet and wiring",
+            )
+
+
+def _scale_faults(c: Calibration) -> Iterator[Fault]:
+    """Yield that the weights limit the common scale, or are given without their errors."""
+    if c.scale == Scale.MEAN_ONE:
+        return
+    weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
+    if c.scale == Scale.WEIGHTS and weights == 0.0:
+        yield Fault(
+            "the weights are given without errors, so the common scale seems known without any",
+            "give E_WEIGHT, E_ADDED and E_TILT",
+        )
+    if weights > 2.0 * readings:
+        fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
+        yield Fault(fault, remedy or "better known weights would help, more cycles would not")
+
+
+def _row_faults(c: Calibration) -> Iterator[Fault]:
+    """Yield that rows were left out, and the farthest of them."""
+    if not c.rejected:
+        return
+    rows, farthest = f"{c.rejected} rows do not fit and were", ""
+    if c.rejected == 1:
+        rows = "1 row does not fit and was"
+    remedy = "see the report of the cycle files"
+    if c.rejected_rows:
+        row = max(c.rejected_rows, key=lambda row: row.sigmas)
+        file = c.sources[row.cycle].file if row.cycle < len(c.sources) else f"cycle {row.cycle + 1}"
+        farthest = f"; the farthest: {rejected_sentence(row, file)}"
+        remedy = (
+            "look at the residuals; an actuator that stands out again and again is worth a look"
+        )
+    yield Fault(f"{rows} left out{farthest}", remedy)
+
+
+def scale_limit(c: Calibration) -> Fault | None:
+    """Return what limits the common scale and what would help; None where the weights do not."""
+    if not c.scale_errors or c.scale_errors[0].source == READINGS:
+        return None
+    total, largest = scale_total(c.scale_errors), c.scale_errors[0]
+    share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
+    fault = f"the common scale is known to {percent(total)}, {share} from the {largest.source}"
+    remedies = []
+    heaviest = max(c.loads, key=lambda load: load.added_error)
+    if largest.source.kind in WEIGHED and heaviest.added_error:
+        better = np.sqrt(total**2 - 0.99 * largest.relative**2)
+        finer = 1e3 * heaviest.added_error / 10
+        remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")
+    if not any(load.tilt for load in c.loads):
+        tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
+        if tilted < total:
+            remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
+    return Fault(fault, "; ".join(remedies))
+
+
+def rejected_sentence(row: RejectedRow, file: str) -> str:
+    """Say of one row of a file how far it lay, and which actuator stands out."""
+    return (
+        f"{file} row {row.row + 1}, {row.sigmas:.0f} sigma from"
+        f" {'its repeats' if row.against == 'repeats' else 'balance'}, actuator"
+        f" {row.actuator} stands out"
+    )
+
+
+def _off_family(c: Calibration) -> NDArray[np.int64]:
+    """Return the indices of actuators far from the others, in terms of their spread and error."""
+    middle = np.nanmedian(c.alpha)
+    spread = 1.4826 * np.nanmedian(np.abs(c.alpha - middle))
+    far = np.abs(c.alpha - middle) > FAR * np.hypot(spread, c.reading_error)
+    return np.flatnonzero(far)
+
+
+def _uncorrected(c: Calibration, names: tuple[str, ...] = ("",)) -> list[FoundEffect]:
+    """Return the effects that were not taken out, those of some names."""
+    return [e for e in c.effects if not e.corrected and e.name.startswith(names)]
