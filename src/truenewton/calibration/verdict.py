@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.diagnosis import ErrorKind, FoundEffect, RejectedRow
-from truenewton.estimation.effects.words import effect_warnings
+from truenewton.estimation.effects.words import MISFIT, effect_warnings
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
 from truenewton.records.fault import Fault
@@ -178,8 +178,8 @@ def _grave(c: Calibration) -> Iterator[Fault]:
 def _limits(c: Calibration) -> Iterator[Fault]:
     """Yield what limits a calibration that can be used, what the bench did first."""
     yield from effect_warnings(_uncorrected(c))
-    if c.diagnosis is not None:
-        yield from c.diagnosis.warnings
+    warned = c.diagnosis.warnings if c.diagnosis is not None else ()
+    yield from warned
     median = float(np.nanmedian(c.alpha))
     if median > 0 and not PLAUSIBLE[0] < median < PLAUSIBLE[1]:
         yield Fault(
@@ -187,7 +187,8 @@ def _limits(c: Calibration) -> Iterator[Fault]:
             "check the units of FORCE, WEIGHT and ADDED: they are Newton",
         )
     fit = c.goodness
-    if fit is not None and fit.probability < IMPROBABLE:
+    said = any(fault.startswith(MISFIT) for fault, _ in warned)
+    if fit is not None and fit.probability < IMPROBABLE and not said:
         yield Fault(
             f"the shapes are out of balance by {np.sqrt(fit.reduced):.2g} times what their noise"
             " explains",

@@ -11,6 +11,8 @@ from truenewton.estimation.effects.examined import Examined
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 
+MISFIT = "the model does not fit the data"
+
 
 def effect_warnings(effects: Iterable[FoundEffect]) -> Iterator[Fault]:
     """Say of each effect what it is, where, and whether it was taken out of the data."""
@@ -39,8 +41,7 @@ def misfit_warnings(left: Examined) -> Iterator[Fault]:
         return
     if left.excess > 1.0:
         yield Fault(
-            f"the model does not fit the data: E_STAT is {np.sqrt(left.excess):.2g} times larger"
-            " for it",
+            f"{MISFIT}: E_STAT is {np.sqrt(left.excess):.2g} times larger for it",
             "look for what the bench does beside it (docs/effects.md)",
         )
     elif left.too_well and left.structure is not None:
