@@ -131,7 +131,7 @@ def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp
 
 
 def test_python_warns_of_what_is_not_to_be_used_and_refuses_to_go_on(tmp_path):
-    with pytest.warns(TrueNewtonWarning, match="not to be used: the data show copy of another"):
+    with pytest.warns(TrueNewtonWarning, match="not to be used: the data show: copy of another"):
         bad = tn.calibrate(Campaign(copied()))
     bad.write(tmp_path / "alpha.fits")
     with pytest.warns(TrueNewtonWarning, match="not to be used"):

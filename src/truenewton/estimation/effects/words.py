@@ -17,22 +17,20 @@ MISFIT = "the model does not fit the data"
 def effect_warnings(effects: Iterable[FoundEffect]) -> Iterator[Fault]:
     """Say of each effect what it is, where, and whether it was taken out of the data."""
     for effect in effects:
-        what = f"the data show {in_words(effect)}"
-        done = "taken out of them" if effect.corrected else "which was not taken out of them"
-        yield Fault(f"{what}, {done}", effect.remedy)
+        done = "taken out of them" if effect.corrected else "not taken out of them"
+        yield Fault(f"the data show: {in_words(effect)}, {done}", effect.remedy)
 
 
 def in_words(effect: FoundEffect) -> str:
-    """Return an effect with its size and where it is largest."""
+    """Return an effect with where it is largest, and its size where that is one of readings."""
     size = ""
-    if effect.size:
-        per_cent = effect.unit in ("", "1/h") and effect.name != "correlated noise"
-        value, unit = (100 * effect.size, effect.unit.replace("1", "%")) if per_cent else (
-            effect.size, effect.unit
-        )  # fmt: skip
-        size = f" of {value:.2g} {unit or '%' if per_cent else unit}".rstrip()
-    where = f" ({effect.where})" if effect.where else ""
-    return f"{effect.name}{size}{where}"
+    if effect.size and effect.corrected:
+        per_cent = effect.unit in ("", "1/h")
+        value = 100 * effect.size if per_cent else effect.size
+        unit = effect.unit.replace("1", "%") or "%" if per_cent else effect.unit
+        size = f"{value:.2g} {unit}"
+    inside = "; ".join(filter(None, (effect.where, size)))
+    return f"{effect.name} ({inside})" if inside else effect.name
 
 
 def misfit_warnings(left: Examined) -> Iterator[Fault]:
