@@ -24,7 +24,7 @@ def effect_warnings(effects: Iterable[FoundEffect]) -> Iterator[Fault]:
 def in_words(effect: FoundEffect) -> str:
     """Return an effect with where it is largest, and its size where that is one of readings."""
     size = ""
-    if effect.size and effect.corrected:
+    if effect.size and (effect.corrected or effect.unit == "K"):
         per_cent = effect.unit in ("", "1/h")
         value = 100 * effect.size if per_cent else effect.size
         unit = effect.unit.replace("1", "%") or "%" if per_cent else effect.unit
