@@ -34,8 +34,7 @@ MEDIAN_ROWS = 200  # which tell the noise to 8 per cent
 MOST = 0.3  # of the rows; beyond this the campaign is refused
 SYSTEMATIC = 0.15  # of the rows of a file: where more lie far, its labels are looked at
 LONG_TAILS = 1.08  # of scatter over what the median says: beyond, rows are no accidents
-SPIKES = 3.0  # the same, beyond which they are accidents all the same: too many
-GROSS = 0.3  # of the forces, by which no drift makes rows scatter
+GROSS = 0.02  # of the forces: repeats that scatter by more are no drift's doing
 FAR_OUT = 3.0  # times the usual limit, where rows are the tail of what happened to all
 
 
@@ -152,11 +151,9 @@ def _tails(sums: RepeatSums) -> float:
 
 
 def _gross(sums: RepeatSums) -> bool:
-    """Tell whether rows scatter as no drift makes them: in spikes, or as much as their forces."""
+    """Tell whether rows scatter as no drift makes them: by some per cent of their forces."""
     moments = sums.moments
-    noise = np.sqrt(moments.scatter.mean() / max(moments.repeats, 1))
-    force = np.sqrt(np.mean(moments.mean**2) * moments.typical_variance)
-    return bool(_tails(sums) > SPIKES or noise > GROSS * force)
+    return bool(moments.noise > GROSS * np.sqrt(np.mean(moments.mean**2)))
 
 
 def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Moments:
