@@ -76,6 +76,11 @@ def largest_eigenvalue(matrix: Array) -> tuple[float, Array]:
     return -value, vector
 
 
+def asymmetry(matrix: Array) -> float:
+    """Return |K - K'| / |K + K'| of an (n, n) matrix."""
+    return float(np.linalg.norm(matrix - matrix.T) / np.linalg.norm(matrix + matrix.T))
+
+
 def mirrored(upper: Array) -> Array:
     """Copy the upper triangle of an (n, n) matrix into the lower one, in place; return the matrix.
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.moments import Moments
+from truenewton.linalg import asymmetry
 from truenewton.records.campaign import Campaign
 
 CONTRADICTS = 0.2  # asymmetry of the stiffness in terms of its size
@@ -94,8 +95,3 @@ def likeliest_order(stiffness: Array) -> NDArray[np.int64]:
         scipy.optimize.linear_sum_assignment(-np.log(np.maximum(size, 1e-12 * size.max())))[1],
         dtype=np.int64,
     )
-
-
-def asymmetry(stiffness: Array) -> float:
-    """Return |K - K'| / |K + K'|."""
-    return float(np.linalg.norm(stiffness - stiffness.T) / np.linalg.norm(stiffness + stiffness.T))

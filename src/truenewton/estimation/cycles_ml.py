@@ -43,6 +43,7 @@ from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.odd_actuators import (
     constant_actuators,
+    readings_change,
     strange_alphas,
     stuck_faults,
 )
@@ -101,8 +102,9 @@ def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Est
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(sound), **temperature_errors(sound, force)}
     free = problem_of(campaign, reading_noise(sound, moments), errors)
-    refuse(stuck_faults(campaign, moments, free.noise))
-    constant = constant_actuators(campaign, moments, free.noise)
+    change = readings_change(moments, free.noise)
+    refuse(stuck_faults(campaign, change))
+    constant = constant_actuators(campaign, change)
     suspects += constant
     order = misordered_columns(campaign, moments)
     suspects += order

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import scipy.stats
 from numpy.typing import NDArray
@@ -22,34 +24,47 @@ MOST = 0.03  # of the actuators
 WELL_KNOWN = 0.1  # error of an alpha in terms of the typical one
 
 
-def constant_actuators(
-    campaign: Campaign, moments: Moments, noise: Noise
-) -> tuple[FoundEffect, ...]:
+class ReadingsChange(NamedTuple):
+    """How the readings of n actuators change over shapes.
+
+    Attributes
+    ----------
+    rms
+        (n,) change [N].
+    within_noise, zero
+        (n,) whether noise makes as much; whether the reading is 0 at rest as well.
+    """
+
+    rms: Array
+    within_noise: NDArray[np.bool_]
+    zero: NDArray[np.bool_]
+
+
+def constant_actuators(campaign: Campaign, change: ReadingsChange) -> tuple[FoundEffect, ...]:
     """Name actuators whose reading does not change from shape to shape by more than noise."""
-    change, within_noise, rest = _change(moments, noise)
     ids = campaign.layout.id[campaign.layout.enabled]
     return tuple(
         FoundEffect(
-            name="dead actuator, no force is commanded" if rest[i] else "stuck reading",
+            name="dead actuator, no force is commanded" if change.zero[i] else "stuck reading",
             where=f"actuator {ids[i]}",
             probability=0.0,
-            size=float(change[i]),
+            size=float(change.rms[i]),
             unit="N",
             corrected=False,
             remedy="look at its coil, driver and cable; set ENABLED to F if it gives no force",
         )
-        for i in np.flatnonzero(within_noise)
+        for i in np.flatnonzero(change.within_noise)
     )
 
 
-def stuck_faults(campaign: Campaign, moments: Moments, noise: Noise) -> tuple[Fault, ...]:
+def stuck_faults(campaign: Campaign, change: ReadingsChange) -> tuple[Fault, ...]:
     """Name actuators whose reading does not change at all: no alpha of theirs can be had.
 
     Nor the common scale: whatever force it exerts, and it may be any, could carry the load.
     """
-    change, _, _ = _change(moments, noise)
-    ids = campaign.layout.id[campaign.layout.enabled][change <= STUCK * np.median(change)]
-    if not ids.size or ids.size == change.size:
+    stuck = change.rms <= STUCK * np.median(change.rms)
+    ids = campaign.layout.id[campaign.layout.enabled][stuck]
+    if not ids.size or stuck.all():
         return ()
     which = f"actuator{'s' if ids.size > 1 else ''} {', '.join(map(str, ids.tolist()))}"
     return (
@@ -60,11 +75,8 @@ def stuck_faults(campaign: Campaign, moments: Moments, noise: Noise) -> tuple[Fa
     )
 
 
-def _change(moments: Moments, noise: Noise) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return (n,) rms change of the readings over shapes [N]; whether noise makes as much; rest.
-
-    The last tells whether the reading is 0 at rest as well.
-    """
+def readings_change(moments: Moments, noise: Noise) -> ReadingsChange:
+    """Return how the readings of (n,) actuators change over shapes."""
     counted = moments.weight > 0
     loads, weight, mean = moments.labels[counted, 0], moments.weight[counted], moments.mean[counted]
     n = mean.shape[1]
@@ -77,7 +89,7 @@ def _change(moments: Moments, noise: Noise) -> tuple[Array, NDArray[np.bool_], N
     freedom = len(mean) - count
     if freedom < 1:
         nothing = np.zeros(n, dtype=bool)
-        return np.ones(n), nothing, nothing
+        return ReadingsChange(np.ones(n), nothing, nothing)
     ratio = square / freedom / noise.variance
     known = moments.repeats if moments.repeats else 1e9
     limit = float(scipy.stats.f.isf(FALSE_ALARM / n, freedom, known))
@@ -86,7 +98,7 @@ def _change(moments: Moments, noise: Noise) -> tuple[Array, NDArray[np.bool_], N
     if noise.source == NoiseSource.MINIMUM:
         dead = change < HARDLY * np.median(change)
     at_zero = statics < 5.0 * change * np.sqrt(count / len(mean))
-    return change, np.asarray(dead), np.asarray(at_zero)
+    return ReadingsChange(change, np.asarray(dead), np.asarray(at_zero))
 
 
 def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[FoundEffect, ...]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
+from truenewton import linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis, FoundEffect
@@ -79,8 +80,7 @@ def modal_stiffness(matrix: StiffnessMatrix) -> Array:
 
 def asymmetry(matrix: StiffnessMatrix) -> float:
     """Return |K - K'| / |K + K'|; 0 for calibrated actuators and sensors (Maxwell and Betti)."""
-    k = matrix.used_stiffness
-    return float(np.linalg.norm(k - k.T) / np.linalg.norm(k + k.T))
+    return linalg.asymmetry(matrix.used_stiffness)
 
 
 def comparable_arms(matrix: StiffnessMatrix) -> Array:

@@ -57,7 +57,7 @@ def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> St
         Deviations of some rows from their repeats, in parts of (m, n) [N]: they tell how far
         readings depend on each other. None where nothing repeats.
     """
-    pooling = replace(moments, pooled=True).pooling
+    pooling = (moments if moments.pooled else replace(moments, pooled=True)).pooling
     # Of what is left the squares alone: every mean less its part in the rows needs their room.
     whole = np.einsum("g,gi,gi->i", moments.weight, moments.mean, moments.mean)
     left = np.maximum(whole - np.sum(pooling.rows(moments.mean) ** 2, axis=0), 0.0)
@@ -103,7 +103,8 @@ def pooled_where_it_fits(
     rounding = bool(np.any(noise.variance <= least_variance(moments)))
     if noise.source == NoiseSource.MINIMUM or rounding:
         return moments, None
-    structure = structure_of(moments, noise, samples)
+    pooled = replace(moments, pooled=True)
+    structure = structure_of(pooled, noise, samples)
     if structure.degrees_of_freedom <= 0:
         return moments, None
-    return replace(moments, pooled=structure.probability > FITS), structure
+    return (pooled if structure.probability > FITS else moments), structure

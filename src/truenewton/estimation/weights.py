@@ -9,7 +9,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource, ScaleError
-from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.campaign import Campaign, load_temperatures
 from truenewton.statics.load import Load
 
 READINGS = ErrorSource(ErrorKind.READINGS)
@@ -57,12 +57,7 @@ def temperature_errors(campaign: Campaign, force: Array) -> dict[ErrorSource, Ar
         (L,) F [N].
     """
     weights = campaign.effective_weights
-    warmth = np.array(
-        [
-            mean_temperature(c for c in campaign.cycles if c.load.key == load.key)
-            for load in campaign.loads
-        ]
-    )
+    warmth = load_temperatures(campaign)
     if len(weights) < 2 or not np.isfinite(warmth).all() or np.ptp(warmth) < SAME_WARMTH:
         return {}
     bias = np.polyfit(force, -weights, 1)[1] if np.ptp(force) else 0.0

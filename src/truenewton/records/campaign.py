@@ -129,6 +129,16 @@ def mean_temperature(cycles: Iterable[Cycle]) -> float:
     return float(np.concatenate(recorded).mean()) if recorded else float("nan")
 
 
+def load_temperatures(campaign: Campaign) -> Array:
+    """Return (L,) mean temperature under each load [deg C]; NaN where none is recorded."""
+    return np.array(
+        [
+            mean_temperature(c for c in campaign.cycles if c.load.key == load.key)
+            for load in campaign.loads
+        ]
+    )
+
+
 def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:
     load = cycle.load
     return (load.added != 0.0, load.tilt != 0.0, load.key, cycle.number)

@@ -62,7 +62,10 @@ def examined(
     # What files or hours do to all readings looks like noise that they share, until it is out.
     unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)
     alone = replace(problem, noise=unshared, disturbance=0.0)
-    start = _pooled(alone, moments, minimum, structure)
+    if moments.pooled and not problem.dependent:
+        start: Examined | None = replace(plain, structure=structure)  # fitted so already
+    else:
+        start = _pooled(alone, moments, minimum, structure)
     if start is None:
         return plain
     # Noise that is independent within a row but balances too well hangs together from row to row.
@@ -121,8 +124,8 @@ def _cured(
             return (now if now.fits else None), first
         if not first.effects:
             first = replace(start, effects=(_found(fit, found[0], None),))
-        force = unknown_force(fit)
-        if not shared and force is not None and force.log_probability < found[0].log_probability:
+        force = None if shared else unknown_force(fit)
+        if force is not None and force.log_probability < found[0].log_probability:
             return _with_unknown_forces(now), first
         after = None
         for test in _alike(found):

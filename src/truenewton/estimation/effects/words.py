@@ -8,7 +8,7 @@ import numpy as np
 
 from truenewton.estimation.diagnosis import ErrorKind, FoundEffect, ScaleError
 from truenewton.estimation.effects.examined import Examined
-from truenewton.records.campaign import Campaign, mean_temperature
+from truenewton.records.campaign import Campaign, load_temperatures
 from truenewton.records.fault import Fault
 
 MISFIT = "the model does not fit the data"
@@ -54,15 +54,11 @@ def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iter
     relative = {line.source.kind: line.relative for line in scale_errors}
     if relative.get(ErrorKind.BETWEEN_LOADS, 0.0) <= relative.get(ErrorKind.READINGS, np.inf):
         return
-    warmth = [
-        mean_temperature(c for c in campaign.cycles if c.load.key == load.key)
-        for load in campaign.loads
-    ]
     yield FoundEffect(
         name=str(ErrorKind.BETWEEN_LOADS.value),
         where="",
         probability=0.0,
-        size=max(warmth) - min(warmth),
+        size=float(np.ptp(load_temperatures(campaign))),
         unit="K",
         corrected=False,
         remedy="keep the temperature, or take bare and loaded cycles in turn",
