@@ -3,6 +3,7 @@
 import json
 import warnings
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,10 +26,14 @@ from truenewton.statics.load import Load
 STEP = 41.6e-6
 
 
+@cache
+def p45_cycles(noise, count):
+    return tuple(run_cycles(replace(p45_bench(), force_noise=noise), count))
+
+
 def p45(noise=1e-3, count=2, **changes):
     """Return cycles of P45 under two loads, their keywords changed."""
-    made = run_cycles(replace(p45_bench(), force_noise=noise), count)
-    return [replace(cycle, **changes) for cycle in made]
+    return [replace(cycle, **changes) for cycle in p45_cycles(noise, count)]
 
 
 def with_forces(cycles, change):
@@ -280,7 +285,7 @@ DATA = {
     "poles": lambda: with_forces(p45(), lambda _, f: f * np.where(np.arange(45) == 20, -1, 1)),
     "neighbours": lambda: with_forces(p45(), neighbours),
     **{name: FAULTS[name][0] for name in (
-        "stuck", "frozen in one file", "the same in all rows", "cut off by much",
+        "stuck", "frozen in one file", "the same in all rows", "cut off",
         "WEIGHT ten times too large", "all of the other sign",
     )},
 }  # fmt: skip
@@ -295,10 +300,12 @@ def shortened(cycle):
     })  # fmt: skip
 
 
-@pytest.mark.parametrize("method", ["ml", "svd"])
-@pytest.mark.parametrize("made", DATA.values(), ids=DATA)
-def test_every_command_answers_alike(inside, tmp_path, made, method):
-    write_campaign(made(), tmp_path / "c")
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [*((name, "ml") for name in DATA), *((name, "svd") for name in ("spikes", "a copy", "poles"))],
+)
+def test_every_command_answers_alike(inside, tmp_path, name, method):
+    write_campaign(DATA[name](), tmp_path / "c")
     check_alike(inside, tmp_path / "c", "--method", method)
 
 
@@ -315,9 +322,8 @@ def test_every_command_answers_alike_of_a_matrix(inside, tmp_path, change, optio
     check_alike(inside, tmp_path / "k.fits", *options)
 
 
-@pytest.mark.parametrize("name", ["stuck", "cut off by much"])
-def test_the_page_says_the_same(inside, tmp_path, name):
-    write_campaign(DATA[name](), tmp_path / "c")
+def test_the_page_says_the_same(inside, tmp_path):
+    write_campaign(DATA["stuck"](), tmp_path / "c")
     _, out, _ = inside("info", tmp_path / "c", "--json")
     verdict = json.loads(out)["verdict"]
     code, out, _ = inside("report", tmp_path / "c", "-o", tmp_path / "page.html")

@@ -62,9 +62,11 @@ def survey(
     if refused:
         lines += [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in verdict.faults]
     else:
-        enough = "alpha comes out" if verdict.level == Level.UNUSABLE else "enough for alpha"
         apart = diagnosis.separation
-        lines.append(f"  {enough}" + (f", which stands apart by {apart:.3g}" if apart > 0 else ""))
+        enough = "enough for alpha" + (f", which stands apart by {apart:.3g}" if apart > 0 else "")
+        if verdict.level == Level.UNUSABLE:
+            enough = "not enough for alpha that is to be used"
+        lines.append(f"  {enough}")
         lines += verdict_lines(verdict)
     return values, lines
 

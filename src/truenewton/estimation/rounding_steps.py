@@ -7,7 +7,7 @@ tend to the same step: of sigma^2 + q^2 / 12 repeats do not show
     b^2 = q^2 sum over k of exp(-(2 pi k sigma / q)^2) / (2 (pi k)^2),
 
 the mean square of what rounding leaves of the mean (Fourier series of the sawtooth; Widrow and
-Kollar, Quantization Noise, 2008, chapter 4), and no number of repeats makes it smaller.
+Kollar, Quantization Noise, 2008), and no number of repeats makes it smaller.
 """
 
 from __future__ import annotations
