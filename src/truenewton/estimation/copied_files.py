@@ -9,11 +9,14 @@ from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign
 
 SHARE = 0.2  # of the rows compared that are identical
+NEARLY_ALL = 0.9  # of them, where readings come in steps
 FEWEST = 2  # rows
 BY_CHANCE = 4.0  # times as many as between those files under one load that share the fewest
 
 
-def copied_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+def copied_files(
+    campaign: Campaign, prints: RowPrints, *, in_steps: bool = False
+) -> tuple[FoundEffect, ...]:
     """Name files that hold the readings of others: rows of the same SHAPE and SIGN, bit by bit.
 
     Nothing is said where even files of different origin repeat to the last bit: then there is no
@@ -23,32 +26,36 @@ def copied_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ..
     ----------
     campaign, prints
         The files; prints of their rows.
+    in_steps
+        Whether readings come in steps, so that rows may be alike by chance.
     """
     cycles = campaign.cycles
     rows: list[dict[int, bytes]] = [{} for _ in cycles]
     for (file, code), readings in prints.taken.items():
         rows[file][code] = readings
-    same, least = {}, 1.0 if len(cycles) > 2 else 0.0
+    same, by_chance = dict[tuple[int, int], float](), list[float]()
+    share = NEARLY_ALL if in_steps else SHARE
     for one, other in combinations(range(len(cycles)), 2):
         common = rows[one].keys() & rows[other].keys()
         alike = sum(rows[one][code] == rows[other][code] for code in common)
         if common and campaign.load_index[one] == campaign.load_index[other]:
-            least = min(least, alike / len(common))
-        if alike >= max(min(FEWEST, len(common)), SHARE * len(common), 1):
+            by_chance.append(alike / len(common))
+        if alike >= max(min(FEWEST, len(common)), share * len(common), 1):
             same[one, other] = alike / len(common)
-    if not _one_file(campaign, same):
-        same = {pair: share for pair, share in same.items() if share > BY_CHANCE * least}
+    if by_chance and len(cycles) > 2 and not _one_file(campaign, same):
+        usual = BY_CHANCE * min(by_chance)
+        same = {pair: alike for pair, alike in same.items() if alike > usual}
     return tuple(
         FoundEffect(
             name="copy of another file",
             where=f"{cycles[other].name} of {cycles[one].name}",
             probability=0.0,
-            size=share,
+            size=alike,
             unit="",
             corrected=False,
             remedy="leave the copy out: it holds no reading of its own",
         )
-        for (one, other), share in same.items()
+        for (one, other), alike in same.items()
     )
 
 

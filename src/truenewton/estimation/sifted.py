@@ -91,7 +91,7 @@ def sift(campaign: Campaign) -> Sifted:
     units = files_in_other_units(campaign, sums.prints)
     suspects = (
         *units,
-        *copied_files(campaign, sums.prints),
+        *copied_files(campaign, sums.prints, in_steps=bool(np.any(sums.step))),
         *mislabelled_files(campaign, sums.moments),
         *frozen_readings(campaign, sums.prints),
     )
@@ -257,11 +257,13 @@ def _worst_rows(
 def _noises(sums: RepeatSums) -> tuple[Array, Array]:
     """Return (n,) noise of a reading from all rows, and from the median; rounding in both.
 
-    Where repeats tend to one step, those of the next one are no accidents.
+    Where repeats tend to one step, those of the next one are no accidents, and a median is none of
+    noise but of steps.
     """
     moments = sums.moments
     scatter, robust = moments.scatter / moments.repeats, _robust(sums.samples)
-    return np.sqrt(scatter + moments.rounding), np.hypot(robust, np.sqrt(moments.rounding))
+    rounding = moments.rounding
+    return np.sqrt(scatter + rounding), np.sqrt(robust**2 + 12 * rounding)
 
 
 def _robust(samples: Sequence[Array]) -> Array:
