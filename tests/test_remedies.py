@@ -175,6 +175,26 @@ def test_no_reading_of_sound_data_stands_still(made):
     assert not [effect for effect in sifted.suspects if "frozen" in effect.name]
 
 
+def test_an_order_that_balances_as_well_is_told_by_position(tmp_path):
+    """Turned by 120 degrees forces balance as before: the displacements alone say otherwise."""
+    layout = p45()[0].layout
+    place = layout.x + 1j * layout.y
+    turned = np.abs(place[:, None] * np.exp(2j * np.pi / 3) - place).argmin(axis=1)
+    assert sorted(turned) == list(range(45))
+    made = Campaign(tuple(with_forces(p45(), lambda _, force: force[:, turned])))
+    with pytest.warns(TrueNewtonWarning, match="not to be used"):
+        found = tn.calibrate(made)
+    assert found.goodness.probability > 1e-3  # nothing is wrong with the balance
+    assert found.verdict.level == "not to be used"
+    assert "order of FORCE is not that of POSITION" in found.verdict.faults[0].fault
+    found.write(tmp_path / "alpha.fits")
+    with pytest.warns(TrueNewtonWarning, match="order of FORCE"):
+        back = tn.read(tmp_path / "alpha.fits")
+    assert back.verdict == found.verdict
+    with pytest.raises(TrueNewtonError, match="order of FORCE"):
+        tn.find_modes(made, back)
+
+
 # --- an actuator without force ----------------------------------------------------------------
 
 
