@@ -23,6 +23,7 @@ from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.row_readers import RowReader, read_rows
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
+from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
@@ -54,7 +55,9 @@ def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
         rows = f"{len(judged.rejected)} rows do not fit, and svd takes them all"
         warnings += (Fault(rows, "use ml, which leaves them out, or mark them as not VALID"),)
     diagnosis = replace(found.diagnosis, warnings=warnings)
-    return replace(found, effects=effects, diagnosis=diagnosis, goodness=judged.goodness)
+    fit = judged.goodness  # of `ml`: told where no alpha balances the data
+    goodness = fit if fit is not None and fit.probability < FITS else None
+    return replace(found, effects=effects, diagnosis=diagnosis, goodness=goodness)
 
 
 METHODS = {
