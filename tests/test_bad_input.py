@@ -516,6 +516,165 @@ def test_data_that_leave_alpha_free_are_refused(tmp_path, tiny, refused, make, f
     assert remedy in line.split("; ", 1)[1]
 
 
+# --- read by someone new: file, fault, and what to do --------------------------------------------
+
+
+def broken(*edits, file="ring-001.fits"):
+    """Return what breaks one file of a folder, or all of them, and calibrates it."""
+
+    def change(folder):
+        for path in folder.iterdir() if file == "*" else [folder / file]:
+            edit(path, *edits)
+        return "calibrate", folder
+
+    return change
+
+
+def replaced(write):
+    """Return what puts something else in the place of a file."""
+
+    def change(folder):
+        (folder / "ring-001.fits").unlink()
+        write(folder / "ring-001.fits")
+        return "calibrate", folder
+
+    return change
+
+
+def copied(folder):
+    shutil.copy(folder / "ring-001.fits", folder / "ring-001 (copy).fits")
+    return "calibrate", folder
+
+
+def cut(path):
+    path.write_bytes((path.parent / "bare-001.fits").read_bytes()[:-3000])
+
+
+def in_millinewton(folder):
+    shutil.copy(folder / "ring-001.fits", folder / "ring-002.fits")
+    thousandfold = lambda hdus: hdus[M].data["FORCE"].__imul__(1e3)  # noqa: E731
+    edit(folder / "ring-002.fits", keyword("CYCLE", 2), thousandfold)
+    return "calibrate", folder
+
+
+def plain_array(folder):
+    np.save(folder.parent / "k.npy", np.eye(12))
+    return "calibrate", folder.parent / "k.npy"
+
+
+def nothing_inside(folder):
+    (folder.parent / "empty").mkdir()
+    return "calibrate", folder.parent / "empty"
+
+
+def disabled(hdus):
+    add = {"name": "ENABLED", "format": "L", "unit": None, "array": np.zeros(12, dtype=bool)}
+    columns(A, lambda parts: parts.update(ENABLED=add))(hdus)
+
+
+def named(table, name):
+    return lambda hdus: setattr(hdus[table], "name", name)
+
+
+def another_image(path):
+    matrix = fits.ImageHDU(np.eye(12), name="FFMATRIX")
+    fits.HDUList([fits.PrimaryHDU(), matrix]).writeto(path)
+
+
+ONE_NAME = "correct it, or LOAD: both say 'bare'"
+NEW = {
+    "WEIGHT upward": (
+        broken(keyword("WEIGHT", 2.92)), "ring-001", "WEIGHT is 2.92 N", "store -2.92"
+    ),
+    "no WEIGHT": (broken(no_keyword("WEIGHT")), "ring-001", "no WEIGHT", "weight of the mirror"),
+    "no ADDED": (broken(no_keyword("ADDED")), "ring-001", "no ADDED", "added weight, Q [N]"),
+    "ADDED upward": (broken(keyword("ADDED", 0.5)), "ring-001", "ADDED is 0.5 N", "store -0.5"),
+    "a decimal comma": (
+        broken(keyword("WEIGHT", "-2,92")), "ring-001", "WEIGHT is '-2,92'", "store a number"
+    ),
+    "ADDED forgotten": (
+        broken(keyword("ADDED", 0.0)), "", "the 2 loads have the same weight", "check ADDED"
+    ),
+    "LOAD forgotten": (broken(keyword("LOAD", "bare")), "ring-001", "on ADDED (-0.5", ONE_NAME),
+    "day first": (
+        broken(keyword("DATE-OBS", "22/11/2026")), "ring-001", "is '22/11/2026'", "write ISO 8601"
+    ),
+    "another mirror": (
+        broken(keyword("INSTRUME", "P46")), "ring-001", "on INSTRUME (P46", "of one campaign only"
+    ),
+    "a table misnamed": (
+        broken(named(M, "MEASUREMENT")),
+        "ring-001", "no table MEASUREMENTS", "there is ACTUATORS, MEASUREMENT;",
+    ),
+    "the other one": (
+        broken(named(A, "ACTUATOR")),
+        "ring-001", "no table ACTUATORS", "or name it so: there is ACTUATOR, MEASUREMENTS",
+    ),
+    "a column misnamed": (
+        broken(columns(M, lambda parts: parts["FORCE"].update(name="FORCES"))),
+        "ring-001", "MEASUREMENTS has no column FORCE", "name it so: there is TIME, SHAPE, SIGN",
+    ),
+    "an image": (
+        replaced(lambda path: fits.PrimaryHDU(np.zeros((24, 12))).writeto(path)),
+        "ring-001", "no table MEASUREMENTS", "there is a plain image; a campaign holds",
+    ),
+    "a matrix of another name": (
+        replaced(another_image),
+        "ring-001", "no table MEASUREMENTS", "FFMATRIX; a campaign holds cycle files only",
+    ),
+    "numpy's own": (plain_array, "k.npy", "is not a FITS file", "write_stiffness in Python"),
+    "empty": (
+        replaced(lambda path: path.touch()), "ring-001", "is not a FITS file, but empty", "fetch it"
+    ),
+    "an empty folder": (nothing_inside, "empty", "holds no FITS files", "end in .fits or .fits.gz"),
+    "cut off": (replaced(cut), "ring-001", "is truncated", "fetch it again"),
+    "a copy": (
+        copied, "ring-001", "LOAD 'ring' has CYCLE 1 twice", "leave one out, or number it anew"
+    ),
+    "NaN": (
+        broken(cells(M, "FORCE", (7, 3), np.nan)),
+        "ring-001", "FORCE in row 8 is nan for actuator 4", "set ENABLED of the actuator to F",
+    ),
+    "volts": (
+        broken(column(M, "FORCE", unit="V")), "ring-001", "FORCE of MEASUREMENTS is in 'V'",
+        "store it in N",
+    ),
+    "mN in one file": (
+        in_millinewton, "ring-002", "FORCE in another unit", "check the unit of FORCE in that file"
+    ),
+    "all disabled": (
+        broken(disabled, file="*"), "-001.fits", "no actuator is ENABLED", "set ENABLED to T"
+    ),
+    "mm": (
+        broken(lambda hdus: hdus[A].data["X"].__imul__(1e3), file="*"),
+        "-001.fits", "an actuator stands 7", "check their unit",
+    ),
+    "cycles for a calibration": (
+        lambda folder: ("modes", folder, "--calibration", folder / "bare-001.fits"),
+        "bare-001", "is no calibration", "give what `calibrate -o` wrote",
+    ),
+    "a folder for a calibration": (
+        lambda folder: ("recalibrate", folder, "--known", folder, "--actuators", "3"),
+        "/c", "Is a directory", "give a file, not a folder",
+    ),
+    "words for IDs": (
+        lambda folder: (
+            "recalibrate", folder, "--known", folder / "bare-001.fits", "--actuators", "three"
+        ),
+        "--actuators", "is 'three'", "give IDs, as 17,18",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "file", "fault", "remedy"), NEW.values(), ids=NEW)
+def test_somebody_new_is_told_file_fault_and_remedy(folder, refused, change, file, fault, remedy):
+    arguments = change(folder)
+    line = refused(*arguments)
+    assert file in line.split("; ")[0]
+    assert fault in line.split("; ")[0]
+    assert remedy in line.split("; ", 1)[1]
+
+
 # --- paths, outputs, the command line itself ------------------------------------------------------
 
 

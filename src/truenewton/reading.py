@@ -25,7 +25,9 @@ FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to 
     "TRACKING": Fault(
         "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
     ),
-    "CALIBRATION": Fault("is a calibration file among others", "give it alone"),
+    "CALIBRATION": Fault(
+        "is a calibration file among others", "give it alone, or two of them to `report`"
+    ),
 }
 
 

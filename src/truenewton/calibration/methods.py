@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, spread, spread_square
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.errors import NotConverged, RankDeficient, UnknownName
+from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
+from truenewton.estimation.effects.words import effect_warnings
 from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.row_readers import RowReader, read_rows
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
+from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
@@ -39,9 +42,22 @@ class Method(NamedTuple):
 
 
 def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
-    campaign = sifted.campaign  # all of its rows count
+    """Solve the paper's system, of all rows; what the data are worth `ml` says, as for itself."""
+    judged = cycles_ml.find(sifted)
+    campaign = sifted.campaign
     moments = campaign_moments(campaign) if sifted.rejected else sifted.moments
-    return cycles_svd.find(campaign, moments)
+    found = cycles_svd.find(campaign, moments)
+    effects = tuple(replace(effect, corrected=False) for effect in judged.effects)
+    of_effects = {*effect_warnings(judged.effects), *effect_warnings(effects)}
+    others = [fault for fault in judged.diagnosis.warnings if fault not in of_effects]
+    warnings = (*found.diagnosis.warnings, *effect_warnings(effects), *others)
+    if judged.rejected:
+        rows = f"{len(judged.rejected)} rows do not fit, and svd takes them all"
+        warnings += (Fault(rows, "use ml, which leaves them out, or mark them as not VALID"),)
+    diagnosis = replace(found.diagnosis, warnings=warnings)
+    fit = judged.goodness  # of `ml`: told where no alpha balances the data
+    goodness = fit if fit is not None and fit.probability < FITS else None
+    return replace(found, effects=effects, diagnosis=diagnosis, goodness=goodness)
 
 
 METHODS = {
@@ -109,6 +125,15 @@ def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: 
 def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
     """Find alpha of a campaign that was sifted, as `calibrate` does; 'ml' reads no row."""
     return METHODS[method].of_cycles(sifted, population)
+
+
+def refusals(error: TrueNewtonError, sifted: Sifted | None) -> tuple[Fault, ...]:
+    """Return why there is no alpha, first what the error says, then what else is missing."""
+    first = Fault(error.fault, error.remedy)
+    if sifted is None or not isinstance(error, RankDeficient):
+        return (first,)
+    others = [*diagnose(sifted.sound, sifted.moments).faults]
+    return first, *(fault for fault in others if fault.fault not in first.fault)
 
 
 def held_out(

@@ -6,7 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.calibration.methods import calibrate, calibration_of, find_alpha
+from truenewton.calibration.methods import (
+    calibrate,
+    calibration_of,
+    find_alpha,
+    refusals,
+    refuse_method,
+)
 from truenewton.calibration.verdict import Level, Verdict
 from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
@@ -15,19 +21,29 @@ from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, modal_stiffness
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import with_error
 
 
-def survey(data: Campaign | StiffnessMatrix) -> tuple[dict[str, Any], list[str]]:
-    """Return what data hold, for scripts and for people."""
+def survey(
+    data: Campaign | StiffnessMatrix, method: str = "ml", *, population: bool = False
+) -> tuple[dict[str, Any], list[str]]:
+    """Return what data hold, for scripts and for people.
+
+    Parameters
+    ----------
+    data
+        A campaign or a stiffness matrix.
+    method, population
+        As in `calibrate`.
+    """
+    refuse_method(data, method, population=population)
     if isinstance(data, Campaign):
         holds, what = "campaign", "campaign"
-        facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data)
+        facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data, method, population)
     else:
         holds, what = "stiffness", "stiffness matrix"
-        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data)
+        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data, method, population)
     refused = verdict.level == Level.NONE
     disabled = int(np.count_nonzero(~data.layout.enabled))
     values = {
@@ -46,12 +62,18 @@ def survey(data: Campaign | StiffnessMatrix) -> tuple[dict[str, Any], list[str]]
     if refused:
         lines += [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in verdict.faults]
     else:
-        lines.append(f"  enough for alpha, which stands apart by {diagnosis.separation:.3g}")
+        apart = diagnosis.separation
+        enough = "enough for alpha" + (f", which stands apart by {apart:.3g}" if apart > 0 else "")
+        if verdict.level == Level.UNUSABLE:
+            enough = "not enough for alpha that is to be used"
+        lines.append(f"  {enough}")
         lines += verdict_lines(verdict)
     return values, lines
 
 
-def _survey_campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
+def _survey_campaign(
+    campaign: Campaign, method: str, population: bool
+) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a campaign alone, the first the end of the headline."""
     sifted = sift(campaign)
     moments = sifted.moments
@@ -97,15 +119,15 @@ def _survey_campaign(campaign: Campaign) -> tuple[dict[str, Any], list[str], Dia
     lines += rejected_lines(campaign, sifted.rejected)
     diagnosis = diagnose(sifted.sound, moments)
     try:
-        verdict = calibration_of(campaign, find_alpha(sifted)).verdict
+        estimate = find_alpha(sifted, method, population=population)
+        verdict = calibration_of(campaign, estimate).verdict
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        faults = diagnosis.faults or (Fault(error.fault, error.remedy),)
-        verdict = Verdict(Level.NONE, faults)
+        verdict = Verdict(Level.NONE, refusals(error, sifted))
     return values, lines, diagnosis, verdict
 
 
 def _survey_stiffness(
-    matrix: StiffnessMatrix,
+    matrix: StiffnessMatrix, method: str, population: bool
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a stiffness matrix alone, the first the end of the headline."""
     modes = modal_stiffness(matrix)
@@ -124,8 +146,8 @@ def _survey_stiffness(
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
     try:
-        made = calibrate(matrix)
+        made = calibrate(matrix, method, population=population)
     except (RankDeficient, NotConverged) as error:
-        refusal = Verdict(Level.NONE, (Fault(error.fault, error.remedy),))
+        refusal = Verdict(Level.NONE, refusals(error, None))
         return values, lines, Diagnosis(), refusal
     return values, lines, made.diagnosis or Diagnosis(), made.verdict

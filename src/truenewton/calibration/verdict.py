@@ -15,13 +15,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from truenewton.arrays import Array
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.diagnosis import ErrorKind, FoundEffect, RejectedRow
 from truenewton.estimation.effects.words import MISFIT, effect_warnings
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.fit_warnings import PLAUSIBLE
+from truenewton.estimation.identifiability import ALIKE, alike_loads_fault
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, with_error
+from truenewton.statics.arms import effective_weight
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
@@ -35,13 +39,15 @@ UNKNOWN = 1 / 3
 # Of chi2/DOF. E_STAT grows with its root, as if what is left were noise; where that is a hundred
 # times the noise it is the data that are not what they say: with a mN of noise, 0.1 N per reading.
 SENSELESS = 1e4
-PLAUSIBLE = (0.2, 5.0)  # alpha in the median
 UNEVEN = 2.0  # times as much imbalance in modes that the fit has not seen: said
+NO_ERROR = 1e-6  # of the common scale: below, nobody knows a weight so well
+SIGMAS = 3.0  # within which alpha is 0
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 UNUSABLE_BEFORE = "earlier calibration that is not to be used"
 # Effects in which the files are not what they say: the user alone can settle them.
 OF_FILES = (
     "copy of another file",
+    "FORCE in another unit",
     "the file's load is another",
     "exchanged columns",
     "another order of FORCE",
@@ -51,7 +57,13 @@ OF_FILES = (
 )
 # Labels of rows say which of them repeat, which the balance of each does not ask: where the rest
 # fits, the rows that disagreed were left out.
-OF_ROWS = ("SIGN reversed", "SHAPE counted from another one", "SHAPE and SIGN label other rows")
+OF_ROWS = (
+    "SIGN reversed",
+    "SHAPE counted from another one",
+    "SHAPE and SIGN label other rows",
+    "frozen reading",
+    "readings cut off at a limit",
+)
 SILENT = ("dead actuator", "stuck reading")
 
 
@@ -130,62 +142,79 @@ def _grave(c: Calibration) -> Iterator[Fault]:
     fits = c.goodness is None or not c.goodness.probability < IMPROBABLE
     grave = OF_FILES if fits else OF_FILES + OF_ROWS
     yield from effect_warnings(_uncorrected(c, grave))
+    yield from _harm(c)
     alpha = c.alpha[c.layout.enabled]
     few = max(2, FEW * alpha.size)
     negative, silent = int(np.count_nonzero(alpha <= 0)), _uncorrected(c, SILENT)
+    if len(silent) > few:
+        yield Fault(
+            f"{len(silent)} of {alpha.size} actuators are dead, or their readings stuck",
+            "look at what drives and reads them; set ENABLED to F where there is no force",
+        )
+    senseless = list(_senseless(c))
+    if negative > few or senseless:  # what was found of the bench is the cause
+        yield from effect_warnings(_uncorrected(c))
     if negative > few:
         yield Fault(
             f"alpha is negative for {negative} of {alpha.size} actuators",
             "check the signs and the order of FORCE, and the signs of WEIGHT and ADDED: z points"
             " up",
         )
-    if len(silent) > few:
-        yield Fault(
-            f"{len(silent)} of {alpha.size} actuators are dead, or their readings stuck",
-            "look at what drives and reads them; set ENABLED to F where there is no force",
-        )
-    if c.goodness is not None and c.goodness.reduced > SENSELESS:
-        yield Fault(
-            f"what is left of the balance is {np.sqrt(c.goodness.reduced):.2g} times the noise",
-            "look for copies among the files, and for a wrong LOAD, SHAPE, SIGN or order of FORCE",
-        )
-    weights = [(c.weight + load.added) * np.cos(np.radians(load.tilt)) for load in c.loads]
-    if c.scale == Scale.WEIGHTS and (not weights or np.ptp(weights) == 0.0):
+    yield from senseless
+
+
+def _senseless(c: Calibration) -> Iterator[Fault]:
+    """Yield what no alpha can be believed with, whatever its cause."""
+    weighed = c.scale == Scale.WEIGHTS
+    if weighed and (not c.loads or np.ptp(_weights(c)) == 0.0):
         yield Fault(
             "no load differs from another, so nothing fixes the common scale",
             "add cycles under a load of another known weight",
         )
     error = typical(c.error, c.alpha)
     if error > UNKNOWN:
+        alike = alike_loads_fault(_weights(c)) if weighed else None
+        if alike:
+            yield alike
         yield Fault(
             f"alpha is known to {percent(error)} typically, so it is not told from 0",
             "add shapes and cycles, use larger forces, or loads that differ more in weight",
         )
-    if c.imbalances:
-        _, *unseen = c.imbalances
-        before, after = (
-            float(np.sqrt(np.mean([getattr(line, name) ** 2 for line in unseen])))
-            for name in ("before", "after")
+    if c.goodness is not None and c.goodness.reduced > SENSELESS:
+        yield Fault(
+            f"what is left of the balance is {np.sqrt(c.goodness.reduced):.2g} times the noise",
+            "look for copies among the files, and for a wrong LOAD, SHAPE, SIGN or order of FORCE",
         )
-        if after > before:
-            yield Fault(
-                f"modes that the fit has not seen balance worse with alpha ({percent(after)} of"
-                f" their force) than without ({percent(before)})",
-                "measure the stiffness with less noise, or calibrate with cycles under weights",
-            )
+
+
+def _harm(c: Calibration) -> Iterator[Fault]:
+    """Yield that modes which the fit has not seen balance worse than with alpha = 1."""
+    if not c.imbalances:
+        return
+    _, *unseen = c.imbalances
+    before, after = (
+        float(np.sqrt(np.mean([getattr(line, name) ** 2 for line in unseen])))
+        for name in ("before", "after")
+    )
+    if after > before:
+        yield Fault(
+            f"modes that the fit has not seen balance worse with alpha ({percent(after)} of"
+            f" their force) than without ({percent(before)})",
+            "measure the stiffness with less noise, or calibrate with cycles under weights",
+        )
 
 
 def _limits(c: Calibration) -> Iterator[Fault]:
     """Yield what limits a calibration that can be used, what the bench did first."""
     yield from effect_warnings(_uncorrected(c))
-    warned = c.diagnosis.warnings if c.diagnosis is not None else ()
-    yield from warned
     median = float(np.nanmedian(c.alpha))
     if median > 0 and not PLAUSIBLE[0] < median < PLAUSIBLE[1]:
         yield Fault(
             f"alpha is about {median:.2g}",
             "check the units of FORCE, WEIGHT and ADDED: they are Newton",
         )
+    warned = c.diagnosis.warnings if c.diagnosis is not None else ()
+    yield from warned
     fit = c.goodness
     said = any(fault.startswith(MISFIT) for fault, _ in warned)
     if fit is not None and fit.probability < IMPROBABLE and not said:
@@ -210,8 +239,15 @@ def _limits(c: Calibration) -> Iterator[Fault]:
             )
     named = {effect.where for effect in c.effects}
     for k in _off_family(c):
-        if f"actuator {c.layout.id[k]}" not in named:
-            alpha = with_error(float(c.alpha[k]), float(c.reading_error[k]))
+        if f"actuator {c.layout.id[k]}" in named:
+            continue
+        alpha = with_error(float(c.alpha[k]), float(c.reading_error[k]))
+        if abs(c.alpha[k]) < SIGMAS * c.reading_error[k]:
+            yield Fault(
+                f"actuator {c.layout.id[k]} is dead: alpha is {alpha}",
+                "look at its coil and magnet; set ENABLED to F if it exerts no force",
+            )
+        else:
             yield Fault(
                 f"actuator {c.layout.id[k]} stands off the others: alpha is {alpha}",
                 "look at its coil, magnet and wiring",
@@ -223,14 +259,26 @@ def _scale_faults(c: Calibration) -> Iterator[Fault]:
     if c.scale == Scale.MEAN_ONE:
         return
     weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
-    if c.scale == Scale.WEIGHTS and weights == 0.0:
-        yield Fault(
-            "the weights are given without errors, so the common scale seems known without any",
-            "give E_WEIGHT, E_ADDED and E_TILT",
-        )
+    if c.scale == Scale.WEIGHTS:
+        alike = alike_loads_fault(_weights(c))
+        if alike and typical(c.error, c.alpha) > ALIKE:
+            yield alike
+        exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
+        if exact or weights < NO_ERROR:
+            which = f" (E_ADDED of {' and '.join(exact)} is 0)" if exact else ""
+            yield Fault(
+                f"the weights are given without errors{which}, so the common scale seems known"
+                " without any",
+                "give E_WEIGHT, E_ADDED and E_TILT, the standard uncertainties of the weighing",
+            )
     if weights > 2.0 * readings:
         fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
         yield Fault(fault, remedy or "better known weights would help, more cycles would not")
+
+
+def _weights(c: Calibration) -> Array:
+    """Return (L,) weights of mirror and load along the axis [N]."""
+    return effective_weight(c.weight, [q.added for q in c.loads], [q.tilt for q in c.loads])
 
 
 def _row_faults(c: Calibration) -> Iterator[Fault]:

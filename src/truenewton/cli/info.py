@@ -7,7 +7,12 @@ from pathlib import Path
 from truenewton.cli import options
 
 
-def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
+def run(
+    paths: list[Path] = options.PATHS,
+    method: str = options.METHOD,
+    population: bool = options.POPULATION,
+    json: bool = options.JSON,
+) -> None:
     """Say what files hold, and whether alpha can be had from them."""
     from truenewton.calibration.result import Calibration
     from truenewton.calibration.survey import survey
@@ -21,5 +26,5 @@ def run(paths: list[Path] = options.PATHS, json: bool = options.JSON) -> None:
         headline = f"a calibration, method {data.method}, scale {data.scale}"
         lines = [headline, *summary_lines(data)]
     else:
-        values, lines = survey(data)
+        values, lines = survey(data, method, population=population)
     print_result(lines, values=values if json else None)

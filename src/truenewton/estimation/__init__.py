@@ -25,7 +25,10 @@ files, in the order in which data pass through them:
     pooling          rows pooled over loads and signs: what shapes share besides repeats
     moments          repeats put together: number, mean, scatter
     file_labels      files whose load, SIGN or SHAPE is not what they say
-    copied_files     files that are copies of others
+    row_prints       prints of some rows
+    copied_files     files that are copies of others, told by them
+    still_readings   readings that freeze, or end at a limit
+    rounding_steps   forces in steps, and the noise that these add
     sifted           rows far from their repeats left out; what one reading of the rows leaves
     row_readers      the second reading of the rows, once for all who want to see them
     shape_sums       sums over shapes: what the likelihood needs of the means

@@ -2,85 +2,60 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections import Counter
 from itertools import combinations
 
-import numpy as np
-from numpy.typing import NDArray
-
-from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign
 
 SHARE = 0.2  # of the rows compared that are identical
-PRINTED = 48  # labels whose rows are compared
+NEARLY_ALL = 0.9  # of them, where readings come in steps
 FEWEST = 2  # rows
+BY_CHANCE = 4.0  # times as many as between those files under one load that share the fewest
 
 
-class RowPrints:
-    """Readings of one row of each file under some labels, SHAPE times SIGN, as digests.
-
-    Parameters
-    ----------
-    codes
-        (g,) labels of the groups of rows.
-
-    Attributes
-    ----------
-    taken
-        By file and label.
-    """
-
-    def __init__(self, codes: NDArray[np.int64]) -> None:
-        labels = np.unique(codes)
-        some = np.unique(np.linspace(0, len(labels) - 1, PRINTED).astype(np.int64))
-        self._codes, self._chosen = codes, np.isin(codes, labels[some])
-        self.taken: dict[tuple[int, int], bytes] = {}
-
-    def take(self, file: int, groups: NDArray[np.int64], force: Array) -> None:
-        """Take the prints of (m, n) rows of a file [N], which stand in (m,) groups."""
-        for row in np.flatnonzero(self._chosen[groups]).tolist():
-            digest = hashlib.blake2b(force[row].tobytes(), digest_size=16).digest()
-            self.taken.setdefault((file, int(self._codes[groups[row]])), digest)
-
-
-def copied_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+def copied_files(
+    campaign: Campaign, prints: RowPrints, *, in_steps: bool = False
+) -> tuple[FoundEffect, ...]:
     """Name files that hold the readings of others: rows of the same SHAPE and SIGN, bit by bit.
 
     Nothing is said where even files of different origin repeat to the last bit: then there is no
-    noise.
+    noise, or less than rounding hides.
 
     Parameters
     ----------
     campaign, prints
         The files; prints of their rows.
+    in_steps
+        Whether readings come in steps, so that rows may be alike by chance.
     """
     cycles = campaign.cycles
     rows: list[dict[int, bytes]] = [{} for _ in cycles]
     for (file, code), readings in prints.taken.items():
         rows[file][code] = readings
-    same = {}
+    same, by_chance = dict[tuple[int, int], float](), list[float]()
+    share = NEARLY_ALL if in_steps else SHARE
     for one, other in combinations(range(len(cycles)), 2):
         common = rows[one].keys() & rows[other].keys()
         alike = sum(rows[one][code] == rows[other][code] for code in common)
-        if alike >= max(min(FEWEST, len(common)), SHARE * len(common), 1):
+        if common and campaign.load_index[one] == campaign.load_index[other]:
+            by_chance.append(alike / len(common))
+        if alike >= max(min(FEWEST, len(common)), share * len(common), 1):
             same[one, other] = alike / len(common)
-    together = Counter(k == j for k, j in combinations(campaign.load_index, 2))[True]
-    within = sum(campaign.load_index[k] == campaign.load_index[j] for k, j in same)
-    if len(cycles) > 2 and 0 < together == within and not _one_file(campaign, same):
-        return ()
+    if by_chance and len(cycles) > 2 and not _one_file(campaign, same):
+        usual = BY_CHANCE * min(by_chance)
+        same = {pair: alike for pair, alike in same.items() if alike > usual}
     return tuple(
         FoundEffect(
             name="copy of another file",
             where=f"{cycles[other].name} of {cycles[one].name}",
             probability=0.0,
-            size=share,
+            size=alike,
             unit="",
             corrected=False,
             remedy="leave the copy out: it holds no reading of its own",
         )
-        for (one, other), share in same.items()
+        for (one, other), alike in same.items()
     )
 
 

@@ -31,6 +31,7 @@ from truenewton.estimation.effects.words import effect_warnings, misfit_warnings
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.fit_warnings import campaign_warnings, noise_warnings
 from truenewton.estimation.identifiability import (
+    alike_loads_fault,
     diagnose,
     in_words,
     leverage,
@@ -89,7 +90,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     try:
         return _found(sifted, population, suspects)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        raise naming(error, suspects) from None
+        raise naming(error, [*suspects, *sifted.clipped]) from None
 
 
 def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Estimate:
@@ -153,6 +154,7 @@ def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Est
     error = np.sqrt(np.diag(minimum.reading_covariance)[: problem.n])
     if not (wrong or order):
         suspects += strange_alphas(campaign, minimum.values[: problem.n], error)
+    suspects += () if belongs.all() and left.fits else sifted.clipped
     effects = (*suspects, *left.effects, *warmer_loads(sound, estimate.scale_errors))
     warnings = (*estimate.diagnosis.warnings, *effect_warnings(effects), *misfit_warnings(left))
     estimate = replace(
@@ -186,7 +188,8 @@ def _fitted(
     except (RankDeficient, NotConverged, TooManyOutliers):
         diagnosis = diagnose(campaign, moments)  # which knows better what is missing
         if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
-            refuse(diagnosis.faults, diagnosis.undetermined)
+            alike = alike_loads_fault(campaign.effective_weights)
+            refuse((*diagnosis.faults, alike), diagnosis.undetermined)
             raise
     for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
         patterns = undetermined_patterns(problem, moments, count)

@@ -18,14 +18,37 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.moments import Moments, WithinGroups
+from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import enabled_arms
 
+OTHER_UNIT = 20.0  # times as large the readings of a file are
 CLEAR = 0.3  # of the distance between loads: files of one load lie nearer together
 PLAUSIBLE = 5.0  # alpha, or its inverse: beyond, what lies apart is not the weight
 MOVED = 0.3  # of the distance from its own label, within which a row fits that of another
 SHARE = 0.3  # of the rows of a file that fit other labels
 ALIKE = 0.8  # of these that moved the same way
+
+
+def files_in_other_units(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+    """Name files whose readings are far larger or smaller than those of the others."""
+    largest = {file: float(np.median(limit)) for file, limit in prints.limit.items()}
+    usual = float(np.median(list(largest.values())))
+    if usual == 0.0:
+        return ()
+    return tuple(
+        FoundEffect(
+            name="FORCE in another unit",
+            where=f"{campaign.cycles[file].name}, {size / usual:.2g} times the others",
+            probability=0.0,
+            size=size / usual,
+            unit="",
+            corrected=False,
+            remedy="check the unit of FORCE in that file, N",
+        )
+        for file, size in sorted(largest.items())
+        if not 1 / OTHER_UNIT < size / usual < OTHER_UNIT
+    )
 
 
 def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[FoundEffect, ...]:

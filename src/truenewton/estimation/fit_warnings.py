@@ -16,6 +16,8 @@ from truenewton.estimation.repeats import WEIGHED_NOISE
 from truenewton.records.fault import Fault
 
 LOUDER = 1.5  # times FORCERR: a scatter of the repeats that is said
+PLAUSIBLE = (0.2, 5.0)  # alpha in the median
+FARTHER = 3.0  # times the weight: bias magnets that hold so much hold another weight
 
 
 def noise_warnings(free: int, weakest: str, held: int, error: float) -> Iterator[Fault]:
@@ -44,12 +46,15 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
             f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
             "check ADDED, TILT and their errors",
         )
+    yield from _weight_warnings(problem, moments, minimum)
+    yield from _rounding_warnings(problem, moments)
     declared = all(cycle.force_error for cycle in problem.campaign.cycles)
-    louder = float(np.sqrt(problem.noise.variance.mean())) / WEIGHED_NOISE
+    expected = WEIGHED_NOISE**2 + np.mean(moments.rounding)
+    louder = float(np.sqrt(problem.noise.seen.mean() / expected))
     if declared and problem.noise.source == NoiseSource.REPEATS and louder > LOUDER:
         noise = 1e3 * moments.noise
         yield Fault(
-            f"repeated shapes scatter by {noise:.2g} mN, {louder:.1f} times what FORCERR says",
+            f"repeated shapes scatter by {noise:.2g} mN, {louder:.3g} times what FORCERR says",
             "look for what moves the mirror or the readings between repeats, and correct FORCERR",
         )
     anew = int(np.count_nonzero(np.isnan(moments.reference)))
@@ -59,3 +64,42 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
             " file's own mean, and E_STAT knows nothing of motion between files",
             "keep the zeros of the sensors through a campaign",
         )
+
+
+def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Fault]:
+    """Warn of a WEIGHT that actuators cannot have held, or magnets not have been made for.
+
+    Shapes take several times the share of an actuator in the weight, and bias magnets are made to
+    bear about that weight. Alpha rests on the differences between loads alone, unless they tilt.
+    """
+    campaign, n = problem.campaign, problem.n
+    if not PLAUSIBLE[0] < float(np.median(minimum.values[:n])) < PLAUSIBLE[1]:
+        return  # then a unit is wrong, and it may be that of FORCE
+    largest = float(np.abs(minimum.values[:n] * moments.mean).max())
+    each, bias = abs(campaign.weight) / n, float(minimum.values[problem.unknowns.bias])
+    if each > largest:
+        why = f"{each:.2g} N for each actuator, none of which ever gave more than {largest:.2g} N"
+    elif abs(bias) > FARTHER * abs(campaign.weight):
+        why = "several times less than bias magnets hold"
+    else:
+        return
+    yield Fault(
+        f"WEIGHT is {campaign.weight:.3g} N, {why}: B comes to {bias:.3g} N",
+        "check WEIGHT and its unit, N (kilograms times -9.81); B is wrong by as much, and alpha too"
+        " where a load is tilted",
+    )
+
+
+def _rounding_warnings(problem: Problem, moments: Moments) -> Iterator[Fault]:
+    """Say that forces come in steps, where that makes most of their noise."""
+    noise, repeats = problem.noise, moments.rows.sum() / moments.groups
+    rounding, variance = float(np.mean(moments.rounding)), noise.seen + noise.hidden / repeats
+    if noise.source == NoiseSource.MINIMUM or 2 * rounding < variance.mean():
+        return
+    step = 1e3 * float(np.sqrt(np.mean(np.square(moments.step))))
+    yield Fault(
+        f"FORCE comes in steps of {step:.3g} mN, which is most of its noise:"
+        f" {step / np.sqrt(12):.2g} mN, step / root 12, is in E_STAT",
+        "nothing, if that is good enough; else record FORCE in finer steps, or means of several"
+        " readings",
+    )

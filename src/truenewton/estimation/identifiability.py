@@ -79,6 +79,7 @@ def free_patterns(eigenvalues: Array, shapes: int, *, known: bool = False) -> in
     return int(np.count_nonzero(eigenvalues[1:] <= factor * noise))
 
 
+ALIKE = 0.01  # of the weight: loads that differ by less fix no scale to that
 ENOUGH_REPEATS = 30  # for a noise of each actuator: known to 13 %
 
 
@@ -202,9 +203,24 @@ def load_fault(campaign: Campaign) -> Fault | None:
     if np.ptp(weights) <= 1e-6 * np.abs(weights).max():
         return Fault(
             f"the {len(weights)} loads have the same weight, so the common scale is free",
-            "add a load that differs",
+            "check ADDED and TILT, or add a load that differs",
         )
     return None
+
+
+def alike_loads_fault(weights: Array) -> Fault | None:
+    """Judge (L,) weights that differ, but hardly: noise of the readings then tells the scale."""
+    largest, apart = (
+        np.abs(weights).max(initial=0.0),
+        float(np.ptp(weights)) if weights.size else 0.0,
+    )
+    if not 0.0 < apart < ALIKE * largest:
+        return None
+    return Fault(
+        f"the loads differ by no more than {apart:.2g} N of {largest:.3g} N, which alone fixes the"
+        " common scale",
+        "take a load that differs by a tenth of the mirror's weight; more shapes do not help",
+    )
 
 
 def _undetermined_fault(span: int, free: int, n: int) -> Fault:

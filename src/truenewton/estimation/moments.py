@@ -103,6 +103,8 @@ class Moments:
         (g, n) mean displacement of each sensor [m]; None without POSITION.
     within
         How rows of one group differ by file and by hour; None of merged moments.
+    step
+        (n,) of which readings are multiples [N], 0 where they are of none.
     """
 
     loads: tuple[Load, ...]
@@ -116,6 +118,7 @@ class Moments:
     pooled: bool = False
     displacement: Array | None = None
     within: WithinGroups | None = None
+    step: Array | float = 0.0
 
     @property
     def groups(self) -> int:
@@ -138,6 +141,11 @@ class Moments:
     def typical_variance(self) -> float:
         """Variance of a typical row in terms of one of weight 1."""
         return float(self.rows.sum() / self.weight.sum())
+
+    @property
+    def rounding(self) -> Array | float:
+        """(n,) variance of rounding, in terms of a reading of weight 1 [N^2]."""
+        return np.square(self.step) / 12 / self.typical_variance
 
     @cached_property
     def sums(self) -> ShapeSums:
@@ -235,7 +243,8 @@ def merge(one: Moments, other: Moments) -> Moments:
     known[second] += share[:, None] * (other.known - known[second])
     weight[second] += other.weight
     rows[second] += other.rows
-    return Moments(loads, labels, rows, weight, mean, known, scatter, one.reference)
+    step = np.maximum(one.step, other.step)
+    return Moments(loads, labels, rows, weight, mean, known, scatter, one.reference, step=step)
 
 
 def _relabelled(moments: Moments, loads: tuple[Load, ...]) -> NDArray[np.int64]:

@@ -11,6 +11,7 @@ from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.identifiability import ENOUGH_REPEATS
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.repeats import WEIGHED_NOISE
+from truenewton.estimation.rounding_steps import hidden_variance
 from truenewton.records.campaign import Campaign
 
 
@@ -30,17 +31,25 @@ class Noise:
         mirror's own motion makes part of it, more where something pushes many actuators at once.
     share_freedom
         Degrees of freedom from which the share is known.
+    hidden
+        (n,) how much of it repeats do not show: rounding that they have in common [N^2].
     """
 
     variance: Array
     source: NoiseSource
     share: float = 1.0
     share_freedom: float = np.inf
+    hidden: Array | float = 0.0
 
     @property
     def in_balance(self) -> Array:
         """(n,) variance of one reading as the balance feels it [N^2]."""
-        return self.variance * self.share
+        return self.seen * self.share + self.hidden
+
+    @property
+    def seen(self) -> Array:
+        """(n,) variance of one reading among its repeats [N^2]."""
+        return self.variance - self.hidden
 
 
 def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
@@ -50,10 +59,26 @@ def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
         each = moments.scatter / moments.repeats
         if moments.repeats < ENOUGH_REPEATS:
             each = np.full(n, each.mean())
-        return Noise(np.maximum(each, least_variance(moments)), NoiseSource.REPEATS)
+        each = np.maximum(each, least_variance(moments))
+        hidden = _hidden(moments, each)
+        return Noise(each + hidden, NoiseSource.REPEATS, hidden=hidden)
     if all(c.force_error for c in campaign.cycles):
-        return Noise(np.full(n, WEIGHED_NOISE**2), NoiseSource.DECLARED)
+        # Who declares less than rounding makes has not declared it.
+        declared = np.full(n, WEIGHED_NOISE**2)
+        rounding = np.where(declared < moments.rounding, moments.rounding, 0.0)
+        return Noise(declared + rounding, NoiseSource.DECLARED)
     return Noise(np.full(n, least_variance(moments)), NoiseSource.MINIMUM)
+
+
+def _hidden(moments: Moments, each: Array) -> Array:
+    """Return (n,) the variance of rounding that all rows of a group have in common [N^2].
+
+    As that of a row of weight 1, of which the mean of a group has as many as there are repeats.
+    """
+    typical = moments.typical_variance
+    repeats = moments.rows.sum() / moments.groups
+    hidden = hidden_variance(np.broadcast_to(moments.step, each.shape), each * typical)
+    return np.asarray(hidden * repeats / typical)
 
 
 def least_variance(moments: Moments) -> float:

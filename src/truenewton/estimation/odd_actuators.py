@@ -31,11 +31,14 @@ class ReadingsChange(NamedTuple):
     ----------
     rms
         (n,) change [N].
+    size
+        Of a typical reading [N].
     within_noise, zero
         (n,) whether noise makes as much; whether the reading is 0 at rest as well.
     """
 
     rms: Array
+    size: float
     within_noise: NDArray[np.bool_]
     zero: NDArray[np.bool_]
 
@@ -43,17 +46,20 @@ class ReadingsChange(NamedTuple):
 def constant_actuators(campaign: Campaign, change: ReadingsChange) -> tuple[FoundEffect, ...]:
     """Name actuators whose reading does not change from shape to shape by more than noise."""
     ids = campaign.layout.id[campaign.layout.enabled]
+    dead = "dead actuator, no force is commanded", "look at its coil, driver and cable"
+    stuck = "stuck reading", "have its electronics looked at"
     return tuple(
         FoundEffect(
-            name="dead actuator, no force is commanded" if change.zero[i] else "stuck reading",
+            name=name,
             where=f"actuator {ids[i]}",
             probability=0.0,
             size=float(change.rms[i]),
             unit="N",
             corrected=False,
-            remedy="look at its coil, driver and cable; set ENABLED to F if it gives no force",
+            remedy=f"{remedy}; set ENABLED to F if it exerts no force",
         )
         for i in np.flatnonzero(change.within_noise)
+        for name, remedy in [dead if change.zero[i] else stuck]
     )
 
 
@@ -62,9 +68,16 @@ def stuck_faults(campaign: Campaign, change: ReadingsChange) -> tuple[Fault, ...
 
     Nor the common scale: whatever force it exerts, and it may be any, could carry the load.
     """
-    stuck = change.rms <= STUCK * np.median(change.rms)
+    stuck = change.rms <= STUCK * change.size
     ids = campaign.layout.id[campaign.layout.enabled][stuck]
-    if not ids.size or stuck.all():
+    if stuck.all():
+        return (
+            Fault(
+                "FORCE is the same for all shapes",
+                "record the forces commanded for each shape, once the mirror has settled",
+            ),
+        )
+    if not ids.size:
         return ()
     which = f"actuator{'s' if ids.size > 1 else ''} {', '.join(map(str, ids.tolist()))}"
     return (
@@ -89,7 +102,7 @@ def readings_change(moments: Moments, noise: Noise) -> ReadingsChange:
     freedom = len(mean) - count
     if freedom < 1:
         nothing = np.zeros(n, dtype=bool)
-        return ReadingsChange(np.ones(n), nothing, nothing)
+        return ReadingsChange(np.ones(n), 1.0, nothing, nothing)
     ratio = square / freedom / noise.variance
     known = moments.repeats if moments.repeats else 1e9
     limit = float(scipy.stats.f.isf(FALSE_ALARM / n, freedom, known))
@@ -98,7 +111,8 @@ def readings_change(moments: Moments, noise: Noise) -> ReadingsChange:
     if noise.source == NoiseSource.MINIMUM:
         dead = change < HARDLY * np.median(change)
     at_zero = statics < 5.0 * change * np.sqrt(count / len(mean))
-    return ReadingsChange(change, np.asarray(dead), np.asarray(at_zero))
+    size = float(np.sqrt(np.mean(change**2 + statics**2)))
+    return ReadingsChange(change, size, np.asarray(dead), np.asarray(at_zero))
 
 
 def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[FoundEffect, ...]:

@@ -167,9 +167,9 @@ def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Pro
         return problem
     scaled_arms, moments = problem.a * alpha, sifted.moments
     rho = np.concatenate([sample @ scaled_arms.T for sample in sifted.samples])
-    s = imbalance_covariance(scaled_arms, problem.noise.variance)
+    s = imbalance_covariance(scaled_arms, problem.noise.seen)
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
-    share = max(share, least_variance(moments) / problem.noise.variance.mean())
+    share = max(share, least_variance(moments) / problem.noise.seen.mean())
     repeats = moments.rows[moments.rows > 1]
     freedom = 3 * len(rho) * float(1.0 - repeats.size / repeats.sum())  # their means are theirs
     if abs(share - 1.0) < 4 * np.sqrt(2 / freedom):

@@ -8,12 +8,13 @@ deviations from it are taken. Where rows are left out, their blocks alone are re
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.block_rows import BlockRows, DistinctRows, distinct
-from truenewton.estimation.copied_files import RowPrints
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.displaced_rows import (
     BalancedRows,
@@ -22,6 +23,8 @@ from truenewton.estimation.displaced_rows import (
     is_displaced,
 )
 from truenewton.estimation.moments import Moments, WithinGroups
+from truenewton.estimation.rounding_steps import rounding_steps
+from truenewton.estimation.row_prints import RowPrints
 from truenewton.files.stored_rows import BLOCK_BYTES
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
@@ -93,7 +96,7 @@ class RepeatSums:
         (m, n) deviations of some repeated rows of each block, see `deviations`; together they stand
         evenly among all rows.
     prints
-        Of some rows, so that copies of them are known.
+        Of some rows: copies, readings that freeze, and rounding are known by them.
     stale
         Whether what was left out has emptied a group or moved the reference: the sums must be made
         of the rest anew.
@@ -132,6 +135,11 @@ class RepeatSums:
         for block in range(len(starts)):
             self._sum(block, self.read(block))
 
+    @cached_property
+    def step(self) -> Array:
+        """(n,) step of which the readings are multiples [N], or 0."""
+        return rounding_steps(self.prints.of_first)
+
     @property
     def moments(self) -> Moments:
         """What the sums make up."""
@@ -146,6 +154,7 @@ class RepeatSums:
             scatter=self._scatter,
             reference=self._reference,
             within=self._within(turn),
+            step=self.step,
         )
 
     def _within(self, turn: NDArray[np.int64]) -> WithinGroups:

@@ -22,11 +22,16 @@ from truenewton.errors import TooManyOutliers, TrueNewtonError
 from truenewton.estimation.block_rows import BlockRows
 from truenewton.estimation.copied_files import copied_files
 from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
-from truenewton.estimation.file_labels import mislabelled_files, mislabelled_rows
+from truenewton.estimation.file_labels import (
+    files_in_other_units,
+    mislabelled_files,
+    mislabelled_rows,
+)
 from truenewton.estimation.moments import QUARTILE, Moments
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.repeats import RepeatSums
+from truenewton.estimation.still_readings import clipped_readings, frozen_readings
 from truenewton.estimation.structure import Structure, pooled_where_it_fits
 from truenewton.records.campaign import Campaign
 
@@ -53,7 +58,9 @@ class Sifted:
     structure
         How well they do; None where nothing tells.
     suspects
-        Files that are not what they say.
+        Files that are not what they say, readings that freeze.
+    clipped
+        Readings that end at a limit: a fault where the data do not fit.
     samples
         (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N], in
         some parts.
@@ -66,6 +73,7 @@ class Sifted:
     samples: tuple[Array, ...]
     structure: Structure | None
     suspects: tuple[FoundEffect, ...] = ()
+    clipped: tuple[FoundEffect, ...] = ()
 
 
 def sift(campaign: Campaign) -> Sifted:
@@ -80,7 +88,14 @@ def sift(campaign: Campaign) -> Sifted:
         A cycle would lose all its rows.
     """
     sums = RepeatSums(campaign)
-    suspects = (*copied_files(campaign, sums.prints), *mislabelled_files(campaign, sums.moments))
+    units = files_in_other_units(campaign, sums.prints)
+    suspects = (
+        *units,
+        *copied_files(campaign, sums.prints, in_steps=bool(np.any(sums.step))),
+        *mislabelled_files(campaign, sums.moments),
+        *frozen_readings(campaign, sums.prints),
+    )
+    clipped = clipped_readings(campaign, sums.prints)
     refusal: TooManyOutliers | None = None
     try:
         sums, sound, rejected = _left_out(sums, campaign, accidents=True)
@@ -96,14 +111,14 @@ def sift(campaign: Campaign) -> Sifted:
             if refusal is not None and _gross(sums):
                 raise refusal
         except TooManyOutliers as error:
-            suspects += mislabelled_rows(campaign, range(len(campaign.cycles)))
-            raise naming(error, suspects) from None
+            suspects += () if units else mislabelled_rows(campaign, range(len(campaign.cycles)))
+            raise naming(error, suspects + clipped) from None
     suspects += mislabelled_rows(campaign, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
     moments = replace(sums.moments, displacement=sums.displacement())
     moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
     samples = tuple(sums.samples)
-    return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects)
+    return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects, clipped)
 
 
 def _hit(campaign: Campaign, rejected: list[RejectedRow]) -> list[int]:
@@ -146,7 +161,7 @@ def _tails(sums: RepeatSums) -> float:
     moments = sums.moments
     if moments.repeats < 2:
         return 1.0
-    noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(sums.samples)
+    noise, robust = _noises(sums)
     return float(np.median(noise / np.maximum(robust, 1e-300)))
 
 
@@ -184,7 +199,14 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
         valid[[row.row for row in rows if row.cycle == k]] = False
         if not valid.any():
             lost = int(cycles[k].valid.sum())
-            raise _too_many(lost, lost, f" in {cycles[k]!r}")
+            raise TooManyOutliers(
+                f"not one of its {lost} rows fits the other files",
+                remedy="compare its LOAD, SHAPE and SIGN with theirs, and the unit, sign and order"
+                " of its FORCE; or leave it out",
+                path=cycles[k].name,
+                got=1.0,
+                want=MOST,
+            )
         cycles[k] = replace(cycles[k], valid=valid)
     return Campaign(tuple(cycles))
 
@@ -194,7 +216,7 @@ def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
     moments, rejected = sums.moments, list[RejectedRow]()
     if moments.repeats < 2:
         return rejected
-    noise, robust = np.sqrt(moments.scatter / moments.repeats), _robust(sums.samples)
+    noise, robust = _noises(sums)
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(accidents & (noise > 1.5 * robust), robust, noise)
     tests = moments.rows.sum() * len(noise)
@@ -232,6 +254,18 @@ def _worst_rows(
     return [*worst.values(), *pairs]
 
 
+def _noises(sums: RepeatSums) -> tuple[Array, Array]:
+    """Return (n,) noise of a reading from all rows, and from the median; rounding in both.
+
+    Where repeats tend to one step, those of the next one are no accidents, and a median is none of
+    noise but of steps.
+    """
+    moments = sums.moments
+    scatter, robust = moments.scatter / moments.repeats, _robust(sums.samples)
+    rounding = moments.rounding
+    return np.sqrt(scatter + rounding), np.sqrt(robust**2 + 12 * rounding)
+
+
 def _robust(samples: Sequence[Array]) -> Array:
     """Return (n,) noise of a reading that an actuator's spikes cannot swell: from the median."""
     stride = max(1, sum(map(len, samples)) // MEDIAN_ROWS)
@@ -248,10 +282,11 @@ def refuse_too_many(rejected: int, rows: int) -> None:
         raise _too_many(rejected, rows)
 
 
-def _too_many(rejected: int, rows: int, where: str = "") -> TooManyOutliers:
+def _too_many(rejected: int, rows: int) -> TooManyOutliers:
     return TooManyOutliers(
-        f"{rejected} of {rows} rows{where} do not fit their repeats or the balance",
-        remedy="look at what happened during the run, or mark the bad rows as not VALID",
+        f"{rejected} of {rows} rows do not fit their repeats or the balance",
+        remedy="look whether SHAPE and SIGN are those that were applied, and at what happened"
+        " during the run; or mark the bad rows as not VALID",
         got=rejected / rows,
         want=MOST,
     )

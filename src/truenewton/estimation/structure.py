@@ -80,7 +80,8 @@ def independent_readings(samples: Sequence[Array], n: int) -> float:
     m = len(deviations)
     if m < 2:
         return float(n)
-    scaled = deviations / np.sqrt(np.mean(deviations**2, axis=0))
+    size = np.sqrt(np.mean(deviations**2, axis=0))  # 0 where rounding hides all noise
+    scaled = np.divide(deviations, size, out=np.zeros_like(deviations), where=size > 0.0)
     # (tr C)^2 / tr C^2, less what chance alone makes of C between m rows.
     square = (
         float(np.sum((scaled @ scaled.T / m) ** 2))

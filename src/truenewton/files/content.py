@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple, NoReturn, TypeVar, get_args, get_origin, get_type_hints
@@ -109,7 +109,8 @@ class FitsFile:
         key, value, stored = keyword.name, self.header.get(keyword.name), STORED[keyword.kind]
         if value is None:
             if keyword.absent is REQUIRED:
-                self._refuse(f"the primary header has no {key}", "add it (docs/files.md)")
+                what = f"{keyword.comment}{f' [{keyword.unit}]' if keyword.unit else ''}"
+                self._refuse(f"the primary header has no {key}", f"add it, {what} (docs/files.md)")
             return keyword.absent
         number = keyword.kind in ("float", "count")
         if type(value) not in stored.types or (number and not math.isfinite(value)):
@@ -125,7 +126,7 @@ class FitsFile:
         rows, columns = self._extension(table, Table)
         if column.name not in columns:
             if column.absent is REQUIRED:
-                self._refuse(f"{table} has no column {column.name}", "add it (docs/files.md)")
+                self._refuse(f"{table} has no column {column.name}", _add_it(columns))
             if column.kind == "str":
                 return (column.absent,) * rows
             return None if column.absent is None else np.full(rows, column.absent)
@@ -210,11 +211,17 @@ class FitsFile:
         if isinstance(extension, TrueNewtonError):
             raise extension
         if not isinstance(extension, kind):
-            self._refuse(f"there is no {kind.__name__.lower()} {name}", "add it (docs/files.md)")
+            self._refuse(f"there is no {kind.__name__.lower()} {name}", _add_it(self.extensions))
         return extension
 
     def _refuse(self, fault: str, remedy: str, got: Any = None, want: Any = None) -> NoReturn:
         raise FormatError(fault, remedy=remedy, path=self.path, got=got, want=want) from None
+
+
+def _add_it(others: Collection[str]) -> str:
+    """Return the remedy for what is missing among others, by their names."""
+    named = f", or name it so: there is {', '.join(others)}" if others else ""
+    return f"add it{named} (docs/files.md)"
 
 
 def _filled(kind: Any, value: Any) -> Any:

@@ -63,8 +63,11 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
             raw = file.read() if state is None else b""
             digest = hashlib.sha256(raw) if raw else hashlib.file_digest(file, "sha256")
     except OSError as error:
+        folder = isinstance(error, IsADirectoryError)
         raise UnreadableFile(
-            f"cannot be read ({error.strerror or error})", remedy="check the path", path=path
+            f"cannot be read ({error.strerror or error})",
+            remedy="give a file, not a folder" if folder else "check the path",
+            path=path,
         ) from error
     try:
         if raw[:2] == GZIP:
@@ -75,7 +78,13 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         ):
             warnings.simplefilter("always")
             if stream.read(len(START)) != START:
-                raise UnreadableFile("is not a FITS file", remedy="give FITS files", path=path)
+                raise UnreadableFile(
+                    "is not a FITS file" + ("" if state or raw else ", but empty"),
+                    remedy="give FITS files; write_cycle and write_stiffness in Python write them"
+                    if state or raw
+                    else "fetch it again",
+                    path=path,
+                )
             stream.seek(0)
             with fits.open(stream, memmap=False) as hdus:
                 hdus.readall()

@@ -56,10 +56,12 @@ class Campaign:
         first_of_load: dict[str, Cycle] = {}
         seen: dict[tuple[str, int], Cycle] = {}
         for cycle in ordered:
-            _agree(ordered[0], cycle, OF_MIRROR)
+            _agree(ordered[0], cycle, OF_MIRROR, "calibrate files of one campaign only")
             if not ordered[0].layout.same_as(cycle.layout):
-                raise _mismatch(ordered[0], cycle, "the ACTUATORS table")
-            _agree(first_of_load.setdefault(cycle.load.key, cycle), cycle, OF_LOAD)
+                one = "calibrate files of one campaign only"
+                raise _mismatch(ordered[0], cycle, "the ACTUATORS table", one)
+            of_load = f"correct it, or LOAD: both say '{cycle.load.name}'"
+            _agree(first_of_load.setdefault(cycle.load.key, cycle), cycle, OF_LOAD, of_load)
             double = seen.setdefault((cycle.load.key, cycle.number), cycle)
             if double is not cycle:
                 raise CampaignMismatch(
@@ -144,17 +146,14 @@ def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:
     return (load.added != 0.0, load.tilt != 0.0, load.key, cycle.number)
 
 
-def _mismatch(one: Cycle, other: Cycle, what: str) -> CampaignMismatch:
-    return CampaignMismatch(
-        f"disagrees with {one.name} on {what}",
-        remedy="calibrate files of one campaign only",
-        path=other.name,
-    )
+def _mismatch(one: Cycle, other: Cycle, what: str, remedy: str) -> CampaignMismatch:
+    fault = f"disagrees with {one.name} on {what}"
+    return CampaignMismatch(fault, remedy=remedy, path=other.name)
 
 
-def _agree(one: Cycle, other: Cycle, keywords: dict[str, str]) -> None:
+def _agree(one: Cycle, other: Cycle, keywords: dict[str, str], remedy: str) -> None:
     """Refuse two cycles that differ in an attribute, for which the files have a keyword."""
     for attribute, keyword in keywords.items():
         a, b = map(attrgetter(attribute), (one, other))
         if a != b:
-            raise _mismatch(one, other, f"{keyword} ({b} and {a})")
+            raise _mismatch(one, other, f"{keyword} ({b} and {a})", remedy)

@@ -103,7 +103,10 @@ class Cycle:
     def _check_numbers(self) -> None:
         weight, noise = self.weight, self.force_error
         check_weight("WEIGHT", weight)
-        check_number("WEIGHT", weight, weight < 0.0, "z points up, so a weight is negative", " N")
+        upward = "z points up, so a weight is negative: store " + (
+            f"{-weight:g}" if weight else "it"
+        )
+        check_number("WEIGHT", weight, weight < 0.0, upward, " N")
         check_error("E_WEIGHT", self.weight_error)
         check_load(self.load)
         check_number("CYCLE", self.number, self.number >= 1, "cycles count from 1")
@@ -138,7 +141,7 @@ class Cycle:
         for name, (_, largest) in ARRAYS.items():
             if largest is not None and getattr(self, name) is not None:
                 self._check_finite(name, largest)
-        if self.layout.enabled.any() and not self.largest_force:
+        if not self.largest_force:
             raise FormatError("FORCE is zero throughout", remedy="record the commanded forces")
 
     def _check_finite(self, name: str, largest: float) -> None:
@@ -147,11 +150,13 @@ class Cycle:
         values = values if values.ndim == 2 else values[:, None]
         for row in np.flatnonzero(~(largest_in_rows(values, counted) <= largest) & self.valid):
             some = values[row][counted]
-            bad = some[~(np.abs(some) <= largest)][0]
+            wrong = ~(np.abs(some) <= largest)
+            bad, of, remedy = some[wrong][0], "", "mark the row as not VALID, or correct it"
+            if len(some) > 1:
+                of = f" for actuator {self.layout.id[counted][wrong][0]}"
+                remedy += "; if it is so in all rows, set ENABLED of the actuator to F"
             raise FormatError(
-                f"{name.upper()} in row {row + 1} is {bad:g}",
-                remedy="mark the row as not VALID, or correct it",
-                got=bad,
+                f"{name.upper()} in row {row + 1} is {bad:g}{of}", remedy=remedy, got=bad
             )
 
     def __repr__(self) -> str:

@@ -137,9 +137,8 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
         if path.is_dir():
             inside = [p for p in inside if p.name.endswith(SUFFIXES) and p.name[0] != "."]
         if not inside:
-            raise UnreadableFile(
-                "holds no FITS files", remedy="give the folder of a campaign", path=path
-            )
+            remedy = "give the folder of a campaign, whose files end in .fits or .fits.gz"
+            raise UnreadableFile("holds no FITS files", remedy=remedy, path=path)
         files += inside
     return list({p.resolve(): p for p in files}.values())
 
@@ -188,7 +187,9 @@ def campaign_from(files: Iterable[FitsFile]) -> Campaign:
         if "MEASUREMENTS" not in file.extensions:
             raise FormatError(
                 "there is no table MEASUREMENTS",
-                remedy="a campaign holds cycle files only, a stiffness file an image STIFFNESS",
+                remedy=f"there is {', '.join(file.extensions) or 'a plain image'}; a campaign holds"
+                " cycle files only, a stiffness file an image STIFFNESS, which write_stiffness in"
+                " Python writes",
                 path=file.path,
             )
         cycles.append(cycle_from(file))

@@ -12,6 +12,7 @@ from truenewton.calibration.methods import (
     calibrate,
     calibration_of,
     find_alpha,
+    refusals,
     refuse_method,
 )
 from truenewton.calibration.result import Calibration
@@ -23,7 +24,6 @@ from truenewton.errors import (
     UnknownName,
 )
 from truenewton.estimation.estimate import Estimate
-from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import Sifted, sift
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.measured_stiffness import motion_reader
@@ -132,9 +132,7 @@ def investigate(
         sifted = sift(data)
         estimate = find_alpha(sifted, method, population=population)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        # The estimator names the first fault only.
-        faults = diagnose(sifted.sound, sifted.moments).faults if sifted is not None else ()
-        return Findings(data, None, faults=faults or (Fault(error.fault, error.remedy),))
+        return Findings(data, None, faults=refusals(error, sifted))
     return _findings_of(sifted, estimate)
 
 

@@ -35,7 +35,7 @@ class Layout:
     Raises
     ------
     GeometryError
-        Duplicate names, two actuators at one place, values that are not finite.
+        Duplicate names, two actuators at one place, values that are not finite, none enabled.
     """
 
     id: NDArray[np.int64]
@@ -63,6 +63,10 @@ class Layout:
                 )
         if self.n == 0:
             raise GeometryError("there are no actuators", remedy="give at least one")
+        if not self.enabled.any():
+            raise GeometryError(
+                "no actuator is ENABLED", remedy="set ENABLED to T for those that give force"
+            )
         for name in ("x", "y", "nz"):
             bad = ~np.isfinite(getattr(self, name))
             if bad.any():

@@ -46,7 +46,7 @@ def check_load(load: Load) -> None:
     FormatError
     """
     check_weight("ADDED", load.added)
-    downward = "z points up, so an added weight is negative"
+    downward = f"z points up, so an added weight is negative: store {-abs(load.added):g}"
     check_number("ADDED", load.added, load.added <= 0.0, downward, " N")
     check_error("E_ADDED", load.added_error)
     check_error("E_TILT", load.tilt_error)

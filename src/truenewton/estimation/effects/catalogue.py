@@ -223,7 +223,8 @@ def _always(moments: Moments) -> RowFunctions:
 
 _WARM = "let the electronics warm up, and take bare and loaded cycles in turn"
 _ZERO = "take bare and loaded cycles in turn, so that the zeros of both come to the same"
-_COIL = "use smaller forces, or have the coil drivers looked at"
+_COIL = "use smaller shapes, at half of which it is {} as large, or have the coil drivers looked at"
+_QUADRATIC, _CUBIC = _COIL.format("half"), _COIL.format("a quarter")
 _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
@@ -252,11 +253,11 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("zero by hour of each", "N/h", partial(zero_by_hour, each=True), _ZERO, "actuator"),
     Effect("zero by file", "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,
-    Effect("quadratic coil", "1/N", partial(power_of_force, power=2, each=False), _COIL),
-    Effect("quadratic coil of each", "1/N", partial(power_of_force, power=2, each=True), _COIL,
+    Effect("quadratic coil", "1/N", partial(power_of_force, power=2, each=False), _QUADRATIC),
+    Effect("quadratic coil of each", "1/N", partial(power_of_force, power=2, each=True), _QUADRATIC,
            "actuator"),
-    Effect("cubic coil", "1/N2", partial(power_of_force, power=3, each=False), _COIL),
-    Effect("cubic coil of each", "1/N2", partial(power_of_force, power=3, each=True), _COIL,
+    Effect("cubic coil", "1/N2", partial(power_of_force, power=3, each=False), _CUBIC),
+    Effect("cubic coil of each", "1/N2", partial(power_of_force, power=3, each=True), _CUBIC,
            "actuator"),
     Effect("coil gradient", "1/m", coil_gradient, _POSITION),
     Effect("bias gradient", "N/m", bias_gradient, _POSITION),

@@ -1,0 +1,71 @@
+"""Prints of some rows: that copies of them are known, readings that freeze, and rounding."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+
+PRINTED = 48  # labels whose rows are looked at
+
+
+class RowPrints:
+    """Readings of one row of each file under some labels, SHAPE times SIGN.
+
+    Parameters
+    ----------
+    codes
+        (g,) labels of the groups of rows.
+
+    Attributes
+    ----------
+    taken
+        Digests by file and label.
+    longest
+        By file (n,) how many rows after each other repeat the reading before, bit by bit.
+    limit, at_limit
+        By file (n,) the largest magnitude of a reading [N], and how many of the rows have it.
+    of_first
+        (n,) readings of the rows of one file [N].
+    """
+
+    def __init__(self, codes: NDArray[np.int64]) -> None:
+        labels = np.unique(codes)
+        some = np.unique(np.linspace(0, len(labels) - 1, PRINTED).astype(np.int64))
+        self._codes, self._chosen = codes, np.isin(codes, labels[some])
+        self._before = dict[int, Array]()
+        self.taken: dict[tuple[int, int], bytes] = {}
+        self._run: dict[int, NDArray[np.int64]] = {}
+        self.longest: dict[int, NDArray[np.int64]] = {}
+        self.limit: dict[int, Array] = {}
+        self.at_limit: dict[int, NDArray[np.int64]] = {}
+        self.of_first: list[Array] = []
+
+    def rows(self, file: int) -> int:
+        """Return how many rows of a file were looked at."""
+        return sum(of == file for of, _ in self.taken)
+
+    def take(self, file: int, groups: NDArray[np.int64], force: Array) -> None:
+        """Take the prints of (m, n) rows of a file [N], which stand in (m,) groups."""
+        for row in np.flatnonzero(self._chosen[groups]).tolist():
+            key = file, int(self._codes[groups[row]])
+            if key in self.taken:
+                continue
+            readings = force[row]
+            self.taken[key] = hashlib.blake2b(readings.tobytes(), digest_size=16).digest()
+            if file not in self._before:
+                self._run[file], self.longest[file] = np.zeros((2, len(readings)), np.int64)
+                self.at_limit[file] = np.zeros(len(readings), np.int64)
+                self.limit[file] = np.zeros(len(readings))
+            else:
+                run = np.where(readings == self._before[file], self._run[file] + 1, 0)
+                self._run[file], self.longest[file] = run, np.maximum(self.longest[file], run)
+            self._before[file], size, limit = readings.copy(), np.abs(readings), self.limit[file]
+            at_limit = self.at_limit[file] + (size == limit)
+            self.at_limit[file] = np.where(size > limit, 1, at_limit)
+            self.limit[file] = np.maximum(size, limit)
+            if file == next(iter(self._before)):
+                self.of_first.append(self._before[file])

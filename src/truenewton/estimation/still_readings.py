@@ -1,0 +1,98 @@
+"""Readings that stand still: frozen for a while, or cut off at a limit, bit by bit the same."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.row_prints import RowPrints
+from truenewton.records.campaign import Campaign
+
+FEWEST = 3  # rows
+SHARE = 0.1  # of the rows of a file, one after the other
+MOST = 0.03  # of the actuators: where more readings stand still, shapes do not reach them
+SAID = 3  # actuators that are named
+
+
+def frozen_readings(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+    """Name readings that do not change from shape to shape in a file, where the others do.
+
+    One that is the same in all files is `odd_actuators.constant_actuators`'.
+    """
+    return tuple(_frozen(campaign, prints))
+
+
+def _frozen(campaign: Campaign, prints: RowPrints) -> Iterator[FoundEffect]:
+    ids = campaign.layout.id[campaign.layout.enabled]
+    whole = [prints.longest[file] == prints.rows(file) - 1 for file in prints.longest]
+    constant = np.logical_and.reduce(whole)
+    for file, longest in sorted(prints.longest.items()):
+        name, still = campaign.cycles[file].name, _stand_still(prints, file)
+        share = longest / prints.rows(file)
+        if still.all() and not constant.all():
+            yield _effect(
+                "frozen readings",
+                f"all actuators in {name}",
+                float(share.min()),
+                "leave the file out, or mark the rows that repeat the one before as not VALID",
+            )
+        elif np.count_nonzero(still & ~constant) <= max(1, MOST * len(ids)):
+            for i in np.flatnonzero(still & ~constant):
+                yield _effect(
+                    "frozen reading",
+                    f"actuator {ids[i]} in {name}",
+                    float(share[i]),
+                    "leave the file out, or mark the rows in which FORCE of the actuator stands"
+                    " still as not VALID; have its electronics looked at",
+                )
+
+
+def _stand_still(prints: RowPrints, file: int) -> NDArray[np.bool_]:
+    """Tell which of (n,) readings of a file stand still, but not at a limit of several."""
+    longest, limit = prints.longest[file], prints.limit[file]
+    common = limit == limit.max(initial=0.0)
+    at_limit = common & (np.count_nonzero(common) > 1) & (prints.at_limit[file] > longest)
+    return np.asarray((longest >= max(FEWEST, SHARE * prints.rows(file))) & ~at_limit)
+
+
+def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+    """Name readings that end at a limit, which several shapes reach to the last bit.
+
+    A limit is no fault where the force ends there as well: it is one where data do not fit.
+    """
+    ids = campaign.layout.id[campaign.layout.enabled]
+    clipped, largest = np.zeros(len(ids), dtype=bool), 0.0
+    for file, limit in prints.limit.items():
+        count, common = prints.at_limit[file], limit == limit.max(initial=0.0)
+        here = (count >= FEWEST) | (common & (count[common].sum() >= FEWEST))
+        here &= (limit > 0.0) & ~_stand_still(prints, file)
+        clipped |= here
+        largest = max(largest, float(limit[here].max(initial=0.0)))
+    if not clipped.any() or _few_valued(prints):
+        return ()
+    named = ids[clipped]
+    which = ", ".join(map(str, named[:SAID].tolist()))
+    which += f" and {named.size - SAID} more" if named.size > SAID else ""
+    return (
+        _effect(
+            "readings cut off at a limit",
+            f"actuator{'s' if named.size > 1 else ''} {which}, at {largest:.4g} N",
+            float(clipped.mean()),
+            "use smaller shapes, or mark the rows that reach the limit as not VALID",
+        ),
+    )
+
+
+def _few_valued(prints: RowPrints) -> bool:
+    """Tell whether readings have but few values, as where shapes are commanded in levels."""
+    ordered = np.sort(np.abs(prints.of_first), axis=0)
+    rest = ordered < ordered[-1:]
+    distinct = (np.diff(ordered, axis=0) > 0.0) & rest[1:]
+    return bool(np.median(distinct.sum(axis=0) / np.maximum(rest.sum(axis=0), 1)) < 0.5)
+
+
+def _effect(name: str, where: str, size: float, remedy: str) -> FoundEffect:
+    return FoundEffect(name, where, 0.0, size, "", corrected=False, remedy=remedy)
