@@ -71,7 +71,8 @@ def wedges() -> None:
     ring = forces_under(glass, weight_on(p45(), p45().weight, p45().added_weight)) - none
     even = forces_under(glass, weight_on(p45(), p45().weight + p45().added_weight)) - none
     off = 1e3 * (ring - even)
-    apart = f"{np.sqrt(np.mean(off**2)):.1f} mN rms apart, {abs(p45().layout.nz @ off):.0e} mN in the sum"
+    total = abs(p45().layout.nz @ off)
+    apart = f"{np.sqrt(np.mean(off**2)):.1f} mN rms apart, {total:.0e} mN in the sum"
     print(f"the ring takes {1e3 * ring.min():.1f} to {1e3 * ring.max():.1f} mN an actuator on its"
           f" wedges, {1e3 * even.min():.1f} to {1e3 * even.max():.1f} if it were spread evenly:"
           f" {apart}")  # fmt: skip
