@@ -5,6 +5,7 @@ python benchmarks/bench.py --large 5352       a static bench of the family of ri
 python benchmarks/bench.py --coverage 200     closed-loop campaigns of P45: errors and chi^2
 python benchmarks/bench.py --imperfections    what each imperfection costs that is left out
 python benchmarks/bench.py --rings 10         336 actuators on a curved shell, at the loop's noise
+python benchmarks/bench.py --settling         the air film's damping by mode; how long to wait
 """
 
 from __future__ import annotations
@@ -16,14 +17,17 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 from accuracy import bounds, campaigns, rms, simulation
+from step_response import settling_time, step_responses
 
 import truenewton as tn
 from truenewton.arrays import Array
+from truenewton.bench.simulated.loop import Loop, samples_of, slowest_creep
 from truenewton.bench.simulated.static import (
     StaticBench,
     loop_of,
@@ -34,12 +38,15 @@ from truenewton.bench.simulated.static import (
 from truenewton.figures.style import CURVES, INK, STYLE, new_axes
 from truenewton.mirrors.glass import Annulus
 from truenewton.mirrors.known import lbt672, mmt336, p45, ring
+from truenewton.mirrors.shell.air_film import breathing_frequency, film_damping
 from truenewton.mirrors.shell.condensation import condense, rigid_motions
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
 from truenewton.mirrors.shell.held_glass import influence
+from truenewton.mirrors.shell.moving_mass import static_shapes
 from truenewton.mirrors.shell.places import Points
+from truenewton.statics.modes import stiffness_modes
 
 TWO_SIGMA = 1.959964
 
@@ -216,6 +223,52 @@ def rings(count: int) -> None:
         )
 
 
+MODES = {"softest elastic": 3, "middle": 24, "stiffest": 44}
+WAITS = (0.02, 0.05, 0.1, 0.15, 0.2)  # [s]
+
+
+def settling() -> None:
+    """Print what the air film does to P45, closed and with bores, and how long its loop creeps."""
+    for vent in (0.0, ring(45).vent_radius):
+        bench = static_bench(replace(p45(), vent_radius=vent), 1)
+        loop, bores = loop_of(bench), f"bores of {1e3 * vent:g} mm" if vent else "no bores"
+        elastic = stiffness_modes(bench.glass.stiffness).modes[:, list(MODES.values())]
+        rigid = rigid_motions(*bench.glass.places)[:2].T
+        modes = np.hstack([rigid / np.linalg.norm(rigid, axis=0), elastic])
+        film = film_damping(bench.glass, static_shapes(bench.glass))
+        found = zip(("piston", "tilt", *MODES), np.sum(modes * (film @ modes), axis=0), strict=True)
+        print(f"P45, gap {1e6 * bench.mirror.gap:g} um, {bores}: damping of modes, N s/m")
+        print("  " + ", ".join(f"{name} {value:.0f}" for name, value in found))
+        print(f"  longest time constant, integrator still: {1e3 * slowest_creep(loop):.2f} ms")
+        if not vent:
+            print(f"  the air is compressed from {breathing_frequency(bench.glass):.0f} Hz on")
+        steps = step_responses(loop, bench.glass.stiffness, duration=12e-3)
+        ten = settling_time(steps.time, steps.position, 0.1)
+        after = ", ".join(f"{1e3 * t:.2f}" for t in ten)
+        print(f"  a step is within 10 % after ({', '.join(MODES)}): {after} ms")
+        print("  pseudo-integrator and all: waited, what readings and the sum of true forces miss")
+        for wait, off, force in left_to_go(bench, loop):
+            print(f"  {wait:8.2f} s {1e9 * off:8.2f} nm {1e6 * force:8.0f} uN")
+
+
+def left_to_go(bench: StaticBench, loop: Loop) -> Iterator[tuple[float, float, float]]:
+    """Yield waits [s], the most that a reading [m] and the sum of true forces [N] still change."""
+    every, alpha = 60, loop.coils.alpha[:, None]
+    quiet = replace(
+        loop,
+        coils=replace(loop.coils, dac_step=1e-15, driver_noise=0.0),
+        sensors=replace(loop.sensors, noise=0.0, codes=2**40),
+    )
+    shapes, load_force = bench.shapes[::5].T, bench.load_force[0][:, None]
+    steps = samples_of(quiet, shapes, load_force, (), round(0.4 * loop.control.rate))
+    walk = [(force, z) for force, _, z in islice(steps, 0, None, every)]
+    force, z = (np.array(each) for each in zip(*walk, strict=True))
+    for wait in WAITS:
+        k = round(wait * loop.control.rate / every)
+        summed = (alpha * (force[k] - force[-1])).sum(axis=0)
+        yield wait, float(np.abs(z[k] - z[-1]).max()), float(np.abs(summed).max())
+
+
 def glass(path: str) -> None:
     """Draw the singular values of LBT672's model beside those that were measured."""
     matrix = tn.read(
@@ -255,6 +308,7 @@ def main() -> None:
     parser.add_argument("--imperfections", action="store_true")
     parser.add_argument("--rings", type=int, metavar="CAMPAIGNS")
     parser.add_argument("--glass", metavar="PNG")
+    parser.add_argument("--settling", action="store_true")
     options = parser.parse_args()
     if options.large:
         large(options.large)
@@ -264,6 +318,8 @@ def main() -> None:
         imperfections(5)
     elif options.glass:
         glass(options.glass)
+    elif options.settling:
+        settling()
     elif options.rings:
         rings(options.rings)
     else:

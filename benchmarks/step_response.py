@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 STROKE = 0.1e-6  # of the step, at the actuator that moves most [m]
-DURATION = 3e-3  # [s]
+DURATION = 8e-3  # [s]
 FINER = 1e-6  # than the true steps of DAC and ADC, so that they do not show
 RIGID = 3  # piston and two tilts, the softest of all
 

@@ -11,10 +11,16 @@ from step_response import settling_time, step_responses
 
 from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control, ramp
-from truenewton.bench.simulated.loop import Loop, _single_threaded, equilibrium, samples_of
+from truenewton.bench.simulated.loop import (
+    Loop,
+    _single_threaded,
+    equilibrium,
+    samples_of,
+    slowest_creep,
+)
 from truenewton.bench.simulated.noise import row_noise
-from truenewton.bench.simulated.plant import advance, film_damping
-from truenewton.bench.simulated.record import DRIFT, record
+from truenewton.bench.simulated.plant import advance
+from truenewton.bench.simulated.record import CREEPS, DRIFT, RAMPED, record
 from truenewton.bench.simulated.sensors import Sensors, draw_sensors
 from truenewton.bench.simulated.stability import check_stability, roots, state_matrix
 from truenewton.errors import BenchFault, LoopUnstable
@@ -60,7 +66,7 @@ def p45_parts(seed=1):
     sensors = draw_sensors(n, mirror.gap, random)
     held = k - coils.bias_gradient * np.eye(n)
     control = Control(held / coils.alpha[:, None] * sensors.gain)
-    return k, np.diag(mass), film_damping(mirror.gap) * np.eye(n), coils, sensors, control
+    return k, np.diag(mass), 64.0 * np.eye(n), coils, sensors, control
 
 
 def roots_of(k, mass, damping, coils, sensors, control):
@@ -156,9 +162,14 @@ def test_the_glass_moves_as_its_differential_equation_says():
     assert after[3:] == pytest.approx(PERIOD * exact[3:], rel=1e-8)
 
 
-def test_film_damping_goes_as_the_gap_to_the_minus_third():
-    assert film_damping(68e-6) == 64.0
-    assert film_damping(34e-6) == pytest.approx(8 * 64.0)
+def test_the_slowest_creep_is_the_slowest_motion_of_the_loop_without_its_integrator(p45_loop):
+    without = replace(p45_loop.control, slow_gain=1.0)
+    for thicker, inertia in ((1.0, 0.15), (8.0, 0.01)):
+        loop = replace(p45_loop, control=without, damping=thicker * p45_loop.damping)
+        radii = np.abs(roots(loop))
+        slowest = radii[~np.isclose(radii, 1 - without.slow)].max()
+        creep = slowest_creep(loop) * -np.log(slowest) / PERIOD
+        assert 1.0 < creep < 1 + inertia
 
 
 def test_a_ramp_is_half_a_cosine():
@@ -428,7 +439,9 @@ def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes, count):
         return [row_noise(1, "bare", 1, k, 1) for k in (5, 40)]
 
     found = record(p45_loop, shapes, LOAD, noise(), settling=0.01, samples=count)
-    walk = samples_of(p45_loop, shapes, np.tile(LOAD, 2), noise(), 716 + count, held=573)
+    held = round((RAMPED + CREEPS * slowest_creep(p45_loop)) / PERIOD)
+    assert 0 < held < 716
+    walk = samples_of(p45_loop, shapes, np.tile(LOAD, 2), noise(), 716 + count, held=held)
     samples = [(c, y) for c, y, _ in walk][716:]
     force, position = np.array(samples).swapaxes(0, 1)
     assert found.force == pytest.approx(force.mean(axis=0), rel=1e-12)

@@ -110,7 +110,8 @@ class CampaignPlan:
     samples
         Of one reading.
     settling
-        Time given to the mirror after each command [s].
+        Time given to the mirror after each command [s]; by itself what the pseudo-integrator of
+        P45 takes (docs/air-film.md).
     pause
         Time that it takes to change the load [s]; for the prediction only.
     force_noise
@@ -128,7 +129,7 @@ class CampaignPlan:
     loads: tuple[Load, ...]
     cycles: int = 4
     samples: int = 2048
-    settling: float = 0.02
+    settling: float = 0.15
     pause: float = 1800.0
     force_noise: float = 1e-4
     shapes: PlannedShapes = PlannedShapes()

@@ -49,7 +49,8 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
 def _mirror_in(path: Path) -> Mirror:
     written = filled(_Written, read_toml(path), path)
     for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
-                      ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0)):  # fmt: skip
+                      ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0),
+                      ("vent_radius", 0.0)):  # fmt: skip
         value, high = getattr(written, name), 0.0 if low < 0 else np.inf
         if not low <= value <= high or np.isinf(value):
             raise FormatError(

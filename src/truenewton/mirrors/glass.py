@@ -86,9 +86,10 @@ class Shell:
     density
         [kg/m3]; Zerodur 2530 [conf].
     radius_of_curvature
-        R [m]; positive where the side toward +z is hollow (concave), negative where it bulges
-        (convex), infinite on a flat mirror. Normal forces and displacements know no difference
-        between concave and convex.
+        R [m]; positive of a concave optical surface, negative of a convex one. On a mirror that
+        hangs under its plate, as P45 does, that surface looks down, so that a concave glass is
+        hollow toward -z. Infinite on a flat mirror. Normal forces and displacements know no
+        difference between concave and convex.
     outline
         None of an annulus.
     """

@@ -145,6 +145,18 @@ def equilibrium(loop: Loop, shapes: Array, load_force: Array) -> tuple[Array, Ar
     return z, control.feed_forward @ shapes + held * shapes - back * z
 
 
+def slowest_creep(loop: Loop) -> float:
+    """Return the longest time constant of the glass where the pseudo-integrator stands still [s].
+
+    Of (C + k_d alpha / gain) z' + (K + k_p alpha / gain) z = 0: what inertia there is makes it
+    shorter.
+    """
+    answer = np.diag(gain(loop.coils).mean(axis=1) / loop.sensors.gain)
+    held = loop.stiffness + loop.control.proportional * answer
+    braked = loop.damping + loop.control.derivative * answer
+    return float(np.linalg.eigvals(np.linalg.solve(held, braked)).real.max())
+
+
 def _noise(
     random: Sequence[np.random.Generator], n: int, batch: int
 ) -> Iterator[tuple[Array | float, Array | float]]:

@@ -7,17 +7,6 @@ from scipy.linalg import expm
 
 from truenewton.arrays import Array
 
-FILM_DAMPING = 64.0  # of the air film, one actuator's cell, at FILM_GAP [N s/m, derived]
-FILM_GAP = 68e-6  # [m]
-
-
-def film_damping(gap: float) -> float:
-    """Return the damping of the air film on one actuator's cell [N s/m], as gap^-3.
-
-    Taken at the nominal gap [m]: how it changes within a stroke (4 % for 1 um) is left out.
-    """
-    return FILM_DAMPING * (FILM_GAP / gap) ** 3
-
 
 def advance(stiffness: Array, mass: Array, damping: Array, period: float) -> Array:
     """Return S, (..., 2n, 3n), of the glass from one sample to the next: after = S [state; force].

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.bench.simulated.loop import Loop, samples_of
+from truenewton.bench.simulated.loop import Loop, samples_of, slowest_creep
 from truenewton.bench.simulated.noise import SAMPLES
 from truenewton.errors import LoopUnstable
 
-SWIFT = 8e-3  # after which nothing moves but the pseudo-integrator [s, derived]
-SETTLING = 20e-3  # from the command to the first sample of a record [s, derived]
+RAMPED = 2e-3  # after which commands and filters stand still [s, derived]
+CREEPS = 8.0  # time constants of the slowest motion, which leave 3e-4 of it [derived]
+RELEASED = 12e-3  # with the pseudo-integrator let go, before the first sample [s, derived]
 DRIFT = 1e-9  # between the halves of a record, of what has settled [m, derived]
 GROWTH = 1.5  # of the noise between the halves, of what is stable
 QUIET = 10e-3  # twice the usual scatter of force; below it nothing is said to grow [N]
@@ -52,14 +53,15 @@ def record(
     load_force: Array,
     noise: Sequence[np.random.Generator] = (),
     *,
-    settling: float = SETTLING,
+    settling: float | None = None,
     samples: int = SAMPLES,
 ) -> Record:
     """Step from the flat mirror to each shape, wait, and record.
 
     The pseudo-integrator would take some 100 ms. So it is put at once where it ends, which is
-    known, and let go when the fast motions are over (`SWIFT`). Arguments are those of `samples_of`,
-    the settling from the command to the first sample [s], and the samples of the record.
+    known, and let go when the glass has crept there through the air film. Arguments are those of
+    `samples_of`, the settling from the command to the first sample [s], by itself as long as that
+    takes, and the samples of the record.
 
     Raises
     ------
@@ -68,8 +70,9 @@ def record(
     LoopUnstable
         The noise grew during the record.
     """
-    wait = round(settling * loop.control.rate)
-    held = min(round(SWIFT * loop.control.rate), wait)
+    swift = RAMPED + CREEPS * slowest_creep(loop)
+    wait = round((swift + RELEASED if settling is None else settling) * loop.control.rate)
+    held = min(round(swift * loop.control.rate), wait)
     steps = samples_of(loop, shapes, load_force, noise, wait + samples, held=held)
     recorded = (np.array([force, read]) for force, read, _ in islice(steps, wait, None))
     # Sums about the first sample, so that squares do not drown what they differ by.

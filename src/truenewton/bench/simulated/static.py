@@ -20,13 +20,13 @@ from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
 from truenewton.bench.simulated.control import Control
 from truenewton.bench.simulated.loop import Loop, equilibrium
 from truenewton.bench.simulated.noise import LOOP, SAMPLES, STATIC, row_noise
-from truenewton.bench.simulated.plant import film_damping
 from truenewton.bench.simulated.record import Record, record
 from truenewton.bench.simulated.sensors import Sensors, draw_sensors
 from truenewton.bench.simulated.stability import check_stability
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.shell.air_film import film_damping
 from truenewton.mirrors.shell.held_glass import (
     HeldGlass,
     external_resultants,
@@ -34,7 +34,7 @@ from truenewton.mirrors.shell.held_glass import (
     held_glass,
     weight_on,
 )
-from truenewton.mirrors.shell.moving_mass import moving_mass
+from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
 from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
 from truenewton.statics.modes import scaled_modes, stiffness_modes
@@ -204,7 +204,8 @@ def loop_of(bench: StaticBench) -> Loop:
         The gains do not hold it.
     """
     n = bench.mirror.layout.n
-    mass, pucks = moving_mass(bench.glass)
+    shapes = static_shapes(bench.glass)
+    mass, pucks = moving_mass(bench.glass, shapes)
     # M z'' + C z' + K~ z = S' f, in terms of f
     to_forces = np.asarray(np.linalg.inv(pucks.T), dtype=float)
     softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(n)
@@ -212,7 +213,7 @@ def loop_of(bench: StaticBench) -> Loop:
     loop = Loop(
         softer,
         to_forces @ mass,
-        film_damping(bench.mirror.gap) * to_forces,
+        to_forces @ film_damping(bench.glass, shapes),
         bench.coils,
         bench.sensors,
         Control(feed_forward),

@@ -2,6 +2,7 @@
 
 held_glass           a mirror's glass between its actuators, and what holds it under its loads
 moving_mass          static shapes between actuators, and the mass that moves with them
+air_film             damping by the film of air behind the glass
 condensation         from influence to stiffness: the shell seen from its actuators alone
 fourier              thin annular shell: Fourier in angle, p-elements in radius
 radial_elements      its elastic energy, harmonic by harmonic

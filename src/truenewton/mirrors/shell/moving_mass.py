@@ -2,18 +2,54 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.mirrors.glass import Annulus, rim
-from truenewton.mirrors.shell.condensation import Condensed, condense, rigid_motions
-from truenewton.mirrors.shell.held_glass import HeldGlass
+from truenewton.mirrors.shell.condensation import condense, rigid_motions
+from truenewton.mirrors.shell.held_glass import HeldGlass, influence
 from truenewton.mirrors.shell.places import Points
 
 
-def moving_mass(glass: HeldGlass) -> tuple[Array, Array]:
+@dataclass(frozen=True, eq=False)
+class StaticShapes:
+    """The shapes of a glass when one actuator reads 1, the others 0, over all of it.
+
+    Attributes
+    ----------
+    at, area
+        x and y of points along the glass [m], and (points,) the area that each stands for [m^2].
+    shape
+        (points, n) displacement per reading.
+    """
+
+    at: Points
+    area: Array
+    shape: Array
+
+
+def static_shapes(glass: HeldGlass) -> StaticShapes:
+    """Return the influence functions of a glass, where integrals over it want them.
+
+    Raises
+    ------
+    GeometryError
+        What `held_glass` raises.
+    """
+    at, area = glass.free.quadrature(glass.mirror.layout.n)
+    return StaticShapes(at, area, shapes_at(glass, at))
+
+
+def shapes_at(glass: HeldGlass, at: Points, over: Annulus | None = None) -> Array:
+    """Return (points, n) of the influence functions at points, or means over a sensor there."""
+    condensed = condense(glass.compliance, rigid_motions(*glass.places))
+    read = influence(glass.free, at, glass.places, over, glass.mirror.puck_radius)
+    return np.asarray(read @ condensed.stiffness + rigid_motions(*at).T @ condensed.motion)
+
+
+def moving_mass(glass: HeldGlass, shapes: StaticShapes) -> tuple[Array, Array]:
     """Return M and S in M z'' + K~ z = S' f, z the readings and f the forces.
 
     M = rho t integral of phi_i phi_j + magnet_mass S' S (Guyan's reduction), with phi the
@@ -33,30 +69,11 @@ def moving_mass(glass: HeldGlass) -> tuple[Array, Array]:
     GeometryError
         What `held_glass` raises.
     """
-    mirror, n = glass.mirror, glass.mirror.layout.n
-    condensed = condense(glass.compliance, rigid_motions(*glass.places))
-    at, area = glass.free.quadrature(n)
-    mass, first = np.zeros((n, n)), 0
-    for shapes in _influence_functions(glass, condensed, at, None):
-        weighted = area[first : first + len(shapes), None] * shapes
-        mass += shapes.T @ weighted
-        first += len(shapes)
+    mirror = glass.mirror
+    mass = shapes.shape.T @ (shapes.area[:, None] * shapes.shape)
     mass *= mirror.shell.density * mirror.shell.thickness
-    pucks, on_puck = np.eye(n), rim(mirror.puck_radius)
+    pucks, on_puck = np.eye(mirror.layout.n), rim(mirror.puck_radius)
     if mirror.sensor != on_puck:
-        pucks = np.concatenate([*_influence_functions(glass, condensed, glass.places, on_puck)])
+        pucks = shapes_at(glass, glass.places, on_puck)
     mass += mirror.magnet_mass * pucks.T @ pucks
     return 0.5 * (mass + mass.T), pucks
-
-
-def _influence_functions(
-    glass: HeldGlass, condensed: Condensed, at: Points, sensor: Annulus | None
-) -> Iterator[Array]:
-    """Yield (some points, n): the shapes of the glass when one actuator reads 1, the others 0."""
-    tilts, first = rigid_motions(*at), 0
-    for read in glass.free.influence_in_parts(
-        at, glass.places, sensor=sensor, puck_radius=glass.mirror.puck_radius
-    ):
-        rigid = tilts[:, first : first + len(read)]
-        yield read @ condensed.stiffness + rigid.T @ condensed.motion
-        first += len(read)

@@ -6,4 +6,5 @@ argyris       Argyris' triangle, and quadrature
 mesh          triangles over a glass
 meshing       a mesh with a vertex at every actuator
 outline       polygons around a glass
+film          pressures in the film of air under it
 """
