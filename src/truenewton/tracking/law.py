@@ -17,6 +17,7 @@ from truenewton.files.format import quantities
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.family import Family
+from truenewton.tracking.scatter import expanded
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -77,7 +78,7 @@ class AlphaPrediction:
     Attributes
     ----------
     alpha, error
-        (n,) and its standard uncertainty, everything included.
+        (n,) and its standard uncertainty, everything included: the scatter from day to day, too.
     covariance, systematic_covariance
         (n, n) of alpha, and the part from the weights.
     """
@@ -117,6 +118,12 @@ class Tracking:
         What cannot be said, in words.
     days
         The calibrations, in the order of time.
+    scatter
+        (n,) by how much alpha of an actuator scatters from day to day by itself, relative, beyond
+        the readings (see `scatter`); one and the same but for those that lie on no line.
+    common_scatter, scatter_degrees
+        The same of all actuators together, and its degrees of freedom; 0 where there are no more
+        days than unknowns, and nothing is known of either.
     """
 
     instrument: str
@@ -135,9 +142,13 @@ class Tracking:
     degrees_of_freedom: int
     limits: tuple[str, ...]
     days: tuple[DayRecord, ...]
+    scatter: Array
+    common_scatter: float = 0.0
+    scatter_degrees: int = 0
 
     def __post_init__(self) -> None:
-        freeze(self, "alpha", "coefficient", "drift", "covariance", "systematic_covariance")
+        freeze(self, "alpha", "coefficient", "drift", "covariance", "systematic_covariance",
+               "scatter")  # fmt: skip
 
     def __repr__(self) -> str:
         return (
@@ -166,7 +177,7 @@ class Tracking:
     def alpha_at(
         self, temperature: float | None = None, time: datetime.datetime | None = None
     ) -> AlphaPrediction:
-        """Return alpha at a temperature and a time, with its uncertainty.
+        """Return alpha on a day, at a temperature and a time, with its uncertainty.
 
         Parameters
         ----------
@@ -202,6 +213,8 @@ class Tracking:
             for matrix in (self.covariance, self.systematic_covariance)
         )
         alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
+        common = alpha * expanded(self.common_scatter, self.scatter_degrees)
+        covariance += np.diag((self.scatter * alpha) ** 2) + np.outer(common, common)
         return AlphaPrediction(
             alpha, np.sqrt(np.diag(covariance)), covariance, systematic_covariance
         )
