@@ -207,11 +207,14 @@ def test_a_warm_run_beside_a_cold_calibration():
     assert ratio.mean() == pytest.approx(1 + wrong_ring(), abs=4e-3)
 
     law = tn.track(*drawn(2, np.random.default_rng(1).normal(-1.1e-3, 2e-4, 45)))
-    truth = law.alpha_at(28.0).alpha * replaced() / quiet_cycles()[1]
-    warm = short(truth, random, temperature=28.0, days=40.0)
-    made = tn.recalibrate(warm, law, [17])
-    assert (made.moved, made.limits) == ((), ())
-    assert made.calibration.temperature == pytest.approx(28.0)
+    for temperature in (23.0, 28.0):
+        truth = law.alpha_at(temperature).alpha * replaced() / quiet_cycles()[1]
+        warm = short(truth, random, temperature=temperature, days=40.0)
+        made = tn.recalibrate(warm, law, [17])
+        assert made.moved == ()
+        assert made.calibration.temperature == pytest.approx(temperature)
+        far = ["the run was at 28.0 deg C, and the days of the law between 12.0 and 24.0"]
+        assert [limit.split(":")[0] for limit in made.limits] == far * (temperature > 25.0)
 
 
 def test_an_actuator_without_an_earlier_calibration_is_new():

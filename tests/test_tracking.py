@@ -389,7 +389,7 @@ def test_a_calibration_serves_as_far_as_its_error_stays_below_what_is_wanted(tra
 
 
 def test_a_law_is_promised_as_far_as_its_error_stays_below_what_is_wanted(tracking):
-    wanted = 8e-4
+    wanted = 1e-3
     v, last = validity_of(tracking, wanted), tracking.days[-1]
 
     def of_law(temperature, time):
@@ -397,9 +397,11 @@ def test_a_law_is_promised_as_far_as_its_error_stays_below_what_is_wanted(tracki
         variance = np.diag(at.covariance - at.systematic_covariance)
         return np.sqrt(np.mean(variance / tracking.alpha**2))
 
-    assert 12.0 < v.law_temperatures[0] < v.law_temperatures[1] < 24.0
-    for edge in v.law_temperatures:
-        assert of_law(edge, last.date) == pytest.approx(wanted, rel=0.05)
+    low, high = v.law_temperatures
+    assert low > 12.0
+    assert of_law(low, last.date) == pytest.approx(wanted, rel=0.05)
+    assert of_law(high, last.date) < wanted
+    assert high == 24.0
     assert of_law(last.temperature, v.law_until) == pytest.approx(wanted, rel=0.05)
 
 
@@ -412,8 +414,6 @@ def test_nothing_is_promised_where_no_day_has_been(tracking):
     said = " ".join(lines(tracking, v))
     assert "from 12.0 to 24.0 deg C (the days saw no other)" in said
     assert "(as long again as the days lasted)" in said
-    within = " ".join(lines(tracking, validity_of(tracking, 8e-4)))
-    assert "the days saw no other" not in within
 
 
 def test_a_calibration_that_is_too_noisy_serves_nowhere(tracking):

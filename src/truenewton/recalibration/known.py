@@ -48,6 +48,8 @@ class EarlierCalibration:
         Under which it was found, and from which files.
     verdict
         On it.
+    temperatures
+        Of a law: the coldest and the warmest of its days [deg C], where it tells temperature.
     """
 
     name: str
@@ -59,6 +61,7 @@ class EarlierCalibration:
     loads: tuple[Load, ...]
     sources: tuple[Source, ...]
     verdict: Verdict
+    temperatures: tuple[float, float] | None = None
 
 
 def known_from(
@@ -88,6 +91,7 @@ def known_from(
     name = "the earlier calibration"
     loads: tuple[Load, ...] = ()
     sources: tuple[Source, ...] = ()
+    temperatures = None
     if not isinstance(given, Calibration | Tracking):
         name, given = os.fspath(given), _read(given)
     same_instrument = given.instrument == campaign.instrument
@@ -107,6 +111,9 @@ def known_from(
         at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
         alpha, covariance, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
         temperature = temperature if recorded else given.temperature
+        if "temperature" in given.effects:
+            degrees = [day.temperature for day in given.days]
+            temperatures = min(degrees), max(degrees)
     else:
         if given.scale == Scale.MEAN_ONE:
             raise FormatError(
@@ -133,6 +140,7 @@ def known_from(
         loads=loads,
         sources=sources,
         verdict=verdict,
+        temperatures=temperatures,
     )
 
 

@@ -13,6 +13,7 @@ from truenewton.arrays import Array, spread, spread_square
 from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.tracking.days import (
+    OTHER_UNIT,
     SAME_TEMPERATURE,
     YEAR,
     DatedCalibration,
@@ -28,10 +29,10 @@ from truenewton.tracking.family import (
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
 from truenewton.tracking.linear_fit import LinearFit, contrasts_of, linear_fit
+from truenewton.tracking.outlying_day import outlying_day
 from truenewton.tracking.scatter import Scatter, scatter_of
 
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
-OTHER_UNIT = 0.03  # typical change of alpha beyond its error; 50 K make 0.3 % between actuators
 PATIENCE = 2  # looks behind an actuator that hides another
 FEW = 3  # degrees of freedom, below which a common scatter is hardly told
 MOST = 0.25  # of the actuators that may leave the family, or there is none
@@ -67,13 +68,11 @@ def track(*given: Given, force: bool = False) -> Tracking:
         )
     _refuse_other_units(days, on)
     settings, effects, limits, temperature, date = _settings(days)
-    if len(weight_groups(days)) > 1:
-        limits += ("weights or their errors differ between days: each set has errors of its own",)
-    if not on.all():
-        limits += (f"actuators not enabled on every day are left out: {np.count_nonzero(~on)}",)
     layout = days[0].calibration.layout
     fit, jumped, scatter, own = _off_their_lines(days, on, settings)
-    limits += tuple(_limits_of(scatter, len(days), len(effects)))
+    stay = ~np.isin(layout.id[on], [one.actuator for one in jumped])
+    limits += tuple(_limits_of(days, on, scatter, len(effects)))
+    limits += tuple(outlying_day(days, on, settings, stay))
     outliers, members = _outliers(fit, effects, layout.id[on], jumped)
     values, covariance, systematic_covariance, families = _pooled(fit, members, effects)
     law, derivatives = _law_from(values, effects)
@@ -211,12 +210,18 @@ def _off_their_lines(
         jumped.append(Outlier(int(ids[worst]), "line", sigmas, mirror))
 
 
-def _limits_of(scatter: Scatter, days: int, effects: int) -> Iterator[str]:
-    """Yield what the days do not tell of the scatter between them."""
+def _limits_of(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], scatter: Scatter, effects: int
+) -> Iterator[str]:
+    """Yield what else is not told, or not of all."""
+    if len(weight_groups(days)) > 1:
+        yield "weights or their errors differ between days: each set has errors of its own"
+    if not on.all():
+        yield f"actuators not enabled on every day are left out: {np.count_nonzero(~on)}"
     if not scatter.degrees:
         yield (
-            f"{days} days leave nothing over beside the {1 + effects} unknowns of each line: what"
-            " scatter there is from day to day is not told, and none is assumed"
+            f"{len(days)} days leave nothing over beside the {1 + effects} unknowns of each line:"
+            " what scatter there is from day to day is not told, and none is assumed"
         )
     elif scatter.degrees < FEW:
         yield (

@@ -119,20 +119,26 @@ def linear_fit(
 
 
 def contrasts_of(
-    days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
+    days: Sequence[DatedCalibration],
+    on: NDArray[np.bool_],
+    settings: Array,
+    of_day: int | None = None,
 ) -> tuple[Array, Array]:
     """Return (f, n) contrasts of the days that no law touches, relative to alpha, and (f, n, n).
 
     The latter is what is known of their covariance, by the readings and by the weights. See
-    `scatter`.
+    `scatter`. Of one day there is one: how it differs from the law of the others.
     """
     alpha = np.array([day.calibration.alpha[on] for day in days])
     mean = alpha.mean(axis=0)
     design = np.column_stack([np.ones(len(alpha)), settings])
     readings = np.array([*_relative(days, on, mean)])
     off = scipy.linalg.null_space(design.T)
-    size = np.einsum("jaa->j", readings)
-    off = off @ np.linalg.eigh((off.T * size) @ off)[1]
+    if of_day is None:
+        size = np.einsum("jaa->j", readings)
+        off = off @ np.linalg.eigh((off.T * size) @ off)[1]
+    else:
+        off = off @ off[of_day, :, None] / np.linalg.norm(off[of_day])
     y = alpha / mean
     by_weights = np.einsum("jp,jam->pam", off, _changes_by_weights(days, on, design, y))
     covariance = np.einsum("jp,jab->pab", off**2, readings)

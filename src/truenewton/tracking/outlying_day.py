@@ -1,0 +1,85 @@
+"""A day that lies off the law of the others, all its actuators or their common scale.
+
+Who lies off is told from the scatter of the other days alone: a day that is off makes a scatter of
+its own, behind which it would hide. How it differs from the law of the others, y ~ N(0, V) by its
+readings and theirs (`linear_fit.contrasts_of`), has a common part m = 1'V^-1 y / 1'V^-1 1, and the
+rest about it; with s and s_c of the other days,
+
+    m^2 / (1 / 1'V^-1 1 + s_c^2)  ~  F(1, f - 1),
+    (y - m)' (V + s^2)^-1 (y - m) / (n - 1)  ~  F(n - 1, nu of s^2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import scipy.stats
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
+from truenewton.rounding import percent
+from truenewton.tracking.days import DatedCalibration
+from truenewton.tracking.linear_fit import contrasts_of
+from truenewton.tracking.scatter import Scatter, scatter_of
+
+OFF = (  # whether each by itself, or all in common; what to say
+    (True, "each actuator in its own way: see how it was taken, or leave it out"),
+    (False, "all actuators alike: check its weights, temperature and date, or leave it out"),
+)
+
+
+def outlying_day(
+    days: Sequence[DatedCalibration],
+    on: NDArray[np.bool_],
+    settings: Array,
+    stay: NDArray[np.bool_],
+) -> Iterator[str]:
+    """Yield, in words, the day that lies farthest off, if chance does not explain it.
+
+    ``stay``, (n,), are the actuators that are looked at.
+    """
+    if len(days) < settings.shape[1] + 3:
+        return
+    offs = [_off(days, on, settings, stay, j) for j in range(len(days))]
+    for own, words in OFF:
+        sizes = np.array([np.mean((y - m) ** 2) if own else m**2 for y, _, m, _ in offs])
+        j = int(sizes.argmax())
+        y, v, m, precision = offs[j]
+        others = [k for k in range(len(days)) if k != j]
+        rest = contrasts_of([days[k] for k in others], on, settings[others])
+        scatter = scatter_of(*rest, np.eye(len(stay)), stay, common=True)
+        chance = _chance_of_all(y, v, scatter) if own else _chance_of_common(m, precision, scatter)
+        if chance_of_any(chance, len(OFF) * len(days)) < FALSE_ALARM:
+            size = percent(float(np.sqrt(sizes[j])))
+            yield f"{days[j].name} lies off the law of the other days by {size}, {words}"
+            return
+
+
+def _off(
+    days: Sequence[DatedCalibration],
+    on: NDArray[np.bool_],
+    settings: Array,
+    stay: NDArray[np.bool_],
+    day: int,
+) -> tuple[Array, Array, float, float]:
+    """Return how a day differs, its covariance, the common part, and how sure that is."""
+    contrasts, covariance = contrasts_of(days, on, settings, day)
+    y, v = contrasts[0][stay], covariance[0][np.ix_(stay, stay)]
+    solved = np.linalg.solve(v, np.ones(len(y)))
+    return y, v, float(solved @ y / solved.sum()), float(solved.sum())
+
+
+def _chance_of_all(y: Array, v: Array, scatter: Scatter) -> float:
+    v = v + scatter.own**2 * np.eye(len(y))
+    # What is common is not asked: it may be anything.
+    one = np.linalg.solve(v, np.ones(len(y)))
+    chi2 = float(y @ np.linalg.solve(v, y) - (one @ y) ** 2 / one.sum())
+    degrees = scatter.degrees_of(float(np.mean(np.diag(v))))
+    return float(scipy.stats.f.sf(chi2 / (len(y) - 1), len(y) - 1, degrees))
+
+
+def _chance_of_common(common: float, precision: float, scatter: Scatter) -> float:
+    variance = 1 / precision + scatter.common**2
+    return float(scipy.stats.f.sf(common**2 / variance, 1, scatter.degrees))
