@@ -29,9 +29,7 @@ def earlier(random, scale=0.0):
     """Return an earlier calibration with errors of its own."""
     reading_covariance = covariances(pattern(), np.ones(45, dtype=bool))[0]
     off = np.linalg.cholesky(reading_covariance) @ random.standard_normal(45)
-    return scaled(
-        pattern(), reading_covariance, (quiet_cycles()[1] + off) * (1 + scale), temperature=20.0
-    )
+    return scaled(pattern(), (quiet_cycles()[1] + off) * (1 + scale), temperature=20.0)
 
 
 def wrong_ring():

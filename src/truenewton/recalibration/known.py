@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.file import calibration_from
@@ -130,10 +131,17 @@ def known_from(
     on = np.isfinite(alpha)
     scale, uneven = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
     uneven = alpha[:, None] * spread(uneven, on)
+    covariance = covariance - systematic_covariance + uneven @ uneven.T
+    if not _is_definite(covariance[np.ix_(on, on)]):
+        raise FormatError(
+            "COVARIANCE less SYSTEMATIC is no covariance of alpha",
+            remedy="calibrate again",
+            path=name,
+        )
     return EarlierCalibration(
         name=name,
         alpha=alpha,
-        covariance=covariance - systematic_covariance + uneven @ uneven.T,
+        covariance=covariance,
         scale=scale,
         uneven=uneven,
         temperature=temperature,
@@ -169,6 +177,14 @@ def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
         remedy = f"{fault.remedy}; --anyway, or force=True, takes it all the same"
         raise NotToBeUsed(f"{Level.UNUSABLE}: {fault.fault}", remedy=remedy, path=path)
     return Verdict(Level.UNUSABLE, (fault,))
+
+
+def _is_definite(covariance: Array) -> bool:
+    try:
+        scipy.linalg.cholesky(covariance, lower=True)
+    except (ValueError, np.linalg.LinAlgError):  # it holds NaN, or is singular
+        return False
+    return True
 
 
 def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:

@@ -117,7 +117,7 @@ def tracking_from(file: FitsFile) -> Tracking:
     """
     values = file.values(TRACKING)
     alpha = values["alpha"]
-    file.require_squares(("COVARIANCE", "SYSTEMATIC"), 3 * alpha.size, "ALPHA, K and DRIFT")
+    file.require_covariances(3 * alpha.size, "ALPHA, K and DRIFT", "track again")
     if not values["days"]["name"]:
         raise FormatError("DAYS is empty", remedy="track again", path=file.path)
     values["layout"]["enabled"] = np.isfinite(alpha)

@@ -29,7 +29,7 @@ from truenewton.tracking.family import (
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
 from truenewton.tracking.linear_fit import LinearFit, contrasts_of, linear_fit
-from truenewton.tracking.outlying_day import outlying_day
+from truenewton.tracking.outlying_day import widened
 from truenewton.tracking.scatter import Scatter, scatter_of
 
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
@@ -71,8 +71,11 @@ def track(*given: Given, force: bool = False) -> Tracking:
     layout = days[0].calibration.layout
     fit, jumped, scatter, own = _off_their_lines(days, on, settings)
     stay = ~np.isin(layout.id[on], [one.actuator for one in jumped])
+    wider, outlying = widened(days, on, settings, stay)
+    if outlying:
+        fit, jumped, scatter, own = _off_their_lines(wider, on, settings)
+        limits += (outlying,)
     limits += tuple(_limits_of(days, on, scatter, len(effects)))
-    limits += tuple(outlying_day(days, on, settings, stay))
     outliers, members = _outliers(fit, effects, layout.id[on], jumped)
     values, covariance, systematic_covariance, families = _pooled(fit, members, effects)
     law, derivatives = _law_from(values, effects)

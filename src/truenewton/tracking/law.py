@@ -11,7 +11,8 @@ import numpy as np
 import scipy.stats
 
 from truenewton.arrays import Array, freeze
-from truenewton.errors import RankDeficient
+from truenewton.calibration.result import LARGEST_ALPHA
+from truenewton.errors import FormatError, RankDeficient
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
 from truenewton.statics.layout import Layout
@@ -149,6 +150,23 @@ class Tracking:
     def __post_init__(self) -> None:
         freeze(self, "alpha", "coefficient", "drift", "covariance", "systematic_covariance",
                "scatter")  # fmt: skip
+        on = self.layout.enabled & np.isfinite(self.alpha)
+        alpha = np.abs(self.alpha[on])
+        if not (on.any() and alpha.min() > 1 / LARGEST_ALPHA and alpha.max() < LARGEST_ALPHA):
+            raise FormatError("ALPHA holds no usable numbers", remedy="track again")
+        for name, values in (("K", self.coefficient), ("DRIFT", self.drift),
+                             ("SCATTER", self.scatter)):  # fmt: skip
+            if not (np.abs(values[on]) < LARGEST_ALPHA).all():
+                raise FormatError(f"{name} holds no usable numbers", remedy="track again")
+        if (self.scatter[on] < 0).any() or self.common_scatter < 0 or self.scatter_degrees < 0:
+            raise FormatError("SCATTER is negative", remedy="track again")
+        if not set(self.effects) <= {"temperature", "drift"}:
+            raise FormatError(
+                f"EFFECT is {', '.join(self.effects)}", remedy="it is 'temperature' or 'drift'"
+            )
+        degrees = [self.temperature, *(day.temperature for day in self.days)]
+        if "temperature" in self.effects and not np.isfinite(degrees).all():
+            raise FormatError("TEMPERAT is missing, or a TEMPERATURE of DAYS", remedy="track again")
 
     def __repr__(self) -> str:
         return (

@@ -105,7 +105,7 @@ def linear_fit(
     root = solution.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
     root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
     root[0] *= mean[:, None]
-    off = scipy.linalg.null_space(design.T)
+    off = directions_off(settings)
     degrees = off.shape[1]
     return LinearFit(
         alpha=a * mean,
@@ -116,6 +116,12 @@ def linear_fit(
         actuator_chi2=_share(solution, roots, off) if degrees else np.zeros(n),
         actuator_degrees=degrees,
     )
+
+
+def directions_off(settings: Array) -> Array:
+    """Return (J, f) orthonormal directions of the days that no law of (J, q) settings touches."""
+    design = np.column_stack([np.ones(len(settings)), settings])
+    return np.asarray(scipy.linalg.null_space(design.T))
 
 
 def contrasts_of(
@@ -133,7 +139,7 @@ def contrasts_of(
     mean = alpha.mean(axis=0)
     design = np.column_stack([np.ones(len(alpha)), settings])
     readings = np.array([*_relative(days, on, mean)])
-    off = scipy.linalg.null_space(design.T)
+    off = directions_off(settings)
     if of_day is None:
         size = np.einsum("jaa->j", readings)
         off = off @ np.linalg.eigh((off.T * size) @ off)[1]

@@ -1,9 +1,10 @@
 """A day that lies off the law of the others, all its actuators or their common scale.
 
 Who lies off is told from the scatter of the other days alone: a day that is off makes a scatter of
-its own, behind which it would hide. How it differs from the law of the others, y ~ N(0, V) by its
-readings and theirs (`linear_fit.contrasts_of`), has a common part m = 1'V^-1 y / 1'V^-1 1, and the
-rest about it; with s and s_c of the other days,
+its own, behind which it would hide, and who is farthest off on that day would be named. How it
+differs from the law of the others, y ~ N(0, V) by its readings and theirs
+(`linear_fit.contrasts_of`), has a common part m = 1'V^-1 y / 1'V^-1 1, and the rest about it;
+with s and s_c of the other days,
 
     m^2 / (1 / 1'V^-1 1 + s_c^2)  ~  F(1, f - 1),
     (y - m)' (V + s^2)^-1 (y - m) / (n - 1)  ~  F(n - 1, nu of s^2).
@@ -11,7 +12,8 @@ rest about it; with s and s_c of the other days,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.stats
@@ -21,7 +23,7 @@ from truenewton.arrays import Array
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.rounding import percent
 from truenewton.tracking.days import DatedCalibration
-from truenewton.tracking.linear_fit import contrasts_of
+from truenewton.tracking.linear_fit import contrasts_of, directions_off
 from truenewton.tracking.scatter import Scatter, scatter_of
 
 OFF = (  # whether each by itself, or all in common; what to say
@@ -30,18 +32,39 @@ OFF = (  # whether each by itself, or all in common; what to say
 )
 
 
-def outlying_day(
+def widened(
+    days: tuple[DatedCalibration, ...],
+    on: NDArray[np.bool_],
+    settings: Array,
+    stay: NDArray[np.bool_],
+) -> tuple[tuple[DatedCalibration, ...], str]:
+    """Return the days, of which the one that lies off may be off by as much, and say so.
+
+    ``stay``, (n,), are the actuators that are looked at. Days among which none lies off come back
+    as they are, with ''.
+    """
+    found = _outlying(days, on, settings, stay)
+    if found is None:
+        return days, ""
+    j, size, own, words = found
+    c = days[j].calibration
+    covariance, n = c.covariance.copy(), c.layout.n
+    covariance[:n, :n] += size**2 * (np.diag(c.alpha**2) if own else np.outer(c.alpha, c.alpha))
+    wider = replace(days[j], calibration=replace(c, covariance=covariance))
+    said = f"{days[j].name} lies off the law of the other days by {percent(size)}, {words}"
+    return (*days[:j], wider, *days[j + 1 :]), said
+
+
+def _outlying(
     days: Sequence[DatedCalibration],
     on: NDArray[np.bool_],
     settings: Array,
     stay: NDArray[np.bool_],
-) -> Iterator[str]:
-    """Yield, in words, the day that lies farthest off, if chance does not explain it.
-
-    ``stay``, (n,), are the actuators that are looked at.
-    """
+) -> tuple[int, float, bool, str] | None:
+    """Return the day that lies farthest off, by how much, whether each by itself, and words."""
     if len(days) < settings.shape[1] + 3:
-        return
+        return None
+    share = np.linalg.norm(directions_off(settings), axis=1)
     offs = [_off(days, on, settings, stay, j) for j in range(len(days))]
     for own, words in OFF:
         sizes = np.array([np.mean((y - m) ** 2) if own else m**2 for y, _, m, _ in offs])
@@ -52,9 +75,8 @@ def outlying_day(
         scatter = scatter_of(*rest, np.eye(len(stay)), stay, common=True)
         chance = _chance_of_all(y, v, scatter) if own else _chance_of_common(m, precision, scatter)
         if chance_of_any(chance, len(OFF) * len(days)) < FALSE_ALARM:
-            size = percent(float(np.sqrt(sizes[j])))
-            yield f"{days[j].name} lies off the law of the other days by {size}, {words}"
-            return
+            return j, float(np.sqrt(sizes[j]) / share[j]), own, words
+    return None
 
 
 def _off(
