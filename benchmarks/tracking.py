@@ -1,7 +1,7 @@
 """Whether tracking keeps what it states, by Monte Carlo.
 
     python benchmarks/tracking.py [--seeds 200] [--mirrors 1000] [--replacements 1000]
-                                  [--scatter 300]
+                                  [--scatter 200]
 
 Law: six days at 12 to 24 deg C, k ~ N(-1.1e-3, 2e-4) / K, drift ~ N(-2e-3, 1e-3) / yr, calibrations
 drawn from the COVARIANCE of one simulated P45 campaign (4 cycles), the error of the ring one and
@@ -208,8 +208,8 @@ def scatter(pattern: tn.Calibration, noise: float, seeds: int, own: float, commo
     print(f"    and nobody else                   {rate(alone)}")
     if ratio:
         low, middle, high = np.quantile(ratio, [0.05, 0.5, 0.95])
-        print(f"  stated E_K / with no scatter known  median {middle:.3f}, mean {np.mean(ratio):.3f},"
-              f" 90 % within {low:.3f} .. {high:.3f}")  # fmt: skip
+        print(f"  stated E_K / with no scatter known  median {middle:.3f}, mean"
+              f" {np.mean(ratio):.3f}, 90 % within {low:.3f} .. {high:.3f}")  # fmt: skip
 
 
 def share(parts: list[float]) -> str:
@@ -327,7 +327,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--mirrors", type=int, default=1000)
     parser.add_argument("--replacements", type=int, default=1000)
-    parser.add_argument("--scatter", type=int, default=300)
+    parser.add_argument("--scatter", type=int, default=200)
     options = parser.parse_args()
     pattern, quiet = one_calibration(), one_calibration(1e-4)
     if options.seeds:
