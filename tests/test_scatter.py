@@ -14,7 +14,7 @@ import truenewton as tn
 from truenewton.errors import RankDeficient
 from truenewton.recalibration.words import lines as lines_of_run
 from truenewton.tracking.days import covariances, gathered
-from truenewton.tracking.linear_fit import contrasts_of
+from truenewton.tracking.linear_fit import relative_days
 from truenewton.tracking.scatter import Scatter, expanded, scatter_of
 from truenewton.tracking.words import lines
 
@@ -42,7 +42,9 @@ def test_scatter_is_where_the_restricted_likelihood_of_all_days_is_largest():
     """Against the density of contrasts of all days in one matrix, turned at random."""
     days = gathered(scattered(3, own=3e-4, common=5e-4))
     settings = np.column_stack([np.array(TEMPERATURES) - 18.0, 0.1 * np.arange(6) - 0.25])
-    found = scatter_of(*contrasts_of(days, ALL, settings), np.eye(45), ALL, common=True)
+    found = scatter_of(
+        *relative_days(days, ALL, settings).contrasts(), np.eye(45), ALL, common=True
+    )
 
     alpha = np.array([day.calibration.alpha for day in days])
     mean = alpha.mean(axis=0)

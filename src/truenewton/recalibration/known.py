@@ -92,7 +92,6 @@ def known_from(
     name = "the earlier calibration"
     loads: tuple[Load, ...] = ()
     sources: tuple[Source, ...] = ()
-    temperatures = None
     if not isinstance(given, Calibration | Tracking):
         name, given = os.fspath(given), _read(given)
     same_instrument = given.instrument == campaign.instrument
@@ -104,7 +103,7 @@ def known_from(
             remedy="give the calibration of the same mirror",
             path=name,
         )
-    n = given.layout.n
+    n, temperatures = given.layout.n, None
     if isinstance(given, Tracking):
         verdict = _verdict_on_days(given, force=force, path=name)
         temperature = mean_temperature(campaign.cycles)
@@ -112,9 +111,7 @@ def known_from(
         at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
         alpha, covariance, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
         temperature = temperature if recorded else given.temperature
-        if "temperature" in given.effects:
-            degrees = [day.temperature for day in given.days]
-            temperatures = min(degrees), max(degrees)
+        temperatures = given.span
     else:
         if given.scale == Scale.MEAN_ONE:
             raise FormatError(
@@ -132,12 +129,7 @@ def known_from(
     scale, uneven = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
     uneven = alpha[:, None] * spread(uneven, on)
     covariance = covariance - systematic_covariance + uneven @ uneven.T
-    if not _is_definite(covariance[np.ix_(on, on)]):
-        raise FormatError(
-            "COVARIANCE less SYSTEMATIC is no covariance of alpha",
-            remedy="calibrate again",
-            path=name,
-        )
+    _refuse_singular(covariance[np.ix_(on, on)], name)
     return EarlierCalibration(
         name=name,
         alpha=alpha,
@@ -179,12 +171,15 @@ def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
     return Verdict(Level.UNUSABLE, (fault,))
 
 
-def _is_definite(covariance: Array) -> bool:
+def _refuse_singular(covariance: Array, path: str) -> None:
     try:
         scipy.linalg.cholesky(covariance, lower=True)
     except (ValueError, np.linalg.LinAlgError):  # it holds NaN, or is singular
-        return False
-    return True
+        raise FormatError(
+            "COVARIANCE less SYSTEMATIC is no covariance of alpha",
+            remedy="calibrate again",
+            path=path,
+        ) from None
 
 
 def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:

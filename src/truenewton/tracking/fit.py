@@ -28,7 +28,7 @@ from truenewton.tracking.family import (
     most_outlying,
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
-from truenewton.tracking.linear_fit import LinearFit, contrasts_of, linear_fit
+from truenewton.tracking.linear_fit import LinearFit, linear_fit, relative_days
 from truenewton.tracking.outlying_day import widened
 from truenewton.tracking.scatter import Scatter, scatter_of
 
@@ -190,7 +190,7 @@ def _off_their_lines(
     ids = days[0].calibration.layout.id[on]
     jumped: list[Outlier] = []
     stay, own = np.ones(n, dtype=bool), np.zeros(n)
-    contrasts, covariance = contrasts_of(days, on, settings)
+    contrasts, covariance = relative_days(days, on, settings).contrasts()
     while True:
         scatter = Scatter()
         if len(contrasts):

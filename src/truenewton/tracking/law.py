@@ -175,6 +175,12 @@ class Tracking:
         )
 
     @property
+    def span(self) -> tuple[float, float] | None:
+        """Coldest and warmest of the days [deg C]; None where they do not tell temperature."""
+        degrees = [day.temperature for day in self.days]
+        return (min(degrees), max(degrees)) if "temperature" in self.effects else None
+
+    @property
     def probability(self) -> float:
         """Chance of a larger chi2; NaN without degrees of freedom."""
         degrees = self.degrees_of_freedom

@@ -124,31 +124,67 @@ def directions_off(settings: Array) -> Array:
     return np.asarray(scipy.linalg.null_space(design.T))
 
 
-def contrasts_of(
-    days: Sequence[DatedCalibration],
-    on: NDArray[np.bool_],
-    settings: Array,
-    of_day: int | None = None,
-) -> tuple[Array, Array]:
-    """Return (f, n) contrasts of the days that no law touches, relative to alpha, and (f, n, n).
+@dataclass(frozen=True, eq=False)
+class RelativeDays:
+    """The days relative to alpha, and what is known of their errors.
 
-    The latter is what is known of their covariance, by the readings and by the weights. See
-    `scatter`. Of one day there is one: how it differs from the law of the others.
+    Attributes
+    ----------
+    values
+        (J, n) alpha over its mean.
+    readings
+        (J, n, n) their covariance by the readings.
+    changes
+        (J, n, m) by m errors of the weights, at 1 sigma.
+    settings
+        (J, q) temperature and time.
     """
+
+    values: Array
+    readings: Array
+    changes: Array
+    settings: Array
+
+    def without(self, day: int) -> RelativeDays:
+        """Return all but one of the days."""
+        others = np.arange(len(self.values)) != day
+        return RelativeDays(*(each[others] for each in vars(self).values()))
+
+    def contrasts(self) -> tuple[Array, Array]:
+        """Return (f, n) contrasts that no law touches (see `scatter`), and (f, n, n).
+
+        The latter is what is known of their covariance.
+        """
+        off = directions_off(self.settings)
+        size = np.einsum("jaa->j", self.readings)
+        return self._along(off @ np.linalg.eigh((off.T * size) @ off)[1])
+
+    def contrast_of(self, day: int) -> tuple[Array, Array, float]:
+        """Return (n,) how a day is off the law of the others, (n, n), and the share it has in it.
+
+        Of what is known by the readings; a scatter of the days adds as to any contrast.
+        """
+        off = directions_off(self.settings)
+        share = float(np.linalg.norm(off[day]))
+        contrasts, covariance = self._along(off @ off[day, :, None] / share)
+        return contrasts[0], covariance[0], share
+
+    def _along(self, directions: Array) -> tuple[Array, Array]:
+        by_weights = np.einsum("jp,jam->pam", directions, self.changes)
+        covariance = np.einsum("jp,jab->pab", directions**2, self.readings)
+        return directions.T @ self.values, covariance + by_weights @ np.swapaxes(by_weights, 1, 2)
+
+
+def relative_days(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
+) -> RelativeDays:
+    """Put days at (J, q) settings relative to their mean alpha, of the (n_all,) who take part."""
     alpha = np.array([day.calibration.alpha[on] for day in days])
     mean = alpha.mean(axis=0)
     design = np.column_stack([np.ones(len(alpha)), settings])
     readings = np.array([*_relative(days, on, mean)])
-    off = directions_off(settings)
-    if of_day is None:
-        size = np.einsum("jaa->j", readings)
-        off = off @ np.linalg.eigh((off.T * size) @ off)[1]
-    else:
-        off = off @ off[of_day, :, None] / np.linalg.norm(off[of_day])
-    y = alpha / mean
-    by_weights = np.einsum("jp,jam->pam", off, _changes_by_weights(days, on, design, y))
-    covariance = np.einsum("jp,jab->pab", off**2, readings)
-    return off.T @ y, covariance + by_weights @ np.swapaxes(by_weights, 1, 2)
+    changes = _changes_by_weights(days, on, design, alpha / mean)
+    return RelativeDays(alpha / mean, readings, changes, settings)
 
 
 def _relative(

@@ -3,7 +3,7 @@
 Who lies off is told from the scatter of the other days alone: a day that is off makes a scatter of
 its own, behind which it would hide, and who is farthest off on that day would be named. How it
 differs from the law of the others, y ~ N(0, V) by its readings and theirs
-(`linear_fit.contrasts_of`), has a common part m = 1'V^-1 y / 1'V^-1 1, and the rest about it;
+(`RelativeDays.contrast_of`), has a common part m = 1'V^-1 y / 1'V^-1 1, and the rest about it;
 with s and s_c of the other days,
 
     m^2 / (1 / 1'V^-1 1 + s_c^2)  ~  F(1, f - 1),
@@ -23,7 +23,7 @@ from truenewton.arrays import Array
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.rounding import percent
 from truenewton.tracking.days import DatedCalibration
-from truenewton.tracking.linear_fit import contrasts_of, directions_off
+from truenewton.tracking.linear_fit import RelativeDays, relative_days
 from truenewton.tracking.scatter import Scatter, scatter_of
 
 OFF = (  # whether each by itself, or all in common; what to say
@@ -64,33 +64,28 @@ def _outlying(
     """Return the day that lies farthest off, by how much, whether each by itself, and words."""
     if len(days) < settings.shape[1] + 3:
         return None
-    share = np.linalg.norm(directions_off(settings), axis=1)
-    offs = [_off(days, on, settings, stay, j) for j in range(len(days))]
+    relative = relative_days(days, on, settings)
+    offs = [_off(relative, stay, j) for j in range(len(days))]
     for own, words in OFF:
-        sizes = np.array([np.mean((y - m) ** 2) if own else m**2 for y, _, m, _ in offs])
+        sizes = np.array([np.mean((y - m) ** 2) if own else m**2 for y, _, m, _, _ in offs])
         j = int(sizes.argmax())
-        y, v, m, precision = offs[j]
-        others = [k for k in range(len(days)) if k != j]
-        rest = contrasts_of([days[k] for k in others], on, settings[others])
+        y, v, m, precision, share = offs[j]
+        rest = relative.without(j).contrasts()
         scatter = scatter_of(*rest, np.eye(len(stay)), stay, common=True)
         chance = _chance_of_all(y, v, scatter) if own else _chance_of_common(m, precision, scatter)
         if chance_of_any(chance, len(OFF) * len(days)) < FALSE_ALARM:
-            return j, float(np.sqrt(sizes[j]) / share[j]), own, words
+            return j, float(np.sqrt(sizes[j]) / share), own, words
     return None
 
 
 def _off(
-    days: Sequence[DatedCalibration],
-    on: NDArray[np.bool_],
-    settings: Array,
-    stay: NDArray[np.bool_],
-    day: int,
-) -> tuple[Array, Array, float, float]:
-    """Return how a day differs, its covariance, the common part, and how sure that is."""
-    contrasts, covariance = contrasts_of(days, on, settings, day)
-    y, v = contrasts[0][stay], covariance[0][np.ix_(stay, stay)]
+    relative: RelativeDays, stay: NDArray[np.bool_], day: int
+) -> tuple[Array, Array, float, float, float]:
+    """Return how a day is off, its covariance, the part in common, its precision, its share."""
+    contrast, covariance, share = relative.contrast_of(day)
+    y, v = contrast[stay], covariance[np.ix_(stay, stay)]
     solved = np.linalg.solve(v, np.ones(len(y)))
-    return y, v, float(solved @ y / solved.sum()), float(solved.sum())
+    return y, v, float(solved @ y / solved.sum()), float(solved.sum()), share
 
 
 def _chance_of_all(y: Array, v: Array, scatter: Scatter) -> float:

@@ -70,8 +70,7 @@ def validity_of(tracking: Tracking, accuracy: float) -> Validity:
     years = (last.date - t.date) / YEAR if late else 0.0
     span = _roots(form, accuracy**2, 1, years) if warm else None
     end = _roots(form, accuracy**2, 2, away) if late else None
-    degrees = [day.temperature for day in t.days]
-    coldest, warmest = min(degrees), max(degrees)
+    coldest, warmest = t.span or (0.0, 0.0)
     latest = last.date + (last.date - t.days[0].date)
 
     def within(low: float, high: float) -> tuple[float, float] | None:
@@ -88,7 +87,7 @@ def validity_of(tracking: Tracking, accuracy: float) -> Validity:
         until=by(last.date, float(np.sqrt(spare / d)) if d > 0 else np.inf) if late else None,
         law_temperatures=within(t.temperature + span[0], t.temperature + span[1]) if span else None,
         law_until=by(t.date, end[1]) if end else None,
-        reach=(coldest, warmest) if warm else None,
+        reach=t.span,
         reach_until=latest if late else None,
     )
 
