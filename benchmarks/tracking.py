@@ -1,7 +1,7 @@
 """Whether tracking keeps what it states, by Monte Carlo.
 
     python benchmarks/tracking.py [--seeds 200] [--mirrors 1000] [--replacements 1000]
-                                  [--scatter 200]
+                                  [--scatter 100]
 
 Law: six days at 12 to 24 deg C, k ~ N(-1.1e-3, 2e-4) / K, drift ~ N(-2e-3, 1e-3) / yr, calibrations
 drawn from the COVARIANCE of one simulated P45 campaign (4 cycles), the error of the ring one and
@@ -327,7 +327,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--mirrors", type=int, default=1000)
     parser.add_argument("--replacements", type=int, default=1000)
-    parser.add_argument("--scatter", type=int, default=200)
+    parser.add_argument("--scatter", type=int, default=100)
     options = parser.parse_args()
     pattern, quiet = one_calibration(), one_calibration(1e-4)
     if options.seeds:
