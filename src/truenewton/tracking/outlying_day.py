@@ -3,11 +3,12 @@
 Who lies off is told from the scatter of the other days alone: a day that is off makes a scatter of
 its own, behind which it would hide, and who is farthest off on that day would be named. How it
 differs from the law of the others, y ~ N(0, V) by its readings and theirs
-(`RelativeDays.contrast_of`), has a common part m = 1'V^-1 y / 1'V^-1 1, and the rest about it;
-with s and s_c of the other days,
+(`RelativeDays.contrast_of`), has a mean m, and the rest about it; with s and s_c of the other days,
 
-    m^2 / (1 / 1'V^-1 1 + s_c^2)  ~  F(1, f - 1),
-    (y - m)' (V + s^2)^-1 (y - m) / (n - 1)  ~  F(n - 1, nu of s^2).
+    m^2 / (1'V1 / n^2 + s^2 / n + s_c^2)  ~  F(1, f - 1),
+    (y - c)' (V + s^2)^-1 (y - c) / (n - 1)  ~  F(n - 1, nu of s^2),
+
+c being what is common, by that matrix.
 """
 
 from __future__ import annotations
@@ -69,10 +70,14 @@ def _outlying(
     for own, words in OFF:
         sizes = np.array([np.mean((y - m) ** 2) if own else m**2 for y, _, m, _, _ in offs])
         j = int(sizes.argmax())
-        y, v, m, precision, share = offs[j]
+        y, v, m, variance, share = offs[j]
         rest = relative.without(j).contrasts()
         scatter = scatter_of(*rest, np.eye(len(stay)), stay, common=True)
-        chance = _chance_of_all(y, v, scatter) if own else _chance_of_common(m, precision, scatter)
+        chance = (
+            _chance_of_all(y, v, scatter)
+            if own
+            else _chance_of_common(m, variance, len(y), scatter)
+        )
         if chance_of_any(chance, len(OFF) * len(days)) < FALSE_ALARM:
             return j, float(np.sqrt(sizes[j]) / share), own, words
     return None
@@ -81,11 +86,10 @@ def _outlying(
 def _off(
     relative: RelativeDays, stay: NDArray[np.bool_], day: int
 ) -> tuple[Array, Array, float, float, float]:
-    """Return how a day is off, its covariance, the part in common, its precision, its share."""
+    """Return how a day is off, its covariance, the mean and its variance, the share it has."""
     contrast, covariance, share = relative.contrast_of(day)
     y, v = contrast[stay], covariance[np.ix_(stay, stay)]
-    solved = np.linalg.solve(v, np.ones(len(y)))
-    return y, v, float(solved @ y / solved.sum()), float(solved.sum()), share
+    return y, v, float(y.mean()), float(v.mean()), share
 
 
 def _chance_of_all(y: Array, v: Array, scatter: Scatter) -> float:
@@ -97,6 +101,6 @@ def _chance_of_all(y: Array, v: Array, scatter: Scatter) -> float:
     return float(scipy.stats.f.sf(chi2 / (len(y) - 1), len(y) - 1, degrees))
 
 
-def _chance_of_common(common: float, precision: float, scatter: Scatter) -> float:
-    variance = 1 / precision + scatter.common**2
-    return float(scipy.stats.f.sf(common**2 / variance, 1, scatter.degrees))
+def _chance_of_common(mean: float, variance: float, actuators: int, scatter: Scatter) -> float:
+    variance += scatter.common**2 + scatter.own**2 / actuators
+    return float(scipy.stats.f.sf(mean**2 / variance, 1, scatter.degrees))
