@@ -29,9 +29,7 @@ def earlier(random, scale=0.0):
     """Return an earlier calibration with errors of its own."""
     reading_covariance = covariances(pattern(), np.ones(45, dtype=bool))[0]
     off = np.linalg.cholesky(reading_covariance) @ random.standard_normal(45)
-    return scaled(
-        pattern(), reading_covariance, (quiet_cycles()[1] + off) * (1 + scale), temperature=20.0
-    )
+    return scaled(pattern(), (quiet_cycles()[1] + off) * (1 + scale), temperature=20.0)
 
 
 def wrong_ring():
@@ -207,11 +205,14 @@ def test_a_warm_run_beside_a_cold_calibration():
     assert ratio.mean() == pytest.approx(1 + wrong_ring(), abs=4e-3)
 
     law = tn.track(*drawn(2, np.random.default_rng(1).normal(-1.1e-3, 2e-4, 45)))
-    truth = law.alpha_at(28.0).alpha * replaced() / quiet_cycles()[1]
-    warm = short(truth, random, temperature=28.0, days=40.0)
-    made = tn.recalibrate(warm, law, [17])
-    assert (made.moved, made.limits) == ((), ())
-    assert made.calibration.temperature == pytest.approx(28.0)
+    for temperature in (23.0, 28.0):
+        truth = law.alpha_at(temperature).alpha * replaced() / quiet_cycles()[1]
+        warm = short(truth, random, temperature=temperature, days=40.0)
+        made = tn.recalibrate(warm, law, [17])
+        assert made.moved == ()
+        assert made.calibration.temperature == pytest.approx(temperature)
+        far = ["the run was at 28.0 deg C, and the days of the law between 12.0 and 24.0"]
+        assert [limit.split(":")[0] for limit in made.limits] == far * (temperature > 25.0)
 
 
 def test_an_actuator_without_an_earlier_calibration_is_new():

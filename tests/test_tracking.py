@@ -29,8 +29,10 @@ from truenewton.tracking.family import families_from, fitted_population, most_ou
 from truenewton.tracking.figures import tracking_figures
 from truenewton.tracking.linear_fit import linear_fit
 from truenewton.tracking.validity import validity_of
+from truenewton.tracking.words import lines
 
 K = np.random.default_rng(11).normal(MEAN_K, SPREAD_K, 45)
+T_OF_3 = scipy.stats.t.isf(0.025, 3) / scipy.stats.norm.isf(0.025)
 R = np.random.default_rng(12).normal(-4e-3, 1e-3, 45)
 
 
@@ -370,10 +372,11 @@ def test_days_share_the_error_of_a_weight_only_where_all_agrees():
 
 
 def test_a_calibration_serves_as_far_as_its_error_stays_below_what_is_wanted(tracking):
-    wanted = 0.004
+    wanted = 0.0025
     v, last = validity_of(tracking, wanted), tracking.days[-1]
     alpha, k = tracking.alpha, tracking.coefficient
-    now = np.mean((last.error / last.alpha) ** 2)
+    of_days = tracking.scatter[0] ** 2 + tracking.common_scatter**2 * T_OF_3**2
+    now = np.mean((last.error / last.alpha) ** 2) + 2 * of_days
     assert v.now == pytest.approx(np.sqrt(now))
     for edge in v.temperatures:
         away = edge - last.temperature
@@ -382,15 +385,35 @@ def test_a_calibration_serves_as_far_as_its_error_stays_below_what_is_wanted(tra
     years = (v.until - last.date) / datetime.timedelta(days=365.25)
     off = np.mean(((tracking.drift / alpha) ** 2 + (tracking.errors[2] / alpha) ** 2) * years**2)
     assert np.sqrt(now + off) == pytest.approx(wanted, rel=1e-2)
+    assert v.law_until > v.until
+
+
+def test_a_law_is_promised_as_far_as_its_error_stays_below_what_is_wanted(tracking):
+    wanted = 1e-3
+    v, last = validity_of(tracking, wanted), tracking.days[-1]
 
     def of_law(temperature, time):
         at = tracking.alpha_at(temperature, time)
-        return np.sqrt(np.mean(np.diag(at.covariance - at.systematic_covariance) / alpha**2))
+        variance = np.diag(at.covariance - at.systematic_covariance)
+        return np.sqrt(np.mean(variance / tracking.alpha**2))
 
-    for edge in v.law_temperatures:
-        assert of_law(edge, last.date) == pytest.approx(wanted, rel=0.05)
+    low, high = v.law_temperatures
+    assert low > 12.0
+    assert of_law(low, last.date) == pytest.approx(wanted, rel=0.05)
+    assert of_law(high, last.date) < wanted
+    assert high == 24.0
     assert of_law(last.temperature, v.law_until) == pytest.approx(wanted, rel=0.05)
-    assert v.law_until > v.until
+
+
+def test_nothing_is_promised_where_no_day_has_been(tracking):
+    """12 to 24 deg C and 450 days do not tell of -31 and 70 deg C, nor of the next century."""
+    v = validity_of(tracking, 0.5)
+    assert v.temperatures == v.law_temperatures == (12.0, 24.0)
+    first, last = tracking.days[0].date, tracking.days[-1].date
+    assert v.until == v.law_until == last + (last - first)
+    said = " ".join(lines(tracking, v))
+    assert "from 12.0 to 24.0 deg C (the days saw no other)" in said
+    assert "(as long again as the days lasted)" in said
 
 
 def test_a_calibration_that_is_too_noisy_serves_nowhere(tracking):

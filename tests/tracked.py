@@ -61,19 +61,17 @@ def pattern(noise=NOISE):
     return tn.calibrate(campaign_at(np.ones(45), np.random.default_rng(1), noise=noise))
 
 
-def scaled(one, reading_covariance, alpha, **changes):
+def scaled(one, alpha, **changes):
     """Return a calibration with other alpha, the error of its ring in proportion to it."""
-    n = len(alpha)
-    relative = one.systematic_covariance[0, 0] / one.alpha[0] ** 2
-    systematic_covariance, covariance = one.systematic_covariance.copy(), one.covariance.copy()
-    systematic_covariance[:n, :n] = relative * np.outer(alpha, alpha)
-    covariance[:n, :n] = reading_covariance + systematic_covariance[:n, :n]
+    factor = np.append(alpha / one.alpha, np.ones(len(one.covariance) - len(alpha)))
+    systematic_covariance = one.systematic_covariance * np.outer(factor, factor)
+    covariance = one.covariance - one.systematic_covariance + systematic_covariance
     return replace(
         one,
         alpha=alpha,
         systematic_covariance=systematic_covariance,
         covariance=covariance,
-        systematic_error=np.sqrt(relative) * alpha,
+        systematic_error=one.systematic_error / one.alpha * alpha,
         sources=(),
         **changes,
     )
@@ -92,7 +90,6 @@ def drawn(seed, k, r=0.0, *, gap=30.0, temperatures=TEMPERATURES, noise=NOISE, s
         made.append(
             scaled(
                 one,
-                reading_covariance,
                 law * (1 + scale) + root @ random.standard_normal(45),
                 date=date,
                 date_end=date + datetime.timedelta(hours=2),

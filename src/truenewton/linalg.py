@@ -16,6 +16,8 @@ from truenewton.errors import RankDeficient
 
 ROWS_AT_ONCE = 96  # a block of rows stays in the processor's cache
 ROUNDING = 1e-6  # of the largest eigenvalue of a covariance, which rounding may leave
+LARGEST_VARIANCE = 1e30  # beyond, squares overflow
+SMALLEST_DEVIATION = 1e-30  # of what has no variance at all
 SINGULAR = 1e-13  # of the columns at unit length, below which one depends on the others
 CLOSE = 1e-3  # of an eigenvalue, which it may be off by at most
 MOST_STEPS = 60  # beyond, a full decomposition is as fast
@@ -101,6 +103,32 @@ def factor_of(matrix: Array) -> Array:
     values, vectors = scipy.linalg.eigh(matrix)
     real = values > ROUNDING * max(values[-1], 1e-300)
     return np.asarray(vectors[:, real] * np.sqrt(values[real]))
+
+
+def covariance_fault(matrix: Array, unit: Array | None = None) -> str:
+    """Return what keeps an (n, n) matrix from being a covariance, in words; '' if nothing does.
+
+    Rows and columns of what is not known are NaN. Rounding is allowed for in terms of the (n,)
+    variances ``unit``, the diagonal unless given.
+    """
+    unit = np.diag(matrix) if unit is None else unit
+    known = ~np.isnan(unit)
+    if np.isinf(matrix).any():
+        return "is infinite"
+    if (np.isnan(matrix) & np.outer(known, known)).any():
+        return "holds NaN among numbers"
+    if (np.abs(matrix) > LARGEST_VARIANCE).any() or (unit < 0).any():
+        return "holds absurd or negative variances"
+    size = np.sqrt(unit[known])
+    one = np.where(size > 0, 1 / np.where(size > 0, size, 1), 1 / SMALLEST_DEVIATION)
+    scaled = matrix[np.ix_(known, known)] * one[:, None] * one
+    if (np.abs(scaled - scaled.T) > ROUNDING).any():
+        return "is not symmetric"
+    try:
+        scipy.linalg.cholesky(scaled + ROUNDING * np.eye(len(scaled)), lower=True)
+    except np.linalg.LinAlgError:
+        return "is not positive semi-definite"
+    return ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,7 +149,7 @@ def calibration_from(file: FitsFile) -> Calibration:
     values = file.values(CALIBRATION)
     values["layout"]["enabled"] = np.isfinite(values["alpha"])
     count = Unknowns(values["alpha"].size, values["torque_y"].size).count
-    file.require_squares(("COVARIANCE", "SYSTEMATIC"), count, "n + 1 + 2 L")
+    file.require_covariances(count, "n + 1 + 2 L", "calibrate again")
     try:
         values["goodness"] = _goodness(values["degrees_of_freedom"], **values["goodness"])
         values["scale_errors"] = _scale_errors(values.pop("scale_errors", None))

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from truenewton.calibration.verdict import Verdict
 
 
-LARGEST_ALPHA = 1e9  # true Newton / commanded Newton; keeps squares finite
+LARGEST_ALPHA = 1e9  # true Newton / commanded Newton, and one over the smallest: squares are finite
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -133,7 +133,9 @@ class Calibration:
                              ("COVARIANCE", np.diag(self.covariance))):  # fmt: skip
             if (errors < 0).any() or np.isinf(errors).any():
                 raise FormatError(f"{name} is negative or infinite", remedy="calibrate again")
-        if not np.isfinite(self.error[on]).all() or np.abs(self.alpha[on]).max() > LARGEST_ALPHA:
+        alpha = np.abs(self.alpha[on])
+        sane = alpha.min() > 1 / LARGEST_ALPHA and alpha.max() < LARGEST_ALPHA
+        if not (sane and np.isfinite(self.error[on]).all()):
             raise FormatError("ALPHA or its error is absurd", remedy="calibrate again")
 
     def __repr__(self) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from truenewton.errors import FormatError, TrueNewtonError, located
 from truenewton.files.format import REQUIRED, STORED, Column, FileFormat, Keyword, TableFormat
 from truenewton.files.stored_rows import StoredRows
+from truenewton.linalg import covariance_fault
 
 Record = TypeVar("Record")
 Extension = TypeVar("Extension", "Table", "Image")
@@ -205,6 +206,18 @@ class FitsFile:
                     got=shape,
                     want=(side, side),
                 )
+
+    def require_covariances(self, side: int, meaning: str, remedy: str) -> None:
+        """Refuse COVARIANCE and SYSTEMATIC that are none, or not parts of one another."""
+        self.require_squares(("COVARIANCE", "SYSTEMATIC"), side, meaning)
+        whole, part = self.pixels("COVARIANCE"), self.pixels("SYSTEMATIC")
+        for name, matrix, unit in (
+            ("COVARIANCE", whole, None),
+            ("SYSTEMATIC", part, None),
+            ("COVARIANCE less SYSTEMATIC", whole - part, np.diag(whole)),
+        ):
+            if fault := covariance_fault(matrix, unit):
+                self._refuse(f"{name} {fault}", remedy)
 
     def _extension(self, name: str, kind: type[Extension]) -> Extension:
         extension = self.extensions.get(name)

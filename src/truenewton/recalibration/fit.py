@@ -39,17 +39,19 @@ from truenewton.recalibration.known import (
     shared_errors,
 )
 from truenewton.recalibration.short_run import (
+    Pulls,
     balancing,
     degrees_of,
     held_to,
     inverse_of,
     posed_problem,
-    pulls,
+    pulls_of,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
+from truenewton.rounding import percent
 from truenewton.statics.arms import enabled_arms
-from truenewton.tracking.days import SAME_TEMPERATURE
+from truenewton.tracking.days import OTHER_UNIT, SAME_TEMPERATURE
 from truenewton.tracking.law import Outlier, Tracking
 
 ALL_TOGETHER = 1e-3  # chance below which the others are said to disagree as a whole
@@ -76,6 +78,9 @@ class Recalibration:
         Of all that stayed against their earlier calibration; chance of a larger chi2.
     limits
         What cannot be said, in words.
+    scatter
+        By how much each that stayed has changed since, relative, beyond the errors of the earlier
+        calibration and of the run; estimated from the run, and part of all errors.
     """
 
     calibration: Calibration
@@ -86,6 +91,7 @@ class Recalibration:
     degrees_of_freedom: int
     probability: float
     limits: tuple[str, ...]
+    scatter: float = 0.0
 
 
 def recalibrate(
@@ -129,43 +135,81 @@ def recalibrate(
     errors, scale = shared_errors(before, data)
     problem = posed_problem(before, sifted, errors)
     problem, moments, minimum, lost = balancing(problem, before, sifted, new)
-    moved: list[Outlier] = []
-    stay = ~new
-    while True:
-        problem = held_to(problem, before, stay)
-        minimum = problem.fitted(moments, minimum.values)
-        z, chi2, degrees = pulls(problem, minimum, stay)
-        worst = int(np.abs(z).argmax())
-        chance = float(2 * scipy.stats.norm.sf(abs(z[worst])))
-        mirror = chance_of_any(chance, int(stay.sum()))
-        if mirror >= FALSE_ALARM:
-            break
-        moved.append(Outlier(int(ids[worst]), "moved", float(z[worst]), mirror))
-        stay[worst] = False
-        if len(moved) > MOST * len(stay):
-            raise RankDeficient(
-                f"more than {len(moved) - 1} actuators no longer agree with {before.name}",
-                remedy="calibrate anew",
-                got=len(moved),
-                want=MOST * len(stay),
-            )
+    problem, minimum, stay, moved, against = _who_moved(problem, before, moments, minimum, ~new)
     problem, minimum = with_noise_from_minimum(problem, moments, minimum, degrees_of)
     rejected = (*sifted.rejected, *lost)
     calibration = _calibration(before, problem, moments, minimum, rejected, scale, stay)
-    probability = float(scipy.stats.chi2.sf(chi2, degrees)) if degrees else float("nan")
-    limits = tuple(_limits(before, data, probability))
+    degrees = len(against.contrasts)
+    probability = float(scipy.stats.chi2.sf(against.chi2, degrees)) if degrees else float("nan")
+    limits = tuple(_limits(before, data, probability, against.scatter.own))
     calibration = _with_faults(calibration, before, limits)
     warn_of(calibration)
     return Recalibration(
         calibration=calibration,
         asked=tuple(ids[new].tolist()),
-        moved=tuple(sorted(moved, key=lambda one: one.probability)),
+        moved=tuple(moved),
         earlier=before.alpha,
-        chi2=chi2,
+        chi2=against.chi2,
         degrees_of_freedom=degrees,
         probability=probability,
         limits=limits,
+        scatter=against.scatter.own,
     )
+
+
+def _who_moved(
+    problem: Problem,
+    known: EarlierCalibration,
+    moments: Moments,
+    minimum: Minimum,
+    stay: NDArray[np.bool_],
+) -> tuple[Problem, Minimum, NDArray[np.bool_], list[Outlier], Pulls]:
+    """Find who has moved besides, the surest first; return the fit in which they are free.
+
+    With it (n,) who stays, who moved, and how the run pulls at the earlier calibration as it is.
+
+    Raises
+    ------
+    RankDeficient
+        Too many have moved, or all by too much.
+    """
+    ids = problem.campaign.layout.id[problem.campaign.layout.enabled]
+    moved: list[Outlier] = []
+    stay = stay.copy()
+    while True:
+        problem = held_to(problem, known, stay)
+        minimum = problem.fitted(moments, minimum.values)
+        found = against = pulls_of(problem, minimum, stay)
+        scatter = against.scatter
+        if scatter.own > OTHER_UNIT:
+            raise RankDeficient(
+                f"all others no longer agree with {known.name}: they have changed by"
+                f" {percent(scatter.own)} each",
+                remedy="calibrate anew, or give the calibration of this unit",
+                got=scatter.own,
+                want=OTHER_UNIT,
+            )
+        if scatter.own:
+            problem = held_to(problem, known, stay, scatter.own)
+            minimum = problem.fitted(moments, minimum.values)
+            found = pulls_of(problem, minimum, stay)
+        sigmas = found.sigmas
+        worst = int(np.abs(sigmas).argmax())
+        freedom = scatter.degrees_of(float(found.variance[worst]))
+        chance = float(2 * scipy.stats.t.sf(abs(sigmas[worst]), freedom))
+        mirror = chance_of_any(chance, int(stay.sum()))
+        if mirror >= FALSE_ALARM:
+            moved.sort(key=lambda one: one.probability)
+            return problem, minimum, stay, moved, against
+        moved.append(Outlier(int(ids[worst]), "moved", float(sigmas[worst]), mirror))
+        stay[worst] = False
+        if len(moved) > MOST * len(stay):
+            raise RankDeficient(
+                f"more than {len(moved) - 1} actuators no longer agree with {known.name}",
+                remedy="calibrate anew",
+                got=len(moved),
+                want=MOST * len(stay),
+            )
 
 
 def _run_from(campaign: Campaign | str | os.PathLike[str]) -> Campaign:
@@ -267,9 +311,16 @@ def _calibration(
     return replace(made, temperature=temperature, sources=(*made.sources, *known.sources))
 
 
-def _limits(known: EarlierCalibration, campaign: Campaign, probability: float) -> Iterator[str]:
+def _limits(
+    known: EarlierCalibration, campaign: Campaign, probability: float, scatter: float
+) -> Iterator[str]:
     """Yield what cannot be said."""
-    if probability < ALL_TOGETHER:
+    if probability < ALL_TOGETHER and scatter:
+        yield (
+            f"the others have changed by {percent(scatter)} each since their earlier calibration,"
+            " and are held no better than that: calibrate anew where it is too much"
+        )
+    elif probability < ALL_TOGETHER:
         yield (
             "all others together disagree with their earlier calibration, though none stands out:"
             " calibrate anew"
@@ -277,9 +328,20 @@ def _limits(known: EarlierCalibration, campaign: Campaign, probability: float) -
     then, now = known.temperature, mean_temperature(campaign.cycles)
     if not (np.isfinite(then) and np.isfinite(now)):
         yield "the temperatures are not all known: others may seem to have moved"
+    elif known.temperatures and not _within(now, known.temperatures):
+        low, high = known.temperatures
+        yield (
+            f"the run was at {now:.1f} deg C, and the days of the law between {low:.1f} and"
+            f" {high:.1f}: how alpha goes on from there is not known; track a day"
+            f" at {now:.0f} deg C"
+        )
     elif abs(now - then) > SAME_TEMPERATURE:
         yield (
             f"the earlier calibration holds at {then:.1f} deg C, the run was at {now:.1f}: others"
             f" may seem to have moved; alpha is given at {then:.1f} deg C (a tracking file as"
             " --known takes temperature into account)"
         )
+
+
+def _within(temperature: float, ends: tuple[float, float]) -> bool:
+    return ends[0] - SAME_TEMPERATURE <= temperature <= ends[1] + SAME_TEMPERATURE

@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.file import calibration_from
@@ -48,6 +49,8 @@ class EarlierCalibration:
         Under which it was found, and from which files.
     verdict
         On it.
+    temperatures
+        Of a law: the coldest and the warmest of its days [deg C], where it tells temperature.
     """
 
     name: str
@@ -59,6 +62,7 @@ class EarlierCalibration:
     loads: tuple[Load, ...]
     sources: tuple[Source, ...]
     verdict: Verdict
+    temperatures: tuple[float, float] | None = None
 
 
 def known_from(
@@ -99,7 +103,7 @@ def known_from(
             remedy="give the calibration of the same mirror",
             path=name,
         )
-    n = given.layout.n
+    n, temperatures = given.layout.n, None
     if isinstance(given, Tracking):
         verdict = _verdict_on_days(given, force=force, path=name)
         temperature = mean_temperature(campaign.cycles)
@@ -107,6 +111,7 @@ def known_from(
         at = given.alpha_at(temperature if recorded else None, campaign.cycles[0].date)
         alpha, covariance, systematic_covariance = at.alpha, at.covariance, at.systematic_covariance
         temperature = temperature if recorded else given.temperature
+        temperatures = given.span
     else:
         if given.scale == Scale.MEAN_ONE:
             raise FormatError(
@@ -123,16 +128,19 @@ def known_from(
     on = np.isfinite(alpha)
     scale, uneven = _common_and_uneven(alpha[on], systematic_covariance[np.ix_(on, on)])
     uneven = alpha[:, None] * spread(uneven, on)
+    covariance = covariance - systematic_covariance + uneven @ uneven.T
+    _refuse_singular(covariance[np.ix_(on, on)], name)
     return EarlierCalibration(
         name=name,
         alpha=alpha,
-        covariance=covariance - systematic_covariance + uneven @ uneven.T,
+        covariance=covariance,
         scale=scale,
         uneven=uneven,
         temperature=temperature,
         loads=loads,
         sources=sources,
         verdict=verdict,
+        temperatures=temperatures,
     )
 
 
@@ -161,6 +169,17 @@ def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
         remedy = f"{fault.remedy}; --anyway, or force=True, takes it all the same"
         raise NotToBeUsed(f"{Level.UNUSABLE}: {fault.fault}", remedy=remedy, path=path)
     return Verdict(Level.UNUSABLE, (fault,))
+
+
+def _refuse_singular(covariance: Array, path: str) -> None:
+    try:
+        scipy.linalg.cholesky(covariance, lower=True)
+    except (ValueError, np.linalg.LinAlgError):  # it holds NaN, or is singular
+        raise FormatError(
+            "COVARIANCE less SYSTEMATIC is no covariance of alpha",
+            remedy="calibrate again",
+            path=path,
+        ) from None
 
 
 def _common_and_uneven(alpha: Array, systematic_covariance: Array) -> tuple[float, Array]:

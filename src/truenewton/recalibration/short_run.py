@@ -7,11 +7,17 @@ covariance are
     q = I (alpha - alpha_earlier),        I - 2 I H^-1 I + I H^-1 M H^-1 I,
 
 and q_i over its standard deviation is standard normal unless actuator i has moved.
+
+Others may have changed a little each, too: alpha = alpha_earlier (1 + e), e ~ N(0, s^2), which adds
+s^2 D D' to the covariance of q, with D = (I - I H^-1 I) diag(alpha_earlier). From that s is
+estimated as tracking does it from days (`tracking.scatter`); the prior then is
+(I^-1 + s^2 diag(alpha_earlier^2))^-1.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -35,6 +41,7 @@ from truenewton.estimation.sifted import Sifted, refuse_too_many
 from truenewton.estimation.weights import WeightErrors
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
+from truenewton.tracking.scatter import Scatter, scatter_of
 
 LOOSE = 0.2  # relative, of a prior that lets everyone move: bad rows are judged by it
 SCALE_HELD = 1e-4  # of the common scale in it
@@ -53,12 +60,18 @@ def posed_problem(known: EarlierCalibration, sifted: Sifted, errors: WeightError
     return replace(problem, prior=replace(problem.prior, mean=mean, held=held))
 
 
-def held_to(problem: Problem, known: EarlierCalibration, stay: NDArray[np.bool_]) -> Problem:
-    """Return the problem with the (n,) who stay held to their earlier calibration."""
+def held_to(
+    problem: Problem, known: EarlierCalibration, stay: NDArray[np.bool_], scatter: float = 0.0
+) -> Problem:
+    """Return the problem with the (n,) who stay held to their earlier calibration.
+
+    ``scatter`` is what each may have changed by since, relative.
+    """
     on = problem.campaign.layout.enabled
     at = np.ix_(stay, stay)
     information = np.zeros((problem.n, problem.n))
-    information[at] = scipy.linalg.inv(known.covariance[np.ix_(on, on)][at])
+    covariance = known.covariance + np.diag((scatter * known.alpha) ** 2)
+    information[at] = scipy.linalg.inv(covariance[np.ix_(on, on)][at])
     return replace(problem, prior=replace(problem.prior, information=information))
 
 
@@ -114,8 +127,44 @@ def degrees_of(problem: Problem, moments: Moments, minimum: Minimum) -> float:
     return 3 * moments.sums.shapes - free + from_prior
 
 
-def pulls(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> tuple[Array, float, int]:
-    """Return (n,) how far each who stays is pulled, in sigmas; chi2 of all together; degrees."""
+@dataclass(frozen=True, eq=False)
+class Pulls:
+    """How the prior is pulled by a run, of those who stay.
+
+    Attributes
+    ----------
+    sigmas
+        (n,) of each actuator given all others; 0 of who does not stay.
+    variance
+        (n,) of a change of alpha of each, relative, that would pull so.
+    contrasts, covariance, shift
+        (m,) independent pulls, the (m,) variances that they have, and the (m, s) changes that
+        relative changes of alpha of the s who stay make.
+    """
+
+    sigmas: Array
+    variance: Array
+    contrasts: Array
+    covariance: Array
+    shift: Array
+
+    @property
+    def chi2(self) -> float:
+        """Of all together, of as many degrees of freedom as there are contrasts."""
+        return float(np.sum(self.contrasts**2 / self.covariance))
+
+    @cached_property
+    def scatter(self) -> Scatter:
+        """By how much each of those who stay has changed, relative."""
+        y, covariance = self.contrasts[None], np.diag(self.covariance)[None]
+        if not y.size:
+            return Scatter()
+        everyone = np.ones(self.shift.shape[1], dtype=bool)
+        return scatter_of(y, covariance, self.shift, everyone, common=False)
+
+
+def pulls_of(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> Pulls:
+    """Return how the (n,) who stay are pulled."""
     n = problem.n
     at = np.ix_(stay, stay)
     prior = problem.prior
@@ -126,12 +175,17 @@ def pulls(problem: Problem, minimum: Minimum, stay: NDArray[np.bool_]) -> tuple[
     inverse = root.T @ inverse_of(problem, minimum)[:n, :n][at] @ root
     by_weights = minimum.changes[:n][stay]
     spread = root.T @ (minimum.reading_covariance[:n, :n][at] + by_weights @ by_weights.T) @ root
-    variance = np.eye(len(apart)) - 2 * inverse + spread
+    one = np.eye(len(apart))
+    variance = one - 2 * inverse + spread
     pull = root.T @ apart
     values, vectors = scipy.linalg.eigh(variance)
     held = values > SMALL
-    chi2 = float(np.sum((vectors[:, held].T @ pull) ** 2 / values[held]))
-    z = np.zeros(n)
+    told = vectors[:, held].T
     of_each = np.einsum("ia,ab,ib->i", root, variance, root)
-    z[stay] = root @ pull / np.sqrt(np.maximum(of_each, SMALL * np.sum(root**2, axis=1)))
-    return z, chi2, int(np.count_nonzero(held))
+    of_each = np.maximum(of_each, SMALL * np.sum(root**2, axis=1))
+    alpha = prior.mean[:n]
+    sigmas, relative = np.zeros(n), np.zeros(n)
+    sigmas[stay] = root @ pull / np.sqrt(of_each)
+    relative[stay] = 1 / (alpha[stay] ** 2 * of_each)
+    shift = told @ (one - inverse) @ root.T * alpha[stay]
+    return Pulls(sigmas, relative, told @ pull, values[held], shift)

@@ -8,7 +8,7 @@ from typing import Any
 
 from truenewton.calibration.words import summary_lines, summary_values
 from truenewton.recalibration.fit import Recalibration
-from truenewton.rounding import by_chance, with_error
+from truenewton.rounding import by_chance, percent, with_error
 
 
 def lines(made: Recalibration) -> Iterator[str]:
@@ -39,6 +39,9 @@ def lines(made: Recalibration) -> Iterator[str]:
         + ("the rest agree" if made.moved else "none has moved (false alarm on 1 % of mirrors)")
     )
 
+    if made.scatter:
+        yield f"  each of them has changed by {percent(made.scatter)} since; errors allow for it"
+
 
 def values(made: Recalibration) -> dict[str, Any]:
     """Return the same figures for a script."""
@@ -51,6 +54,7 @@ def values(made: Recalibration) -> dict[str, Any]:
             "chi2": made.chi2,
             "degrees_of_freedom": made.degrees_of_freedom,
             "probability": made.probability,
+            "scatter": made.scatter,
         },
         "limits": list(made.limits),
     }

@@ -25,6 +25,8 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 Given = Calibration | Campaign | str | os.PathLike[str]
 SAME_TEMPERATURE = 1.0  # [K]; cycles of a campaign farther apart are calibrated apart
+# Typical change of alpha beyond its error, of another unit: 50 K make 0.3 % between actuators.
+OTHER_UNIT = 0.03
 YEAR = datetime.timedelta(days=365.25)
 
 

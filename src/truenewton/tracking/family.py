@@ -24,9 +24,8 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import NotConverged
+from truenewton.tracking.scatter import largest_likelihood
 
-STEPS = 200
 TWO_SIDED = 0.95
 GRID = 25  # spreads over which a chance is averaged
 
@@ -101,24 +100,12 @@ def fitted_population(
     noise = (np.diag(covariance) @ x) / x.sum(axis=0)
     scatter = ((y - x @ ((y @ x) / x.sum(axis=0))) ** 2 @ x) / np.maximum(x.sum(axis=0) - 1, 1)
     variance = np.maximum(scatter - noise, 0.1 * noise) if start is None else start
-    value, p, score, information = _likelihood(variance, y, covariance, x)
-    for _ in range(STEPS):
-        free = (variance > 0.0) | (score > 0.0)
-        step = np.zeros_like(variance)
-        step[free] = np.linalg.solve(information[np.ix_(free, free)], score[free])
-        for halving in range(30):
-            tried = np.maximum(variance + step * 0.5**halving, 0.0)
-            new = _likelihood(tried, y, covariance, x)
-            if new[0] >= value - 1e-9:
-                break
-        moved = np.abs(tried - variance) / (variance + noise)
-        variance, (value, p, score, information) = tried, new
-        if moved.max() < 1e-8:
-            break
-    else:
-        raise NotConverged(
-            "the spread of the family does not settle", remedy="give more days or fewer effects"
-        )
+
+    def likelihood(variance: Array) -> tuple[float, Array, Array]:
+        value, _, score, information = _likelihood(variance, y, covariance, x)
+        return value, score, information
+
+    variance, information = largest_likelihood(likelihood, variance, noise)
     weighed = np.linalg.solve(covariance + np.diag(x @ variance), x)
     mean_covariance = np.linalg.inv(x.T @ weighed)
     return Population(
@@ -126,7 +113,7 @@ def fitted_population(
         variance_covariance=np.asarray(np.linalg.inv(information), dtype=np.float64),
         mean=mean_covariance @ (weighed.T @ y),
         mean_covariance=mean_covariance,
-        projection=p,
+        projection=_likelihood(variance, y, covariance, x)[1],
     )
 
 

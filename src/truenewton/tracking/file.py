@@ -28,6 +28,7 @@ ACTUATORS = TableFormat(
         Column("E_K", lambda t: t.errors[1], "1/K"),
         Column("DRIFT", "drift", "1/yr"),
         Column("E_DRIFT", lambda t: t.errors[2], "1/yr"),
+        Column("SCATTER", "scatter", absent=0.0),
     ),
 )
 FAMILIES = TableFormat(
@@ -81,6 +82,8 @@ TRACKING = FileFormat(
         Keyword("TEMPERAT", "temperature", "T0: ALPHA holds here", "deg_C", absent=np.nan),
         Keyword("CHI2", "chi2", "of the days about the lines"),
         Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="int"),
+        Keyword("SCATTER", "common_scatter", "from day to day, of all in common", absent=0.0),
+        Keyword("SCATDOF", "scatter_degrees", "its degrees of freedom", kind="int", absent=0),
     ),
     (
         ACTUATORS,
@@ -114,7 +117,7 @@ def tracking_from(file: FitsFile) -> Tracking:
     """
     values = file.values(TRACKING)
     alpha = values["alpha"]
-    file.require_squares(("COVARIANCE", "SYSTEMATIC"), 3 * alpha.size, "ALPHA, K and DRIFT")
+    file.require_covariances(3 * alpha.size, "ALPHA, K and DRIFT", "track again")
     if not values["days"]["name"]:
         raise FormatError("DAYS is empty", remedy="track again", path=file.path)
     values["layout"]["enabled"] = np.isfinite(alpha)

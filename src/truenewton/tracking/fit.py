@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import scipy.stats
@@ -13,6 +13,7 @@ from truenewton.arrays import Array, spread, spread_square
 from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.tracking.days import (
+    OTHER_UNIT,
     SAME_TEMPERATURE,
     YEAR,
     DatedCalibration,
@@ -27,11 +28,13 @@ from truenewton.tracking.family import (
     most_outlying,
 )
 from truenewton.tracking.law import SAME_TIME, DayRecord, Outlier, Tracking
-from truenewton.tracking.linear_fit import LinearFit, linear_fit
+from truenewton.tracking.linear_fit import LinearFit, linear_fit, relative_days
+from truenewton.tracking.outlying_day import widened
+from truenewton.tracking.scatter import Scatter, scatter_of
 
 ALIKE = 0.01  # of the square of one effect, below which it cannot be told from the other
-OTHER_UNIT = 0.03  # typical change of alpha beyond its error; 50 K make 0.3 % between actuators
 PATIENCE = 2  # looks behind an actuator that hides another
+FEW = 3  # degrees of freedom, below which a common scatter is hardly told
 MOST = 0.25  # of the actuators that may leave the family, or there is none
 
 
@@ -65,12 +68,14 @@ def track(*given: Given, force: bool = False) -> Tracking:
         )
     _refuse_other_units(days, on)
     settings, effects, limits, temperature, date = _settings(days)
-    if len(weight_groups(days)) > 1:
-        limits += ("weights or their errors differ between days: each set has errors of its own",)
-    if not on.all():
-        limits += (f"actuators not enabled on every day are left out: {np.count_nonzero(~on)}",)
     layout = days[0].calibration.layout
-    fit, jumped = _off_their_lines(days, on, settings)
+    fit, jumped, scatter, own = _off_their_lines(days, on, settings)
+    stay = ~np.isin(layout.id[on], [one.actuator for one in jumped])
+    wider, outlying = widened(days, on, settings, stay)
+    if outlying:
+        fit, jumped, scatter, own = _off_their_lines(wider, on, settings)
+        limits += (outlying,)
+    limits += tuple(_limits_of(days, on, scatter, len(effects)))
     outliers, members = _outliers(fit, effects, layout.id[on], jumped)
     values, covariance, systematic_covariance, families = _pooled(fit, members, effects)
     law, derivatives = _law_from(values, effects)
@@ -94,6 +99,9 @@ def track(*given: Given, force: bool = False) -> Tracking:
         chi2=fit.chi2,
         degrees_of_freedom=len(fit.alpha) * fit.actuator_degrees,
         limits=limits,
+        scatter=spread(own, on),
+        common_scatter=scatter.common,
+        scatter_degrees=scatter.degrees,
         days=tuple(
             DayRecord(
                 day.name, day.date, c.temperature, c.alpha, c.reading_error, str(c.verdict.level)
@@ -171,27 +179,59 @@ def _settings(
 
 def _off_their_lines(
     days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
-) -> tuple[LinearFit, list[Outlier]]:
+) -> tuple[LinearFit, list[Outlier], Scatter, Array]:
     """Fit the lines, and find who lies on none: the worst first, its scatter then allowed for.
 
-    Readings of all actuators hang together, so one that jumped drags others off their lines.
+    Readings of all actuators hang together, so one that jumped drags others off their lines. What
+    all scatter by from day to day is no jump; its own degrees of freedom make the test one of
+    Fisher's F. With the fit, the scatter of all, and (n,) of each.
     """
     n = int(on.sum())
     ids = days[0].calibration.layout.id[on]
-    scatter = np.zeros(n)
     jumped: list[Outlier] = []
+    stay, own = np.ones(n, dtype=bool), np.zeros(n)
+    contrasts, covariance = relative_days(days, on, settings).contrasts()
     while True:
-        fit = linear_fit(days, on, settings, scatter)
+        scatter = Scatter()
+        if len(contrasts):
+            scatter = scatter_of(contrasts, covariance, np.eye(n), stay, common=True)
+        own = np.where(stay, scatter.own, np.maximum(own, scatter.own))
+        fit = linear_fit(days, on, settings, own, scatter.expanded_common)
         if not fit.actuator_degrees or len(jumped) >= MOST * n:
-            return fit, jumped
-        worst = int(fit.actuator_chi2.argmax())
-        chance = float(scipy.stats.chi2.sf(fit.actuator_chi2[worst], fit.actuator_degrees))
-        mirror = chance_of_any(chance, n * (1 + settings.shape[1]))
-        if mirror >= FALSE_ALARM or scatter[worst]:
-            return fit, jumped
-        scatter[worst] = fit.own_scatter[worst]
+            return fit, jumped, scatter, own
+        worst = int(np.where(stay, fit.actuator_chi2, 0.0).argmax())
+        degrees = fit.actuator_degrees
+        variance = scatter.own**2 + float(np.mean(np.einsum("paa->pa", covariance)[:, worst]))
+        chance = scipy.stats.f.sf(
+            fit.actuator_chi2[worst] / degrees, degrees, scatter.degrees_of(variance)
+        )
+        mirror = chance_of_any(float(chance), n * (1 + settings.shape[1]))
+        if mirror >= FALSE_ALARM:
+            return fit, jumped, scatter, own
+        stay[worst], own[worst] = False, fit.own_scatter[worst]
         sigmas = float(np.sqrt(fit.actuator_chi2[worst]))
         jumped.append(Outlier(int(ids[worst]), "line", sigmas, mirror))
+
+
+def _limits_of(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], scatter: Scatter, effects: int
+) -> Iterator[str]:
+    """Yield what else is not told, or not of all."""
+    if len(weight_groups(days)) > 1:
+        yield "weights or their errors differ between days: each set has errors of its own"
+    if not on.all():
+        yield f"actuators not enabled on every day are left out: {np.count_nonzero(~on)}"
+    if not scatter.degrees:
+        yield (
+            f"{len(days)} days leave nothing over beside the {1 + effects} unknowns of each line:"
+            " what scatter there is from day to day is not told, and none is assumed"
+        )
+    elif scatter.degrees < FEW:
+        yield (
+            f"scatter common to all actuators rests on {scatter.degrees} degree"
+            f"{'s' * (scatter.degrees > 1)} of freedom: errors are widened for it; more days would"
+            " tell it better"
+        )
 
 
 def _outliers(

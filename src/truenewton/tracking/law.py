@@ -11,12 +11,14 @@ import numpy as np
 import scipy.stats
 
 from truenewton.arrays import Array, freeze
-from truenewton.errors import RankDeficient
+from truenewton.calibration.result import LARGEST_ALPHA
+from truenewton.errors import FormatError, RankDeficient
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.family import Family
+from truenewton.tracking.scatter import expanded
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -77,7 +79,7 @@ class AlphaPrediction:
     Attributes
     ----------
     alpha, error
-        (n,) and its standard uncertainty, everything included.
+        (n,) and its standard uncertainty, everything included: the scatter from day to day, too.
     covariance, systematic_covariance
         (n, n) of alpha, and the part from the weights.
     """
@@ -117,6 +119,12 @@ class Tracking:
         What cannot be said, in words.
     days
         The calibrations, in the order of time.
+    scatter
+        (n,) by how much alpha of an actuator scatters from day to day by itself, relative, beyond
+        the readings (see `scatter`); one and the same but for those that lie on no line.
+    common_scatter, scatter_degrees
+        The same of all actuators together, and its degrees of freedom; 0 where there are no more
+        days than unknowns, and nothing is known of either.
     """
 
     instrument: str
@@ -135,15 +143,42 @@ class Tracking:
     degrees_of_freedom: int
     limits: tuple[str, ...]
     days: tuple[DayRecord, ...]
+    scatter: Array
+    common_scatter: float = 0.0
+    scatter_degrees: int = 0
 
     def __post_init__(self) -> None:
-        freeze(self, "alpha", "coefficient", "drift", "covariance", "systematic_covariance")
+        freeze(self, "alpha", "coefficient", "drift", "covariance", "systematic_covariance",
+               "scatter")  # fmt: skip
+        on = self.layout.enabled & np.isfinite(self.alpha)
+        alpha = np.abs(self.alpha[on])
+        if not (on.any() and alpha.min() > 1 / LARGEST_ALPHA and alpha.max() < LARGEST_ALPHA):
+            raise FormatError("ALPHA holds no usable numbers", remedy="track again")
+        for name, values in (("K", self.coefficient), ("DRIFT", self.drift),
+                             ("SCATTER", self.scatter)):  # fmt: skip
+            if not (np.abs(values[on]) < LARGEST_ALPHA).all():
+                raise FormatError(f"{name} holds no usable numbers", remedy="track again")
+        if (self.scatter[on] < 0).any() or self.common_scatter < 0 or self.scatter_degrees < 0:
+            raise FormatError("SCATTER is negative", remedy="track again")
+        if not set(self.effects) <= {"temperature", "drift"}:
+            raise FormatError(
+                f"EFFECT is {', '.join(self.effects)}", remedy="it is 'temperature' or 'drift'"
+            )
+        degrees = [self.temperature, *(day.temperature for day in self.days)]
+        if "temperature" in self.effects and not np.isfinite(degrees).all():
+            raise FormatError("TEMPERAT is missing, or a TEMPERATURE of DAYS", remedy="track again")
 
     def __repr__(self) -> str:
         return (
             f"<Tracking of {self.instrument}: {len(self.days)} calibrations,"
             f" {' and '.join(self.effects)}>"
         )
+
+    @property
+    def span(self) -> tuple[float, float] | None:
+        """Coldest and warmest of the days [deg C]; None where they do not tell temperature."""
+        degrees = [day.temperature for day in self.days]
+        return (min(degrees), max(degrees)) if "temperature" in self.effects else None
 
     @property
     def probability(self) -> float:
@@ -166,7 +201,7 @@ class Tracking:
     def alpha_at(
         self, temperature: float | None = None, time: datetime.datetime | None = None
     ) -> AlphaPrediction:
-        """Return alpha at a temperature and a time, with its uncertainty.
+        """Return alpha on a day, at a temperature and a time, with its uncertainty.
 
         Parameters
         ----------
@@ -202,6 +237,8 @@ class Tracking:
             for matrix in (self.covariance, self.systematic_covariance)
         )
         alpha = self.alpha * (1 + self.coefficient * away) + self.drift * years
+        common = alpha * expanded(self.common_scatter, self.scatter_degrees)
+        covariance += np.diag((self.scatter * alpha) ** 2) + np.outer(common, common)
         return AlphaPrediction(
             alpha, np.sqrt(np.diag(covariance)), covariance, systematic_covariance
         )

@@ -11,7 +11,7 @@ the whole law, so that k and r do not feel it where all days share it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +56,11 @@ class LinearFit:
 
 
 def linear_fit(
-    days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array, scatter: Array
+    days: Sequence[DatedCalibration],
+    on: NDArray[np.bool_],
+    settings: Array,
+    scatter: Array,
+    common: float = 0.0,
 ) -> LinearFit:
     """Fit the lines of all actuators at once.
 
@@ -70,6 +74,8 @@ def linear_fit(
         (J, q) temperature and time of the days, counted from their middle.
     scatter
         (n,) standard deviation of each actuator about its line, relative, beside the readings.
+    common
+        The same of all actuators together, from day to day.
 
     Raises
     ------
@@ -83,19 +89,11 @@ def linear_fit(
     # Relative to the mean, all actuators weigh alike in one matrix.
     mean = alpha.mean(axis=0)
     y = alpha / mean
-    each_mean, own = np.outer(mean, mean), np.diag(scatter**2)
-    readings = (covariances(day.calibration, on)[0] / each_mean + own for day in days)
+    of_days = np.diag(scatter**2) + common**2
+    readings = (covariance + of_days for covariance in _relative(days, on, mean))
     roots = np.array([*map(_inverse_root, days, readings)])
     whitened = np.einsum("jab,jk->jakb", roots, design).reshape(count * n, (1 + q) * n)
-    # Errors of the weights multiply the law; taken from the readings they would carry noise.
-    law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
-    changes = [np.zeros((count, n, 0))]
-    for group in weight_groups(days):
-        factor = relative_factor([days[k] for k in group], on)
-        changed = np.zeros((count, n, factor.shape[1]))
-        changed[group] = law[group] * factor
-        changes.append(changed)
-    change = np.concatenate(changes, axis=2)
+    change = _changes_by_weights(days, on, design, y)
     errors = change.shape[2]
     nothing = np.zeros((errors, (1 + q) * n))
     whitened_change = (roots @ change).reshape(count * n, errors)
@@ -107,7 +105,7 @@ def linear_fit(
     root = solution.root[: (1 + q) * n].reshape(1 + q, n, -1).copy()
     root[1:] = (root[1:] - effects[:, :, None] * root[0]) / a[:, None]
     root[0] *= mean[:, None]
-    off = scipy.linalg.null_space(design.T)
+    off = directions_off(settings)
     degrees = off.shape[1]
     return LinearFit(
         alpha=a * mean,
@@ -118,6 +116,99 @@ def linear_fit(
         actuator_chi2=_share(solution, roots, off) if degrees else np.zeros(n),
         actuator_degrees=degrees,
     )
+
+
+def directions_off(settings: Array) -> Array:
+    """Return (J, f) orthonormal directions of the days that no law of (J, q) settings touches."""
+    design = np.column_stack([np.ones(len(settings)), settings])
+    return np.asarray(scipy.linalg.null_space(design.T))
+
+
+@dataclass(frozen=True, eq=False)
+class RelativeDays:
+    """The days relative to alpha, and what is known of their errors.
+
+    Attributes
+    ----------
+    values
+        (J, n) alpha over its mean.
+    readings
+        (J, n, n) their covariance by the readings.
+    changes
+        (J, n, m) by m errors of the weights, at 1 sigma.
+    settings
+        (J, q) temperature and time.
+    """
+
+    values: Array
+    readings: Array
+    changes: Array
+    settings: Array
+
+    def without(self, day: int) -> RelativeDays:
+        """Return all but one of the days."""
+        others = np.arange(len(self.values)) != day
+        return RelativeDays(*(each[others] for each in vars(self).values()))
+
+    def contrasts(self) -> tuple[Array, Array]:
+        """Return (f, n) contrasts that no law touches (see `scatter`), and (f, n, n).
+
+        The latter is what is known of their covariance.
+        """
+        off = directions_off(self.settings)
+        size = np.einsum("jaa->j", self.readings)
+        return self._along(off @ np.linalg.eigh((off.T * size) @ off)[1])
+
+    def contrast_of(self, day: int) -> tuple[Array, Array, float]:
+        """Return (n,) how a day is off the law of the others, (n, n), and the share it has in it.
+
+        Of what is known by the readings; a scatter of the days adds as to any contrast.
+        """
+        off = directions_off(self.settings)
+        share = float(np.linalg.norm(off[day]))
+        contrasts, covariance = self._along(off @ off[day, :, None] / share)
+        return contrasts[0], covariance[0], share
+
+    def _along(self, directions: Array) -> tuple[Array, Array]:
+        by_weights = np.einsum("jp,jam->pam", directions, self.changes)
+        covariance = np.einsum("jp,jab->pab", directions**2, self.readings)
+        return directions.T @ self.values, covariance + by_weights @ np.swapaxes(by_weights, 1, 2)
+
+
+def relative_days(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], settings: Array
+) -> RelativeDays:
+    """Put days at (J, q) settings relative to their mean alpha, of the (n_all,) who take part."""
+    alpha = np.array([day.calibration.alpha[on] for day in days])
+    mean = alpha.mean(axis=0)
+    design = np.column_stack([np.ones(len(alpha)), settings])
+    readings = np.array([*_relative(days, on, mean)])
+    changes = _changes_by_weights(days, on, design, alpha / mean)
+    return RelativeDays(alpha / mean, readings, changes, settings)
+
+
+def _relative(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], alpha: Array
+) -> Iterator[Array]:
+    """Yield each day's (n, n) covariance by the readings, relative to (n,) alpha."""
+    return (covariances(day.calibration, on)[0] / np.outer(alpha, alpha) for day in days)
+
+
+def _changes_by_weights(
+    days: Sequence[DatedCalibration], on: NDArray[np.bool_], design: Array, y: Array
+) -> Array:
+    """Return (J, n, m) changes of the (J, n) days by m errors of the weights, at 1 sigma.
+
+    They multiply the law; taken from the readings they would carry noise.
+    """
+    law = (design @ np.linalg.lstsq(design, y, rcond=None)[0])[:, :, None]
+    changes = [np.zeros((*y.shape, 0))]
+    for group in weight_groups(days):
+        factor = relative_factor([days[k] for k in group], on)
+        changed = np.zeros((*y.shape, factor.shape[1]))
+        changed[group] = law[group] * factor
+        changes.append(changed)
+    return np.concatenate(changes, axis=2)
 
 
 def _inverse_root(day: DatedCalibration, covariance: Array) -> Array:

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from truenewton.calibration.words import row
 from truenewton.rounding import by_chance, with_error
 from truenewton.tracking.law import Tracking
@@ -40,6 +42,10 @@ def lines(tracking: Tracking, validity: Validity | None) -> Iterator[str]:
         within = f"95 % within {100 * low:.2g} .. {100 * high:.2g}"
         yield row(f"{family.effect}, mean", f"{mean} {unit}")
         yield row("  spread of actuators", f"{100 * family.spread:.2g} {unit}, {within}")
+    if t.scatter_degrees:
+        own, common = (f"{100 * s:.2g} %" for s in (np.nanmedian(t.scatter), t.common_scatter))
+        degrees = f"{t.scatter_degrees} degree{'s' * (t.scatter_degrees > 1)} of freedom"
+        yield row("scatter of days", f"{own} of each actuator, {common} of all ({degrees})")
     if t.degrees_of_freedom:
         reduced = f"chi2/DOF = {t.chi2 / t.degrees_of_freedom:.3g}, DOF {t.degrees_of_freedom}"
         yield row("fit", f"{reduced}, probability {t.probability:.2g}")
@@ -83,19 +89,23 @@ def _validity_lines(v: Validity) -> Iterator[str]:
             f" {100 * v.now:.2g} %"
         )
     else:
-        span = _span(v.temperatures, v.until)
+        span = _span(v, v.temperatures, v.until)
         yield f"  the latest calibration, as it is, serves {wanted} {span}"
-    law = _span(v.law_temperatures, v.law_until)
+    law = _span(v, v.law_temperatures, v.law_until)
     yield f"  this law serves {wanted} {law}" if law else f"  this law does not reach {wanted}"
     yield "  (errors of the weights left out: the same weights would repeat them)"
 
 
-def _span(temperatures: tuple[float, float] | None, until: datetime.datetime | None) -> str:
+def _span(
+    v: Validity, temperatures: tuple[float, float] | None, until: datetime.datetime | None
+) -> str:
     parts = []
     if temperatures is not None:
-        parts.append(f"from {temperatures[0]:.1f} to {temperatures[1]:.1f} deg C")
+        ends = " (the days saw no other)" if set(temperatures) & set(v.reach or ()) else ""
+        parts.append(f"from {temperatures[0]:.1f} to {temperatures[1]:.1f} deg C{ends}")
     if until is not None:
-        parts.append(f"until {until:%Y-%m-%d}")
+        ends = " (as long again as the days lasted)" if until == v.reach_until else ""
+        parts.append(f"until {until:%Y-%m-%d}{ends}")
     return ", and ".join(parts)
 
 
@@ -108,6 +118,9 @@ def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
         "date": t.date.isoformat(),
         "effects": list(t.effects),
         "families": [asdict(family) for family in t.families],
+        "scatter": {
+            "own": t.scatter, "common": t.common_scatter, "degrees_of_freedom": t.scatter_degrees,
+        },
         "outliers": [asdict(one) for one in t.outliers],
         "chi2": t.chi2,
         "degrees_of_freedom": t.degrees_of_freedom,

@@ -1,0 +1,195 @@
+"""How alpha scatters from day to day, beyond what the readings explain.
+
+On day j, relative to the law of actuator i,
+
+    alpha_i(j) = alpha_i(T_j, t_j) (1 + c_j + e_ij),    c ~ N(0, s_c^2),    e ~ N(0, s^2):
+
+a scatter c of the day, common to all, and one of each actuator by itself. Contrasts of the days
+that no law touches, y_p = sum_j N_jp alpha_j with N'N = 1, hold nothing else:
+
+    y_p ~ N(0, V_p),    V_p = C_p + s^2 1 + s_c^2 11',
+
+C_p being the covariance of their readings. The likelihood of such contrasts is the restricted one
+(Patterson and Thompson, Biometrika 58, 1971). N is turned so that contrasts are uncorrelated where
+the covariances of the days are in proportion; where they are not, what correlation is left is
+neglected, which biases no estimate.
+
+Actuators that changed must not pass for scatter: by a first estimate, from the median of the
+actuators, those far off are set free, and the likelihood is that of the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+import scipy.stats
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged
+from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
+
+STEPS = 200
+FREE = 1e8  # of the variance of a typical contrast: of a shift that may be anything
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Relative scatter from day to day.
+
+    Attributes
+    ----------
+    own
+        s, of each actuator by itself.
+    own_variance_error
+        Standard uncertainty of s^2.
+    common
+        s_c, of all together.
+    degrees
+        Of freedom of s_c: contrasts of the days; 0 where there are none, and nothing is known.
+    """
+
+    own: float = 0.0
+    own_variance_error: float = 0.0
+    common: float = 0.0
+    degrees: int = 0
+
+    @property
+    def expanded_common(self) -> float:
+        """s_c as `expanded`."""
+        return expanded(self.common, self.degrees)
+
+    def degrees_of(self, variance: float) -> float:
+        """Degrees of freedom of a variance that s^2 is part of (Satterthwaite)."""
+        error = self.own_variance_error
+        return 2.0 * (variance / error) ** 2 if error else np.inf
+
+
+def expanded(scatter: float, degrees: int) -> float:
+    """Return a standard deviation of few degrees of freedom, so that 1.96 times it holds 95 %."""
+    if not degrees:
+        return scatter
+    return scatter * float(scipy.stats.t.isf(0.025, degrees) / scipy.stats.norm.isf(0.025))
+
+
+def largest_likelihood(
+    likelihood: Callable[[Array], tuple[float, Array, Array]], start: Array, unit: Array
+) -> tuple[Array, Array]:
+    """Return the (q,) variances of the largest likelihood, none below 0, and their information.
+
+    Parameters
+    ----------
+    likelihood
+        From (q,) variances to the logarithm, its (q,) derivatives, and the (q, q) information.
+    start, unit
+        (q,) to begin with, and what counts as large.
+
+    Raises
+    ------
+    NotConverged
+    """
+    variance = start
+    value, score, information = likelihood(variance)
+    for _ in range(STEPS):
+        free = (variance > 0.0) | (score > 0.0)
+        step = np.zeros_like(variance)
+        step[free] = np.linalg.solve(information[np.ix_(free, free)], score[free])
+        for halving in range(30):
+            tried = np.maximum(variance + step * 0.5**halving, 0.0)
+            new = likelihood(tried)
+            if new[0] >= value - 1e-9:
+                break
+        moved = np.abs(tried - variance) / (variance + unit)
+        variance, (value, score, information) = tried, new
+        if moved.max() < 1e-8:
+            return variance, information
+    raise NotConverged(
+        "the spread of the family does not settle", remedy="give more days or fewer effects"
+    )
+
+
+def scatter_of(
+    y: Array, covariance: Array, shift: Array, stay: NDArray[np.bool_], *, common: bool
+) -> Scatter:
+    """Estimate the scatter from contrasts of the days.
+
+    Parameters
+    ----------
+    y, covariance
+        (f, m) contrasts, and the (f, m, m) covariance of the readings in each.
+    shift
+        (m, n) what relative changes of the n actuators add to a contrast.
+    stay
+        (n,) who is looked at; the others may have changed by anything.
+    common
+        Whether there is a scatter common to all, too.
+    """
+    size = float(np.mean(np.einsum("pii->pi", covariance)) / np.mean(np.sum(shift**2, axis=1)))
+    own, together = shift @ shift.T, np.outer(shift.sum(axis=1), shift.sum(axis=1))
+    freed = covariance + FREE * size * (shift[:, ~stay] @ shift[:, ~stay].T)
+    suspects = _standing_out(y, freed + FREE * size * together if common else freed, shift, stay)
+    freed = freed + FREE * size * (shift[:, suspects] @ shift[:, suspects].T)
+    parts = [own, together] if common else [own]
+
+    def likelihood(variance: Array) -> tuple[float, Array, Array]:
+        return _likelihood(variance, y, freed, parts)
+
+    unit = np.array([size, size][: len(parts)])
+    variance, information = largest_likelihood(likelihood, unit, unit)
+    return Scatter(
+        own=float(np.sqrt(variance[0])),
+        own_variance_error=float(np.sqrt(np.linalg.inv(information)[0, 0])),
+        common=float(np.sqrt(variance[1])) if common else 0.0,
+        degrees=len(y),
+    )
+
+
+def _standing_out(
+    y: Array, covariance: Array, shift: Array, stay: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return (n,) who is farther off than a scatter that holds for the median lets expect."""
+    middle = float(scipy.stats.chi2.median(len(y)))
+    own = shift @ shift.T
+
+    def shares(log_variance: float) -> Array:
+        total = np.zeros(shift.shape[1])
+        for values, matrix in zip(y, covariance, strict=True):
+            factor = scipy.linalg.cho_factor(matrix + np.exp(log_variance) * own, lower=True)
+            solved = scipy.linalg.cho_solve(factor, np.column_stack([values, shift]))
+            total += (shift.T @ solved[:, 0]) ** 2 / np.sum(shift * solved[:, 1:], axis=0)
+        return total
+
+    def off(log_variance: float) -> float:
+        return float(np.log(np.median(shares(log_variance)[stay]) / middle))
+
+    size = np.mean(np.einsum("pii->pi", covariance)) / np.mean(np.sum(shift**2, axis=1))
+    low, high = np.log(1e-6 * size), np.log(1e12 * size)
+    if off(low) > 0.0 > off(high):
+        low = scipy.optimize.brentq(off, low, high, xtol=0.02)
+    chance = scipy.stats.chi2.sf(shares(low), len(y))
+    rare = np.array([chance_of_any(float(one), int(stay.sum())) for one in chance]) < FALSE_ALARM
+    return np.asarray(rare & stay)
+
+
+def _likelihood(
+    variance: Array, y: Array, covariance: Array, parts: Sequence[Array]
+) -> tuple[float, Array, Array]:
+    """Return the log-likelihood, the score and the expected information."""
+    value, score = 0.0, np.zeros(len(parts))
+    information = np.zeros((len(parts), len(parts)))
+    for values, matrix in zip(y, covariance, strict=True):
+        whole = matrix + sum(s * part for s, part in zip(variance, parts, strict=True))
+        factor = scipy.linalg.cho_factor(whole, lower=True)
+        weighed = scipy.linalg.cho_solve(factor, values)
+        inverse = scipy.linalg.cho_solve(factor, np.eye(len(values)))
+        by_part = [inverse @ part for part in parts]
+        value -= float(np.log(np.diag(factor[0])).sum() + 0.5 * values @ weighed)
+        for k, one in enumerate(by_part):
+            score[k] += 0.5 * float(weighed @ parts[k] @ weighed - np.trace(one))
+            for m, other in enumerate(by_part):
+                information[k, m] += 0.5 * float(np.sum(one * other.T))
+    return value, score, information
