@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.bench.choice import KINDS, BenchChoice
+from truenewton.bench.choice import KINDS, BenchChoice, foreign_keys
+from truenewton.bench.protocol import MOST_SAMPLES
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from
@@ -139,7 +140,7 @@ class CampaignPlan:
 
     def __post_init__(self) -> None:
         for name, low, high in (
-            ("cycles", 1, MOST_CYCLES), ("samples", 1, 10**9), ("turns", 0, MOST_TURNS),
+            ("cycles", 1, MOST_CYCLES), ("samples", 1, MOST_SAMPLES), ("turns", 0, MOST_TURNS),
         ):  # fmt: skip
             if not low <= getattr(self, name) <= high:
                 raise _wrong(name, getattr(self, name), f"give {low} to {high}")
@@ -155,6 +156,9 @@ class CampaignPlan:
             raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
         if bench.kind not in KINDS:
             raise _wrong("bench.kind", bench.kind, f"choose {', '.join(KINDS)}")
+        for name in foreign_keys(bench):
+            remedy = f"take it out: a bench of kind '{bench.kind}' does not use it"
+            raise _wrong(f"bench.{name}", getattr(bench, name), remedy)
         _check_loads(self.loads)
         for what, limit, planned in (
             ("stroke", limits.displacement, shapes.stroke),

@@ -17,7 +17,10 @@ def run(
     ),
     port: int = typer.Option(4840, min=1, max=65535, help="TCP port."),
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
-    noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]."),
+    noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]; static."),
+    fidelity: str = typer.Option(
+        "static", help="static: shapes are held exactly; loop: in closed loop, sample by sample."
+    ),
 ) -> None:
     """Serve the simulated bench over OPC UA on this machine, for known clients only."""
     from truenewton.bench.opcua import require_asyncua
@@ -33,7 +36,7 @@ def run(
     from truenewton.bench.simulated.bench import SimulatedBench
     from truenewton.mirrors.file import mirror_from
 
-    bench = SimulatedBench(mirror_from(mirror), seed, force_noise=noise)
+    bench = SimulatedBench(mirror_from(mirror), seed, force_noise=noise, fidelity=fidelity)
     make_keys(keys)
 
     async def serve_until_stopped() -> None:
