@@ -1,5 +1,6 @@
 """Hardware as it comes: servers written from the page, what they may leave out and get wrong."""
 
+import ast
 import asyncio
 import logging
 import re
@@ -382,3 +383,37 @@ def test_a_reading_of_lists_counts_and_one_of_words_is_a_fault(tmp_path):
     words = StubBench(spoil=lambda shape, r: replace(r, force=["much"] * 8))
     with pytest.raises(BenchFault, match="the force of a reading is no array of numbers"):
         tn.acquire(words, small_plan(), tmp_path / "d")
+
+
+POSIX = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"}
+
+
+def test_nothing_needs_posix():
+    """Windows has none of these; the lock of a folder takes its own where there is no fcntl."""
+    found = []
+    for path in Path(tn.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in getattr(node, "names", ())]
+            if isinstance(node, ast.ImportFrom):
+                names = [node.module]
+            if isinstance(node, ast.Import | ast.ImportFrom) and POSIX & set(names):
+                found.append(path.name)
+    assert found == ["lock.py"]
+
+
+def test_the_journal_is_let_go_before_it_is_removed(tmp_path, monkeypatch):
+    """Windows removes no file that is mapped."""
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        pytest.skip("no /proc")
+    unlink, mapped = Path.unlink, []
+
+    def looked_at(path, **keywords):
+        if path.suffix == ".journal":
+            mapped.append(str(path) in maps.read_text())
+        unlink(path, **keywords)
+
+    monkeypatch.setattr(Path, "unlink", looked_at)
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    assert len(mapped) >= 4
+    assert not any(mapped)

@@ -78,7 +78,7 @@ def solve(matrix: Array, right_side: Array) -> SingularSolution:
 
 
 def solve_whatever_rank(matrix: Array, right_side: Array) -> SingularSolution:
-    """Solve as `solve`; of a matrix singular to rounding the shortest of all solutions.
+    """Solve (m, u) and (m,) as `solve`; of a singular matrix the shortest of all solutions.
 
     A QR factorisation comes first, which keeps the singular values and makes tall systems cheap.
 

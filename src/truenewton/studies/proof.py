@@ -24,7 +24,7 @@ from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import enabled_arms, external_load
 from truenewton.statics.load import Load
 
-FEWEST = 4  # actuators
+FEWEST = 5  # actuators, for which n - 3 patterns give as many equations as unknowns
 LIMIT = 20.0  # error / (eps cond) that a backward-stable solution stays below
 
 
@@ -90,14 +90,14 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
     Raises
     ------
     GeometryError
-        There are fewer than four actuators, or the last three hold no plane.
+        There are fewer than five actuators, or the last three hold no plane.
     """
     a = enabled_arms(mirror.layout)
     n = a.shape[1]
     if n < FEWEST:
         raise GeometryError(
             f"only {n} actuators take part",
-            remedy="three hold the mirror; enable four at least",
+            remedy="enable five at least: three hold the mirror, and two patterns are needed",
         )
     if np.linalg.cond(a[:, -3:] / np.abs(a).max(axis=1)[:, None]) > 1e8:
         raise GeometryError(
