@@ -1,6 +1,6 @@
 """Where the noise of the closed loop comes from, and how soon it settles.
 
-    python benchmarks/closed_loop.py [--shapes 360] [--figure PNG]
+    python benchmarks/closed_loop.py [--shapes 360] [--figure PNG] [--errors]
 
 P45, recorded from 20 ms after the command on. To the
 noise of a sensor the mirror truly moves, and the glass balances what moves it: so the sum and the
@@ -19,7 +19,7 @@ from truenewton.bench.simulated.loop import Loop, equilibrium
 from truenewton.bench.simulated.noise import row_noise
 from truenewton.bench.simulated.record import record
 from truenewton.bench.simulated.static import loop_of, static_bench
-from truenewton.mirrors.known import p45
+from truenewton.mirrors.known import Mirror, p45, ring
 from truenewton.statics.arms import arms
 
 QUIET_COILS = {"dac_step": 1e-15, "driver_noise": 0.0}
@@ -86,11 +86,37 @@ def print_settling(loop: Loop, glass: np.ndarray) -> None:
         print(f"{k:12.4g} N/m {ten:8.2f} ms {five:8.2f} ms; most {position.max():.3f}")
 
 
+def errors_of_means(mirror: Mirror, readings: int) -> tuple[float, float, float]:
+    """Return the error of a mean force [N], RMS over actuators, of one shape read so many times.
+
+    As the readings scatter; by the means of parts of each record; samples taken for independent.
+    """
+    bench = static_bench(mirror, 1)
+    shapes = np.tile(bench.shapes[2][:, None], (1, readings))
+    noise = [row_noise(1, "bare", k, 1, 1) for k in range(readings)]
+    found = record(loop_of(bench), shapes, bench.load_force[0][:, None], noise)
+    again = rms(found.force.std(axis=1, ddof=1))
+    return float(again), float(rms(found.force_error)), float(rms(found.force_scatter) / 2048**0.5)
+
+
+def print_errors(readings: int) -> None:
+    """Print what a mean force is worth, in three ways."""
+    print(f"{readings} readings of 2,048 samples: error of a mean force, uN")
+    print(f"{'':12}{'taken again':>14}{'four parts':>14}{'independent':>14}")
+    for mirror in (p45(), ring(8)):
+        errors = "".join(f"{1e6 * each:14.2f}" for each in errors_of_means(mirror, readings))
+        print(f"{mirror.name:12}{errors}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--shapes", type=int, default=360)
+    parser.add_argument("--errors", action="store_true", help="of means, and nothing else")
     parser.add_argument("--figure", help="write the step responses to this PDF or PNG")
     arguments = parser.parse_args()
+    if arguments.errors:
+        print_errors(40)
+        return
     loop, glass = p45_loop()
     print_noise(loop, arguments.shapes)
     print_settling(loop, glass)

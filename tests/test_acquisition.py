@@ -441,8 +441,8 @@ def test_somebody_must_put_the_loads_on(tmp_path):
 
 def test_a_plan_is_kept_as_it_is_read(tmp_path):
     plan = small_plan(
-        loads=(tn.Load('b"a\\re\u00e9'), tn.Load("ring", -0.1, 0.01, "tool\t1", 60.0, 0.1)),
-        bench=BenchChoice("opcua", "opc.tcp://mirror:4840", password_file="secret"),
+        loads=(tn.Load('b"a\\re'), tn.Load("ring", -0.1, 0.01, "tool 1", 60.0, 0.1)),
+        bench=BenchChoice("opcua", "opc.tcp://mirror:4840", user="r\u00e9n\t\u00e9"),
     )
     (tmp_path / "plan.toml").write_text(toml_text(plan), encoding="utf-8")
     assert read_plan(tmp_path / "plan.toml") == plan

@@ -136,6 +136,20 @@ def test_prove_exits_with_1_where_the_proof_fails(inside, monkeypatch):
     assert err == ""
 
 
+def test_prove_exits_with_1_where_the_rank_is_short(inside, folder, tmp_path):
+    """As its help says: all actuators on a line but one, whose alpha is free."""
+    with fits.open(folder / "bare-001.fits") as file:
+        actuators = file["ACTUATORS"]
+        actuators.data["X"][:-1], actuators.data["X"][-1] = 0.0, 0.1
+        actuators.data["Y"][:] = np.linspace(-0.1, 0.1, 45)
+        fits.HDUList([fits.PrimaryHDU(), actuators]).writeto(tmp_path / "line.fits", checksum=True)
+    code, out, err = inside("prove", tmp_path / "line.fits")
+    assert (code, err) == (1, "")
+    assert "44 of 45" in out
+    assert "49 of 50" in out
+    assert "PROOF FAILED" in out
+
+
 def test_demo_tells_the_whole_story(tmp_path, monkeypatch, inside):
     monkeypatch.chdir(tmp_path)
     code, out, err = inside("demo")

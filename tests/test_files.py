@@ -167,8 +167,8 @@ def test_the_calibration_file_is_as_the_contract_says(p45_folder, tmp_path):
         # DOF and CHI2 are absent: this method does not know them.
         assert set(hdus[0].header) - structure == {
             "INSTRUME", "DATE-OBS", "DATE-END", "TEMPERAT", "WEIGHT", "E_WEIGHT", "BIAS", "E_BIAS",
-            "METHOD", "SCALE", "NSHAPES", "NREJECT", "NINVALID", "CONDITIO", "RANK", "NOISE",
-            "VERDICT",
+            "METHOD", "SCALE", "NSHAPES", "NREJECT", "NINVALID", "CONDITIO", "SOLVCOND", "RANK",
+            "NOISE", "VERDICT",
         }  # fmt: skip
         assert hdus[0].header["DATE-OBS"] == "2026-01-01T09:00:00.000"
         assert hdus[0].header["TEMPERAT"] == 20.0
@@ -549,14 +549,14 @@ def test_a_campaign_cut_short_leaves_nothing(tiny, tmp_path):
 
 def test_a_folder_comes_back_where_its_replacement_fails(tiny, tmp_path, monkeypatch):
     write_campaign(tiny.cycles, tmp_path / "c")
-    rename = Path.rename
+    replace = Path.replace
 
     def stuck(path, target):
-        if path.name == "new":
+        if path.name == "c":
             raise OSError(5, "Input/output error")
-        return rename(path, target)
+        return replace(path, target)
 
-    monkeypatch.setattr(Path, "rename", stuck)
+    monkeypatch.setattr(Path, "replace", stuck)
     with pytest.raises(OutputFailed, match="Input/output error"):
         write_campaign(tiny.cycles[:1], tmp_path / "c", overwrite=True)
     assert same(read(tmp_path / "c"), Campaign(tiny.cycles))

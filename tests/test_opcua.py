@@ -23,6 +23,7 @@ from truenewton.acquisition.benches import chosen_bench
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.client import OpcUaBench
+from truenewton.bench.opcua.methods import METHODS, VARIABLES, scalar
 from truenewton.bench.opcua.server import serving
 from truenewton.bench.protocol import Bench, Operator, Reading, Shape, Status
 from truenewton.bench.simulated.noise import SAMPLES
@@ -208,6 +209,42 @@ def test_what_the_other_end_hears_is_what_was_said(recorder, folder):
     assert reading.settled is False
     assert reading.position_scatter.tolist() == [15.0, 16.0, 17.0, 18.0, 19.0]
     assert status == Status(False, "a coil is hot", 2**40)
+
+
+def test_our_own_server_has_the_nodes_of_the_page(recorder, folder):
+    """Every one, with its type, as a browser of OPC UA sees them."""
+    _, address = recorder
+    with connect(choice(address), folder) as there:
+
+        async def browse():
+            client = there._client
+            node = client.get_node(ua.NodeId("Bench", there._space))
+            found = {}
+            for child in await node.get_children():
+                name = (await child.read_browse_name()).Name
+                if await child.read_node_class() is ua.NodeClass.Variable:
+                    value = (await child.read_data_value()).Value
+                    found[name] = value.VariantType, isinstance(value.Value, list)
+                    continue
+                sides = {(await one.read_browse_name()).Name: await one.read_value()
+                         for one in await child.get_properties()}  # fmt: skip
+                found[name] = [
+                    [(one.Name, one.DataType.Identifier, one.ValueRank > 0)
+                     for one in sides.get(which, ())]
+                    for which in ("InputArguments", "OutputArguments")
+                ]  # fmt: skip
+            return found
+
+        found = there._thread.post(browse())
+    for name, kind in VARIABLES:
+        assert found.pop(name) == (scalar(kind), isinstance(kind, list))
+    for name, (takes, gives) in METHODS.items():
+        as_sent = [
+            [(each, scalar(kind).value, isinstance(kind, list)) for each, kind in arguments]
+            for arguments in (takes, [("Fault", [ua.VariantType.String]), *gives])
+        ]
+        assert found.pop(name) == as_sent
+    assert found == {}
 
 
 def test_serve_then_a_campaign_over_opc_ua_recovers_alpha(tmp_path):

@@ -56,6 +56,28 @@ def test_a_wrong_sign_of_a_torque_fails_the_proof(monkeypatch):
     assert not any(p.passed for p in proofs if p.loaded)
 
 
+@pytest.mark.parametrize("count", [7, 20])
+def test_a_line_and_one_beside_it_have_a_system_of_short_rank_and_fail(count):
+    """The one beside may have any alpha: v = x is 0 on the line, so alpha + v balances as well."""
+    x, y = np.zeros(count), np.linspace(-0.1, 0.1, count)
+    x[-1], y[-1] = 0.1, 0.05
+    proofs = prove(replace(p45(), layout=layout(x, y)), seed=0)
+    for p in proofs:
+        # A known torque that is not 0 fixes the lone one, which alone bears it; E knows none.
+        short = p.system == "E" or not p.loaded
+        assert p.rank == p.unknowns - short
+        assert p.passed != short
+    x[0] = -0.03  # off the conic
+    for p in prove(replace(p45(), layout=layout(x, y)), seed=0):
+        assert p.rank == p.unknowns
+        assert p.passed
+
+
+def test_four_actuators_are_too_few_for_a_proof():
+    with pytest.raises(GeometryError, match="only 4 actuators take part; enable five"):
+        prove(replace(p45(), layout=layout([0.0, 1, 0, 1], [0.0, 0, 1, 1])), seed=0)
+
+
 def test_a_layout_whose_last_three_are_collinear_is_refused():
     x, y = np.array([0.0, 1, 0, -1, 0.5, 0.6, 0.7]), np.array([1.0, 0, -1, 0, 0.1, 0.1, 0.1])
     with pytest.raises(GeometryError, match="last three actuators are collinear"):

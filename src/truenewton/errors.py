@@ -9,6 +9,14 @@ from __future__ import annotations
 from typing import Any, Self
 
 
+def printable(text: str) -> str:
+    """Return a text in one line, its control characters escaped.
+
+    Names that come from files may hold line breaks, or what commands a terminal.
+    """
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
 class TrueNewtonError(Exception):
     """Base of all errors raised on purpose.
 
@@ -37,9 +45,7 @@ class TrueNewtonError(Exception):
         self.got, self.want = got, want
         where = f"{path}: " if path is not None else ""
         then = f"; {remedy}" if remedy else ""
-        # Names read from files may hold line breaks or control characters: keep to one line.
-        line = f"{where}{fault}{then}"
-        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in line))
+        super().__init__(printable(f"{where}{fault}{then}"))
 
     def changed(self, **parts: Any) -> Self:
         """Return the same error, but for some of fault, remedy, path, got and want."""

@@ -22,7 +22,7 @@ from truenewton.acquisition.progress import Nobody, Onlooker, Progress
 from truenewton.acquisition.run import Run, take_all
 from truenewton.acquisition.run_log import RunLog
 from truenewton.acquisition.taker import Taker
-from truenewton.bench.protocol import Bench, Operator, Shape
+from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
 from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
 from truenewton.mirrors.known import Mirror
 
@@ -112,8 +112,11 @@ def _check_agreement(bench: Bench, mirror: Mirror) -> None:
     elif bench.instrument != mirror.name:
         what = f"is {bench.instrument}, the plan is for {mirror.name}"
     elif not bench.layout.same_as(mirror.layout):
-        what = f"has other actuators than {mirror.name}: names, places or which are enabled differ"
+        what = f"has other actuators than {mirror.name}: ID, X, Y, NZ or which are enabled differ"
+    elif not 0 < bench.gap < np.inf:
+        raise BenchFault(f"the bench gives a gap of {bench.gap!r} m", remedy="give its own [m]")
     else:
+        gradients_of(bench)  # refused now, not when the first cycle is complete
         return
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
 

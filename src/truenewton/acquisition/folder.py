@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import os
+import shutil
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -26,6 +27,7 @@ from truenewton.mirrors.known import Mirror
 from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
 
 PLAN, SHAPES = "plan.toml", ".shapes.npy"
+OF_SHAPES = f"# {SHAPES}: "  # before their SHA256 in the plan of a folder
 SHOWN = 8  # lines of a difference
 
 
@@ -45,11 +47,15 @@ class Finished:
     total: float
 
 
-def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str]) -> str:
-    """Return a plan as it is kept beside its data, with the digests of the files that it names."""
+def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str], shapes: str = "") -> str:
+    """Return a plan as it is kept beside its data, with the digests of the files that it names.
+
+    And of the shapes, where they are given; older folders have none.
+    """
     named = [plan.mirror, plan.shapes.source]
     files = [path for name in named if (path := Path(beside) / name).is_file()]
     digests = [f"# {path.name}: {hashlib.sha256(path.read_bytes()).hexdigest()}" for path in files]
+    digests += [f"{OF_SHAPES}{shapes}"] if shapes else []
     return "\n".join([*digests, toml_text(plan)])
 
 
@@ -73,10 +79,11 @@ def begin_or_resume(
     half_written = tuple(f".{name}." for name in (PLAN, SHAPES, *cycle_names(plan)))
     with in_one_line(folder):  # by a run that was killed
         for path in [each for each in folder.iterdir() if each.name.startswith(half_written)]:
-            path.unlink()
+            shutil.rmtree(path)
     if (folder / PLAN).exists():
         refuse_other_plan(folder, plan, beside)
-        return _with_turns_begun(plan, read_plan(folder / PLAN)), _read_shapes(folder / SHAPES)
+        shapes = _read_shapes(folder, mirror.layout.n)
+        return _with_turns_begun(plan, read_plan(folder / PLAN)), shapes
     if any(path.name.endswith(SUFFIXES) for path in folder.iterdir()):
         raise OutputExists(
             f"holds FITS files but no {PLAN}", remedy="choose another name", path=folder
@@ -85,8 +92,9 @@ def begin_or_resume(
     plan = with_turns(plan, mirror, len(shapes))
     with file_beside(folder / SHAPES, overwrite=True) as temporary:
         np.save(temporary, shapes)
+        digest = hashlib.sha256(temporary.read_bytes()).hexdigest()
     with file_beside(folder / PLAN) as temporary:  # last: with it the campaign has begun
-        temporary.write_text(_plan_text(plan, beside), encoding="utf-8")
+        temporary.write_text(_plan_text(plan, beside, digest), encoding="utf-8")
     with in_one_line(folder):
         to_disk(folder)
     return plan, shapes
@@ -109,7 +117,7 @@ def refuse_other_plan(
     path = Path(folder) / PLAN
     begun_plan = read_plan(path)
     plan_begun = toml_text(begun_plan)  # as this version writes it, defaults included
-    notes = [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
+    notes = [line for line in _notes(path) if not line.startswith(OF_SHAPES)]
     begun = [*notes, *plan_begun.splitlines()]
     wanted = _plan_text(_with_turns_begun(plan, begun_plan), beside).splitlines()
     if begun == wanted:
@@ -125,15 +133,35 @@ def refuse_other_plan(
     )
 
 
-def _read_shapes(path: Path) -> Array:
+def _notes(path: Path) -> list[str]:
+    return [line for line in path.read_text(encoding="utf-8").splitlines() if line[:1] == "#"]
+
+
+def _read_shapes(folder: Path, n: int) -> Array:
+    """Return the (shapes, n) displacements with which a campaign was begun [m].
+
+    Raises
+    ------
+    UnreadableFile
+        The file is damaged, or holds others.
+    """
+    path = folder / SHAPES
     try:
-        return np.asarray(np.load(path, allow_pickle=False), dtype=float)
-    except (OSError, ValueError, EOFError) as error:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        begun = [line.removeprefix(OF_SHAPES) for line in _notes(folder / PLAN)
+                 if line.startswith(OF_SHAPES)]  # fmt: skip
+        if begun not in ([], [digest]):
+            raise ValueError("changed")
+        shapes = np.array(np.load(path, mmap_mode="r", allow_pickle=False), dtype=float)
+        if shapes.shape != (len(shapes), n) or not shapes.size or not np.isfinite(shapes).all():
+            raise ValueError("no shapes")
+    except Exception as error:  # whatever numpy makes of bytes that are not its own
         raise UnreadableFile(
-            "the shapes of the campaign cannot be read",
+            "the shapes of the campaign cannot be read, or were changed",
             remedy="fetch the file again, or begin anew in another folder",
             path=path,
         ) from error
+    return shapes
 
 
 def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.acquisition.clock import moment
-from truenewton.bench.protocol import Bench, Graded, Reading, Shape
+from truenewton.bench.protocol import Bench, Reading, Shape, gradients_of
 from truenewton.errors import BenchFault, FormatError
 from truenewton.files.outputs import in_one_line, to_disk
 from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import cycle_name
-from truenewton.statics.load import Load
+from truenewton.statics.load import LARGEST_FORCE, Load
 
 VERSION = 1
 
@@ -161,7 +161,7 @@ class Journal:
             raise BenchFault(f"no shape of cycle {self.number} under '{self.load.name}' is valid")
         noise = float(np.sqrt(np.mean(rows["noise"][valid] ** 2)))
         temperature = rows["temperature"]
-        gradients = bench.gradients if isinstance(bench, Graded) else (None, None)
+        coil_gradient, bias_gradient = gradients_of(bench)
         return Cycle(
             instrument=mirror.name,
             date=moment(int(rows["instant"][0])),
@@ -178,9 +178,9 @@ class Journal:
             temperature=temperature if np.isfinite(temperature[valid]).all() else None,
             position=rows["position"],
             gap=bench.gap,
-            force_error=noise if noise > 0 else None,
-            coil_gradient=gradients[0],
-            bias_gradient=gradients[1],
+            force_error=noise if 0 < noise <= LARGEST_FORCE else None,
+            coil_gradient=coil_gradient,
+            bias_gradient=bias_gradient,
         )
 
     def close(self) -> None:

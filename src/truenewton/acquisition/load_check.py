@@ -40,9 +40,14 @@ def mean_sum(
 
 
 def sum_error(layout: Layout, reading: Reading, samples: int) -> float:
-    """Return the standard deviation of that sum by the scatter of samples [N]; 0 if unknown."""
-    scatter = np.nan_to_num((layout.nz * reading.force_scatter)[layout.enabled])
-    return float(np.linalg.norm(scatter) / np.sqrt(samples))
+    """Return the standard deviation of that sum [N]; 0 if unknown.
+
+    By the scatter of samples where the bench does not say how they depend on each other.
+    """
+    error = reading.force_error
+    if error is None:
+        error = reading.force_scatter / np.sqrt(samples)
+    return float(np.linalg.norm(np.nan_to_num((layout.nz * error)[layout.enabled])))
 
 
 def judge(

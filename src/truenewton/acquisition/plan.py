@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.bench.choice import KINDS, BenchChoice
+from truenewton.bench.choice import KINDS, BenchChoice, foreign_keys
+from truenewton.bench.protocol import MOST_SAMPLES
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from
@@ -25,6 +26,7 @@ POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "lim
 NOT_NEGATIVE = ("settling", "pause", "limits.gap", "shapes.count", "bench.seed",
                 "bench.force_noise", "drift.alpha", "drift.zero", "drift.remounting")  # fmt: skip
 MOST_CYCLES, MOST_TURNS = 999, 3
+LEAST, MOST = 1e-12, 1e9  # of any number of a plan: squares of both stay numbers
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class CampaignPlan:
 
     def __post_init__(self) -> None:
         for name, low, high in (
-            ("cycles", 1, MOST_CYCLES), ("samples", 1, 10**9), ("turns", 0, MOST_TURNS),
+            ("cycles", 1, MOST_CYCLES), ("samples", 1, MOST_SAMPLES), ("turns", 0, MOST_TURNS),
         ):  # fmt: skip
             if not low <= getattr(self, name) <= high:
                 raise _wrong(name, getattr(self, name), f"give {low} to {high}")
@@ -149,13 +151,17 @@ class CampaignPlan:
         shapes, limits, bench = self.shapes, self.limits, self.bench
         for name in (*POSITIVE, *NOT_NEGATIVE):
             value = attrgetter(name)(self)
-            if not 0 <= value < np.inf or (value == 0 and name in POSITIVE):
-                remedy = "give a positive number" if name in POSITIVE else "give zero or more"
-                raise _wrong(name, value, remedy)
-        if not limits.temperature[0] < limits.temperature[1]:
+            least = LEAST if name in POSITIVE else 0.0
+            if not least <= value <= (np.inf if name == "bench.seed" else MOST):
+                what = f"a positive number, {LEAST:g}" if least else "zero or more,"
+                raise _wrong(name, value, f"give {what} to {MOST:g}")
+        if not -MOST <= limits.temperature[0] < limits.temperature[1] <= MOST:
             raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
         if bench.kind not in KINDS:
             raise _wrong("bench.kind", bench.kind, f"choose {', '.join(KINDS)}")
+        for name in foreign_keys(bench):
+            remedy = f"take it out: a bench of kind '{bench.kind}' does not use it"
+            raise _wrong(f"bench.{name}", getattr(bench, name), remedy)
         _check_loads(self.loads)
         for what, limit, planned in (
             ("stroke", limits.displacement, shapes.stroke),
@@ -176,6 +182,12 @@ def _check_loads(loads: Sequence[Load]) -> None:
             check_load(load)
         except FormatError as error:
             raise error.changed(fault=f"load '{load.name}': {error.fault}") from None
+        for name in (load.name, load.tool or ""):
+            if not (name.isascii() and name.isprintable()):
+                raise FormatError(
+                    f"the name {name!r} of a load or tool cannot stand in a FITS header",
+                    remedy="write it in plain ASCII",
+                )
         other = files.setdefault(cycle_name(load, 1), load)
         if other.key != load.key:
             raise FormatError(

@@ -122,12 +122,17 @@ def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
             position = sign * run.shapes[shape_number - 1]
             wanted = Shape(load, number, shape_number, sign, position)
             twin = _take_shape(run, journal, wanted, forecast)
-        cycle = journal.cycle(run.mirror, run.taker.bench)
-        path = run.folder / cycle_name(load, number)
-        write_cycle(cycle, path)
-        to_disk(run.folder)  # from here on the cycle is safe
-        run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
+        _write_file(run, journal)
     remove_journal(run.folder, load, number)
+
+
+def _write_file(run: Run, journal: Journal) -> None:
+    """Write the file of a cycle; its rows are mapped from the journal until this returns."""
+    cycle = journal.cycle(run.mirror, run.taker.bench)
+    path = run.folder / cycle_name(journal.load, journal.number)
+    write_cycle(cycle, path)
+    to_disk(run.folder)  # from here on the cycle is safe
+    run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
 
 
 def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
@@ -147,7 +152,7 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
         taker.onlooker.say(
             f"the clock of the bench leapt by {clock.leap:.3g} s; TIME counts on steadily"
         )
-    noise = force_noise(taker.bench.layout, reading, run.plan.samples)
+    noise = force_noise(taker.bench.layout, reading)
     journal.append(instant, shape, not fault, reading, noise)
     taker.progress = taker.progress.with_taken(shape, not fault, time.monotonic() - start)
     taker.onlooker.progress(taker.progress)

@@ -20,6 +20,8 @@ from truenewton.statics.layout import Layout
 
 ATTEMPTS = 3  # of each shape, before it is marked as not valid
 PATIENCE = 120.0  # with a bench that is gone [s]
+ELSEWHERE = 0.1  # of a shape's largest displacement, by which an actuator may miss it
+SURE = 6.0  # standard deviations of a sample besides
 FIRST_WAIT, LONGEST_WAIT = 0.5, 10.0  # between two looks at it [s]
 
 
@@ -48,6 +50,7 @@ class Taker:
         self.guard = Guard(self.plan.limits, self.bench.layout, self.bench.gap)
         self._counter: int | None = None
         self._sound: tuple[Shape, Reading] | None = None  # the last
+        self._rest: Reading | None = None  # the last of the mirror at rest
 
     def take(self, shape: Shape, forecast: Array | None = None) -> tuple[Reading | None, str]:
         """Command a shape, (n,) forces [N] forecast, and read it, a few times if need be.
@@ -81,6 +84,7 @@ class Taker:
                 self._counter = reading.counter
                 if not fault:
                     self._sound = shape, reading
+                    self._rest = self._rest if shape.number else reading
                     break
             self.log.note("not sound", **shape_fields(shape), attempt=attempt, fault=fault)
             self.onlooker.say(f"{shape_name(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
@@ -114,9 +118,10 @@ class Taker:
         else:
             time.sleep(plan.settling)
         reading, n, on = bench.read(plan.samples), bench.layout.n, bench.layout.enabled
-        for name in ("force", "position", "force_scatter", "position_scatter"):
-            if (got := np.shape(getattr(reading, name))) != (n,):
-                raise BenchFault(f"the bench gives {name} of shape {got} for {n} actuators")
+        for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
+            value = getattr(reading, name)
+            if value is not None and value.shape != (n,):
+                raise BenchFault(f"the bench gives {name} of shape {value.shape} for {n} actuators")
         force = float(np.nan_to_num(np.abs(reading.force[on])).max(initial=0.0))
         gap = bench.gap - float(np.nan_to_num(np.abs(reading.position[on])).max(initial=0.0))
         self.progress = replace(
@@ -129,6 +134,10 @@ class Taker:
             **shape_fields(shape),
             largest_force=force,
             smallest_gap=gap,
+            samples=plan.samples,
+            force_scatter=_rms(reading.force_scatter[on]),
+            position_scatter=_rms(reading.position_scatter[on]),
+            force_error=force_noise(bench.layout, reading),
             temperature=reading.temperature,
             counter=reading.counter,
             settled=reading.settled,
@@ -148,7 +157,27 @@ class Taker:
                 return f"the {name} of actuator {layout.id[on][wrong][0]} is NaN"
             if before is not None and np.array_equal(values[on], getattr(before, name)[on]):
                 return f"no {name} has changed since the last shape: the reading is frozen"
-        return "" if reading.settled else "the mirror did not settle"
+        if not reading.settled:
+            return "the mirror did not settle"
+        return self._elsewhere(shape, reading)
+
+    def _elsewhere(self, shape: Shape, reading: Reading) -> str:
+        """Say which actuator stands elsewhere than it was commanded to, or nothing.
+
+        Counted from the mirror at rest: the zero of a sensor may be anywhere.
+        """
+        if self._rest is None or shape.number == 0:
+            return ""
+        on, stroke = self.bench.layout.enabled, float(np.abs(shape.position).max())
+        off = np.abs(reading.position - self._rest.position - shape.position)[on]
+        beyond = off - ELSEWHERE * stroke - SURE * np.nan_to_num(reading.position_scatter[on])
+        worst = int(beyond.argmax())
+        if beyond[worst] <= 0:
+            return ""
+        return (
+            f"actuator {self.bench.layout.id[on][worst]} stands {off[worst]:.3g} m from where it"
+            f" was commanded, in a shape of {stroke:.3g} m"
+        )
 
     def _await_bench(self) -> None:
         """Return when the bench takes commands; wait for one that is gone."""
@@ -179,6 +208,10 @@ class Taker:
             wait = min(2 * wait, LONGEST_WAIT)
 
 
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def shape_fields(shape: Shape) -> dict[str, Any]:
     """Return which shape it is, for the log."""
     return {
@@ -189,8 +222,8 @@ def shape_fields(shape: Shape) -> dict[str, Any]:
     }
 
 
-def force_noise(layout: Layout, reading: Reading | None, samples: int) -> float:
-    """Return the RMS over actuators of the error of a mean force [N], samples independent."""
-    if reading is None:
+def force_noise(layout: Layout, reading: Reading | None) -> float:
+    """Return the RMS over actuators of the error of a mean force [N]; NaN where it is unknown."""
+    if reading is None or reading.force_error is None:
         return float("nan")
-    return float(np.sqrt(np.mean(reading.force_scatter[layout.enabled] ** 2) / samples))
+    return float(np.sqrt(np.mean(reading.force_error[layout.enabled] ** 2)))

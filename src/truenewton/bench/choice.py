@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
-KINDS = ("simulated", "opcua", "opticalib", "replay")
+# What each kind of bench takes from a plan.
+KINDS = {
+    "simulated": ("seed", "force_noise", "fidelity"),
+    "opcua": (
+        "address", "user", "password_file", "certificate", "private_key", "server_certificate",
+    ),
+    "opticalib": ("address",),
+    "replay": ("address",),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -33,3 +41,10 @@ class BenchChoice:
     certificate: str = ""
     private_key: str = ""
     server_certificate: str = ""
+
+
+def foreign_keys(choice: BenchChoice) -> list[str]:
+    """Return what a choice says beyond the defaults that its kind of bench does not use."""
+    own = ("kind", *KINDS[choice.kind])
+    given = [each.name for each in fields(choice) if getattr(choice, each.name) != each.default]
+    return [name for name in given if name not in own]

@@ -2,7 +2,8 @@
 
 opticalib's devices share `n_acts`, `set_shape(cmd, differential)` and `get_shape()`; those with
 force sensing (`AdOpticaDm`, `DP`, `M4AU` in opticalib.devices 2.3) add `get_force()`. Any object
-with these four will do; opticalib itself is not needed here.
+with these four will do, and `get_temperature()` is asked where it is there; opticalib itself is not
+needed here.
 """
 
 from __future__ import annotations
@@ -20,7 +21,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from truenewton.arrays import Array
-from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.bench.protocol import (
+    BATCHES,
+    Reading,
+    Shape,
+    Status,
+    check_samples,
+    error_of_mean,
+)
 from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror
 
@@ -68,8 +76,8 @@ class OpticalibMirror:
 
     Attributes
     ----------
-    instrument, layout, gap
-        As of `Bench`.
+    instrument, layout, gap, gradients
+        As of `Bench` and `Graded`: those of the mirror.
     """
 
     def __init__(self, device: DeformableMirror, mirror: Mirror, *, settling: float = 0.2) -> None:
@@ -88,6 +96,7 @@ class OpticalibMirror:
                 want=mirror.layout.n,
             )
         self.instrument, self.layout, self.gap = mirror.name, mirror.layout, mirror.gap
+        self.gradients = mirror.coil_gradient, mirror.bias_gradient
         self._device, self._settling = device, settling
         self._rest: Array | None = None  # the positions there [m]
         self._in_shape = False
@@ -116,6 +125,7 @@ class OpticalibMirror:
         within 6 standard errors of that of the first, for every actuator; always below 32 samples.
         Readings that are to the bit the ones before do not move the counter.
         """
+        check_samples(samples)
         if not self._in_shape or self._rest is None:
             raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
         self._settle()
@@ -125,15 +135,19 @@ class OpticalibMirror:
         if self._last is None or not np.array_equal(both[-1], self._last):
             self._counter += 1
         self._last = both[-1]
+        batches = np.array_split(force, BATCHES) if samples >= BATCHES else []
         return Reading(
             time=now,
             force=force.mean(axis=0),
             position=position.mean(axis=0),
             force_scatter=force.std(axis=0, ddof=min(1, samples - 1)),
             position_scatter=position.std(axis=0, ddof=min(1, samples - 1)),
-            temperature=np.nan,
+            temperature=self._temperature(),
             counter=self._counter,
             settled=_still(position),
+            force_error=error_of_mean(np.array([each.mean(axis=0) for each in batches]))
+            if batches
+            else None,
         )
 
     def status(self) -> Status:
@@ -153,6 +167,14 @@ class OpticalibMirror:
 
     def _settle(self) -> None:
         time.sleep(max(0.0, self._since + self._settling - time.monotonic()))
+
+    def _temperature(self) -> float:
+        """Return what the device says of it [deg C]; NaN where it says nothing."""
+        get = getattr(self._device, "get_temperature", None)
+        if get is None:
+            return float("nan")
+        with self._faults("get_temperature"):
+            return float(get())
 
     def _samples(self, get: Callable[[], Any], samples: int) -> Array:
         """Return (samples, ..., n) values of a call."""

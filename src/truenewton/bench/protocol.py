@@ -6,9 +6,14 @@ import datetime
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+import numpy as np
+
 from truenewton.arrays import Array
+from truenewton.errors import BenchFault
 from truenewton.statics.layout import Layout
-from truenewton.statics.load import Load
+from truenewton.statics.load import LARGEST_FORCE, Load
+
+MOST_SAMPLES = 10**9  # of one reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +54,14 @@ class Reading:
         Grows with every new reading of the electronics: one that stands still is stale.
     settled
         Whether the mirror had come to rest before the first sample.
+    force_error
+        (n,) standard deviation of the mean force [N]; None where nobody knows how far the samples
+        depend on each other. `error_of_mean` finds it from samples.
+
+    Raises
+    ------
+    BenchFault
+        What should be numbers is none.
     """
 
     time: datetime.datetime
@@ -59,6 +72,18 @@ class Reading:
     temperature: float
     counter: int
     settled: bool
+    force_error: Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
+            value = getattr(self, name)
+            try:
+                values = None if value is None else np.asarray(value, dtype=float)
+            except (TypeError, ValueError) as error:
+                raise BenchFault(
+                    f"the {name} of a reading is no array of numbers", remedy="see to the bench"
+                ) from error
+            object.__setattr__(self, name, values)
 
 
 @dataclass(frozen=True)
@@ -78,6 +103,39 @@ class Status:
     ready: bool
     message: str
     counter: int
+
+
+BATCHES = 4  # of a record
+
+
+def error_of_mean(batch_means: Array) -> Array:
+    """Return the (n,) standard deviation of the mean of a record from its batch means.
+
+    Samples that follow each other closely depend on each other: in a closed loop the error of
+    their mean may be a tenth of scatter / root(samples), or many times that. Means of batches that
+    are long beside the memory of the loop do not (method of batch means; Law and Kelton,
+    Simulation Modeling and Analysis, section 9.5). Few batches are long ones; so one value has few
+    degrees of freedom, BATCHES - 1, and is meant for RMS over actuators and rows.
+
+    Parameters
+    ----------
+    batch_means
+        (batches, n) means of so many equal parts of a record, in the order of time [N].
+    """
+    return np.asarray(batch_means.std(axis=0, ddof=1) / np.sqrt(len(batch_means)))
+
+
+def check_samples(samples: int) -> None:
+    """Refuse a number of samples of which there is no mean.
+
+    Raises
+    ------
+    BenchFault
+    """
+    if not 1 <= samples <= MOST_SAMPLES:
+        raise BenchFault(
+            f"a reading of {samples} samples", remedy=f"ask for 1 to {MOST_SAMPLES}", got=samples
+        )
 
 
 class Bench(Protocol):
@@ -126,6 +184,30 @@ class Graded(Protocol):
     @property
     def gradients(self) -> tuple[float | None, float | None]:
         """COILGRAD [1/m] and BIASGRAD [N/m]; None where nobody knows."""
+
+
+def gradients_of(bench: Bench) -> tuple[float | None, float | None]:
+    """Return COILGRAD [1/m] and BIASGRAD [N/m] as far as a bench knows them.
+
+    Raises
+    ------
+    BenchFault
+        They are no two numbers, or of another unit.
+    """
+    if not isinstance(bench, Graded):
+        return None, None
+    given = bench.gradients
+    try:
+        coil, bias = (None if each is None else float(each) for each in given)
+    except (TypeError, ValueError) as error:
+        raise BenchFault(
+            f"the bench gives gradients {given!r}", remedy="give two, None where it knows none"
+        ) from error
+    if any(each is not None and not abs(each) <= LARGEST_FORCE for each in (coil, bias)):
+        raise BenchFault(
+            f"the bench gives gradients {given!r}", remedy="give 1/m and N/m, None where unknown"
+        )
+    return coil, bias
 
 
 @runtime_checkable

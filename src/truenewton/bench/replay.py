@@ -7,7 +7,7 @@ import os
 
 import numpy as np
 
-from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.bench.protocol import Reading, Shape, Status, check_samples
 from truenewton.errors import BenchFault, FormatError, UnknownName
 from truenewton.files.fits import read_fits
 from truenewton.records.file import campaign_from, fits_paths
@@ -82,6 +82,7 @@ class ReplayBench:
 
     def read(self, samples: int) -> Reading:
         """Return what was recorded of the shape that is set, whatever the number of samples."""
+        check_samples(samples)
         shape = self._shape
         if shape is None:
             raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
@@ -99,6 +100,7 @@ class ReplayBench:
             temperature=np.nan if cycle.temperature is None else float(cycle.temperature[rows[-1]]),
             counter=self._counter,
             settled=bool(cycle.valid[rows].all()),
+            force_error=None if cycle.force_error is None else np.full(n, cycle.force_error),
         )
 
     def status(self) -> Status:

@@ -54,6 +54,7 @@ CALIBRATION = FileFormat(
         Keyword(
             "CONDITIO", "condition", "condition of E, coordinates in units of RMS", absent=np.nan
         ),
+        Keyword("SOLVCOND", "solved_condition", "condition of E as svd solves it", absent=np.nan),
         Keyword("RANK", "rank", "directions held above noise", kind="int"),
         Keyword("NOISE", "noise", "standard deviation of one force reading", "N", absent=np.nan),
         Keyword("DOF", "degrees_of_freedom", "degrees of freedom", kind="count", absent=None),

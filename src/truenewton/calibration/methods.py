@@ -243,6 +243,7 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "covariance": _spread_square(reading + systematic, on),
         "systematic_covariance": _spread_square(systematic, on),
         "condition": estimate.condition,
+        "solved_condition": estimate.solved_condition,
         "rank": estimate.rank,
         "noise": estimate.noise,
         "degrees_of_freedom": goodness.degrees_of_freedom if goodness else None,

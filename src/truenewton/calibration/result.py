@@ -70,6 +70,8 @@ class Calibration:
         Rows used, rejected as outliers, marked as not valid.
     condition, rank
         Of E, each coordinate in units of its RMS; directions that the data hold above noise.
+    solved_condition
+        Of E as svd solves it, torques in N m; NaN of other methods.
     noise, degrees_of_freedom, chi2
         Estimated standard deviation of one reading [N]; DOF; CHI2 against FORCERR.
     sources
@@ -118,6 +120,7 @@ class Calibration:
     diagnosis: Diagnosis | None = None
     goodness: Goodness | None = None
     scale_errors: tuple[ScaleError, ...] = ()
+    solved_condition: float = float("nan")
     rejected_rows: tuple[RejectedRow, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
     imbalances: tuple[Imbalance, ...] = ()

@@ -87,6 +87,7 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
         "rejected": c.rejected,
         "noise": c.noise,
         "condition": c.condition,
+        "solved_condition": c.solved_condition,
         "rank": c.rank,
         "separation": c.diagnosis.separation if c.diagnosis else None,
         "warnings": [fault for fault, _ in c.diagnosis.warnings] if c.diagnosis else [],
@@ -162,7 +163,10 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
     if c.diagnosis is not None and c.diagnosis.eigenvalues:
         note = "second over smallest singular value; noise alone gives 1"
         yield "alpha stands apart by", f"{c.diagnosis.separation:.3g}", note
-    yield "condition", f"{c.condition:.3g}", f"rank {c.rank}"
+    note = f"of E, each coordinate in units of its RMS; rank {c.rank}"
+    yield "condition", f"{c.condition:.3g}", note
+    if np.isfinite(c.solved_condition):
+        yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"
 
 
 def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from truenewton.errors import BenchFault
+from truenewton.cli.terminal import say
+from truenewton.errors import BenchFault, printable
 
 if TYPE_CHECKING:
     from truenewton.acquisition.progress import Progress
@@ -51,7 +52,7 @@ def run(
         simulated_bench(wanted, beside).write_truth(output, overwrite=True)
     already = " already" if complete else ""
     loads, cycles = len(wanted.loads), wanted.cycles
-    print(f"{output}: complete{already}, {loads} loads x {cycles} cycles")
+    say(f"{output}: complete{already}, {loads} loads x {cycles} cycles")
 
 
 class Terminal:
@@ -80,13 +81,13 @@ class Terminal:
         if load.tilt:
             what += f", tilted by {load.tilt:g} deg"
         if self._yes:
-            print(f"{what}: taken for done", flush=True)
+            say(f"{what}: taken for done")
         elif sys.stdin is None or not sys.stdin.isatty():
             raise BenchFault(
                 f"somebody must {what}", remedy="run it at a terminal, or give --yes where it is on"
             )
         else:
-            input(f"{what[0].upper()}{what[1:]}, then press Enter: ")
+            input(printable(f"{what[0].upper()}{what[1:]}, then press Enter: "))
 
     def progress(self, now: Progress) -> None:
         """Draw the bar: what is done, figures, and the time that is left."""
@@ -97,8 +98,10 @@ class Terminal:
         shown = {
             "completed": now.done,
             "total": now.total,
-            "description": f"{shape.load.name} cycle {shape.cycle}/{now.cycles}"
-            f" shape {shape.number}/{now.shapes} {sign}",
+            "description": printable(
+                f"{shape.load.name} cycle {shape.cycle}/{now.cycles}"
+                f" shape {shape.number}/{now.shapes} {sign}"
+            ),
             "figures": f"{now.largest_force:.3f} N, gap {1e6 * now.smallest_gap:.1f} um{invalid}",
             "left": datetime.timedelta(seconds=round(now.seconds_left)),
         }
@@ -111,9 +114,9 @@ class Terminal:
     def say(self, line: str) -> None:
         """Print a line above the bar."""
         if self._bar is None:
-            print(line, flush=True)
+            say(line)
         else:
-            self._bar.console.print(line, markup=False, highlight=False)
+            self._bar.console.print(printable(line), markup=False, highlight=False)
 
     def stop(self) -> None:
         """Take the bar away, as before a question; it comes back when it is drawn again."""

@@ -9,6 +9,8 @@ import typer
 
 from truenewton.cli import options
 
+OURS = ("p45", ".fits", ".html", "figures")  # what a folder of an older demo holds
+
 
 def run(
     output: Path = typer.Option(
@@ -23,7 +25,8 @@ def run(
     from truenewton.calibration.figures import write_figures
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.words import summary_lines
-    from truenewton.files.outputs import in_one_line, refuse_existing
+    from truenewton.cli.terminal import say
+    from truenewton.files.outputs import folder_beside
     from truenewton.mirrors.known import p45
     from truenewton.reading import read_data
     from truenewton.records.file import write_campaign
@@ -32,35 +35,32 @@ def run(
     from truenewton.studies.scoring import score
     from truenewton.studies.words import truth_lines
 
-    refuse_existing(output, overwrite=overwrite)
-    with in_one_line(output):
-        output.mkdir(exist_ok=True)
-    campaign = output / "p45"
-    bench = static_bench(p45(), seed)
-    print("1. A campaign: P45 without and with the ring, 4 cycles of 90 shapes each (simulated)")
-    write_campaign(run_cycles(bench, 4), campaign, overwrite=overwrite)
-    write_truth(bench.truth, truth_path(campaign), overwrite=overwrite)
-    print(f"   {campaign}\n")
+    with folder_beside(output, OURS, overwrite=overwrite) as work:
+        bench, campaign = static_bench(p45(), seed), work / "p45"
+        say("1. A campaign: P45 without and with the ring, 4 cycles of 90 shapes each (simulated)")
+        write_campaign(run_cycles(bench, 4), campaign)
+        write_truth(bench.truth, truth_path(campaign))
+        say(f"   {output / 'p45'}", "")
 
-    print("2. The calibration, by maximum likelihood")
-    data = read_data(campaign)
-    findings = investigate(data)  # reads the rows once for all that is told of them
-    calibration = findings.calibration
-    assert calibration is not None  # the campaign is sound
-    calibration.write(output / "alpha.fits", overwrite=overwrite)
-    print(*summary_lines(calibration), sep="\n")
-    print(f"   {output / 'alpha.fits'}\n")
+        say("2. The calibration, by maximum likelihood")
+        data = read_data(campaign)
+        findings = investigate(data)  # reads the rows once for all that is told of them
+        calibration = findings.calibration
+        assert calibration is not None  # the campaign is sound
+        calibration.write(work / "alpha.fits")
+        say(*summary_lines(calibration))
+        say(f"   {output / 'alpha.fits'}", "")
 
-    print("3. The truth beside it, since this is a simulation")
-    scores = [score(each, bench.truth) for each in (calibration, calibrate(data, "svd"))]
-    for line in truth_lines(calibration, bench.truth, bench.loads, *scores):
-        print(f"   {line}")
-    print()
+        say("3. The truth beside it, since this is a simulation")
+        scores = [score(each, bench.truth) for each in (calibration, calibrate(data, "svd"))]
+        told = truth_lines(calibration, bench.truth, bench.loads, *scores)
+        say(*(f"   {line}" for line in told), "")
 
-    print("4. The report and the figures of the paper")
-    page = output / "report.html"
-    command = shlex.join(["truenewton", "report", str(campaign), "-o", str(page)])
-    write_report(page, findings, command=command, overwrite=overwrite)
-    print(f"   {page}: opens in any browser")
-    written = write_figures(calibration, output / "figures", overwrite=overwrite)
-    print(f"   {output / 'figures'}: " + ", ".join(p.stem for p in written[::2]) + " (PDF, PNG)")
+        say("4. The report and the figures of the paper")
+        page = output / "report.html"
+        command = shlex.join(["truenewton", "report", str(output / "p45"), "-o", str(page)])
+        write_report(work / page.name, findings, command=command)
+        say(f"   {page}: opens in any browser")
+        written = write_figures(calibration, work / "figures")
+        names = ", ".join(path.stem for path in written[::2])
+        say(f"   {output / 'figures'}: {names} (PDF, PNG)")

@@ -16,7 +16,7 @@ def run(
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
     from truenewton.calibration.figures import write_figures
-    from truenewton.cli.terminal import busy
+    from truenewton.cli.terminal import busy, say
     from truenewton.errors import RankDeficient
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read
@@ -31,4 +31,4 @@ def run(
             raise RankDeficient(fault, remedy=remedy)
         more = still_figures(findings)
         written = write_figures(findings.calibration, output, more=more, overwrite=overwrite)
-    print(f"verdict: {findings.calibration.verdict}", *written, sep="\n")
+    say(f"verdict: {findings.calibration.verdict}", *written)

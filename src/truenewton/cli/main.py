@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import io
 import os
+import signal
 import sys
 import warnings
+from collections.abc import Iterator
 from typing import Any
 
 import typer
 
-from truenewton.errors import TrueNewtonError, TrueNewtonWarning
+from truenewton.errors import TrueNewtonError, TrueNewtonWarning, printable
 
 # The base of what typer raises for a wrong command line; it comes from click, or from typer's own
 # copy of it, as the version has it.
@@ -59,7 +62,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
-        with warnings.catch_warnings():  # the commands themselves show each verdict
+        with _told_to_end(), warnings.catch_warnings():  # the commands themselves show each verdict
             warnings.simplefilter("ignore", TrueNewtonWarning)
             code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False)
         code = code or 0
@@ -85,6 +88,16 @@ def main() -> None:
     raise SystemExit(code)
 
 
+@contextlib.contextmanager
+def _told_to_end() -> Iterator[None]:
+    """Let SIGTERM end a command as Ctrl-C does: what it was about to write goes with it."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _reader_gone() -> int:
     """End quietly where nobody reads any more, as in `| head`."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -92,5 +105,5 @@ def _reader_gone() -> int:
 
 
 def _refuse(line: str) -> int:
-    print(f"truenewton: {' '.join(line.split())}", file=sys.stderr)
+    print(f"truenewton: {printable(' '.join(line.split()))}", file=sys.stderr)
     return 2

@@ -25,7 +25,7 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """List the known mirrors with the sources of their numbers, or draw one."""
-    from truenewton.cli.terminal import print_result, table_lines
+    from truenewton.cli.terminal import print_result, say, table_lines
     from truenewton.figures.maps import plot_layout
     from truenewton.figures.writing import write_figure
     from truenewton.mirrors.file import mirror_from
@@ -54,7 +54,7 @@ def run(
         path = output or Path(f"{known.name.lower()}.png")
         write_figure(plot_layout(known.layout), path, overwrite=overwrite)
         if not json:
-            print(path)
+            say(path)
 
 
 def _row(mirror: Mirror) -> tuple[str, ...]:

@@ -48,7 +48,7 @@ def run(
     """Find stiffness modes, and how many can be corrected within a power or a force."""
     from truenewton.cli.terminal import busy, print_result
     from truenewton.figures.writing import write_drawn
-    from truenewton.files.outputs import refuse_existing
+    from truenewton.files.outputs import refuse_existing, together
     from truenewton.modal.dissipation import Budget
     from truenewton.modal.figures import modes_figures
     from truenewton.modal.file import modes_paths, write_modes
@@ -77,9 +77,10 @@ def run(
             slaved=following,
             force=anyway,
         )
-        if output is not None:
-            more += write_modes(modes, output, limits, overwrite=overwrite)[1:]
-        if figures is not None:
-            more += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
+        with together():
+            if output is not None:
+                more += write_modes(modes, output, limits, overwrite=overwrite)[1:]
+            if figures is not None:
+                more += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
     as_values = values(modes, limits) if json else None
     print_result(lines(modes, limits), output, *more, values=as_values)

@@ -57,11 +57,12 @@ def run(
 
 def _new(output: Path | None, overwrite: bool) -> None:
     from truenewton.acquisition.plan import template
+    from truenewton.cli.terminal import say
     from truenewton.files.outputs import file_beside
 
     if output is None:
-        print(template(), end="")
+        say(*template().splitlines())
         return
     with file_beside(output, overwrite=overwrite) as temporary:
         temporary.write_text(template(), encoding="utf-8")
-    print(f"written: {output}")
+    say(f"written: {output}")

@@ -17,7 +17,10 @@ def run(
     ),
     port: int = typer.Option(4840, min=1, max=65535, help="TCP port."),
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
-    noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]."),
+    noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]; static."),
+    fidelity: str = typer.Option(
+        "static", help="static: shapes are held exactly; loop: in closed loop, sample by sample."
+    ),
 ) -> None:
     """Serve the simulated bench over OPC UA on this machine, for known clients only."""
     from truenewton.bench.opcua import require_asyncua
@@ -26,14 +29,14 @@ def run(
     import asyncio
     import json
     import signal
-    import sys
 
     from truenewton.bench.opcua.keys import CLIENT_FILES, USER, make_keys
     from truenewton.bench.opcua.server import serving
     from truenewton.bench.simulated.bench import SimulatedBench
+    from truenewton.cli.terminal import say
     from truenewton.mirrors.file import mirror_from
 
-    bench = SimulatedBench(mirror_from(mirror), seed, force_noise=noise)
+    bench = SimulatedBench(mirror_from(mirror), seed, force_noise=noise, fidelity=fidelity)
     make_keys(keys)
 
     async def serve_until_stopped() -> None:
@@ -42,15 +45,14 @@ def run(
         for number in (signal.SIGINT, signal.SIGTERM):  # Windows has no loop.add_signal_handler
             signal.signal(number, lambda *_: loop.call_soon_threadsafe(stopped.set))
         async with serving(bench, keys, port) as address:
-            print(
+            say(
                 f"the simulated bench of {bench.instrument}, {bench.layout.n} actuators; Ctrl-C"
-                " ends it. For a plan:\n\n[bench]"
-            )
+                " ends it. For a plan:", "", "[bench]",
+            )  # fmt: skip
             table = {"kind": "opcua", "address": address, "user": USER}
             table |= {name: str(keys.resolve() / file) for name, file in CLIENT_FILES.items()}
             for name, value in table.items():
-                print(f"{name} = {json.dumps(value)}")  # a string of JSON is a string of TOML
-            sys.stdout.flush()
+                say(f"{name} = {json.dumps(value)}")  # a string of JSON is a string of TOML
             await stopped.wait()
 
     asyncio.run(serve_until_stopped())

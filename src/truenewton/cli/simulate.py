@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import typer
@@ -26,10 +25,9 @@ def run(
     from truenewton.bench.simulated.bench import FIDELITIES
     from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
     from truenewton.bench.simulated.truth import truth_path, write_truth
-    from truenewton.cli.terminal import track
-    from truenewton.files.outputs import refuse_existing
+    from truenewton.cli.terminal import say, track
+    from truenewton.files.outputs import refuse_existing, together
     from truenewton.mirrors.file import mirror_from
-    from truenewton.records.cycle import Cycle
     from truenewton.records.file import write_campaign
 
     refuse_existing(output, truth_path(output), overwrite=overwrite)
@@ -38,15 +36,13 @@ def run(
     bench = static_bench(mirror_from(mirror), seed, force_noise=noise, temperature=temperature)
     total = cycles * len(bench.loads)
 
-    def cycles_then_truth() -> Iterator[Cycle]:
-        """Write the truth when all cycles are, before their folder takes its name."""
-        made = run_cycles(bench, cycles, loop_of(bench) if fidelity == "loop" else None)
-        yield from (next(made) for _ in track(range(total), "simulating"))
+    made = run_cycles(bench, cycles, loop_of(bench) if fidelity == "loop" else None)
+    with together():
+        write_campaign((next(made) for _ in track(range(total), "simulating")), output,
+                       overwrite=overwrite)  # fmt: skip
         write_truth(bench.truth, truth_path(output), overwrite=overwrite)
-
-    write_campaign(cycles_then_truth(), output, overwrite=overwrite)
     shapes = 2 * len(bench.shapes)
-    print(
+    say(
         f"{output}: {bench.mirror.name}, {len(bench.loads)} loads x {cycles} cycles x {shapes}"
         f" shapes; truth in {truth_path(output).name}"
     )

@@ -10,7 +10,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from truenewton.errors import printable
+
 Item = TypeVar("Item")
+
+
+def say(*lines: object) -> None:
+    """Print lines, whatever the names in them hold; the only place that prints to people."""
+    for line in lines:
+        print(printable(str(line)), flush=True)
 
 
 def _plain(value: Any) -> Any:
@@ -35,12 +43,9 @@ def print_result(
     if values is not None:
         print(json.dumps(_plain(values), indent=2))
         return
-    for line in lines:
-        print(line)
-    for path in filter(None, written):
-        print(f"written: {path}")
+    say(*lines, *(f"written: {path}" for path in filter(None, written)))
     if None in written:
-        print("not written; -o FILE keeps it")
+        say("not written; -o FILE keeps it")
 
 
 def table_lines(title: str, *table: Sequence[str]) -> Iterator[str]:

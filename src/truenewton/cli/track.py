@@ -26,7 +26,7 @@ def run(
     from truenewton.cli.terminal import print_result
     from truenewton.errors import FormatError
     from truenewton.figures.writing import write_drawn
-    from truenewton.files.outputs import refuse_existing
+    from truenewton.files.outputs import refuse_existing, together
     from truenewton.tracking.figures import tracking_figures
     from truenewton.tracking.fit import track
     from truenewton.tracking.validity import validity_of
@@ -38,9 +38,10 @@ def run(
     tracking = track(*paths, force=force)
     validity = None if accuracy is None else validity_of(tracking, accuracy)
     drawn: list[Path] = []
-    if output is not None:
-        tracking.write(output, overwrite=overwrite)
-    if figures is not None:
-        drawn = write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
+    with together():
+        if output is not None:
+            tracking.write(output, overwrite=overwrite)
+        if figures is not None:
+            drawn = write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
     as_values = values(tracking, validity) if json else None
     print_result(lines(tracking, validity), output, *drawn, values=as_values)

@@ -53,19 +53,39 @@ class SingularSolution:
 
     @property
     def condition(self) -> float:
-        """Largest over smallest singular value."""
-        return float(self.singular_values[0] / self.singular_values[-1])
+        """Largest over smallest singular value; infinite where that is 0."""
+        largest, *_, least = self.singular_values
+        return float(largest / least) if least else float("inf")
 
 
 def solve(matrix: Array, right_side: Array) -> SingularSolution:
     """Solve an overdetermined system, (m, u) and (m,), by singular value decomposition.
+
+    Raises
+    ------
+    RankDeficient
+        The matrix is singular to rounding.
+    """
+    solved, unknowns = solve_whatever_rank(matrix, right_side), matrix.shape[1]
+    if solved.rank < unknowns:
+        raise RankDeficient(
+            f"the system has rank {solved.rank} of {unknowns}",
+            remedy="apply more independent shapes, or a load that differs",
+            got=solved.rank,
+            want=unknowns,
+        )
+    return solved
+
+
+def solve_whatever_rank(matrix: Array, right_side: Array) -> SingularSolution:
+    """Solve (m, u) and (m,) as `solve`; of a singular matrix the shortest of all solutions.
 
     A QR factorisation comes first, which keeps the singular values and makes tall systems cheap.
 
     Raises
     ------
     RankDeficient
-        The matrix is singular to rounding.
+        There are fewer equations than unknowns.
     """
     unknowns = matrix.shape[1]
     if len(matrix) < unknowns:
@@ -78,18 +98,11 @@ def solve(matrix: Array, right_side: Array) -> SingularSolution:
     triangle = scipy.linalg.qr(np.column_stack([matrix, right_side]), mode="r")[0][:unknowns]
     left, values, right = singular_values_and_vectors(triangle[:, :-1])
     rank = int(np.count_nonzero(values > values[0] * np.finfo(float).eps * unknowns))
-    if rank < unknowns:
-        raise RankDeficient(
-            f"the system has rank {rank} of {unknowns}",
-            remedy="apply more independent shapes, or a load that differs",
-            got=rank,
-            want=unknowns,
-        )
-    pseudo_inverse = right.T / values
+    pseudo_inverse = right[:rank].T / values[:rank]
     return SingularSolution(
         matrix=matrix,
         right_side=right_side,
-        solution=pseudo_inverse @ (left.T @ triangle[:, -1]),
+        solution=pseudo_inverse @ (left[:, :rank].T @ triangle[:, -1]),
         singular_values=values,
         rank=rank,
         inverse=pseudo_inverse @ pseudo_inverse.T,
@@ -200,6 +213,7 @@ def find(campaign: Campaign, moments: Moments) -> Estimate:
         systematic_covariance=changes.T @ changes,
         noise=moments.noise,
         condition=condition_in_units_of_rms(campaign),
+        solved_condition=fitted.condition,
         rank=len(solution) - diagnosis.undetermined,
         diagnosis=diagnosis,
         scale_errors=scale_errors(solution[:n], reading_covariance[:n, :n], changes[:, :n], errors),

@@ -39,6 +39,8 @@ class Estimate:
         Standard deviation of one reading [N]; NaN if unknown.
     condition, rank
         As in the calibration file.
+    solved_condition
+        Of the system as the method solves it, where that is another; else NaN.
     diagnosis, goodness
         How well alpha is determined, and how well the data fit it; None where it has no meaning.
     declared_chi2
@@ -65,3 +67,4 @@ class Estimate:
     scale_errors: tuple[ScaleError, ...] = ()
     rejected: tuple[RejectedRow, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
+    solved_condition: float = float("nan")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from truenewton.mirrors.shell.held_glass import tool_wedges
 from truenewton.mirrors.shell.places import SMALLEST_HOLE
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.statics.layout import Layout, layout
+
+MOST = 1e15  # of any number of a mirror, stiff glass included
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +51,7 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
 
 def _mirror_in(path: Path) -> Mirror:
     written = filled(_Written, read_toml(path), path)
+    _refuse_absurd(written, path)
     for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
                       ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0),
                       ("vent_radius", 0.0)):  # fmt: skip
@@ -73,6 +77,22 @@ def _mirror_in(path: Path) -> Mirror:
     except GeometryError as error:
         raise located(error, path) from None
     return made
+
+
+def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
+    """Refuse numbers that are a slip of the unit in any mirror, their squares to stay numbers."""
+    for field in fields(written):
+        value = getattr(written, field.name)
+        if is_dataclass(value):
+            _refuse_absurd(value, path, f"{inside}{field.name}.")
+        sizes = np.abs(np.ravel(value)) if isinstance(value, float | tuple) else np.zeros(0)
+        flat = field.default == np.inf and value == np.inf  # no radius of curvature
+        if sizes.dtype.kind == "f" and not (flat or (sizes <= MOST).all()):
+            raise FormatError(
+                f"{inside}{field.name} is {value}",
+                remedy=f"check its unit; numbers are in SI units, up to {MOST:g}",
+                path=path,
+            )
 
 
 def _layout_in(path: Path) -> Layout:

@@ -16,8 +16,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
-from truenewton.estimation.cycles_svd import solve
-from truenewton.estimation.identifiability import geometry_fault
+from truenewton.estimation.cycles_svd import solve_whatever_rank
 from truenewton.estimation.systems import system_c, system_e
 from truenewton.mirrors.known import Mirror
 from truenewton.records.campaign import Campaign
@@ -25,6 +24,7 @@ from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import enabled_arms, external_load
 from truenewton.statics.load import Load
 
+FEWEST = 5  # actuators, for which n - 3 patterns give as many equations as unknowns
 LIMIT = 20.0  # error / (eps cond) that a backward-stable solution stays below
 
 
@@ -84,17 +84,21 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
     """Run the proof code on a mirror.
 
     C then E, with the identity and with random numbers, with B, M, N zero as in the paper and
-    then with random B, off-axis M and N.
+    then with random B, off-axis M and N. A layout on which balance cannot fix alpha (one ring)
+    has a system of short rank, and does not pass.
 
     Raises
     ------
     GeometryError
-        The last three actuators hold no plane, or balance cannot fix alpha on this layout.
+        There are fewer than five actuators, or the last three hold no plane.
     """
     a = enabled_arms(mirror.layout)
     n = a.shape[1]
-    if fault := geometry_fault(a):
-        raise GeometryError(fault.fault, remedy=fault.remedy)
+    if n < FEWEST:
+        raise GeometryError(
+            f"only {n} actuators take part",
+            remedy="enable five at least: three hold the mirror, and two patterns are needed",
+        )
     if np.linalg.cond(a[:, -3:] / np.abs(a).max(axis=1)[:, None]) > 1e8:
         raise GeometryError(
             "the last three actuators are collinear",
@@ -119,7 +123,7 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
                 ("C", system_c(c[0], a, mirror.weight, bias, *torques[:2]), truth[:n]),
                 ("E", system_e(Campaign(tuple(cycles)), a), truth),
             ):
-                solution = solve(*equations)
+                solution = solve_whatever_rank(*equations)
                 error = np.abs(solution.solution - true).max() / np.abs(true).max()
                 proof = Proof(
                     seed, system, matrix, loaded, solution.rank, len(true),

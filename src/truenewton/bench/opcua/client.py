@@ -6,11 +6,11 @@ import asyncio
 import os
 import threading
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
 from asyncua import Client, ua
 from asyncua.client.ua_client import UaClientState
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
@@ -18,13 +18,20 @@ from asyncua.sync import ThreadLoop
 
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
-from truenewton.bench.opcua.methods import METHODS, VARIABLES, variants
+from truenewton.bench.opcua.methods import (
+    METHODS,
+    VARIABLES,
+    mirror_of,
+    received_answer,
+    variants,
+)
 from truenewton.bench.protocol import Reading, Shape, Status
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 PAUSE = 0.2  # between two attempts [s]
+Attribute = ua.AttributeIds
 ERRORS = {error.__name__: error for error in TrueNewtonError.__subclasses__()}
 
 
@@ -39,12 +46,15 @@ class OpcUaBench:
     ----------
     instrument, layout, gap, gradients
         As of `Bench` and `Graded`; gradients None where the server does not know.
+    put_on
+        As of `Operator`, where the server has PutOn; else there is none.
     """
 
     instrument: str
     layout: Layout
     gap: float
     gradients: tuple[float | None, float | None]
+    put_on: Callable[[Load], None]  # only where the server has PutOn: else somebody is asked
 
     _timeout = 60.0  # for one answer; a reading waits for the mirror to settle [s]
     _patience = 10.0  # with a server that is not there [s]
@@ -78,7 +88,7 @@ class OpcUaBench:
             self.close()
             raise
 
-    def put_on(self, load: Load) -> None:
+    def _put_on(self, load: Load) -> None:
         """Have a load put on, or taken off for the bare mirror."""
         self._call("PutOn", load.name)
 
@@ -91,9 +101,10 @@ class OpcUaBench:
 
     def read(self, samples: int) -> Reading:
         """Return the mean of so many samples, when the mirror has settled."""
-        values = self._call("Read", samples)
-        arrays: list[Any] = [np.array(one) if isinstance(one, list) else one for one in values]
-        return Reading(*arrays)
+        given = self._call("Read", samples)
+        if not len(given[-1]):
+            given[-1] = None
+        return Reading(*given)
 
     def status(self) -> Status:
         """Return how the bench is."""
@@ -120,10 +131,13 @@ class OpcUaBench:
         arguments = variants(values, METHODS[method][0])
         with self._one_at_a_time:
             answer: list[Any] = self._thread.post(self._answer(method, arguments))
-        fault, *given = answer
+        try:
+            fault, given = received_answer(method, answer)
+        except BenchFault as error:
+            raise self._fault(f"{error.fault}, in {method}", error.remedy) from None
         if fault:
-            kind, what, remedy = fault
-            raise ERRORS.get(kind, BenchFault)(what, remedy=remedy)
+            name, what, remedy = (*fault, "", "")[:3]
+            raise ERRORS.get(name, BenchFault)(what, remedy=remedy)
         return given
 
     async def _answer(self, method: str, arguments: list[ua.Variant]) -> list[Any]:
@@ -151,7 +165,7 @@ class OpcUaBench:
             raise self._fault(f"was lost in {method} ({_text(error)})", "try again") from error
         if not result.StatusCode.is_good():
             raise self._fault(f"fails in {method} ({result.StatusCode.name})", "see its log")
-        return [variant.Value for variant in result.OutputArguments]
+        return [variant.Value for variant in result.OutputArguments or ()]
 
     async def _connected(self) -> Client:
         """Return a client with a session, the one there is or a new one."""
@@ -203,26 +217,39 @@ class OpcUaBench:
         """Learn what the mirror is, or see that it is still the same."""
         try:
             self._space = await client.get_namespace_index(keys.NAMESPACE)
-            nodes = [
-                client.get_node(ua.NodeId(f"Bench.{name}", self._space)) for name, _ in VARIABLES
-            ]
-            instrument, gap, gradients, *columns = await client.read_values(nodes)
+            values = await self._attributes(
+                client, [name for name, _ in VARIABLES], Attribute.Value
+            )
+            methods = await self._attributes(client, list(METHODS), Attribute.NodeClass)
         except (OSError, ValueError, ua.UaError) as error:
             await self._drop()
             raise self._fault(
                 f"is not the server of a bench ({_text(error)})", "check bench.address"
             ) from error
-        layout = Layout(*(np.array(column) for column in columns))
+        try:
+            instrument, gap, gradients, layout = mirror_of(values, methods)
+        except TrueNewtonError as error:
+            await self._drop()
+            raise self._fault(error.fault, error.remedy) from None
         if self._connections == 1:
             self.instrument, self.layout, self.gap = instrument, layout, gap
-            coil, bias = (None if np.isnan(value) else float(value) for value in gradients)
-            self.gradients = coil, bias
+            self.gradients = gradients
+            if "PutOn" in methods:
+                self.put_on = self._put_on
         elif instrument != self.instrument or not layout.same_as(self.layout):
             await self._drop()
             raise self._fault(
                 f"is no longer the server of {self.instrument} with its {self.layout.n} actuators",
                 "connect anew",
             )
+
+    async def _attributes(
+        self, client: Client, names: list[str], attribute: ua.AttributeIds
+    ) -> dict[str, Any]:
+        """Return an attribute of those nodes that are there, by name."""
+        nodes = [client.get_node(ua.NodeId(f"Bench.{name}", self._space)) for name in names]
+        found = zip(names, await client.read_attributes(nodes, attribute), strict=True)
+        return {name: one.Value.Value for name, one in found if one.StatusCode.is_good()}
 
     async def _drop(self, *, broken: bool = True) -> None:
         """End the connection; without a farewell, which would wait, where it is broken."""

@@ -5,10 +5,15 @@ A list is an array. A fault is no text or three: the error's name, what is wrong
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import datetime
+from collections.abc import Collection, Iterable
 from typing import Any
 
+import numpy as np
 from asyncua import ua
+
+from truenewton.errors import BenchFault
+from truenewton.statics.layout import Layout
 
 Type = ua.VariantType
 Arguments = list[tuple[str, Any]]
@@ -28,19 +33,32 @@ METHODS: dict[str, tuple[Arguments, Arguments]] = {
         [("Samples", Type.Int32)],
         [("Time", Type.DateTime), ("Force", [Type.Double]), ("Position", [Type.Double]),
          ("ForceScatter", [Type.Double]), ("PositionScatter", [Type.Double]),
-         ("Temperature", Type.Double), ("Counter", Type.Int64), ("Settled", Type.Boolean)],
+         ("Temperature", Type.Double), ("Counter", Type.Int64), ("Settled", Type.Boolean),
+         ("ForceError", [Type.Double])],
     ),
     "Status": (
         [], [("Ready", Type.Boolean), ("Message", Type.String), ("Counter", Type.Int64)]
     ),
     "Rest": ([], []),
 }  # fmt: skip
+# What a server may leave out.
+OPTIONAL = frozenset({"Gradients", "Enabled", "PutOn", "ForceError"})
+ALIKE: dict[ua.VariantType, tuple[type, ...]] = {  # in Python, by the types of OPC UA
+    Type.String: (str,),
+    Type.Boolean: (bool,),
+    Type.Int32: (int,),
+    Type.Int64: (int,),
+    Type.Double: (float, int),
+    Type.DateTime: (datetime.datetime,),
+}
+COLUMNS = ("Id", "X", "Y", "Nz", "Enabled")  # of the layout
+ARRAYS = {Type.Boolean: np.bool_, Type.Int64: np.int64, Type.Double: np.float64}
 
 
 def variants(values: Iterable[Any], kinds: Arguments) -> list[ua.Variant]:
     """Return values, numpy's too, as OPC UA sends them."""
     return [
-        ua.Variant(value.tolist() if hasattr(value, "tolist") else value, scalar(kind))
+        ua.Variant(_sent(value, kind), scalar(kind))
         for value, (_, kind) in zip(values, kinds, strict=True)
     ]
 
@@ -48,3 +66,86 @@ def variants(values: Iterable[Any], kinds: Arguments) -> list[ua.Variant]:
 def scalar(kind: Any) -> Any:
     """Return the type of a value, or of an array's values."""
     return kind[0] if isinstance(kind, list) else kind
+
+
+def _sent(value: Any, kind: Any) -> Any:
+    if value is None and isinstance(kind, list):
+        return []
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def received(name: str, value: Any, kind: Any) -> Any:
+    """Return a value as a server sent it, of its declared kind; an array of numbers as numpy's.
+
+    Raises
+    ------
+    BenchFault
+        It is of another kind.
+    """
+    type_, array = scalar(kind), isinstance(kind, list)
+    values = ([] if value is None else value) if array else [value]
+    good = isinstance(values, list) and all(
+        isinstance(one, ALIKE[type_]) and (type_ is Type.Boolean or not isinstance(one, bool))
+        for one in values
+    )
+    if not good:
+        want = f"{type_.name}[]" if array else type_.name
+        raise BenchFault(f"gives {name} as {value!r:.60}", remedy=f"it is {want}")
+    if not array:
+        return float(value) if type_ is Type.Double else value
+    return np.array(values, dtype=ARRAYS[type_]) if type_ in ARRAYS else values
+
+
+def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any]]:
+    """Return the fault of a method, no text or its parts, and what it gives where it has none.
+
+    Raises
+    ------
+    BenchFault
+        A server sent something else.
+    """
+    fault = received("Fault", values[0] if values else None, [Type.String])
+    given, declared = values[1:], METHODS[method][1]
+    if fault:
+        return fault, []
+    if declared and declared[-1][0] in OPTIONAL and len(given) == len(declared) - 1:
+        given.append(None)
+    if len(given) != len(declared):
+        raise BenchFault(
+            f"gives {len(given)} values after the fault",
+            remedy=f"they are {', '.join(name for name, _ in declared) or 'none'}",
+        )
+    each = zip(given, declared, strict=True)
+    return [], [received(name, value, kind) for value, (name, kind) in each]
+
+
+def mirror_of(
+    values: dict[str, Any], methods: Collection[str]
+) -> tuple[str, float, tuple[float | None, float | None], Layout]:
+    """Return instrument, gap [m], gradients and layout by the nodes that a server has.
+
+    Raises
+    ------
+    TrueNewtonError
+        A node is missing, or holds what it may not.
+    """
+    for name in (*dict(VARIABLES), *METHODS):
+        if name not in OPTIONAL and name not in values and name not in methods:
+            raise BenchFault(f"has no node Bench.{name}", remedy="add it (docs/hardware.md)")
+    given = {name: received(name, values[name], kind) for name, kind in VARIABLES if name in values}
+    size = len(given["Id"])
+    given = {"Enabled": np.ones(size, dtype=bool)} | given
+    columns = [given[name] for name in COLUMNS]
+    for name, column in zip(COLUMNS, columns, strict=True):
+        if len(column) != size or not size:
+            raise BenchFault(
+                f"gives {len(column)} values of {name} for {size} actuators",
+                remedy="one for each actuator",
+            )
+    gradients = given.get("Gradients", np.full(2, np.nan))
+    if len(gradients) != 2:
+        raise BenchFault(
+            f"gives {len(gradients)} Gradients", remedy="they are two, NaN where unknown"
+        )
+    coil, bias = (None if np.isnan(value) else float(value) for value in gradients)
+    return given["Instrument"], given["Gap"], (coil, bias), Layout(*columns)

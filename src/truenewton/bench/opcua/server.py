@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,7 +20,7 @@ from asyncua import Server, ua
 from truenewton.bench.opcua import keys
 from truenewton.bench.opcua.door import ClosedServer, KnownClients
 from truenewton.bench.opcua.methods import METHODS, VARIABLES, Type, scalar, variants
-from truenewton.bench.protocol import Bench, Graded, Operator, Shape
+from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.load import Load
 
@@ -82,9 +82,10 @@ async def _publish(server: Server, bench: ServedBench) -> None:
     """Add the nodes of a bench."""
     space = await server.register_namespace(keys.NAMESPACE)
     node = await server.nodes.objects.add_object(ua.NodeId("Bench", space), f"{space}:Bench")
-    layout, gradients = bench.layout, bench.gradients if isinstance(bench, Graded) else (None, None)
+    layout = bench.layout
     values = (
-        bench.instrument, float(bench.gap), np.array(gradients, dtype=float),  # None becomes NaN
+        bench.instrument, float(bench.gap),
+        np.array(gradients_of(bench), dtype=float),  # None becomes NaN
         layout.id, layout.x, layout.y, layout.nz, layout.enabled,
     )  # fmt: skip
     for (name, _), variant in zip(VARIABLES, variants(values, VARIABLES), strict=True):
@@ -126,7 +127,7 @@ class _Methods:
         methods: dict[str, Callable[..., Any]] = {
             "PutOn": self._put_on,
             "Command": self._command,
-            "Read": lambda samples: vars(self._bench.read(samples)).values(),
+            "Read": self._read,
             "Status": lambda: vars(self._bench.status()).values(),
             "Rest": self._bench.rest,
         }
@@ -148,6 +149,10 @@ class _Methods:
         self._load = None
         self._bench.put_on(load)
         self._load = load
+
+    def _read(self, samples: int) -> Iterable[Any]:
+        check_samples(samples)
+        return vars(self._bench.read(samples)).values()
 
     def _command(
         self, load: str, cycle: int, number: int, sign: int, position: list[float]

@@ -6,7 +6,7 @@ import datetime
 import os
 from collections.abc import Sequence
 
-from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.bench.protocol import Reading, Shape, Status, check_samples
 from truenewton.bench.simulated.static import (
     PAUSE,
     SECONDS_PER_SHAPE,
@@ -109,6 +109,7 @@ class SimulatedBench:
 
     def read(self, samples: int) -> Reading:
         """Return the mean of so many samples of the shape that is set."""
+        check_samples(samples)
         shape, bench = self._shape, self._bench
         if shape is None:
             raise BenchFault("the mirror is at rest", remedy="command a shape before reading")
@@ -125,6 +126,7 @@ class SimulatedBench:
             temperature=float(bench.coils.temperature),
             counter=self._counter,
             settled=bool(taken.settled[0]),
+            force_error=None if taken.force_error is None else taken.force_error[:, 0],
         )
 
     def status(self) -> Status:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.bench.protocol import BATCHES, error_of_mean
 from truenewton.bench.simulated.loop import Loop, samples_of, slowest_creep
 from truenewton.bench.simulated.noise import SAMPLES
 from truenewton.errors import LoopUnstable
@@ -36,8 +37,10 @@ class Record:
         (batch,) no mean reading changed by more than `DRIFT` between the halves: through the air
         film a steady drift pulls by 64 N s/m x 1 nm / 14 ms = 4 uN at most.
 
-    Samples follow each other closely, so that the error of a mean is not scatter / samples^1/2: of
-    the forces, whose scatter is mostly what the derivative makes of noise, it is far less.
+    force_error
+        (n, batch) standard deviation of the mean force, by batch means [N]; None of a record too
+        short for it. Samples follow each other closely: of the forces, whose scatter is mostly what
+        the derivative makes of noise, it is far less than scatter / samples^1/2.
     """
 
     force: Array
@@ -45,6 +48,7 @@ class Record:
     position: Array
     position_scatter: Array
     settled: NDArray[np.bool_]
+    force_error: Array | None
 
 
 def record(
@@ -77,22 +81,26 @@ def record(
     recorded = (np.array([force, read]) for force, read, _ in islice(steps, wait, None))
     # Sums about the first sample, so that squares do not drown what they differ by.
     first = next(recorded)
-    total, square = np.zeros((2, 2, 2, *shapes.shape))  # half, force or position
+    total, square = (np.zeros((parts, 2, *shapes.shape)) for parts in (BATCHES, 2))
     for k, value in enumerate(recorded, start=1):
-        off, half = value - first, int(2 * k >= samples)
-        total[half] += off
-        square[half] += off * off
-    size = np.array([samples - samples // 2, samples // 2])[:, None, None, None]
-    halves = total / size
-    _refuse_growth(np.sqrt(np.maximum(square / size - halves**2, 0))[:, 0])
+        off, batch = value - first, BATCHES * k // samples
+        total[batch] += off
+        square[2 * batch // BATCHES] += off * off
+    size = np.bincount(BATCHES * np.arange(samples) // samples, minlength=BATCHES)
+    halves = total.reshape(2, -1, *total.shape[1:]).sum(axis=1)
+    in_half = np.maximum(size.reshape(2, -1).sum(axis=1), 1)[:, None, None, None]
+    halves /= in_half
+    _refuse_growth(np.sqrt(np.maximum(square / in_half - halves**2, 0))[:, 0])
     mean = total.sum(axis=0) / samples
     scatter = np.sqrt(np.maximum(square.sum(axis=0) / samples - mean**2, 0))
+    batch_means = total[:, 0] / np.maximum(size, 1)[:, None, None]
     return Record(
         force=first[0] + mean[0],
         force_scatter=scatter[0],
         position=first[1] + mean[1],
         position_scatter=scatter[1],
         settled=np.abs(halves[1, 1] - halves[0, 1]).max(axis=0) <= DRIFT,
+        force_error=error_of_mean(batch_means) if size.all() else None,
     )
 
 

@@ -267,6 +267,7 @@ def take(
         position=(position + SENSOR_NOISE * drawn[:, n:]).T,
         position_scatter=SENSOR_NOISE * scatter,
         settled=np.ones(len(force), dtype=bool),
+        force_error=np.full_like(force.T, bench.force_noise * np.sqrt(SAMPLES / samples)),
     )
 
 
