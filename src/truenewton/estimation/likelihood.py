@@ -38,6 +38,7 @@ from truenewton.linalg import ROWS_AT_ONCE, mirrored
 STEPS = 60
 SMALL = 1e-10  # squared step in standard errors at which the iteration ends
 NEAR = 1e-3  # below which no step is shortened
+RUNAWAY = 1e6  # of alpha, true over commanded force
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +176,8 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> M
         step, decrement, factor = _step(terms, prior, terms.gradient + pull)
         # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.
         if decrement < SMALL or (decrement < NEAR and decrement > 0.25 * before):
+            if np.abs(values[: a.shape[1]]).max() > RUNAWAY:  # the weights do not matter there
+                raise _no_more_than_noise()
             return _minimum(terms, prior, values, factor, iteration)
         before = decrement
         if decrement >= NEAR:

@@ -2,6 +2,7 @@
 
 fitted            a fit, and what the score of an effect needs of it
 derivative        what an effect is: its derivative, score and information
+narrowed          the same with fewer parameters: of single actuators, or about their mean
 catalogue         the effects
 score_test        is one there?
 exchanges         columns of FORCE that stand for other actuators

@@ -77,12 +77,15 @@ def examined(
         return cured
     if problem.dependent:
         start = replace(plain, structure=structure) if moments.pooled else plain
-        before = named_first.effects
+        before = named_first
         cured, named_first = _cured(start, independent=False, samples=samples)
         if cured is not None:
             return cured
         if start.too_well:  # even without what readings of a row share
-            return _correlated(start, named_first.effects or before)
+            if before.effects:
+                named_first = before
+            slow = _correlated(start, named_first.effects)
+            return replace(slow, minimum=_unsure(slow, named_first))
     best = plain if plain.fits and not start.fits else start
     if not named_first.effects or not named_first.fits:
         for one in (start, plain):
@@ -291,6 +294,7 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
         where = campaign.cycles[worst * len(campaign.cycles) // len(theta)].name
     elif corrected is not None and effect.of == "actuator":
         ids = campaign.layout.id[campaign.layout.enabled]
+        ids = ids if test.derivative.actuators is None else ids[test.derivative.actuators]
         where = f"actuator {ids[worst % len(ids)]}"
     elif corrected is not None and effect.of == "load":
         loads = campaign.loads[-(len(theta) if len(theta) < len(campaign.loads) else 0) :]
