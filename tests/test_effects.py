@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scipy.signal
 import scipy.stats
+from balanced import BIAS
 from small_bench import SmallBench
 
 from truenewton.bench.simulated.static import run_cycles, static_bench
@@ -564,6 +565,75 @@ def test_an_effect_that_the_data_are_blind_to_is_not_tested():
     one = Campaign(tuple(replace(c, valid=c.sign > 0) for c in bench.campaign().cycles))
     tested = {test.effect.name for test in score_test.tests(fit_of(one))}
     assert not any("contact" in name for name in tested)
+
+
+# -------------------------------------------------------------------------- what no data can show
+
+
+def scales_under(change):
+    """Return the relative common scale that a fault leaves, over seeds, and what is told of it."""
+    moved, told = [], []
+    for seed in range(6):
+        bench = SmallBench([seed, 12], 1e-5)
+        change(bench)
+        found = calibrate(bench.campaign())
+        moved.append(np.mean(found.alpha / bench.alpha) - 1)
+        told.append({error.name: error.relative for error in found.unseen})
+    assert not found.effects
+    return np.array(moved), told
+
+
+def test_what_bears_a_part_of_a_load_moves_the_scale_as_told():
+    def bear(bench):
+        bench.external = bench.external + np.outer(bench.load == 1, [5e-3, 0.0, 0.0])
+
+    moved, told = scales_under(bear)
+    line = [lines["something else bears 5 mN of a load"] for lines in told]
+    assert np.abs(moved) == pytest.approx(line, rel=0.05)
+
+
+def test_elastic_gains_of_their_own_move_the_scale_as_told():
+    def other_gains(bench):
+        """The shapes' own forces alone, which the bench keeps apart from those at rest."""
+        each = 1 + 0.01 * bench.random.standard_normal(14)
+        elastic = bench.sign[:, None] * bench.elastic[bench.shape - 1]
+        bench.zero = elastic / bench.alpha * (1 / each - 1)
+
+    moved, told = scales_under(other_gains)
+    line = [lines["the gain of each coil is 1 % another for elastic forces"] for lines in told]
+    assert np.sqrt(np.mean((moved / line) ** 2)) == pytest.approx(1.0, abs=0.6)
+
+
+WARM = "the bias magnets are 1 K warmer under a load"
+
+
+def warmer(bench, kelvins=1.0):
+    """Let the magnets on the glass lose .11 % a kelvin under the load, and the others as much."""
+    bench.gain = 1 - 1.1e-3 * kelvins * (bench.load == 1)[:, None]
+    bench.external = bench.external - np.outer(bench.load == 1, [2.2e-3 * kelvins * BIAS, 0, 0])
+
+
+def test_magnets_warmer_under_a_load_move_the_scale_as_told():
+    bench, alike = SmallBench([1, 13], 1e-4), SmallBench([1, 13], 1e-4)
+    warmer(bench)
+    found, truth = calibrate(bench.campaign()), truth_of(bench)
+    assert [(effect.name, effect.corrected) for effect in found.effects] == [("gain by load", True)]
+    off = np.mean(found.alpha / truth) - 1
+    of_one = {error.name: error.relative for error in calibrate(alike.campaign()).unseen}
+    assert abs(off) == pytest.approx(of_one[WARM], rel=0.05)
+    # E_STAT has it, since coils have told of the warmth.
+    assert found.error / truth == pytest.approx(abs(off), rel=0.1)
+
+
+def test_magnets_whose_warmth_is_recorded_are_no_matter_of_what_is_unseen():
+    bench = SmallBench([1, 13], 1e-4)
+    rows = [np.full(len(c.force), 20.0) for c in bench.campaign().cycles]
+    recorded = Campaign(
+        tuple(replace(c, temperature=t) for c, t in zip(bench.campaign().cycles, rows, strict=True))
+    )
+    names = {error.name for error in calibrate(recorded).unseen}
+    assert WARM not in names
+    assert len(names) == 3
 
 
 # ------------------------------------------------------------------------------ forces, and noise

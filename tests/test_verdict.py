@@ -271,6 +271,7 @@ def test_a_calibration_keeps_goodness_and_budget(tmp_path, clean):
     back = tn.read(tmp_path / "alpha.fits")
     assert back.goodness == clean.goodness
     assert back.scale_errors == clean.scale_errors
+    assert back.unseen == clean.unseen != ()
     assert back.verdict == clean.verdict
 
 

@@ -19,10 +19,12 @@ from truenewton.estimation.diagnosis import (
     Goodness,
     NoiseSource,
     RejectedRow,
+    UnseenError,
 )
 from truenewton.estimation.effects.examination import examined
 from truenewton.estimation.effects.examined import Examined, chi2_probability
 from truenewton.estimation.effects.exchanges import exchanged_columns
+from truenewton.estimation.effects.unseen import unseen_errors, with_magnets_unsure
 from truenewton.estimation.effects.unsure_positions import (
     positions_are_unsure,
     with_positions_unsure,
@@ -128,14 +130,16 @@ def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Est
         refuse_too_many(len(rejected), rows)
         moments = chosen_groups(moments, belongs)
     problem, minimum = with_noise_from_minimum(problem, moments, minimum)
-    left = Examined(problem, moments, minimum)
+    left, unseen = Examined(problem, moments, minimum), tuple[UnseenError, ...]()
     if patterns.size:
         minimum = with_undetermined_patterns(minimum, patterns)
     elif wrong:
         minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
     else:
         left = examined(problem, moments, minimum, sifted.structure, sifted.samples)
+        left = replace(left, minimum=with_magnets_unsure(left))
         problem, moments, minimum = left.problem, left.moments, left.minimum
+        unseen = unseen_errors(left)
         if positions_are_unsure(sound.layout):
             minimum = with_positions_unsure(left)
         if not left.fits:
@@ -156,7 +160,10 @@ def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Est
     effects = (*suspects, *left.effects, *warmer_loads(sound, estimate.scale_errors))
     warnings = (*estimate.diagnosis.warnings, *effect_warnings(effects), *misfit_warnings(left))
     estimate = replace(
-        estimate, effects=effects, diagnosis=replace(estimate.diagnosis, warnings=warnings)
+        estimate,
+        effects=effects,
+        unseen=unseen,
+        diagnosis=replace(estimate.diagnosis, warnings=warnings),
     )
     if estimate.diagnosis.undetermined:
         diagnosis = diagnose(sound, moments)

@@ -130,6 +130,22 @@ class ScaleError:
 
 
 @dataclass(frozen=True)
+class UnseenError:
+    """What data could not show, and would do to the common scale of alpha; no part of any error.
+
+    Attributes
+    ----------
+    name
+        What may be, with its usual size, in words.
+    relative
+        How far it would move the common scale.
+    """
+
+    name: str
+    relative: float
+
+
+@dataclass(frozen=True)
 class FoundEffect:
     """What a bench did beside the model (docs/effects.md).
 

@@ -176,8 +176,6 @@ def minimise(a: Array, data: Sequence[DataSet], prior: Prior, start: Array) -> M
         step, decrement, factor = _step(terms, prior, terms.gradient + pull)
         # Near the minimum the gradient is trusted, and when it no longer falls rounding is reached.
         if decrement < SMALL or (decrement < NEAR and decrement > 0.25 * before):
-            if np.abs(values[: a.shape[1]]).max() > RUNAWAY:  # the weights do not matter there
-                raise _no_more_than_noise()
             return _minimum(terms, prior, values, factor, iteration)
         before = decrement
         if decrement >= NEAR:
@@ -258,9 +256,9 @@ def _minimum(
     With theta the other unknowns, which come first in the factor, and T = H_tt^-1 M_tu, the scores
     g move theta by H_tt^-1 g_t - T C (g_u - T' g_t), C = (1 + M_uu - M_ut T)^-1.
     """
-    if factor is None:
-        raise _no_more_than_noise()
     n, t = len(terms.noise_information.diagonal), len(values) - prior.measured
+    if factor is None or np.abs(values[:n]).max() > RUNAWAY:  # where weights count for nothing
+        raise _no_more_than_noise()
     inverse = mirrored(dpotri(factor[:t, :t], lower=True, overwrite_c=True)[0].T)
     m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
     turn = inverse @ m_tu

@@ -11,5 +11,6 @@ unknown_force     a force that comes and goes at one actuator
 examination       a fit examined: what is named, and what is taken out
 examined          what is left of it then, and how well that fits
 unsure_positions  magnets whose positions have a declared uncertainty
+unseen            what two loads cannot show, and what it would do to the common scale
 words             the same in words
 """

@@ -235,6 +235,7 @@ _DRIVER = "look at its coil, driver and cable"
 _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
+GAIN_BY_LOAD = "gain by load"
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
 # What zeros of each are found to be where they leave the sums of the forces alone.
 PUT_ON_ANEW = Effect(
@@ -252,7 +253,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by file", "", partial(gain_by_file, single=False), _WARM, "file"),
     Effect("gain of single actuators by file", "", partial(gain_by_file, single=True), _DRIVER,
            "actuator"),
-    Effect("gain by load", "", gain_by_load, "record POSITION, which tells whether shapes differ"
+    Effect(GAIN_BY_LOAD, "", gain_by_load, "record POSITION, which tells whether shapes differ"
            " between loads, and TEMPERATURE: what warms coils changes the bias magnets too, and the"
            " scale with them", "load",
            lambda fit: fit.moments.displacement is not None),
