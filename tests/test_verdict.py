@@ -158,7 +158,7 @@ def negative(c, count):
 
 
 def with_effect(c, name, **options):
-    effect = FoundEffect(name, "bare 1", 0.0, 0.0, "", corrected=False, remedy="leave it out")
+    effect = FoundEffect(name=name, where="bare 1", remedy="leave it out")
     return replace(c, effects=(replace(effect, **options),))
 
 

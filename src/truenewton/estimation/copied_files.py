@@ -74,10 +74,7 @@ def copied_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ..
         FoundEffect(
             name="copy of another file",
             where=f"{cycles[other].name} of {cycles[one].name}",
-            probability=0.0,
             size=share,
-            unit="",
-            corrected=False,
             remedy="leave the copy out: it holds no reading of its own",
         )
         for (one, other), share in same.items()

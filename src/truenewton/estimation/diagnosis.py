@@ -145,9 +145,11 @@ class UnseenError:
     relative: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FoundEffect:
     """What a bench did beside the model (docs/effects.md).
+
+    What only the user can settle has no probability, and is never corrected.
 
     Attributes
     ----------
@@ -165,11 +167,11 @@ class FoundEffect:
     """
 
     name: str
-    where: str
-    probability: float
-    size: float
-    unit: str
-    corrected: bool
+    where: str = ""
+    probability: float = 0.0
+    size: float = 0.0
+    unit: str = ""
+    corrected: bool = False
     remedy: str
 
 

@@ -62,10 +62,8 @@ def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[FoundEffect
         FoundEffect(
             name="the file's load is another",
             where=f"{campaign.cycles[k].name}, at rest as under {campaign.loads[true[k]].name}",
-            probability=0.0,
             size=float(np.sqrt(np.mean((means[true[k]] - means[said[k]]) ** 2))),
             unit="N",
-            corrected=False,
             remedy="correct LOAD of the file, or leave it out",
         )
         for k in wrong.tolist()
@@ -136,10 +134,8 @@ def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[FoundEff
                 FoundEffect(
                     name=name,
                     where=campaign.cycles[k].name,
-                    probability=0.0,
                     size=float(np.sqrt(np.mean(rows[k] ** 2))),
                     unit="N",
-                    corrected=False,
                     remedy="correct SHAPE and SIGN of the file, or leave it out",
                 )
             )

@@ -47,10 +47,8 @@ def constant_actuators(campaign: Campaign, change: ReadingsChange) -> tuple[Foun
         FoundEffect(
             name="dead actuator, no force is commanded" if change.zero[i] else "stuck reading",
             where=f"actuator {ids[i]}",
-            probability=0.0,
             size=float(change.rms[i]),
             unit="N",
-            corrected=False,
             remedy="look at its coil, driver and cable; set ENABLED to F if it gives no force",
         )
         for i in np.flatnonzero(change.within_noise)
@@ -133,8 +131,6 @@ def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Foun
             where=f"actuator {ids[i]}",
             probability=float(scipy.stats.norm.sf((typical - alpha[i]) / error[i])),
             size=float(alpha[i]),
-            unit="",
-            corrected=False,
             remedy=remedy,
         )
         for which, name, remedy in names

@@ -183,7 +183,6 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
             probability=float(np.exp(force.log_probability)),
             size=force.size,
             unit="N",
-            corrected=False,
             remedy="look for friction, dust in its gap or a cable at it",
         )
         for force in found.values()
@@ -200,11 +199,8 @@ def _correlated(start: Examined, effects: tuple[FoundEffect, ...]) -> Examined:
     moved = correction(fit, ZEROS_OF_EACH)
     found = FoundEffect(
         name="correlated noise",
-        where="",
         probability=1.0 - start.probability,
         size=start.minimum.chi2 / start.problem.degrees_of_freedom(start.moments),
-        unit="",
-        corrected=False,
         remedy="average longer at each shape, and take the shapes of each file in another order",
     )
     minimum = start.minimum if moved is None else moved.minimum

@@ -56,10 +56,7 @@ def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iter
         return
     yield FoundEffect(
         name=str(ErrorKind.BETWEEN_LOADS.value),
-        where="",
-        probability=0.0,
         size=float(np.ptp(load_temperatures(campaign))),
         unit="K",
-        corrected=False,
         remedy="keep the temperature, or take bare and loaded cycles in turn",
     )
