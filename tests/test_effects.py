@@ -702,8 +702,8 @@ def test_noise_that_hangs_together_is_named_and_covered():
     assert np.sqrt(np.mean(np.square(z))) < 1.5
 
 
-def test_noise_that_all_readings_of_a_row_share_is_hardly_an_effect():
-    """Of a file it leaves a zero that is common: a third is called that, none anything else."""
+def test_noise_that_all_readings_of_a_row_share_is_no_effect():
+    """Of a file it leaves a zero that is common, but no larger than that noise makes."""
     z, names = [], []
     for seed in range(9):
         bench = SmallBench([seed, 13], SIGMA)
@@ -711,8 +711,7 @@ def test_noise_that_all_readings_of_a_row_share_is_hardly_an_effect():
         found = calibrate(bench.campaign())
         names += [effect.name for effect in found.effects]
         z.append((found.alpha - bench.alpha) / found.error)
-    assert set(names) <= {"zero by file"}
-    assert len(names) <= 3
+    assert not names
     assert np.mean(np.abs(z) < 1.96) > 0.85
     assert np.sqrt(np.mean(np.square(z))) < 1.5
 

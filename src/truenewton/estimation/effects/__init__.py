@@ -5,6 +5,7 @@ derivative        what an effect is: its derivative, score and information
 narrowed          the same with fewer parameters: of single actuators, or about their mean
 catalogue         the effects
 score_test        is one there?
+shared_noise      the same beside noise that the readings of a row share
 exchanges         columns of FORCE that stand for other actuators
 correction        taken out of the data, its size estimated with alpha
 unknown_force     a force that comes and goes at one actuator

@@ -22,6 +22,7 @@ from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
+from truenewton.estimation.effects.shared_noise import beside_shared_noise
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
@@ -122,7 +123,7 @@ def _cured(
         found = named(tests(fit))
         shared = within and not now.effects  # noise, or what such an effect does
         if shared:
-            found = [test for test in found if test.effect.within]
+            found = beside_shared_noise(found, fit, samples)
         if not found:
             return (now if now.fits else None), first
         if not first.effects:
