@@ -144,7 +144,7 @@ def _examined(
     unseen = unseen_errors(left)
     if positions_are_unsure(sifted.sound.layout):
         left = replace(left, minimum=with_positions_unsure(left))
-    return left if left.fits else _less_sure(left), unseen
+    return left if left.fits or left.explained else _less_sure(left), unseen
 
 
 def _less_sure(left: Examined) -> Examined:

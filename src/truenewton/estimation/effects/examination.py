@@ -94,7 +94,12 @@ def examined(
             if forced is not None:
                 return forced
     # What two readings of the data explain, alpha may be wrong by.
-    return replace(best, effects=named_first.effects, minimum=_unsure(best, named_first))
+    return replace(
+        best,
+        effects=named_first.effects,
+        minimum=_unsure(best, named_first),
+        explained=bool(named_first.effects) and named_first.fits,
+    )
 
 
 def _pooled(
