@@ -727,6 +727,17 @@ def test_an_effect_that_does_not_quite_cure_makes_the_errors_larger():
     assert np.abs((found.alpha - bench.alpha) / found.error).max() < 2
 
 
+def test_what_is_named_and_left_in_costs_its_shift_and_no_more():
+    """A weight that is wrong, under three loads: E_STAT is no hundred times what alpha is off."""
+    bench, _ = bench_with("weight of a load", 1, noise=1e-4)
+    found = calibrate(bench.campaign())
+    assert found.goodness.probability < FITS
+    off = np.abs(found.alpha / bench.alpha - 1)
+    assert np.mean(off < 1.96 * found.error / bench.alpha) > 0.9
+    assert np.median(found.error / bench.alpha) < 5 * np.median(off)
+    assert any("but for what was named" in fault for fault, _ in found.diagnosis.warnings)
+
+
 def test_a_drift_is_taken_out_although_its_rows_share_it():
     """What the hours do to all readings alike looks like noise that they share."""
     for seed in range(3):
