@@ -158,7 +158,7 @@ def negative(c, count):
 
 
 def with_effect(c, name, **options):
-    effect = FoundEffect(name, "bare 1", 0.0, 0.0, "", corrected=False, remedy="leave it out")
+    effect = FoundEffect(name=name, where="bare 1", remedy="leave it out")
     return replace(c, effects=(replace(effect, **options),))
 
 
@@ -271,6 +271,7 @@ def test_a_calibration_keeps_goodness_and_budget(tmp_path, clean):
     back = tn.read(tmp_path / "alpha.fits")
     assert back.goodness == clean.goodness
     assert back.scale_errors == clean.scale_errors
+    assert back.unseen == clean.unseen != ()
     assert back.verdict == clean.verdict
 
 

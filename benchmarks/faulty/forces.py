@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from faulty.bench import Day
+from faulty.bench import CENTRING, Day
 from faulty.fault import fault
 
 
@@ -53,6 +53,16 @@ def contact_under_ring(day: Day) -> None:
 @fault("5 mN held up at the rim under the ring", blind=True)
 def held_up(day: Day) -> None:
     day.push(np.where(day.load == 1, 5e-3, 0.0), day.rim())
+
+
+@fault("the ring put on anew for each file", cause="load put on anew")
+def put_on_anew(day: Day) -> None:
+    """It stands off by its centring each time: forces at rest move, their sum does not."""
+    (x, y), added = day.wedges[1], day.bench.mirror.added_weight
+    for file in np.unique(day.file[day.load == 1]):
+        dx, dy = day.random.normal(0.0, CENTRING, 2)
+        day.push(np.where(day.file == file, added, 0.0), (x + dx, y + dy))
+        day.push(np.where(day.file == file, -added, 0.0), (x, y))
 
 
 @fault("the ring 1 % heavier than declared", blind=True)

@@ -103,9 +103,11 @@ def warming_up(day: Day) -> None:
     day.gain = day.gain * (1 + 4e-3 * np.exp(-day.hours[:, None] / 0.5))
 
 
-@fault("one coil loses 2 % halfway", cause="gain.*each|gain of")
+@fault("one coil loses 2 % halfway", cause="gain.*(each|single)")
 def weaker_coil(day: Day) -> None:
-    lost = np.outer(day.hours > np.median(day.hours), np.arange(day.n) == day.actuator())
+    at = day.actuator()
+    day.strike(at)
+    lost = np.outer(day.hours > np.median(day.hours), np.arange(day.n) == at)
     day.gain = day.gain * (1 - 0.02 * lost)
 
 

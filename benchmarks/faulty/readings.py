@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import scipy.signal
 import scipy.stats
@@ -11,9 +13,17 @@ from faulty.fault import fault
 from faulty.gains import gradients
 
 
-@fault("noise of the rows in common, 0.3 sigma", cause="in common|common noise|common part")
-def common_mode(day: Day) -> None:
-    day.error = day.error + 0.3 * day.noise * day.random.standard_normal((len(day.z), 1))
+def common_mode(sigmas: float) -> Callable[[Day], None]:
+    """Return that all readings of a row share some noise."""
+
+    def happens(day: Day) -> None:
+        day.error = day.error + sigmas * day.noise * day.random.standard_normal((len(day.z), 1))
+
+    return happens
+
+
+for sigmas in (0.3, 0.5):
+    fault(f"noise of the rows in common, {sigmas} sigma", cause="in common")(common_mode(sigmas))
 
 
 @fault("zeros move at remounting, each 0.5 sigma", cause="zero", blind=True)

@@ -126,6 +126,12 @@ CALIBRATION = FileFormat(
             optional=True,
         ),
         TableFormat(
+            "UNSEEN",
+            (Column("WHAT", "name", kind="str"), Column("RELATIVE", "relative")),
+            of="unseen",
+            optional=True,
+        ),
+        TableFormat(
             "IMBALANCE",
             (
                 Column("MODES", "modes", kind="str"),

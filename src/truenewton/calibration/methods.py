@@ -180,6 +180,7 @@ def calibration_of(
         + (_matrix_source(matrix) if matrix else ()),
         rejected_rows=estimate.rejected,
         effects=estimate.effects,
+        unseen=estimate.unseen,
         **_common(estimate, on),
     )
 

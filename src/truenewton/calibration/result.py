@@ -17,6 +17,7 @@ from truenewton.estimation.diagnosis import (
     Goodness,
     RejectedRow,
     ScaleError,
+    UnseenError,
 )
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
@@ -85,6 +86,8 @@ class Calibration:
         The rows left out.
     effects
         What the bench did beside the model, the likeliest first.
+    unseen
+        What the data cannot show, and would do to the common scale; in none of the errors.
     imbalances
         Of elastic modes, fitted and held out; empty but for a stiffness file.
     """
@@ -123,6 +126,7 @@ class Calibration:
     solved_condition: float = float("nan")
     rejected_rows: tuple[RejectedRow, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
+    unseen: tuple[UnseenError, ...] = ()
     imbalances: tuple[Imbalance, ...] = ()
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ from truenewton.calibration.verdict import Verdict, rejected_sentence, scale_lim
 from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
-from truenewton.estimation.weights import NEGLIGIBLE, typical
+from truenewton.estimation.weights import scale_budget, typical
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, to_digits, with_error
@@ -114,6 +114,7 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
             {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
         "effects": [asdict(effect) for effect in c.effects],
+        "unseen": [asdict(error) for error in c.unseen],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
         "imbalance": [asdict(line) for line in c.imbalances],
     }
@@ -175,13 +176,12 @@ def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
         percent(typical(error, c.alpha)) for error in (c.systematic_error, c.reading_error)
     )
     yield "  common scale", scale, "E_SYST, from the weights"
-    parts = ", ".join(
-        f"{line.source} {percent(line.relative)}"
-        for line in c.scale_errors
-        if line.relative > NEGLIGIBLE
-    )
-    if parts:
-        yield "    budget", parts, ""
+    if budget := scale_budget(c.scale_errors):
+        parts = (f"{what} {percent(part)}" for what, part in budget.items())
+        yield "    budget", ", ".join(parts), ""
+    if c.unseen:
+        lines = (f"{percent(error.relative)} if {error.name}" for error in c.unseen)
+        yield "    not seen", "; ".join(lines), ""
     biased = ", scatter only: svd is biased besides" if c.method == "svd" else ""
     yield "  reading noise", readings, f"E_STAT{biased}"
     if np.isfinite(c.cycle_error).any():

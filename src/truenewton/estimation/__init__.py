@@ -44,6 +44,7 @@ files, in the order in which data pass through them:
     effects          what a bench does beside the model: named, and taken out where that cures
     column_order     whether FORCE and POSITION stand in one order
     odd_actuators    readings that are stuck, coils without force, poles exchanged
+    suspects         files, columns and actuators that may not be what they say
     fit_warnings     what is weak in a campaign and its fit, in words
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors

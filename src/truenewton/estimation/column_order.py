@@ -58,10 +58,7 @@ def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[FoundEffec
             name="exchanged columns of FORCE or POSITION" if few else
             "order of FORCE is not that of POSITION",
             where=f"{which} ({percent})",
-            probability=0.0,
             size=before,
-            unit="",
-            corrected=False,
             remedy="put the columns of FORCE and POSITION in the order of the ACTUATORS table",
         ),
     )  # fmt: skip

@@ -49,10 +49,7 @@ def copied_files(
         FoundEffect(
             name="copy of another file",
             where=f"{cycles[other].name} of {cycles[one].name}",
-            probability=0.0,
             size=alike,
-            unit="",
-            corrected=False,
             remedy="leave the copy out: it holds no reading of its own",
         )
         for (one, other), alike in same.items()

@@ -12,17 +12,16 @@ from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
-from truenewton.estimation.column_order import misordered_columns
 from truenewton.estimation.diagnosis import (
     Diagnosis,
-    FoundEffect,
     Goodness,
     NoiseSource,
     RejectedRow,
+    UnseenError,
 )
 from truenewton.estimation.effects.examination import examined
 from truenewton.estimation.effects.examined import Examined, chi2_probability
-from truenewton.estimation.effects.exchanges import exchanged_columns
+from truenewton.estimation.effects.unseen import unseen_errors, with_magnets_unsure
 from truenewton.estimation.effects.unsure_positions import (
     positions_are_unsure,
     with_positions_unsure,
@@ -39,16 +38,11 @@ from truenewton.estimation.identifiability import (
     structural_faults,
 )
 from truenewton.estimation.likelihood import chi2_at, gram_of_e
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments, chosen_groups
+from truenewton.estimation.minimum import Minimum, Prior
+from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.odd_actuators import (
-    constant_actuators,
-    readings_change,
-    strange_alphas,
-    stuck_faults,
-)
-from truenewton.estimation.outliers import Fitted, balancing_groups, rows_of
+from truenewton.estimation.odd_actuators import strange_alphas
+from truenewton.estimation.outliers import Fitted, balancing_groups, balancing_moments
 from truenewton.estimation.problem import (
     Problem,
     load_data,
@@ -57,9 +51,10 @@ from truenewton.estimation.problem import (
     with_share_in_balance,
 )
 from truenewton.estimation.repeats import WEIGHED_NOISE
-from truenewton.estimation.sifted import Sifted, naming, refuse_too_many
+from truenewton.estimation.sifted import Sifted, refuse_too_many
 from truenewton.estimation.stiffness_ml import population_prior, population_spread
 from truenewton.estimation.structure import FITS
+from truenewton.estimation.suspects import refusal_naming, suspects_of
 from truenewton.estimation.undetermined import (
     tolerable,
     undetermined_patterns,
@@ -86,85 +81,96 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
-    suspects = list(sifted.suspects)
-    try:
-        return _found(sifted, population, suspects)
-    except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        raise naming(error, [*suspects, *sifted.clipped]) from None
+    sound, moments = sifted.sound, sifted.moments
+    with refusal_naming(lambda: (*sifted.suspects, *sifted.clipped)):
+        free = _posed(sifted)
+        suspects = suspects_of(sifted, free)
+    with refusal_naming(
+        lambda: (*suspects.where_nothing_balances(free, moments).named, *sifted.clipped)
+    ):
+        belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+        free = with_share_in_balance(free, sifted, minimum.values[: free.n])
+        if free.dependent:
+            belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
+    balances = bool(belongs.all()) and _balances(problem, moments, minimum)
+    if not balances:
+        suspects = suspects.where_nothing_balances(free, moments)
+    wrong = not (balances or suspects.actuators) and bool(suspects.columns)
+    with refusal_naming(lambda: (*suspects.named, *sifted.clipped)):
+        moments, lost = balancing_moments(sifted, belongs, distance, (problem, minimum))
+        problem, minimum = with_noise_from_minimum(problem, moments, minimum)
+        plain = Examined(problem, moments, minimum)
+        left, unseen = _examined(plain, sifted, patterns, columns_are_wrong=wrong)
+        method = "ml"
+        if population:
+            left, method = _of_population(left, free.prior)
+        estimate = _judged(method, left, (*sifted.rejected, *lost), patterns.shape[1])
+        if estimate.diagnosis.undetermined:
+            diagnosis = diagnose(sound, moments)
+            if 3 * diagnosis.span < problem.n - 1:  # not even without noise
+                refuse(diagnosis.faults, diagnosis.undetermined)
+    error = np.sqrt(np.diag(left.minimum.reading_covariance)[: problem.n])
+    alpha = left.minimum.values[: problem.n]
+    strange = () if suspects.columns else strange_alphas(sifted.campaign, alpha, error)
+    clipped = () if belongs.all() and left.fits else sifted.clipped
+    effects = (*suspects.named, *strange, *clipped, *left.effects)
+    effects += tuple(warmer_loads(sound, estimate.scale_errors))
+    warnings = (*estimate.diagnosis.warnings, *effect_warnings(effects), *misfit_warnings(left))
+    return replace(
+        estimate,
+        effects=effects,
+        unseen=unseen,
+        diagnosis=replace(estimate.diagnosis, warnings=warnings),
+    )
 
 
-def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Estimate:
-    """Find it, and add what is suspected besides."""
-    campaign, sound, moments = sifted.campaign, sifted.sound, sifted.moments
-    rejected = sifted.rejected
-    rows = sum(int(c.valid.sum()) for c in campaign.cycles)
+def _posed(sifted: Sifted) -> Problem:
+    """Pose the problem of a campaign, of which readings are independent as far as is known."""
+    sound, moments = sifted.sound, sifted.moments
     refuse(structural_faults(sound, moments))
-    refuse_too_many(len(rejected), rows)
+    rows = len(sifted.rejected) + int(moments.rows.sum())
+    refuse_too_many(len(sifted.rejected), rows)
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(sound), **temperature_errors(sound, force)}
-    free = problem_of(campaign, reading_noise(sound, moments), errors)
-    change = readings_change(moments, free.noise)
-    refuse(stuck_faults(campaign, change))
-    constant = constant_actuators(campaign, change)
-    suspects += constant
-    order = misordered_columns(campaign, moments)
-    suspects += order
-    try:
-        belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
-    except (RankDeficient, TooManyOutliers, NotConverged):
-        suspects += () if constant else exchanged_columns(free, moments)
-        raise
-    free = with_share_in_balance(free, sifted, minimum.values[: free.n])
-    if free.dependent:
-        belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
-    wrong = False
-    if not constant and not (belongs.all() and _balances(problem, moments, minimum)):
-        exchanged = exchanged_columns(free, moments)
-        wrong = bool(order or exchanged)
-        suspects[:] = [effect for effect in suspects if not exchanged or effect not in order]
-        suspects += exchanged
-    if not belongs.all():
-        actuator = problem.standing_out(minimum.values, moments)
-        rejected += tuple(rows_of(sound, ~belongs, distance, actuator))
-        refuse_too_many(len(rejected), rows)
-        moments = chosen_groups(moments, belongs)
-    problem, minimum = with_noise_from_minimum(problem, moments, minimum)
-    left = Examined(problem, moments, minimum)
+    return problem_of(sifted.campaign, reading_noise(sound, moments), errors)
+
+
+def _examined(
+    plain: Examined, sifted: Sifted, patterns: Array, *, columns_are_wrong: bool
+) -> tuple[Examined, tuple[UnseenError, ...]]:
+    """Return a fit after effects were looked for, as sure as it is, and what no data can show."""
     if patterns.size:
-        minimum = with_undetermined_patterns(minimum, patterns)
-    elif wrong:
-        minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
-    else:
-        left = examined(problem, moments, minimum, sifted.structure, sifted.samples)
-        problem, moments, minimum = left.problem, left.moments, left.minimum
-        if positions_are_unsure(sound.layout):
-            minimum = with_positions_unsure(left)
-        if not left.fits:
-            minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
-    method = "ml"
-    if population:
-        covariance = minimum.reading_covariance[: problem.n, : problem.n]
-        spread = population_spread(minimum.values[: problem.n], covariance)
-        of_population = population_prior(problem.n, spread).information
-        problem = replace(problem, prior=free.prior.with_more(of_population))
-        minimum = problem.fitted(moments, minimum.values)
-        method = f"ml, population {spread:.2g}"
+        return replace(plain, minimum=with_undetermined_patterns(plain.minimum, patterns)), ()
+    if columns_are_wrong:
+        return _less_sure(plain), ()
+    left = examined(plain.problem, plain.moments, plain.minimum, sifted.structure, sifted.samples)
+    left = replace(left, minimum=with_magnets_unsure(left))
+    unseen = unseen_errors(left)
+    if positions_are_unsure(sifted.sound.layout):
+        left = replace(left, minimum=with_positions_unsure(left))
+    return left if left.fits or left.explained else _less_sure(left), unseen
+
+
+def _less_sure(left: Examined) -> Examined:
+    """Return a fit less sure by what the data are more out of balance than their noise says."""
+    covariance = left.excess * left.minimum.reading_covariance
+    return replace(left, minimum=replace(left.minimum, reading_covariance=covariance))
+
+
+def _of_population(left: Examined, prior: Prior) -> tuple[Examined, str]:
+    """Return the fit with alpha a sample of one population, and the name of that method."""
+    n, minimum = left.problem.n, left.minimum
+    spread = population_spread(minimum.values[:n], minimum.reading_covariance[:n, :n])
+    of_population = population_prior(n, spread).information
+    problem = replace(left.problem, prior=prior.with_more(of_population))
+    fitted = problem.fitted(left.moments, minimum.values)
+    return replace(left, problem=problem, minimum=fitted), f"ml, population {spread:.2g}"
+
+
+def _judged(method: str, left: Examined, rejected: tuple[RejectedRow, ...], held: int) -> Estimate:
+    problem, moments = left.problem, left.moments
     freedom = problem.degrees_of_freedom(moments) - left.told
-    estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1], freedom)
-    error = np.sqrt(np.diag(minimum.reading_covariance)[: problem.n])
-    if not (wrong or order):
-        suspects += strange_alphas(campaign, minimum.values[: problem.n], error)
-    suspects += () if belongs.all() and left.fits else sifted.clipped
-    effects = (*suspects, *left.effects, *warmer_loads(sound, estimate.scale_errors))
-    warnings = (*estimate.diagnosis.warnings, *effect_warnings(effects), *misfit_warnings(left))
-    estimate = replace(
-        estimate, effects=effects, diagnosis=replace(estimate.diagnosis, warnings=warnings)
-    )
-    if estimate.diagnosis.undetermined:
-        diagnosis = diagnose(sound, moments)
-        if 3 * diagnosis.span < problem.n - 1:  # not even without noise
-            refuse(diagnosis.faults, diagnosis.undetermined)
-    return estimate
+    return estimate_of(method, problem, moments, left.minimum, rejected, held, freedom)
 
 
 def _balances(problem: Problem, moments: Moments, minimum: Minimum) -> bool:

@@ -130,8 +130,26 @@ class ScaleError:
 
 
 @dataclass(frozen=True)
+class UnseenError:
+    """What data could not show, and would do to the common scale of alpha; no part of any error.
+
+    Attributes
+    ----------
+    name
+        What may be, with its usual size, in words.
+    relative
+        How far it would move the common scale.
+    """
+
+    name: str
+    relative: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class FoundEffect:
     """What a bench did beside the model (docs/effects.md).
+
+    What only the user can settle has no probability, and is never corrected.
 
     Attributes
     ----------
@@ -149,11 +167,11 @@ class FoundEffect:
     """
 
     name: str
-    where: str
-    probability: float
-    size: float
-    unit: str
-    corrected: bool
+    where: str = ""
+    probability: float = 0.0
+    size: float = 0.0
+    unit: str = ""
+    corrected: bool = False
     remedy: str
 
 

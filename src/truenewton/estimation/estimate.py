@@ -12,6 +12,7 @@ from truenewton.estimation.diagnosis import (
     Goodness,
     RejectedRow,
     ScaleError,
+    UnseenError,
 )
 
 
@@ -51,6 +52,8 @@ class Estimate:
         Rows left out.
     effects
         What the bench did beside the model, as far as the data show it.
+    unseen
+        What they cannot show, and what of its usual size would do to the common scale.
     """
 
     method: str
@@ -67,4 +70,5 @@ class Estimate:
     scale_errors: tuple[ScaleError, ...] = ()
     rejected: tuple[RejectedRow, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
+    unseen: tuple[UnseenError, ...] = ()
     solved_condition: float = float("nan")

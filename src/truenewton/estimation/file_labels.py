@@ -40,10 +40,7 @@ def files_in_other_units(campaign: Campaign, prints: RowPrints) -> tuple[FoundEf
         FoundEffect(
             name="FORCE in another unit",
             where=f"{campaign.cycles[file].name}, {size / usual:.2g} times the others",
-            probability=0.0,
             size=size / usual,
-            unit="",
-            corrected=False,
             remedy="check the unit of FORCE in that file, N",
         )
         for file, size in sorted(largest.items())
@@ -85,10 +82,8 @@ def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[FoundEffect
         FoundEffect(
             name="the file's load is another",
             where=f"{campaign.cycles[k].name}, at rest as under {campaign.loads[true[k]].name}",
-            probability=0.0,
             size=float(np.sqrt(np.mean((means[true[k]] - means[said[k]]) ** 2))),
             unit="N",
-            corrected=False,
             remedy="correct LOAD of the file, or leave it out",
         )
         for k in wrong.tolist()
@@ -159,10 +154,8 @@ def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[FoundEff
                 FoundEffect(
                     name=name,
                     where=campaign.cycles[k].name,
-                    probability=0.0,
                     size=float(np.sqrt(np.mean(rows[k] ** 2))),
                     unit="N",
-                    corrected=False,
                     remedy="correct SHAPE and SIGN of the file, or leave it out",
                 )
             )

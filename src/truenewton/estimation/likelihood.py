@@ -38,6 +38,7 @@ from truenewton.linalg import ROWS_AT_ONCE, mirrored
 STEPS = 60
 SMALL = 1e-10  # squared step in standard errors at which the iteration ends
 NEAR = 1e-3  # below which no step is shortened
+RUNAWAY = 1e6  # of alpha, true over commanded force
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,9 +256,9 @@ def _minimum(
     With theta the other unknowns, which come first in the factor, and T = H_tt^-1 M_tu, the scores
     g move theta by H_tt^-1 g_t - T C (g_u - T' g_t), C = (1 + M_uu - M_ut T)^-1.
     """
-    if factor is None:
-        raise _no_more_than_noise()
     n, t = len(terms.noise_information.diagonal), len(values) - prior.measured
+    if factor is None or np.abs(values[:n]).max() > RUNAWAY:  # where weights count for nothing
+        raise _no_more_than_noise()
     inverse = mirrored(dpotri(factor[:t, :t], lower=True, overwrite_c=True)[0].T)
     m_tu, m_uu = terms.h[:t, t:], terms.h[t:, t:]
     turn = inverse @ m_tu

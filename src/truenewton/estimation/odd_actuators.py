@@ -52,10 +52,8 @@ def constant_actuators(campaign: Campaign, change: ReadingsChange) -> tuple[Foun
         FoundEffect(
             name=name,
             where=f"actuator {ids[i]}",
-            probability=0.0,
             size=float(change.rms[i]),
             unit="N",
-            corrected=False,
             remedy=f"{remedy}; set ENABLED to F if it exerts no force",
         )
         for i in np.flatnonzero(change.within_noise)
@@ -147,8 +145,6 @@ def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Foun
             where=f"actuator {ids[i]}",
             probability=float(scipy.stats.norm.sf((typical - alpha[i]) / error[i])),
             size=float(alpha[i]),
-            unit="",
-            corrected=False,
             remedy=remedy,
         )
         for which, name, remedy in names

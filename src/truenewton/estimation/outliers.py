@@ -25,7 +25,7 @@ from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.repeats import row_groups
-from truenewton.estimation.sifted import FAR_OUT, refuse_too_many
+from truenewton.estimation.sifted import FAR_OUT, Sifted, refuse_too_many
 from truenewton.estimation.structure import FITS
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
@@ -148,6 +148,29 @@ def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
         strange = pair[furthest > STRANGE]
         alike[strange] = alike[strange + 1] = False
     return alike
+
+
+def balancing_moments(
+    sifted: Sifted, belongs: NDArray[np.bool_], distance: Array, fitted: Fitted
+) -> tuple[Moments, tuple[RejectedRow, ...]]:
+    """Return the moments of the groups that belong, and the rows of the others.
+
+    ``belongs`` (g,), ``distance`` (g,) and ``fitted`` are those of `balancing_groups`.
+
+    Raises
+    ------
+    TooManyOutliers
+        With the rows left out before, more than accidents take.
+    """
+    moments = sifted.moments
+    if belongs.all():
+        return moments, ()
+    problem, minimum = fitted
+    actuator = problem.standing_out(minimum.values, moments)
+    lost = rows_of(sifted.sound, ~belongs, distance, actuator)
+    before = len(sifted.rejected)
+    refuse_too_many(before + len(lost), before + int(moments.rows.sum()))
+    return chosen_groups(moments, belongs), tuple(lost)
 
 
 def rows_of(

@@ -207,22 +207,14 @@ def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
     if np.trace(matrix.used_stiffness) < 0.0:
         yield FoundEffect(
             name="stiffness of the other sign",
-            where="",
-            probability=0.0,
-            size=0.0,
-            unit="",
-            corrected=False,
             remedy="reverse the sign of STIFFNESS; relative alpha is the same, modes are not",
         )
     size = asymmetry(matrix)
     if size > DISORDER:
         yield FoundEffect(
             name="asymmetric stiffness",
-            where="",
-            probability=0.0,
             size=size,
             unit="|K + K'|",
-            corrected=False,
             remedy="put rows and columns of STIFFNESS in the order of the ACTUATORS table",
         )
 

@@ -95,4 +95,4 @@ def _few_valued(prints: RowPrints) -> bool:
 
 
 def _effect(name: str, where: str, size: float, remedy: str) -> FoundEffect:
-    return FoundEffect(name, where, 0.0, size, "", corrected=False, remedy=remedy)
+    return FoundEffect(name=name, where=where, size=size, remedy=remedy)

@@ -100,6 +100,11 @@ def scale_error_from_readings(alpha: Array, reading_covariance: Array) -> ScaleE
     return ScaleError(READINGS, float(np.sqrt(direction @ reading_covariance @ direction)))
 
 
+def scale_budget(lines: Iterable[ScaleError]) -> dict[str, float]:
+    """Return the relative errors of the common scale that are worth telling, by their source."""
+    return {str(line.source): line.relative for line in lines if line.relative > NEGLIGIBLE}
+
+
 def typical(error: Array, alpha: Array) -> float:
     """Return the median over actuators of an (n,) error relative to alpha; NaN where disabled."""
     return float(np.nanmedian(error / np.abs(alpha)))

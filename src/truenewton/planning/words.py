@@ -9,7 +9,7 @@ from typing import Any
 from truenewton.acquisition.drift import OrderCost, turns_that_pay, without_remounting
 from truenewton.acquisition.mountings import mountings, reading_time
 from truenewton.calibration.words import warning_lines
-from truenewton.estimation.weights import NEGLIGIBLE
+from truenewton.estimation.weights import scale_budget
 from truenewton.planning.outlook import Curve, Outlook, typical_errors
 from truenewton.planning.target import Way
 from truenewton.rounding import percent
@@ -31,11 +31,8 @@ def lines(outlook: Outlook) -> Iterator[str]:
     if prediction.scale_is_free:
         rows.append(("common scale", "free", "no two loads differ in weight"))
     else:
-        budget = ", ".join(
-            f"{line.source} {percent(line.relative)}"
-            for line in prediction.scale_errors
-            if line.relative > NEGLIGIBLE
-        )
+        parts = scale_budget(prediction.scale_errors).items()
+        budget = ", ".join(f"{what} {percent(part)}" for what, part in parts)
         rows += [
             ("typical error of alpha", percent(typical_error),
              f"E_ALPHA, one sigma; {percent(relative.min())} .. {percent(relative.max())},"

@@ -236,9 +236,10 @@ def _with_faults(
     effects = calibration.effects
     if known.verdict.level == Level.UNUSABLE:
         effects += (
-            FoundEffect(UNUSABLE_BEFORE, known.name, 0.0, 0.0, "", corrected=False,
-                        remedy=known.verdict.faults[0].remedy),
-        )  # fmt: skip
+            FoundEffect(
+                name=UNUSABLE_BEFORE, where=known.name, remedy=known.verdict.faults[0].remedy
+            ),
+        )
     return replace(calibration, diagnosis=replace(diagnosis, warnings=warnings), effects=effects)
 
 

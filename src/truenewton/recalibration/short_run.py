@@ -28,16 +28,16 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.identifiability import load_fault
 from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments, chosen_groups
+from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.outliers import balancing_groups, rows_of
+from truenewton.estimation.outliers import balancing_groups, balancing_moments
 from truenewton.estimation.problem import (
     Problem,
     problem_of,
     with_noise_from_minimum,
     with_share_in_balance,
 )
-from truenewton.estimation.sifted import Sifted, refuse_too_many
+from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.weights import WeightErrors
 from truenewton.linalg import mirrored
 from truenewton.recalibration.known import EarlierCalibration
@@ -86,7 +86,7 @@ def _hardly_held(problem: Problem, new: NDArray[np.bool_]) -> Problem:
 
 def balancing(
     posed: Problem, known: EarlierCalibration, sifted: Sifted, new: NDArray[np.bool_]
-) -> tuple[Problem, Moments, Minimum, list[RejectedRow]]:
+) -> tuple[Problem, Moments, Minimum, tuple[RejectedRow, ...]]:
     """Leave out shapes that do not balance, by a fit in which every actuator may have moved.
 
     Held to its earlier calibration, one that was replaced, of (n,) ``new``, would make good shapes
@@ -102,12 +102,7 @@ def balancing(
     free = with_share_in_balance(free, sifted, minimum.values[: problem.n])
     if free.dependent:
         belongs, distance, (problem, minimum) = balancing_groups(free, moments)
-    lost: list[RejectedRow] = []
-    if not belongs.all():
-        actuator = problem.standing_out(minimum.values, moments)
-        lost = rows_of(sifted.sound, ~belongs, distance, actuator)
-        refuse_too_many(len(lost), int(moments.rows.sum()))
-        moments = chosen_groups(moments, belongs)
+    moments, lost = balancing_moments(sifted, belongs, distance, (problem, minimum))
     problem, minimum = with_noise_from_minimum(problem, moments, minimum, degrees_of)
     return problem, moments, minimum, lost
 

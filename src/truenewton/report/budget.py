@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.weights import NEGLIGIBLE, scale_total, typical
+from truenewton.estimation.weights import scale_budget, scale_total, typical
 
 
 def error_budget(c: Calibration) -> dict[str, float]:
@@ -18,7 +18,6 @@ def error_budget(c: Calibration) -> dict[str, float]:
     }
     if c.scale_errors:
         parts["common scale, all"] = scale_total(c.scale_errors)
-        for line in c.scale_errors:
-            if line.relative > NEGLIGIBLE:
-                parts[f"common scale, {line.source}"] = line.relative
+        for what, part in scale_budget(c.scale_errors).items():
+            parts[f"common scale, {what}"] = part
     return parts

@@ -25,6 +25,7 @@ from truenewton.estimation.effects.derivative import (
     without_direction,
 )
 from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.effects.narrowed import about_mean, of_single
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
 
@@ -86,17 +87,22 @@ def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
     if within is None or not np.any(within.square > 0):
         return None
     rows = of_rows(fit.moments, within, _hour(within))
-    drift = _once(fit, "gain/hour", lambda: on_readings(fit, rows, -fit.fitted, gain=True))
+    drift = _once(fit, "gain/hour", lambda: on_readings(fit, rows, -fit.recorded, gain=True))
     return _of(fit, drift, each=each)
 
 
-def gain_by_file(fit: FittedRows) -> Derivative | None:
-    """Let alpha of all differ from file to file: g = -c^."""
+def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
+    """Let alpha differ from file to file, of all together or of single actuators: g = -c^."""
     within = fit.moments.within
     if within is None or len(within.weight) < 3:
         return None
-    rows = of_rows(fit.moments, within, _files(within))
-    return of_all(fit, on_readings(fit, rows, -fit.fitted, gain=True))
+    rows, of_file = of_rows(fit.moments, within, _files(within)), within.weight.sum(axis=1)
+
+    def made() -> OnReadings:
+        return about_mean(on_readings(fit, rows, -fit.recorded, gain=True), of_file)
+
+    changed = _once(fit, "gain/file", made)
+    return of_single(fit, changed) if single else of_all(fit, changed)
 
 
 def gain_by_load(fit: FittedRows) -> Derivative:
@@ -106,7 +112,7 @@ def gain_by_load(fit: FittedRows) -> Derivative:
     """
     of_load, weight = fit.moments.of_load, fit.moments.weight
     h = (of_load - weight @ of_load / weight.sum()).T[1:]
-    return of_all(fit, on_readings(fit, of_groups(fit.moments, h), -fit.fitted, gain=True))
+    return of_all(fit, on_readings(fit, of_groups(fit.moments, h), -fit.recorded, gain=True))
 
 
 def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -143,7 +149,8 @@ def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
 
 def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
     """Bend the coils: g = -c^2 or -c^3, of all alike or of each."""
-    field = -fit.fitted * (fit.fitted if power == 2 else fit.fitted * fit.fitted)
+    recorded = fit.recorded
+    field = -recorded * (recorded if power == 2 else recorded * recorded)
     bent = _once(fit, f"power/{power}", lambda: on_readings(fit, _always(fit.moments), field))
     return _of(fit, bent, each=each)
 
@@ -152,7 +159,7 @@ def coil_gradient(fit: FittedRows) -> Derivative | None:
     """Change the force of coils with the displacement z beside COILGRAD: g = -c^ z."""
     if fit.moments.displacement is None:
         return None
-    field = -fit.fitted * fit.moments.displacement
+    field = -fit.recorded * fit.moments.displacement
     return of_all(fit, on_readings(fit, _always(fit.moments), field))
 
 
@@ -225,9 +232,11 @@ _WARM = "let the electronics warm up, and take bare and loaded cycles in turn"
 _ZERO = "take bare and loaded cycles in turn, so that the zeros of both come to the same"
 _COIL = "use smaller shapes, at half of which it is {} as large, or have the coil drivers looked at"
 _QUADRATIC, _CUBIC = _COIL.format("half"), _COIL.format("a quarter")
+_DRIVER = "look at its coil, driver and cable"
 _POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
+GAIN_BY_LOAD = "gain by load"
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
 # What zeros of each are found to be where they leave the sums of the forces alone.
 PUT_ON_ANEW = Effect(
@@ -242,8 +251,10 @@ POSITIONS = Effect("positions", "m", positions, "measure X and Y of the magnets"
 CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by hour", "1/h", partial(gain_by_hour, each=False), _WARM),
     Effect("gain by hour of each", "1/h", partial(gain_by_hour, each=True), _WARM, "actuator"),
-    Effect("gain by file", "", gain_by_file, _WARM, "file"),
-    Effect("gain by load", "", gain_by_load, "record POSITION, which tells whether shapes differ"
+    Effect("gain by file", "", partial(gain_by_file, single=False), _WARM, "file"),
+    Effect("gain of single actuators by file", "", partial(gain_by_file, single=True), _DRIVER,
+           "actuator"),
+    Effect(GAIN_BY_LOAD, "", gain_by_load, "record POSITION, which tells whether shapes differ"
            " between loads, and TEMPERATURE: what warms coils changes the bias magnets too, and the"
            " scale with them", "load",
            lambda fit: fit.moments.displacement is not None),

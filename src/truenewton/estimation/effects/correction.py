@@ -81,7 +81,8 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
             minimum = problem.fitted(moments, at.minimum.values)
         except (NotConverged, RankDeficient):
             return None
-        at = FittedRows(problem, moments, minimum, fit.independent)
+        removed = fit.removed + fit.moments.mean - moments.mean
+        at = FittedRows(problem, moments, minimum, fit.independent, removed, first.actuators)
         again = effect.derivative(at)
         if again is None:
             return None

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.effects.fitted import FittedRows
@@ -51,6 +52,8 @@ class Derivative:
         where each actuator has K parameters (K, K, n), as those of different ones share nothing.
     feigned, feigned_information
         (k, n) D_te on alpha and (k, k) D_tt; None where noise of fitted readings feigns nothing.
+    actuators
+        Whose the parameters are, over and over; None where of all, or of none.
     """
 
     remove: Removal
@@ -61,6 +64,7 @@ class Derivative:
     information: Array | float = 0.0
     feigned: Array | None = None
     feigned_information: Array | float = 0.0
+    actuators: NDArray[np.intp] | None = None
 
     @property
     def count(self) -> int:
@@ -106,16 +110,12 @@ def scored(fit: FittedRows, derivative: Derivative) -> Scored:
         told[:, :n] -= derivative.feigned  # M_te - D_te
     half = fit.half_solved(told)
     by_fit = half.T @ half
-
-    def moved() -> Array:
-        return fit.solved_half(half)
-
     result = Scored(
         score=score + derivative.score,
         variance=whole - by_fit,
         information=whole - derivative.feigned_information - by_fit,
         whole=np.diag(whole).copy(),
-        moved=moved,
+        moved=lambda: fit.solved_half(half),
     )
     # B M B' = (M_te - D_te) B' + B D B', as M = H + D at the fit.
     if fit.minimum.noise_share > NO_NOISE:

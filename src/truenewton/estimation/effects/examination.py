@@ -22,6 +22,7 @@ from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named, tests
+from truenewton.estimation.effects.shared_noise import beside_shared_noise
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
@@ -77,12 +78,15 @@ def examined(
         return cured
     if problem.dependent:
         start = replace(plain, structure=structure) if moments.pooled else plain
-        before = named_first.effects
+        before = named_first
         cured, named_first = _cured(start, independent=False, samples=samples)
         if cured is not None:
             return cured
         if start.too_well:  # even without what readings of a row share
-            return _correlated(start, named_first.effects or before)
+            if before.effects:
+                named_first = before
+            slow = _correlated(start, named_first.effects)
+            return replace(slow, minimum=_unsure(slow, named_first))
     best = plain if plain.fits and not start.fits else start
     if not named_first.effects or not named_first.fits:
         for one in (start, plain):
@@ -90,7 +94,12 @@ def examined(
             if forced is not None:
                 return forced
     # What two readings of the data explain, alpha may be wrong by.
-    return replace(best, effects=named_first.effects, minimum=_unsure(best, named_first))
+    return replace(
+        best,
+        effects=named_first.effects,
+        minimum=_unsure(best, named_first),
+        explained=bool(named_first.effects) and named_first.fits,
+    )
 
 
 def _pooled(
@@ -119,7 +128,7 @@ def _cured(
         found = named(tests(fit))
         shared = within and not now.effects  # noise, or what such an effect does
         if shared:
-            found = [test for test in found if test.effect.within]
+            found = beside_shared_noise(found, fit, samples)
         if not found:
             return (now if now.fits else None), first
         if not first.effects:
@@ -180,7 +189,6 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
             probability=float(np.exp(force.log_probability)),
             size=force.size,
             unit="N",
-            corrected=False,
             remedy="look for friction, dust in its gap or a cable at it",
         )
         for force in found.values()
@@ -197,11 +205,8 @@ def _correlated(start: Examined, effects: tuple[FoundEffect, ...]) -> Examined:
     moved = correction(fit, ZEROS_OF_EACH)
     found = FoundEffect(
         name="correlated noise",
-        where="",
         probability=1.0 - start.probability,
         size=start.minimum.chi2 / start.problem.degrees_of_freedom(start.moments),
-        unit="",
-        corrected=False,
         remedy="average longer at each shape, and take the shapes of each file in another order",
     )
     minimum = start.minimum if moved is None else moved.minimum
@@ -291,6 +296,7 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
         where = campaign.cycles[worst * len(campaign.cycles) // len(theta)].name
     elif corrected is not None and effect.of == "actuator":
         ids = campaign.layout.id[campaign.layout.enabled]
+        ids = ids if test.derivative.actuators is None else ids[test.derivative.actuators]
         where = f"actuator {ids[worst % len(ids)]}"
     elif corrected is not None and effect.of == "load":
         loads = campaign.loads[-(len(theta) if len(theta) < len(campaign.loads) else 0) :]

@@ -31,6 +31,8 @@ class Examined:
         How well shapes repeat over loads and signs; None where that was not asked.
     correlated
         Whether noise hangs together from row to row, so that shapes may balance too well.
+    explained
+        Whether what was named but not taken out would make it fit.
     """
 
     problem: Problem
@@ -40,6 +42,7 @@ class Examined:
     effects: tuple[FoundEffect, ...] = ()
     structure: Structure | None = None
     correlated: bool = False
+    explained: bool = False
 
     @property
     def probability(self) -> float:

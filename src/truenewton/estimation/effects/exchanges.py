@@ -81,7 +81,6 @@ def _named(
         probability=_fit(problem, moments)[0],
         size=float(far.max()),
         unit="m",
-        corrected=False,
         remedy="put the cables, or the columns of FORCE, in the order of the ACTUATORS table",
     )
 

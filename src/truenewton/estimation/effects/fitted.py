@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.imbalance import imbalance_covariance
@@ -28,6 +29,10 @@ class FittedRows:
     independent
         Whether readings are independent of each other, so that what pooled rows leave of the means
         tells of effects as well.
+    removed
+        (g, n) what an effect that is being taken out added to the readings [N].
+    struck
+        Indices of the actuators whose effect that is, where it is that of single ones.
     found
         What several effects need of it, by name, once found.
     """
@@ -36,6 +41,8 @@ class FittedRows:
     moments: Moments
     minimum: Minimum
     independent: bool
+    removed: Array | float = 0.0
+    struck: NDArray[np.intp] | None = None
     found: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -87,6 +94,11 @@ class FittedRows:
     def fitted(self) -> Array:
         """(g, n) the same of every group [N]."""
         return self.moments.pooling.groups(self.fitted_rows)
+
+    @property
+    def recorded(self) -> Array:
+        """(g, n) the same as recorded, with what is being taken out: coils bend by that [N]."""
+        return self.fitted + self.removed
 
     @cached_property
     def apart(self) -> Array:

@@ -37,7 +37,12 @@ def misfit_warnings(left: Examined) -> Iterator[Fault]:
     """Say that the model does not fit, and by how much errors grew for it."""
     if left.fits:
         return
-    if left.excess > 1.0:
+    if left.explained:
+        yield Fault(
+            f"{MISFIT} but for what was named: E_STAT has how far alpha would move by it",
+            "settle what was named (docs/effects.md)",
+        )
+    elif left.excess > 1.0:
         yield Fault(
             f"{MISFIT}: E_STAT is {np.sqrt(left.excess):.2g} times larger for it",
             "look for what the bench does beside it (docs/effects.md)",
@@ -56,10 +61,7 @@ def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iter
         return
     yield FoundEffect(
         name=str(ErrorKind.BETWEEN_LOADS.value),
-        where="",
-        probability=0.0,
         size=float(np.ptp(load_temperatures(campaign))),
         unit="K",
-        corrected=False,
         remedy="keep the temperature, or take bare and loaded cycles in turn",
     )

@@ -53,6 +53,9 @@ def _budget(c: Calibration) -> Section:
         f"Relative standard uncertainties of alpha. {parts[:1].upper()}{parts[1:]}. The readings'"
         " part shrinks with more cycles, the weights' part with better weights."
     )
+    unseen = "; ".join(f"{percent(error.relative)} if {error.name}" for error in c.unseen)
+    if unseen:
+        caption += f" What such data cannot show is in none of them: {unseen}."
     return Section("budget", title, (), "budget", caption)
 
 

@@ -1,0 +1,84 @@
+"""What is suspected of not being what it says: files, columns, actuators.
+
+Only the user can settle it: suspects are named, in a refusal too, and never corrected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.estimation.column_order import misordered_columns
+from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.effects.exchanges import exchanged_columns
+from truenewton.estimation.identifiability import refuse
+from truenewton.estimation.moments import Moments
+from truenewton.estimation.odd_actuators import (
+    constant_actuators,
+    readings_change,
+    stuck_faults,
+)
+from truenewton.estimation.problem import Problem
+from truenewton.estimation.sifted import Sifted, naming
+
+
+@dataclass(frozen=True)
+class Suspects:
+    """What is suspected before effects are looked for.
+
+    Attributes
+    ----------
+    files, actuators
+        Files that are not what they say; actuators whose reading does not change.
+    order, exchanged
+        Columns in another order, by the stiffness that shapes show; by the balance.
+    """
+
+    files: tuple[FoundEffect, ...]
+    actuators: tuple[FoundEffect, ...]
+    order: tuple[FoundEffect, ...]
+    exchanged: tuple[FoundEffect, ...] = ()
+
+    @property
+    def columns(self) -> tuple[FoundEffect, ...]:
+        """Columns that stand for other actuators; the balance knows better which."""
+        return self.exchanged or self.order
+
+    @property
+    def named(self) -> tuple[FoundEffect, ...]:
+        """All of them."""
+        return (*self.files, *self.actuators, *self.columns)
+
+    def where_nothing_balances(self, problem: Problem, moments: Moments) -> Suspects:
+        """Return these, with columns that would balance exchanged; a dead actuator explains all."""
+        if self.actuators:
+            return self
+        return replace(self, exchanged=exchanged_columns(problem, moments))
+
+
+def suspects_of(sifted: Sifted, problem: Problem) -> Suspects:
+    """Return what rows alone make suspect.
+
+    Raises
+    ------
+    RankDeficient
+        A reading is stuck.
+    """
+    change = readings_change(sifted.moments, problem.noise)
+    refuse(stuck_faults(sifted.campaign, change))
+    return Suspects(
+        sifted.suspects,
+        constant_actuators(sifted.campaign, change),
+        misordered_columns(sifted.campaign, sifted.moments),
+    )
+
+
+@contextmanager
+def refusal_naming(suspects: Callable[[], Sequence[FoundEffect]]) -> Iterator[None]:
+    """Let a refusal name what is suspected of being its cause."""
+    try:
+        yield
+    except (RankDeficient, TooManyOutliers, NotConverged) as error:
+        raise naming(error, suspects()) from None
