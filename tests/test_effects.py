@@ -169,7 +169,7 @@ def test_noise_alone_feigns_as_much_of_an_effect_as_told(name, pooled):
             up, down = (end.score - at.score for _, at, end in ends)
             change[:, k] = (up - down) / (2 * step)
         off.append(change - (result.moves @ information)[:, :14])  # M_te - D_te
-        feigned.append(derivative.feigned)
+        feigned.append(derivative.feigns()[0])
     direction = np.mean(feigned, axis=0)
     size = np.linalg.norm(direction)
     along = np.sum(off * direction, axis=(1, 2)) / size
@@ -212,7 +212,7 @@ def test_an_effect_is_taken_out_of_rows_as_of_their_moments(name):
     for (label, k, hour, force), h in zip(made, of_h, strict=True):
         g = labels.index(label)
         mean_h = hour_of_group[g] / number[g]
-        between, within = (-fit.fitted[g], -fit.moments.mean[g]) if gain else (1.0, 1.0)
+        between, within = (-fit.fitted()[g], -fit.moments.mean[g]) if gain else (1.0, 1.0)
         less = (mean_h @ of_row) * between + ((h - mean_h) @ of_row) * within
         total[g] += force - less
         after.append((g, k, hour, force - less))

@@ -2,6 +2,7 @@
 
 fitted            a fit, and what the score of an effect needs of it
 derivative        what an effect is: its derivative, score and information
+readings          what effects on readings do
 catalogue         the effects
 score_test        is one there?
 exchanges         columns of FORCE that stand for other actuators

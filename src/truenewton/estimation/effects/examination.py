@@ -21,7 +21,7 @@ from truenewton.estimation.effects.catalogue import PUT_ON_ANEW, ZEROS_OF_EACH
 from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.effects.score_test import EffectTest, named, tests
+from truenewton.estimation.effects.score_test import EffectTest, named
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
@@ -116,7 +116,7 @@ def _cured(
     now, first = start, start
     for _ in range(MOST):
         fit = FittedRows(now.problem, now.moments, now.minimum, independent)
-        found = named(tests(fit))
+        found = named(fit)
         shared = within and not now.effects  # noise, or what such an effect does
         if shared:
             found = [test for test in found if test.effect.within]
