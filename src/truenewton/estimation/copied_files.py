@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from itertools import combinations
 
@@ -19,7 +18,7 @@ FEWEST = 2  # rows
 
 
 class RowPrints:
-    """Readings of one row of each file under some labels, SHAPE times SIGN, as digests.
+    """Readings of one row of each file under some labels, SHAPE times SIGN.
 
     Parameters
     ----------
@@ -41,8 +40,7 @@ class RowPrints:
     def take(self, file: int, groups: NDArray[np.int64], force: Array) -> None:
         """Take the prints of (m, n) rows of a file [N], which stand in (m,) groups."""
         for row in np.flatnonzero(self._chosen[groups]).tolist():
-            digest = hashlib.blake2b(force[row].tobytes(), digest_size=16).digest()
-            self.taken.setdefault((file, int(self._codes[groups[row]])), digest)
+            self.taken.setdefault((file, int(self._codes[groups[row]])), force[row].tobytes())
 
 
 def copied_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:

@@ -30,12 +30,15 @@ class Noise:
         mirror's own motion makes part of it, more where something pushes many actuators at once.
     share_freedom
         Degrees of freedom from which the share is known.
+    least
+        Variance below which it is not worth telling from rounding [N^2].
     """
 
     variance: Array
     source: NoiseSource
     share: float = 1.0
     share_freedom: float = np.inf
+    least: float = 0.0
 
     @property
     def in_balance(self) -> Array:
@@ -45,15 +48,15 @@ class Noise:
 
 def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
     """Return the noise of a reading: from repeats, else as declared, else left to the minimum."""
-    n = moments.mean.shape[1]
+    n, least = moments.mean.shape[1], least_variance(moments)
     if moments.repeats:
         each = moments.scatter / moments.repeats
         if moments.repeats < ENOUGH_REPEATS:
             each = np.full(n, each.mean())
-        return Noise(np.maximum(each, least_variance(moments)), NoiseSource.REPEATS)
+        return Noise(np.maximum(each, least), NoiseSource.REPEATS, least=least)
     if all(c.force_error for c in campaign.cycles):
-        return Noise(np.full(n, WEIGHED_NOISE**2), NoiseSource.DECLARED)
-    return Noise(np.full(n, least_variance(moments)), NoiseSource.MINIMUM)
+        return Noise(np.full(n, WEIGHED_NOISE**2), NoiseSource.DECLARED, least=least)
+    return Noise(np.full(n, least), NoiseSource.MINIMUM, least=least)
 
 
 def least_variance(moments: Moments) -> float:
