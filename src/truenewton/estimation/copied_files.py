@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from itertools import combinations
 
@@ -18,7 +19,7 @@ FEWEST = 2  # rows
 
 
 class RowPrints:
-    """Readings of one row of each file under some labels, SHAPE times SIGN.
+    """Readings of one row of each file under some labels, SHAPE times SIGN, as digests.
 
     Parameters
     ----------
@@ -40,7 +41,8 @@ class RowPrints:
     def take(self, file: int, groups: NDArray[np.int64], force: Array) -> None:
         """Take the prints of (m, n) rows of a file [N], which stand in (m,) groups."""
         for row in np.flatnonzero(self._chosen[groups]).tolist():
-            self.taken.setdefault((file, int(self._codes[groups[row]])), force[row].tobytes())
+            digest = hashlib.sha1(force[row].tobytes(), usedforsecurity=False).digest()
+            self.taken.setdefault((file, int(self._codes[groups[row]])), digest)
 
 
 def copied_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
