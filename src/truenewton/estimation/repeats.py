@@ -251,10 +251,10 @@ class RepeatSums:
 
         ``mean`` is (groups, n) of the block [N].
         """
-        k, hour = part.cycle_index, self._hours[part.cycle_index][part.rows]
-        of_both = np.stack([np.ones_like(hour), hour]) * (times * part.weight)
-        self._zero[[k, -1]] += of_both @ apart
-        self._gain[[k, -1]] += of_both @ (apart * mean[part.at])
+        hour, weight = self._hours[part.cycle_index][part.rows], times * part.weight
+        for sums, values in ((self._zero, apart), (self._gain, apart * mean[part.at])):
+            sums[part.cycle_index] += weight * (np.ones(len(hour)) @ values)
+            sums[-1] += weight * (hour @ values)  # products of two rows at once take longer
 
     def _sum(self, block: int, read: list[BlockRows]) -> None:
         """Sum over the rows that were read of a block of groups."""

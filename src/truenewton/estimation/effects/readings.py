@@ -19,7 +19,7 @@ from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
 
-BLOCK = 2**16  # values of a field at a time, which stay in the cache
+BLOCK = 2**17  # values of a field at a time, which stay in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,39 +129,46 @@ def on_readings(
     pools = [moments.pooling.weighed(np.frombuffer(h)) for h in kinds]
     apart, k = _apart(moments, functions, mean), each.stop - each.start
     pairs = (mean[each][:, None] * first[each]).reshape(k * k, g)
+    own_pairs = apart[each, each].reshape(k * k, g)
     told, square, own_square, pulled = np.zeros(g), np.zeros(g), np.zeros(g), np.zeros((g, 3))
     between = np.zeros((len(kinds), len(kinds)))
     every = n if k else 0
     each_score, each_square = np.zeros((2, k, every))
     each_information, each_pull = np.zeros((k, k, every)), np.zeros((3, k, every))
-    white_rho = fit.white_rho.reshape(-1, 3)
+    white_rho, weights = fit.white_rho.reshape(-1, 3), 1.0 / fit.problem.noise.variance
     for some in blocks_of_actuators(fit):
         e = field.values(fit, some)
-        one = e.shape[1] == 1
-        weigh, arms = 1.0 / fit.problem.noise.variance[some], fit.scaled_arms[:, some]
-        total = weigh.sum(keepdims=True) if one else weigh
-        pulled += e @ (arms.sum(axis=1, keepdims=True) if one else arms).T
+        if fit.independent:
+            off = e * fit.apart(some)
+            told += off @ weights[some]
+            if k:
+                each_score[:, some] = -(first[each] @ off)
+        weigh, arms = weights[some], fit.scaled_arms[:, some]
+        if e.shape[1] == 1:  # the same for all actuators: once
+            if some.start:
+                continue
+            some = slice(None)
+            weigh = weights.sum(keepdims=True)
+            arms = fit.scaled_arms.sum(axis=1, keepdims=True)
+        pulled += e @ arms.T
         rows = np.stack([pool @ e for pool in pools])  # (kinds, R, b)
-        flat = rows.reshape(len(kinds), -1)
-        between += (rows * total).reshape(len(kinds), -1) @ flat.T
+        flat = (len(kinds), -1)
+        between += (rows * weigh).reshape(flat) @ rows.reshape(flat).T
         if k:
             mine = rows[kind[each]]
             each_square[:, some] = np.sum(mine**2, axis=1)
             each_pull[:, :, some] = np.moveaxis(white_rho.T @ mine, 1, 0)
         if not fit.independent:
             continue
-        off = e * fit.apart(some)
-        told += off @ weigh
         e_squared = np.square(e, out=e)
-        square += e_squared @ total
+        square += e_squared @ weigh
         own = None if within is None else field.own(within, some) ** 2
         if own is not None:
-            own_square += own @ total
+            own_square += own @ weigh
         if k:
-            each_score[:, some] = -(first[each] @ off)
             spread = pairs @ e_squared
             if own is not None:
-                spread += apart[each, each].reshape(k * k, g) @ own
+                spread += own_pairs @ own
             both = np.einsum("krb,lrb->klb", mine, mine)
             each_information[:, :, some] = spread.reshape(both.shape) - both
     noise = fit.problem.noise.variance
@@ -171,7 +178,7 @@ def on_readings(
         information += (mean * square) @ first.T - between[kind][:, kind] + apart @ own_square
         if within is not None:
             sums = field.sums(within)
-            score[: functions.within] -= sums @ (1.0 / noise)
+            score[: functions.within] -= sums @ weights
             if k:
                 each_score -= sums[each]
     jacobian = np.stack([pool @ pulled for pool in pools], axis=2)[:, :, kind]
