@@ -210,10 +210,6 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
         own = s_inverse[1:, None, 1:, None] * between[None, :, None, :]
         return feigned.reshape(2 * b, n), own.reshape(2 * b, 2 * b)
 
-    def parts() -> Iterator[Derivative]:
-        for start in range(0, n, AT_ONCE):
-            yield positions(fit, slice(start, min(start + AT_ONCE, n)))
-
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
         moved = np.zeros((3, n))
         moved[1:] = theta.reshape(2, n)
@@ -227,10 +223,17 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
             rows=lambda: rows,
             score=np.einsum("axi,ai->xi", pulled, pull).ravel(),
             whole=(np.sum(pulled**2, axis=0) * np.sum(rows**2, axis=0)).ravel(),
-            parts=parts,
+            parts=lambda: parts_of_positions(fit),
         ),
         feigns=feigns,
     )
+
+
+def parts_of_positions(fit: FittedRows) -> Iterator[Derivative]:
+    """Yield the derivatives by the positions of some actuators after the other."""
+    n = fit.problem.n
+    for start in range(0, n, AT_ONCE):
+        yield positions(fit, slice(start, min(start + AT_ONCE, n)))
 
 
 def on_balance(fit: FittedRows, change: Array) -> Derivative:

@@ -30,7 +30,6 @@ from truenewton.estimation.problem import Problem
 from truenewton.estimation.structure import Structure, structure_of
 
 MOST = 4  # effects at once
-MOST_ACTUATORS = 2000  # beyond which there is no room for the fitted readings of every shape
 MOST_FORCES = 2  # actuators at which forces come and go: three can make any imbalance
 ROUNDS = 4  # for the size of each
 NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
@@ -57,7 +56,7 @@ def examined(
         Deviations of some rows from their repeats, in parts of (m, n) [N].
     """
     plain = Examined(problem, moments, minimum)
-    if structure is None or problem.n > MOST_ACTUATORS:
+    if structure is None:
         return plain
     # What files or hours do to all readings looks like noise that they share, until it is out.
     unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)

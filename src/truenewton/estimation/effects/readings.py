@@ -127,14 +127,11 @@ def on_readings(
     kinds: dict[bytes, int] = {}
     kind = np.array([kinds.setdefault(h.tobytes(), len(kinds)) for h in mean])
     pools = [moments.pooling.weighed(np.frombuffer(h)) for h in kinds]
-    apart, k = _apart(moments, functions, mean), each.stop - each.start
-    pairs = (mean[each][:, None] * first[each]).reshape(k * k, g)
-    own_pairs = apart[each, each].reshape(k * k, g)
+    k = each.stop - each.start
     told, square, own_square, pulled = np.zeros(g), np.zeros(g), np.zeros(g), np.zeros((g, 3))
     between = np.zeros((len(kinds), len(kinds)))
-    every = n if k else 0
-    each_score, each_square = np.zeros((2, k, every))
-    each_information, each_pull = np.zeros((k, k, every)), np.zeros((3, k, every))
+    each_score, each_square = np.zeros((2, k, n))
+    each_information, each_pull = np.zeros((k, k, n)), np.zeros((3, k, n))
     white_rho, weights = fit.white_rho.reshape(-1, 3), 1.0 / fit.problem.noise.variance
     for some in blocks_of_actuators(fit):
         e = field.values(fit, some)
@@ -166,25 +163,27 @@ def on_readings(
         if own is not None:
             own_square += own @ weigh
         if k:
-            spread = pairs @ e_squared
+            spread = np.stack([(mean[each] * h) @ e_squared for h in first[each]])
             if own is not None:
-                spread += own_pairs @ own
-            both = np.einsum("krb,lrb->klb", mine, mine)
-            each_information[:, :, some] = spread.reshape(both.shape) - both
+                spread += _apart(moments, functions, each, own)
+            spread -= np.einsum("krb,lrb->klb", mine, mine)
+            each_information[:, :, some] = spread
     noise = fit.problem.noise.variance
     score, information = np.zeros(len(first)), np.zeros((len(first),) * 2)
     if fit.independent:
         score -= first @ told
-        information += (mean * square) @ first.T - between[kind][:, kind] + apart @ own_square
+        information += (mean * square) @ first.T - between[kind][:, kind]
         if within is not None:
+            every = slice(0, len(first))
+            information += _apart(moments, functions, every, own_square[:, None])[:, :, 0]
             sums = field.sums(within)
             score[: functions.within] -= sums @ weights
             if k:
                 each_score -= sums[each]
     jacobian = np.stack([pool @ pulled for pool in pools], axis=2)[:, :, kind]
     return OnReadings(
-        functions, field, -jacobian, score, information, each, each_score / noise[:every],
-        each_information / noise[:every], each_square, each_pull,
+        functions, field, -jacobian, score, information, each, each_score / noise,
+        each_information / noise, each_square, each_pull,
     )  # fmt: skip
 
 
@@ -200,15 +199,20 @@ def _means(moments: Moments, functions: RowFunctions) -> Array:
     return np.asarray(functions.first / np.where(moments.weight > 0, moments.weight, 1.0))
 
 
-def _apart(moments: Moments, functions: RowFunctions, mean: Array) -> Array:
-    """Return (K, K, g) weighted sums of products of h, less those of their means."""
-    (k, g), within = mean.shape, functions.within
-    apart = np.zeros((k, k, g))
-    if moments.within is None:
+def _apart(moments: Moments, functions: RowFunctions, chosen: slice, own: Array) -> Array:
+    """Return sums of products of K chosen h, less those of their means, times (g, b) values.
+
+    (K, K, b); 0 for those that are the same for all rows of a group.
+    """
+    k, within = chosen.stop - chosen.start, moments.within
+    apart = np.zeros((k, k, own.shape[1]))
+    if within is None:
         return apart
-    for at in range(within):
-        products = moments.within.products(at) * (moments.weight > 0)
-        apart[at, :within] = products - mean[:within] * functions.first[at]
+    some = slice(chosen.start, min(chosen.stop, functions.within))
+    mean, counted = _means(moments, functions)[some], moments.weight > 0
+    for row, at in enumerate(range(some.start, some.stop)):
+        products = within.products(at)[some] * counted - mean * functions.first[at]
+        apart[row, : len(mean)] = products @ own
     return apart
 
 
