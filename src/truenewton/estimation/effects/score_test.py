@@ -58,7 +58,7 @@ def named(fit: FittedRows) -> list[EffectTest]:
     """
     found, sound = [], 0
     for effect, derivative in _derivatives(fit):
-        if _surely_sound(fit, derivative):
+        if surely_sound(fit, derivative):
             sound += 1
         elif test := _tested(fit, effect, derivative):
             found.append(test)
@@ -78,7 +78,7 @@ def _blind(fit: FittedRows) -> float:
     return DISTURBED if np.any(fit.problem.disturbance) else BLIND
 
 
-def _surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
+def surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
     """Tell whether an effect of many parameters would not be named even if it alone were asked.
 
     With f = U' U / tr V the chance is that of chi^2(nu) > f nu. tr V is known, or more than taken
