@@ -115,8 +115,10 @@ def gain_by_file(fit: FittedRows) -> Derivative | None:
     return of_all(fit, _gain(fit), _files(within))
 
 
-def gain_by_load(fit: FittedRows) -> Derivative:
+def gain_by_load(fit: FittedRows) -> Derivative | None:
     """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart."""
+    if len(fit.moments.loads) < 2:
+        return None
     gain = _gain(fit)
     return of_all(fit, gain, slice(gain.functions.within, len(gain.score)))
 
