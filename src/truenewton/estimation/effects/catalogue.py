@@ -224,7 +224,7 @@ def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
             arms=arms.reshape(3, 2 * b),
             rows=lambda: rows,
             score=np.einsum("axi,ai->xi", pulled, pull).ravel(),
-            whole=(np.sum(pulled**2, axis=0) * np.sum(rows**2, axis=0)).ravel(),
+            whole=(np.sum(pulled**2, axis=0) * np.einsum("ri,ri->i", rows, rows)).ravel(),
             parts=lambda: parts_of_positions(fit),
         ),
         feigns=feigns,

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.estimation.imbalance import imbalance_covariance
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
-from truenewton.linalg import mirrored
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,9 +148,13 @@ class FittedRows:
 
     @cached_property
     def information_factor(self) -> Array:
-        """(free, free) lower Cholesky factor of H."""
-        information = mirrored(self.minimum.information[: self.free, : self.free])
-        return np.asarray(scipy.linalg.cholesky(information, lower=True, check_finite=False))
+        """(free, free) lower Cholesky factor of H; above its diagonal stands anything."""
+        information = self.minimum.information[: self.free, : self.free]
+        # The upper triangle is the lower one in the order of Fortran, so no second copy is made.
+        factor, failed = dpotrf(information.T, lower=True, clean=False)
+        if failed:
+            raise np.linalg.LinAlgError("the information is not positive definite")
+        return np.asarray(factor)
 
     def half_solved(self, cross: Array) -> Array:
         """Return (free, k) L^-1 cross' of (k, free), L the Cholesky factor of H."""
