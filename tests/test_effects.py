@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.signal
 import scipy.stats
-from balanced import BIAS
+from balanced import BIAS, campaign_of
 from small_bench import SmallBench
 
 from truenewton.bench.simulated.static import run_cycles, static_bench
@@ -16,11 +16,12 @@ from truenewton.calibration.methods import calibrate
 from truenewton.estimation.effects import score_test
 from truenewton.estimation.effects.catalogue import CATALOGUE
 from truenewton.estimation.effects.correction import correction
-from truenewton.estimation.effects.derivative import scored
+from truenewton.estimation.effects.derivative import scored, variance_at_least
 from truenewton.estimation.effects.examined import chi2_probability
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.unknown_force import unknown_force
 from truenewton.estimation.moments import merge
+from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.sifted import campaign_moments, sift
@@ -28,6 +29,7 @@ from truenewton.estimation.structure import FITS, structure_of
 from truenewton.linalg import mirrored
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign
+from truenewton.statics.layout import rings
 
 SIGMA = 1e-3
 NAMES = [effect.name for effect in CATALOGUE]
@@ -178,7 +180,7 @@ def test_noise_alone_feigns_as_much_of_an_effect_as_told(name, pooled):
             up, down = (end.score - at.score for _, at, end in ends)
             change[:, k] = (up - down) / (2 * step)
         off.append(change - (result.moves @ information)[:, :14])  # M_te - D_te
-        feigned.append(derivative.feigned)
+        feigned.append(derivative.feigns()[0])
     direction = np.mean(feigned, axis=0)
     size = np.linalg.norm(direction)
     along = np.sum(off * direction, axis=(1, 2)) / size
@@ -226,7 +228,7 @@ def test_an_effect_is_taken_out_of_rows_as_of_their_moments(name):
     for (label, k, hour, force), h in zip(made, of_h, strict=True):
         g = labels.index(label)
         mean_h = hour_of_group[g] / number[g]
-        between, within = (-fit.fitted[g], -fit.moments.mean[g]) if gain else (1.0, 1.0)
+        between, within = (-fit.fitted()[g], -fit.moments.mean[g]) if gain else (1.0, 1.0)
         less = (mean_h @ of_row) * between + ((h - mean_h) @ of_row) * within
         total[g] += force - less
         after.append((g, k, hour, force - less))
@@ -303,6 +305,54 @@ def test_the_chance_of_a_chi2_is_told_however_small():
     assert np.isfinite(far)
     assert far == pytest.approx(-5e6, rel=1e-4)
     assert far < score_test.log_chance(9e6, 3.0)
+
+
+@pytest.mark.parametrize("pooled", [True, False])
+@pytest.mark.parametrize("name", [name for name in NAMES if "each" in name or name == "positions"])
+def test_a_score_varies_no_less_than_its_cheap_bound(name, pooled):
+    for fit in (uneven(pooled), fit_of(SmallBench(8, 3e-2).campaign(), pooled=pooled)):
+        derivative = OF[name].derivative(fit)
+        score, whole, variance = variance_at_least(fit, derivative)
+        exact = scored(fit, derivative)
+        assert score == pytest.approx(exact.score, rel=1e-9, abs=1e-9 * np.abs(exact.score).max())
+        assert whole == pytest.approx(exact.whole, rel=1e-9)
+        diagonal = np.diag(exact.variance)
+        assert (variance <= diagonal + 1e-9 * exact.whole).all()
+        if name == "positions":
+            assert variance == pytest.approx(diagonal, rel=1e-6, abs=1e-9 * whole.max())
+
+
+def test_the_chance_of_f_nu_is_least_at_either_end():
+    for f in np.concatenate([np.linspace(0.2, 2.0, 37), [3.0, 10.0]]):
+        chances = [score_test.log_chance(f * nu, nu) for nu in np.geomspace(1.0, 3000.0, 60)]
+        assert min(chances) == min(chances[0], chances[-1])
+
+
+def test_the_same_is_named_as_by_whole_tests():
+    """Effects that are passed over by the bound would not be named, by themselves either.
+
+    On 40 actuators, since of few parameters the whole of V is asked always.
+    """
+    passed = 0
+    for seed, drift in ((1, 0.0), (2, 0.0), (3, 2e-2), (4, 1e-3)):
+        campaign, _ = campaign_of(seed, 1e-3, layout=rings([0.05, 0.1, 0.15], [8, 13, 19]))
+        each = 1 + np.outer(np.arange(4.0), drift * np.random.default_rng(seed).standard_normal(40))
+        cycles = [
+            replace(c, force=c.force * gain, date=c.date + datetime.timedelta(hours=k))
+            for k, (c, gain) in enumerate(zip(campaign.cycles, each, strict=True))
+        ]
+        fit = fit_of(Campaign(tuple(cycles)), pooled=True)
+        found = score_test.tests(fit)
+        limit = np.log(1.0 - (1.0 - OF_EACH_KIND) ** (1.0 / len(found)))
+        expected = [(t.effect.name, t.log_probability) for t in found if t.log_probability < limit]
+        there = score_test.named(fit)
+        assert [(t.effect.name, t.log_probability) for t in there] == expected
+        assert bool(there) == bool(drift)
+        for test in found:
+            if score_test.surely_sound(fit, test.derivative):
+                passed += 1
+                assert test.log_probability > np.log(OF_EACH_KIND)
+    assert passed >= 10
 
 
 def test_one_clean_campaign_in_a_hundred_is_accused_at_most():

@@ -96,18 +96,24 @@ def rest_by_file(moments: Moments, within: WithinGroups) -> Array | None:
     None where files share too few shapes to be compared.
     """
     files = len(within.weight)
-    _, code = np.unique(moments.labels[:, 1:], axis=0, return_inverse=True)
-    code, codes = code.ravel(), int(code.max()) + 1
-    weight, sums = np.zeros((files, codes)), np.zeros((codes, moments.mean.shape[1]))
-    np.add.at(weight.T, code, within.weight.T)
-    np.add.at(sums, code, moments.weight[:, None] * moments.mean)
+    code = _codes(moments.labels)
+    weight = np.zeros((files, int(code.max()) + 1))
+    for row, of_file in zip(weight, within.weight, strict=True):
+        row += np.bincount(code, of_file, len(row))
     total = np.maximum(weight.sum(axis=0), 1e-300)
-    apart = within.zero[:files] + within.weight @ moments.mean - (weight / total) @ sums
+    share = (weight / total)[:, code] * moments.weight
+    apart = within.zero[:files] + (within.weight - share) @ moments.mean
     laplacian = np.diag(weight.sum(axis=1)) - (weight / total) @ weight.T
     values, vectors = np.linalg.eigh(laplacian)
     if values[1] <= 1e-9 * values[-1]:
         return None
     return np.asarray((vectors[:, 1:] / values[1:]) @ (vectors[:, 1:].T @ apart))
+
+
+def _codes(labels: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return (g,) which SHAPE and SIGN, counted from 0."""
+    _, shape = np.unique(labels[:, 1], return_inverse=True)
+    return np.asarray(np.unique(2 * shape.ravel() + (labels[:, 2] > 0), return_inverse=True)[1])
 
 
 def clusters(distance: Array, count: int) -> NDArray[np.int64] | None:

@@ -33,6 +33,8 @@ class Noise:
         Degrees of freedom from which the share is known.
     hidden
         (n,) how much of it repeats do not show: rounding that they have in common [N^2].
+    least
+        Variance below which it is not worth telling from rounding [N^2].
     """
 
     variance: Array
@@ -40,6 +42,7 @@ class Noise:
     share: float = 1.0
     share_freedom: float = np.inf
     hidden: Array | float = 0.0
+    least: float = 0.0
 
     @property
     def in_balance(self) -> Array:
@@ -54,20 +57,20 @@ class Noise:
 
 def reading_noise(campaign: Campaign, moments: Moments) -> Noise:
     """Return the noise of a reading: from repeats, else as declared, else left to the minimum."""
-    n = moments.mean.shape[1]
+    n, least = moments.mean.shape[1], least_variance(moments)
     if moments.repeats:
         each = moments.scatter / moments.repeats
         if moments.repeats < ENOUGH_REPEATS:
             each = np.full(n, each.mean())
-        each = np.maximum(each, least_variance(moments))
+        each = np.maximum(each, least)
         hidden = _hidden(moments, each)
-        return Noise(each + hidden, NoiseSource.REPEATS, hidden=hidden)
+        return Noise(each + hidden, NoiseSource.REPEATS, hidden=hidden, least=least)
     if all(c.force_error for c in campaign.cycles):
         # Who declares less than rounding makes has not declared it.
         declared = np.full(n, WEIGHED_NOISE**2)
         rounding = np.where(declared < moments.rounding, moments.rounding, 0.0)
-        return Noise(declared + rounding, NoiseSource.DECLARED)
-    return Noise(np.full(n, least_variance(moments)), NoiseSource.MINIMUM)
+        return Noise(declared + rounding, NoiseSource.DECLARED, least=least)
+    return Noise(np.full(n, least), NoiseSource.MINIMUM, least=least)
 
 
 def _hidden(moments: Moments, each: Array) -> Array:

@@ -13,6 +13,7 @@ from truenewton.estimation.diagnosis import FoundEffect, NoiseSource
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import Noise
+from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 
@@ -88,16 +89,15 @@ def stuck_faults(campaign: Campaign, change: ReadingsChange) -> tuple[Fault, ...
 
 def readings_change(moments: Moments, noise: Noise) -> ReadingsChange:
     """Return how the readings of (n,) actuators change over shapes."""
-    counted = moments.weight > 0
-    loads, weight, mean = moments.labels[counted, 0], moments.weight[counted], moments.mean[counted]
-    n = mean.shape[1]
-    square, statics, count = np.zeros(n), np.zeros(n), len(np.unique(loads))
-    for load in np.unique(loads):
-        some = loads == load
-        centre = weight[some] @ mean[some] / weight[some].sum()
-        square += weight[some] @ (mean[some] - centre) ** 2
-        statics = np.maximum(statics, np.abs(centre))
-    freedom = len(mean) - count
+    weight, mean, n = moments.weight, moments.mean, moments.mean.shape[1]
+    share = (moments.of_load * weight[:, None]).T
+    total = share.sum(axis=1)
+    centre = share @ mean / np.where(total > 0.0, total, 1.0)[:, None]
+    square, statics, count = np.zeros(n), np.abs(centre).max(axis=0), np.count_nonzero(total)
+    for start in range(0, len(mean), ROWS_AT_ONCE):
+        some = slice(start, start + ROWS_AT_ONCE)
+        square += weight[some] @ (mean[some] - centre[moments.labels[some, 0]]) ** 2
+    freedom = moments.groups - count
     if freedom < 1:
         nothing = np.zeros(n, dtype=bool)
         return ReadingsChange(np.ones(n), 1.0, nothing, nothing)
@@ -108,7 +108,7 @@ def readings_change(moments: Moments, noise: Noise) -> ReadingsChange:
     change = np.sqrt(square / weight.sum())
     if noise.source == NoiseSource.MINIMUM:
         dead = change < HARDLY * np.median(change)
-    at_zero = statics < 5.0 * change * np.sqrt(count / len(mean))
+    at_zero = statics < 5.0 * change * np.sqrt(count / moments.groups)
     size = float(np.sqrt(np.mean(change**2 + statics**2)))
     return ReadingsChange(change, size, np.asarray(dead), np.asarray(at_zero))
 

@@ -14,6 +14,7 @@ loads and signs: that is tested, and where it does not hold every group stands f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse
@@ -44,10 +45,19 @@ class Pooling:
         """R."""
         return int(self.basis.shape[1])
 
-    def rows(self, values: Array, factor: Array | float = 1.0) -> Array:
-        """Return (R, m) U' r v of (g, m) values v of the groups, times a (g,) factor."""
-        weighed = self.basis.T.multiply(self.weight * factor).tocsr()
-        return np.asarray(weighed @ values)
+    @cached_property
+    def _transposed(self) -> scipy.sparse.csr_array:
+        return self.basis.T.tocsr()
+
+    def weighed(self, factor: Array | float = 1.0) -> scipy.sparse.csr_array:
+        """Return (R, g) U' r f, f a (g,) factor."""
+        weighed, heavy = self._transposed.copy(), self.weight * factor
+        weighed.data *= heavy[weighed.indices]
+        return weighed
+
+    def rows(self, values: Array) -> Array:
+        """Return (R, m) U' r v of (g, m) values v of the groups."""
+        return np.asarray(self.weighed() @ values)
 
     @property
     def squared_lengths(self) -> Array:
@@ -78,7 +88,7 @@ def over_loads_and_signs(labels: NDArray[np.int64], weight: Array, size: Array) 
     """
     g, on = len(labels), np.flatnonzero(weight)
     _, shape = np.unique(labels[on, 1], return_inverse=True)
-    _, statics = np.unique(labels[on][:, [0, 2]], axis=0, return_inverse=True)
+    _, statics = np.unique(2 * labels[on, 0] + (labels[on, 2] > 0), return_inverse=True)
     sign = labels[on, 2] * size[labels[on, 0]]
     r = weight[on]
     of_shape = scipy.sparse.csr_array((sign, (on, shape.ravel())), shape=(g, shape.max() + 1))

@@ -21,7 +21,7 @@ from truenewton.estimation.imbalance import (
 from truenewton.estimation.likelihood import minimise, start_values
 from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import Noise, least_variance
+from truenewton.estimation.noise import Noise
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_ml import likeliest, mode_data
 from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
@@ -152,7 +152,7 @@ def roughly_scaled(problem: Problem, moments: Moments) -> Problem:
     distance = problem.distances(start, moments)[moments.rows > 0]
     size = 0.25 * float(np.median(distance)) / MEDIAN_CHI2
     variance = problem.noise.variance * max(size, 1.0)
-    return replace(problem, noise=Noise(variance, NoiseSource.MINIMUM))
+    return replace(problem, noise=replace(problem.noise, variance=variance))
 
 
 def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Problem:
@@ -169,7 +169,7 @@ def with_share_in_balance(problem: Problem, sifted: Sifted, alpha: Array) -> Pro
     rho = np.concatenate([sample @ scaled_arms.T for sample in sifted.samples])
     s = imbalance_covariance(scaled_arms, problem.noise.seen)
     share = float(squared_distances(rho, np.ones(len(rho)), s).mean() / 3)
-    share = max(share, least_variance(moments) / problem.noise.seen.mean())
+    share = max(share, problem.noise.least / problem.noise.seen.mean())
     repeats = moments.rows[moments.rows > 1]
     freedom = 3 * len(rho) * float(1.0 - repeats.size / repeats.sum())  # their means are theirs
     if abs(share - 1.0) < 4 * np.sqrt(2 / freedom):
@@ -198,9 +198,9 @@ def with_noise_from_minimum(
         if problem.noise.source != NoiseSource.MINIMUM:
             break
         size = minimum.chi2 / max(freedom(problem, moments, minimum), 1.0)
-        variance = np.maximum(problem.noise.variance * size, least_variance(moments))
+        variance = np.maximum(problem.noise.variance * size, problem.noise.least)
         if np.allclose(variance, problem.noise.variance, rtol=1e-6, atol=0.0):
             break
-        problem = replace(problem, noise=Noise(variance, NoiseSource.MINIMUM))
+        problem = replace(problem, noise=replace(problem.noise, variance=variance))
         minimum = problem.fitted(moments, minimum.values)
     return problem, minimum

@@ -104,6 +104,7 @@ class RepeatSums:
 
     def __init__(self, campaign: Campaign, reference: Array | None = None) -> None:
         self.campaign, self.stale = campaign, False
+        self._moments: Moments | None = None
         self._reference = common_reference(campaign) if reference is None else reference
         self._lost = list[RejectedRow]()
         self._labels, first, groups_of_rows = row_groups(campaign)
@@ -143,6 +144,11 @@ class RepeatSums:
     @property
     def moments(self) -> Moments:
         """What the sums make up."""
+        if self._moments is None:
+            self._moments = self._made_up()
+        return self._moments
+
+    def _made_up(self) -> Moments:
         turn = np.argsort(self._coming)
         return Moments(
             loads=self.campaign.loads,
@@ -233,6 +239,7 @@ class RepeatSums:
     def leave_out(self, block: int, read: list[BlockRows], rejected: list[RejectedRow]) -> None:
         """Leave some rows out of what was read of a block, and sum the rest anew."""
         self._lost += rejected
+        self._moments = None
         rest = [self._without(part, rejected) for part in read]
         number, weight = self._number[self._blocks[block]], self._weight[self._blocks[block]]
         number[:], weight[:] = 0, 0.0
@@ -242,20 +249,21 @@ class RepeatSums:
         displaced = any(is_displaced(self.campaign.cycles[row.cycle]) for row in rejected)
         self.stale |= displaced or not number.all()
         if not self.stale:
-            self._differ(block, read, -1.0)
+            mean = self._mean[self._coming[self._blocks[block]]]
+            for part in read:
+                self._differ(part, part.force - mean[part.at], mean, -1.0)
             self._sum(block, rest)
             self._scatter = self._scatter_of.sum(axis=0)
 
-    def _differ(self, block: int, read: list[BlockRows], times: float) -> None:
-        """Add, so many times, how the rows that were read of a block differ from their means."""
-        mean = self._mean[self._coming[self._blocks[block]]]
-        for part in read:
-            k, hour = part.cycle_index, self._hours[part.cycle_index][part.rows]
-            apart, weight = part.force - mean[part.at], times * part.weight
-            of_both = np.stack([np.ones_like(hour), hour]) * weight
-            self._zero[[k, -1]] += of_both @ apart
-            apart *= mean[part.at]
-            self._gain[[k, -1]] += of_both @ apart
+    def _differ(self, part: BlockRows, apart: Array, mean: Array, times: float) -> None:
+        """Add, so many times, how rows of a cycle are (m, n) apart from the means of their groups.
+
+        ``mean`` is (groups, n) of the block [N].
+        """
+        hour, weight = self._hours[part.cycle_index][part.rows], times * part.weight
+        for sums, values in ((self._zero, apart), (self._gain, apart * mean[part.at])):
+            sums[part.cycle_index] += weight * (np.ones(len(hour)) @ values)
+            sums[-1] += weight * (hour @ values)  # products of two rows at once take longer
 
     def _sum(self, block: int, read: list[BlockRows]) -> None:
         """Sum over the rows that were read of a block of groups."""
@@ -277,6 +285,7 @@ class RepeatSums:
             apart = part.force - centre[part.at]
             chosen = (part.rows % self._stride == 0) & (self.number(block, part) > 1)
             sample.append(apart[chosen] * np.sqrt(further[part.at][chosen])[:, None])
+            self._differ(part, apart, centre, 1.0)
             apart *= apart
             scatter = part.weight * (np.ones(len(apart)) @ apart)
             self._scatter += scatter
@@ -287,4 +296,3 @@ class RepeatSums:
             furthest = np.sqrt(apart.max(axis=0, initial=0.0) * further[0])
             np.maximum(self.furthest[block], furthest, out=self.furthest[block])
         self.samples[block] = np.concatenate(sample)
-        self._differ(block, read, 1.0)

@@ -55,7 +55,7 @@ class RowPrints:
             if key in self.taken:
                 continue
             readings = force[row]
-            self.taken[key] = hashlib.blake2b(readings.tobytes(), digest_size=16).digest()
+            self.taken[key] = hashlib.sha1(readings.tobytes(), usedforsecurity=False).digest()
             if file not in self._before:
                 self._run[file], self.longest[file] = np.zeros((2, len(readings)), np.int64)
                 self.at_limit[file] = np.zeros(len(readings), np.int64)

@@ -19,7 +19,7 @@ import scipy.stats
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import Noise, least_variance
+from truenewton.estimation.noise import Noise
 
 FITS = 1e-3  # probability below which a model does not fit
 
@@ -101,7 +101,7 @@ def pooled_where_it_fits(
     None where nothing tells the noise of a reading, or there is no more than rounding, or nothing
     is to be pooled.
     """
-    rounding = bool(np.any(noise.variance <= least_variance(moments)))
+    rounding = bool(np.any(noise.variance <= noise.least))
     if noise.source == NoiseSource.MINIMUM or rounding:
         return moments, None
     pooled = replace(moments, pooled=True)

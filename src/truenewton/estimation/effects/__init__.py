@@ -2,7 +2,8 @@
 
 fitted            a fit, and what the score of an effect needs of it
 derivative        what an effect is: its derivative, score and information
-narrowed          the same with fewer parameters: of single actuators, or about their mean
+readings          what effects on readings do
+narrowed          the same of single actuators, or about the mean
 catalogue         the effects
 score_test        is one there?
 shared_noise      the same beside noise that the readings of a row share

@@ -6,28 +6,32 @@ one, write the function, and list it in `CATALOGUE`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.effects.derivative import (
-    Derivative,
+from truenewton.estimation.effects.derivative import Derivative, OfEach, without_direction
+from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.effects.narrowed import about_mean, of_single
+from truenewton.estimation.effects.readings import (
+    GAIN,
+    ZERO,
+    Field,
     OnReadings,
     RowFunctions,
     of_all,
     of_each,
-    of_groups,
-    of_rows,
     on_readings,
-    without_direction,
+    row_functions,
 )
-from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.effects.narrowed import about_mean, of_single
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
+
+AT_ONCE = 64  # actuators whose parameters are judged together
+ONLY = slice(0, 1)  # of one function
 
 
 @dataclass(frozen=True)
@@ -69,16 +73,30 @@ def _files(within: WithinGroups) -> slice:
     return slice(0, len(within.weight))
 
 
-def _once(fit: FittedRows, name: str, made: Callable[[], OnReadings]) -> OnReadings:
-    """Return what an effect does, which those of all and those of each actuator share."""
-    if name not in fit.found:
-        fit.found[name] = made()
-    found: OnReadings = fit.found[name]
+def _gain(fit: FittedRows) -> OnReadings:
+    """Return what g = -c^ h does, h by file, by hour (both of each actuator too) and by load.
+
+    That of a load is 1 under it, less its mean over all rows: alpha stays that of the whole
+    campaign.
+    """
+    of_load, weight = fit.moments.of_load, fit.moments.weight
+    loads = (of_load - weight @ of_load / weight.sum()).T[1:]
+    functions = row_functions(fit.moments, loads)
+    return _once(fit, GAIN, functions, slice(0, functions.within))
+
+
+def _zero(fit: FittedRows) -> OnReadings:
+    """Return what g = h does, h by file and by hour, of each actuator as well."""
+    functions = row_functions(fit.moments, np.empty((0, len(fit.moments.mean))))
+    return _once(fit, ZERO, functions, slice(0, functions.within))
+
+
+def _once(fit: FittedRows, field: Field, functions: RowFunctions, each: slice) -> OnReadings:
+    """Return what effects do that share a field."""
+    if field.name not in fit.found:
+        fit.found[field.name] = on_readings(fit, functions, field, each)
+    found: OnReadings = fit.found[field.name]
     return found
-
-
-def _of(fit: FittedRows, effect: OnReadings, *, each: bool) -> Derivative:
-    return of_each(fit, effect) if each else of_all(fit, effect)
 
 
 def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -86,9 +104,7 @@ def gain_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
     within = fit.moments.within
     if within is None or not np.any(within.square > 0):
         return None
-    rows = of_rows(fit.moments, within, _hour(within))
-    drift = _once(fit, "gain/hour", lambda: on_readings(fit, rows, -fit.recorded, gain=True))
-    return _of(fit, drift, each=each)
+    return (of_each if each else of_all)(fit, _gain(fit), _hour(within))
 
 
 def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
@@ -96,23 +112,18 @@ def gain_by_file(fit: FittedRows, *, single: bool) -> Derivative | None:
     within = fit.moments.within
     if within is None or len(within.weight) < 3:
         return None
-    rows, of_file = of_rows(fit.moments, within, _files(within)), within.weight.sum(axis=1)
-
-    def made() -> OnReadings:
-        return about_mean(on_readings(fit, rows, -fit.recorded, gain=True), of_file)
-
-    changed = _once(fit, "gain/file", made)
-    return of_single(fit, changed) if single else of_all(fit, changed)
+    files = _files(within)
+    if single:
+        return of_single(fit, _gain(fit), files, within.weight.sum(axis=1))
+    return about_mean(of_all(fit, _gain(fit), files), within.weight.sum(axis=1))
 
 
-def gain_by_load(fit: FittedRows) -> Derivative:
-    """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart.
-
-    h is 1 under a load, less its mean over all rows: alpha stays that of the whole campaign.
-    """
-    of_load, weight = fit.moments.of_load, fit.moments.weight
-    h = (of_load - weight @ of_load / weight.sum()).T[1:]
-    return of_all(fit, on_readings(fit, of_groups(fit.moments, h), -fit.recorded, gain=True))
+def gain_by_load(fit: FittedRows) -> Derivative | None:
+    """Let alpha of all differ from load to load; or shapes, which only POSITION tells apart."""
+    if len(fit.moments.loads) < 2:
+        return None
+    gain = _gain(fit)
+    return of_all(fit, gain, slice(gain.functions.within, len(gain.score)))
 
 
 def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
@@ -120,9 +131,7 @@ def zero_by_file(fit: FittedRows, *, each: bool) -> Derivative | None:
     within = fit.moments.within
     if within is None or len(within.weight) < 3:
         return None
-    rows = of_rows(fit.moments, within, _files(within))
-    moved = _once(fit, "zero/file", lambda: on_readings(fit, rows, np.ones_like(fit.fitted)))
-    return _of(fit, moved, each=each)
+    return (of_each if each else of_all)(fit, _zero(fit), _files(within))
 
 
 def put_on_anew(fit: FittedRows) -> Derivative | None:
@@ -142,25 +151,27 @@ def zero_by_hour(fit: FittedRows, *, each: bool) -> Derivative | None:
     within = fit.moments.within
     if within is None or not np.any(within.square > 0):
         return None
-    rows = of_rows(fit.moments, within, _hour(within))
-    drift = _once(fit, "zero/hour", lambda: on_readings(fit, rows, np.ones_like(fit.fitted)))
-    return _of(fit, drift, each=each)
+    return (of_each if each else of_all)(fit, _zero(fit), _hour(within))
 
 
 def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
     """Bend the coils: g = -c^2 or -c^3, of all alike or of each."""
-    recorded = fit.recorded
-    field = -recorded * (recorded if power == 2 else recorded * recorded)
-    bent = _once(fit, f"power/{power}", lambda: on_readings(fit, _always(fit.moments), field))
-    return _of(fit, bent, each=each)
+
+    def bent(at: FittedRows, some: slice) -> Array:
+        c = at.recorded(some)
+        return -c * (c if power == 2 else c * c)
+
+    found = _once(fit, Field(f"power {power}", bent), _always(fit.moments), ONLY)
+    return (of_each if each else of_all)(fit, found, ONLY)
 
 
 def coil_gradient(fit: FittedRows) -> Derivative | None:
     """Change the force of coils with the displacement z beside COILGRAD: g = -c^ z."""
-    if fit.moments.displacement is None:
+    z = fit.moments.displacement
+    if z is None:
         return None
-    field = -fit.recorded * fit.moments.displacement
-    return of_all(fit, on_readings(fit, _always(fit.moments), field))
+    field = Field("gradient", lambda at, some: -at.recorded(some) * z[:, some])
+    return of_all(fit, on_readings(fit, _always(fit.moments), field), ONLY)
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:
@@ -187,17 +198,22 @@ def contact(fit: FittedRows, *, by_load: bool) -> Derivative | None:
     return on_balance(fit, units.reshape(len(h), 3, -1))
 
 
-def positions(fit: FittedRows) -> Derivative:
-    """Move actuators off their coordinates: e_x and e_y times alpha c^, for each."""
-    n, alpha = fit.problem.n, fit.alpha
-    count, covariance = len(fit.rows), fit.noise_covariance
-    arms = np.zeros((3, 2, n))
+def positions(fit: FittedRows, some: slice = slice(None)) -> Derivative:
+    """Move actuators off their coordinates: e_x and e_y times alpha c^, for each of some."""
+    n, alpha, rows = fit.problem.n, fit.alpha[some], fit.fitted_rows[:, some]
+    count, b = rows.shape
+    arms = np.zeros((3, 2, b))
     arms[1, 0] = arms[2, 1] = alpha
-    s_inverse = fit.root.T @ fit.root
-    by_alpha = (s_inverse @ fit.problem.a)[1:]  # e_x, e_y by the arms
-    feigned = count * alpha[None, :, None] * by_alpha[:, None, :] * covariance
-    between = count * np.outer(alpha, alpha) * covariance
-    own = s_inverse[1:, None, 1:, None] * between[None, :, None, :]
+    pulled = np.tensordot(fit.root, arms, axes=1)
+    pull = fit.white_rho.reshape(-1, 3).T @ rows
+
+    def feigns() -> tuple[Array, Array]:
+        s_inverse, covariance = fit.root.T @ fit.root, fit.noise_covariance(some)
+        by_alpha = (s_inverse @ fit.problem.a)[1:]  # e_x, e_y by the arms
+        feigned = count * alpha[None, :, None] * by_alpha[:, None, :] * covariance
+        between = count * np.outer(alpha, alpha) * covariance[:, some]
+        own = s_inverse[1:, None, 1:, None] * between[None, :, None, :]
+        return feigned.reshape(2 * b, n), own.reshape(2 * b, 2 * b)
 
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
         moved = np.zeros((3, n))
@@ -205,12 +221,24 @@ def positions(fit: FittedRows) -> Derivative:
         return replace(problem, moved=problem.moved + moved), moments
 
     return Derivative(
+        2 * b,
         remove,
-        arms=arms.reshape(3, 2 * n),
-        rows=fit.fitted_rows,
-        feigned=feigned.reshape(2 * n, n),
-        feigned_information=own.reshape(2 * n, 2 * n),
+        of_each=OfEach(
+            arms=arms.reshape(3, 2 * b),
+            rows=lambda: rows,
+            score=np.einsum("axi,ai->xi", pulled, pull).ravel(),
+            whole=(np.sum(pulled**2, axis=0) * np.einsum("ri,ri->i", rows, rows)).ravel(),
+            parts=lambda: parts_of_positions(fit),
+        ),
+        feigns=feigns,
     )
+
+
+def parts_of_positions(fit: FittedRows) -> Iterator[Derivative]:
+    """Yield the derivatives by the positions of some actuators after the other."""
+    n = fit.problem.n
+    for start in range(0, n, AT_ONCE):
+        yield positions(fit, slice(start, min(start + AT_ONCE, n)))
 
 
 def on_balance(fit: FittedRows, change: Array) -> Derivative:
@@ -221,11 +249,11 @@ def on_balance(fit: FittedRows, change: Array) -> Derivative:
     def remove(problem: Problem, moments: Moments, theta: Array) -> tuple[Problem, Moments]:
         return problem, replace(moments, known=moments.known + change @ theta)
 
-    return Derivative(remove, jacobian=jacobian)
+    return Derivative(k, remove, jacobian=jacobian)
 
 
 def _always(moments: Moments) -> RowFunctions:
-    return of_groups(moments, np.ones((1, len(moments.mean))))
+    return RowFunctions(moments.weight[None])
 
 
 _WARM = "let the electronics warm up, and take bare and loaded cycles in turn"

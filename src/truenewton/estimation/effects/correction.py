@@ -27,6 +27,7 @@ from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import Problem
 
 STEPS = 30
+MOST_PARAMETERS = 10_000  # a matrix of which takes 0.8 GB, and there are some of them
 SMALL = 1e-4  # squared step in standard errors at which theta has settled
 
 
@@ -54,9 +55,9 @@ class Correction:
 
 
 def correction(fit: FittedRows, effect: Effect) -> Correction | None:
-    """Estimate an effect together with alpha; None where that does not settle."""
+    """Estimate an effect together with alpha; None where that does not settle, or is too large."""
     first = effect.derivative(fit)
-    if first is None:
+    if first is None or first.count > MOST_PARAMETERS:
         return None
     result, theta = scored(fit, first), np.zeros(first.count)
     # A first spread from the score itself: U U' = V of the effect, on the average.

@@ -17,8 +17,8 @@ V is the covariance of U_t, and alpha and the rest move by -B' theta.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.moments import Moments, WithinGroups
+from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
 
 NO_NOISE = 1e-3  # share of D in terms of H, below which it is not worth its products
@@ -35,42 +35,61 @@ Removal = Callable[[Problem, Moments, Array], tuple[Problem, Moments]]
 
 
 @dataclass(frozen=True, eq=False)
+class OfEach:
+    """J of k parameters that belong to one actuator each: arms and rows multiplied by elements.
+
+    Attributes
+    ----------
+    arms
+        (3, k).
+    rows
+        Makes (R, k), or (R, k / 2) where x and y have the same: only where they are needed, as they
+        are as large as the readings.
+    score, whole
+        (k,) sum of J' S^-1 rho, and the diagonal of the sum of J' S^-1 J.
+    parts
+        Makes the derivatives of the parameters of some actuators after the other.
+    """
+
+    arms: Array
+    rows: Callable[[], Array]
+    score: Array
+    whole: Array
+    parts: Callable[[], Iterator[Derivative]] | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Derivative:
     """What k parameters of an effect do at a fit.
 
     Attributes
     ----------
+    count
+        K.
     remove
         Takes an effect of (k,) parameters out of the data.
     jacobian
         (R, 3, k) J; None where each actuator has parameters of its own.
-    arms, rows
-        (3, k) and (R, k), whose products by elements make J of these; (R, k / 2) where x and y
-        have the same rows.
+    of_each
+        J of these.
     score, information
         (k,) and (k, k) of what pooled rows leave, structure, 0 where an effect says nothing of it;
         where each actuator has K parameters (K, K, n), as those of different ones share nothing.
-    feigned, feigned_information
-        (k, n) D_te on alpha and (k, k) D_tt; None where noise of fitted readings feigns nothing.
+    feigns
+        Makes (k, n) D_te on alpha and (k, k) D_tt; None where noise of fitted readings feigns
+        nothing.
     actuators
         Whose the parameters are, over and over; None where of all, or of none.
     """
 
+    count: int
     remove: Removal
     jacobian: Array | None = None
-    arms: Array | None = None
-    rows: Array | None = None
+    of_each: OfEach | None = None
     score: Array | float = 0.0
     information: Array | float = 0.0
-    feigned: Array | None = None
-    feigned_information: Array | float = 0.0
+    feigns: Callable[[], tuple[Array, Array | float]] | None = None
     actuators: NDArray[np.intp] | None = None
-
-    @property
-    def count(self) -> int:
-        """K."""
-        parameters = self.jacobian if self.jacobian is not None else self.arms
-        return 0 if parameters is None else int(parameters.shape[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +125,15 @@ def scored(fit: FittedRows, derivative: Derivative) -> Scored:
     n = fit.problem.n
     score, whole, told = _from_balance(fit, derivative)
     whole += _of_all(derivative.information)
-    if derivative.feigned is not None:
-        told[:, :n] -= derivative.feigned  # M_te - D_te
+    feigned, feigned_information = derivative.feigns() if derivative.feigns else (None, 0.0)
+    if feigned is not None:
+        told[:, :n] -= feigned  # M_te - D_te
     half = fit.half_solved(told)
     by_fit = half.T @ half
     result = Scored(
         score=score + derivative.score,
         variance=whole - by_fit,
-        information=whole - derivative.feigned_information - by_fit,
+        information=whole - feigned_information - by_fit,
         whole=np.diag(whole).copy(),
         moved=lambda: fit.solved_half(half),
     )
@@ -122,8 +142,8 @@ def scored(fit: FittedRows, derivative: Derivative) -> Scored:
         on_alpha, noise = result.moves[:, :n], fit.minimum.noise_information
         less = on_alpha @ noise.root.T
         result.variance[:] += (on_alpha * noise.diagonal) @ on_alpha.T - less @ less.T
-    if derivative.feigned is not None:
-        both = derivative.feigned @ result.moves[:, :n].T
+    if feigned is not None:
+        both = feigned @ result.moves[:, :n].T
         result.variance[:] -= both + both.T
     return result
 
@@ -133,19 +153,19 @@ def _from_balance(fit: FittedRows, derivative: Derivative) -> tuple[Array, Array
     if derivative.jacobian is not None:
         k = derivative.count
         white = np.einsum("ab,rbk->rak", fit.root, derivative.jacobian, optimize=True)
-        white = white.reshape(-1, k)
-        return white.T @ fit.white_rho, white.T @ white, white.T @ fit.white_jacobian
-    arms, rows = derivative.arms, derivative.rows
-    assert arms is not None and rows is not None  # noqa: PT018  # the one or the other
-    pulled, times = fit.root @ arms, arms.shape[1] // rows.shape[1]
-    n, white_rho = fit.problem.n, fit.white_rho.reshape(-1, 3)
-    score = np.sum(pulled * np.tile(white_rho.T @ rows, times), axis=0)
+        flat = white.reshape(-1, k)
+        return flat.T @ fit.white_rho, flat.T @ flat, fit.cross(white)
+    of_each = derivative.of_each
+    assert of_each is not None  # the one or the other
+    rows, pulled = of_each.rows(), fit.root @ of_each.arms
+    n, times = fit.problem.n, pulled.shape[1] // rows.shape[1]
     cross = np.empty((derivative.count, fit.free))
     fitted = np.tile(rows.T @ fit.fitted_rows, (times, 1))
     np.multiply(pulled.T @ fit.white_arms, fitted, out=cross[:, :n])
     share = np.tile(rows.T @ fit.share, (times, 1))
     cross[:, n:] = np.einsum("kl,ak,lau->ku", share, pulled, fit.white_beside, optimize=True)
-    return score, (pulled.T @ pulled) * np.tile(rows.T @ rows, (times, times)), cross
+    whole = (pulled.T @ pulled) * np.tile(rows.T @ rows, (times, times))
+    return of_each.score, whole, cross
 
 
 def _of_all(information: Array | float) -> Array | float:
@@ -158,146 +178,32 @@ def _of_all(information: Array | float) -> Array | float:
     return whole.reshape(k * n, k * n)
 
 
-@dataclass(frozen=True, eq=False)
-class RowFunctions:
-    """K functions h of a row, on which an effect on readings depends.
+def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, Array, Array] | None:
+    """Return U_t, the diagonal of M_tt, and what the diagonal of V is at least, (k,) each.
 
-    Attributes
-    ----------
-    first, second
-        (K, g) weighted sums of h and h^2 over the rows of each group.
-    chosen
-        Which they are of the functions of `moments.WithinGroups`; None where h is the same for all
-        rows of a group.
+    Of many parameters at a cost of O(n) each. V is what the structure tells, and for the balance a
+    covariance too: its diagonal cannot be less than 0, but for D where that is left out. Where the
+    structure tells nothing V itself, a few actuators at a time. None where neither is to be had.
     """
-
-    first: Array
-    second: Array
-    chosen: slice | None = None
-
-
-def of_groups(moments: Moments, h: Array) -> RowFunctions:
-    """Return (K, g) functions that are the same for all rows of a group."""
-    return RowFunctions(h * moments.weight, h**2 * moments.weight)
-
-
-def of_rows(moments: Moments, within: WithinGroups, chosen: slice) -> RowFunctions:
-    """Return some of the functions by which rows of one group differ."""
-    counted = moments.weight > 0
-    return RowFunctions(within.first[chosen] * counted, within.second[chosen] * counted, chosen)
-
-
-@dataclass(frozen=True, eq=False)
-class OnReadings:
-    """What an effect on readings does, g = h(row) e(group, actuator), by actuator.
-
-    Attributes
-    ----------
-    remove
-        Takes the effect of (K, n) sizes out of moments.
-    rows
-        (R, K, n) U' r h e.
-    score, information
-        (K, n) and (K, K, n) of what pooled rows leave.
-    feigned
-        (K, n, n) D_te of each actuator on alpha; None where noise does not reach e.
-    """
-
-    remove: Callable[[Moments, Array], Moments]
-    rows: Array
-    score: Array
-    information: Array
-    feigned: Array | None
-
-
-def on_readings(
-    fit: FittedRows, functions: RowFunctions, field: Array, *, gain: bool = False
-) -> OnReadings:
-    """Return what an effect on readings does.
-
-    Between groups e is taken at the fit; within them, where a gain changes, it is -c_mean.
-
-    Parameters
-    ----------
-    fit, functions
-        The fit; h.
-    field
-        (g, n) e.
-    gain
-        Whether e is -c^, which noise reaches; else 1 where rows of one group differ.
-    """
-    moments, noise, first = fit.moments, fit.problem.noise.variance, functions.first
-    k, n, pooling = len(first), fit.problem.n, moments.pooling
-    mean = first / np.where(moments.weight > 0, moments.weight, 1.0)
-    rows = np.empty((len(fit.rows), k, n))
-    for index, h in enumerate(mean):
-        rows[:, index] = pooling.rows(field, h)
-    score, information = np.zeros((k, n)), np.zeros((k, k, n))
-    if fit.independent:
-        square = field**2
-        score -= first @ (field * fit.apart)
-        information -= np.einsum("rki,rli->kli", rows, rows, optimize=True)
-        information += np.stack([(mean * one) @ square for one in first])
-        if functions.chosen is not None and moments.within is not None:
-            own, sums = _own(moments.within, gain=gain)
-            score -= sums[functions.chosen]
-            square = np.square(own, out=square)
-            for index in range(k):
-                products = moments.within.products(range(*functions.chosen.indices(10**9))[index])
-                apart = products[functions.chosen] * (moments.weight > 0) - mean * first[index]
-                information[index] += apart @ square
-        else:
-            apart = functions.second - first * mean
-            information[np.arange(k), np.arange(k)] += apart @ square
-        score, information = score / noise, information / noise
-    feigned = None
-    if gain:
-        trace = first @ pooling.squared_lengths
-        gram = fit.white_arms.T @ fit.white_arms
-        feigned = trace[:, None, None] * (fit.alpha[:, None] * gram * fit.noise_covariance)
-
-    def remove(before: Moments, size: Array) -> Moments:
-        return _without(before, functions, field, size, gain=gain)
-
-    return OnReadings(remove, rows, score, information, feigned)
-
-
-def of_each(fit: FittedRows, effect: OnReadings) -> Derivative:
-    """Return the derivative of an effect with parameters of each actuator, in the order (K, n)."""
-    count, k, n = effect.rows.shape
-
-    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return problem, effect.remove(before, theta.reshape(k, n))
-
-    return Derivative(
-        remove,
-        arms=-np.tile(fit.scaled_arms, k),
-        rows=effect.rows.reshape(count, k * n),
-        score=effect.score.ravel(),
-        information=effect.information,
-        feigned=None if effect.feigned is None else effect.feigned.reshape(k * n, n),
-    )
-
-
-def of_all(fit: FittedRows, effect: OnReadings) -> Derivative:
-    """Return the derivative of an effect whose parameters all actuators share."""
-
-    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
-        return problem, effect.remove(before, np.repeat(theta[:, None], fit.problem.n, axis=1))
-
-    return Derivative(
-        remove,
-        jacobian=-np.einsum("ai,rki->rak", fit.scaled_arms, effect.rows, optimize=True),
-        score=effect.score.sum(axis=1),
-        information=effect.information.sum(axis=2),
-        feigned=None if effect.feigned is None else effect.feigned.sum(axis=1),
-    )
+    of_each = derivative.of_each
+    if of_each is None:
+        return None
+    if of_each.parts is not None:
+        diagonals = [np.diag(scored(fit, part).variance) for part in of_each.parts()]
+        blocks = [diagonal.reshape(2, -1) for diagonal in diagonals]  # x, then y, of some actuators
+        return of_each.score, of_each.whole, np.hstack(blocks).ravel()
+    information = derivative.information
+    if isinstance(information, float) or information.ndim == 2:
+        return None
+    told = np.einsum("kkn->kn", information).ravel()
+    whole = of_each.whole + told
+    return of_each.score + derivative.score, whole, told - 2 * NO_NOISE * of_each.whole
 
 
 def without_direction(derivative: Derivative, direction: Array) -> Derivative:
     """Return an effect whose (K, n) parameters do nothing along one (n,) direction."""
-    arms, rows = derivative.arms, derivative.rows
-    assert arms is not None and rows is not None  # noqa: PT018  # of each actuator
+    of_each = derivative.of_each
+    assert of_each is not None
     n, unit = len(direction), direction / np.linalg.norm(direction)
 
     def left(values: Array) -> Array:
@@ -308,40 +214,11 @@ def without_direction(derivative: Derivative, direction: Array) -> Derivative:
         return derivative.remove(problem, before, left(theta))
 
     return Derivative(
+        derivative.count,
         remove,
-        jacobian=left(arms * rows[:, None]),
+        jacobian=left(of_each.arms * of_each.rows()[:, None]),
         score=left(np.zeros(derivative.count) + derivative.score),
         information=left(
             left(np.zeros((derivative.count,) * 2) + _of_all(derivative.information)).T
         ),
     )
-
-
-def _own(within: WithinGroups, *, gain: bool) -> tuple[Array | float, Array]:
-    """Return e as the rows of a group have it, and the (K, n) weighted sums of h (c - c_mean) e."""
-    return (-within.mean, -within.gain) if gain else (np.ones_like(within.mean), within.zero)
-
-
-def _without(
-    moments: Moments, rows: RowFunctions, field: Array, size: Array, *, gain: bool
-) -> Moments:
-    """Return moments without an effect on readings of (K, n) sizes."""
-    counted = moments.weight > 0
-    total = np.where(counted, moments.weight, 1.0)[:, None]
-    shift = (rows.first.T @ size) / total
-    mean, within = moments.mean - shift * field, moments.within
-    if rows.chosen is None or within is None:
-        return replace(moments, mean=mean)
-    own, sums = _own(within, gain=gain)
-    sizes = np.zeros((len(within.first), size.shape[1]))
-    sizes[rows.chosen] = size
-    scatter = moments.scatter - 2.0 * np.sum(size * sums[rows.chosen], axis=0)
-    zeros, gains = within.zero.copy(), within.gain.copy()
-    for index, first in enumerate(within.first):
-        together = within.products(index) * counted
-        apart = (together.T @ sizes - (first * counted)[:, None] * shift) * own
-        zeros[index] -= apart.sum(axis=0)
-        gains[index] -= np.sum(apart * within.mean, axis=0)
-        scatter += sizes[index] * np.sum(apart * own, axis=0)
-    within = replace(within, zero=zeros, gain=gains)
-    return replace(moments, mean=mean, scatter=np.maximum(scatter, 0.0), within=within)

@@ -21,7 +21,7 @@ from truenewton.estimation.effects.catalogue import PUT_ON_ANEW, ZEROS_OF_EACH
 from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.effects.score_test import EffectTest, named, tests
+from truenewton.estimation.effects.score_test import EffectTest, named
 from truenewton.estimation.effects.shared_noise import beside_shared_noise
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
 from truenewton.estimation.minimum import Minimum
@@ -31,7 +31,6 @@ from truenewton.estimation.problem import Problem
 from truenewton.estimation.structure import Structure, structure_of
 
 MOST = 4  # effects at once
-MOST_ACTUATORS = 2000  # beyond which there is no room for the fitted readings of every shape
 MOST_FORCES = 2  # actuators at which forces come and go: three can make any imbalance
 ROUNDS = 4  # for the size of each
 NEARLY = 2.0  # chi^2 over degrees of freedom that unknown forces, normal as they are not, may leave
@@ -58,7 +57,7 @@ def examined(
         Deviations of some rows from their repeats, in parts of (m, n) [N].
     """
     plain = Examined(problem, moments, minimum)
-    if structure is None or problem.n > MOST_ACTUATORS:
+    if structure is None:
         return plain
     # What files or hours do to all readings looks like noise that they share, until it is out.
     unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)
@@ -125,7 +124,7 @@ def _cured(
     now, first = start, start
     for _ in range(MOST):
         fit = FittedRows(now.problem, now.moments, now.minimum, independent)
-        found = named(tests(fit))
+        found = named(fit)
         shared = within and not now.effects  # noise, or what such an effect does
         if shared:
             found = beside_shared_noise(found, fit, samples)

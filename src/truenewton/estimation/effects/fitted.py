@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
+from scipy.linalg.lapack import dpotrf
 
 from truenewton.arrays import Array
 from truenewton.estimation.imbalance import imbalance_covariance
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
-from truenewton.linalg import mirrored
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class FittedRows:
     struck
         Indices of the actuators whose effect that is, where it is that of single ones.
     found
-        What several effects need of it, by name, once found.
+        What several effects do to readings, by their field, once found.
     """
 
     problem: Problem
@@ -62,11 +62,6 @@ class FittedRows:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(s + self.problem.disturbance)))
 
     @cached_property
-    def rows(self) -> Array:
-        """(R, n) y = U' r c [N]."""
-        return self.moments.pooling.rows(self.moments.mean)
-
-    @cached_property
     def share(self) -> Array:
         """(R, L) how much of each load a row carries."""
         return self.moments.pooling.rows(self.moments.of_load)
@@ -77,7 +72,8 @@ class FittedRows:
         of_loads = self.problem.data(self.moments)[0]
         known = self.moments.pooling.rows(self.moments.known)
         k = of_loads.external(self.minimum.values[self.problem.n :])
-        return self.rows @ self.scaled_arms.T + known + self.share @ k
+        pooled = self.moments.pooling.rows(self.moments.mean @ self.scaled_arms.T)
+        return pooled + known + self.share @ k
 
     @cached_property
     def white_rho(self) -> Array:
@@ -85,31 +81,45 @@ class FittedRows:
         return (self.rho @ self.root.T).ravel()
 
     @cached_property
+    def _p(self) -> Array:
+        """(3, n) P'."""
+        return np.asarray(
+            self.root.T @ self.root @ (self.scaled_arms * self.problem.noise.in_balance)
+        )
+
+    @cached_property
     def fitted_rows(self) -> Array:
         """(R, n) c^ = y - P rho, the likeliest noiseless rows [N]."""
-        p = (self.scaled_arms * self.problem.noise.in_balance).T @ self.root.T @ self.root
-        return self.rows - self.rho @ p.T
+        rows = self.moments.pooling.rows(self.moments.mean)
+        rows -= self.rho @ self._p
+        return rows
+
+    def fitted(self, some: slice = slice(None)) -> Array:
+        """Return (g, b) the same of every group, of some actuators [N]."""
+        return self.moments.pooling.groups(self.fitted_rows[:, some])
+
+    def apart(self, some: slice = slice(None)) -> Array:
+        """Return (g, b) what pooled rows leave of the means of some actuators, c - U y [N]."""
+        rows = self.fitted_rows[:, some] + self.rho @ self._p[:, some]
+        return np.asarray(self.moments.mean[:, some] - self.moments.pooling.groups(rows))
 
     @cached_property
-    def fitted(self) -> Array:
-        """(g, n) the same of every group [N]."""
-        return self.moments.pooling.groups(self.fitted_rows)
+    def taken(self) -> Array:
+        """(3, n) what S takes from Sigma: V = Sigma - taken' taken."""
+        noise = self.problem.noise
+        return np.asarray(np.sqrt(noise.share) * (self.root @ (self.scaled_arms * noise.variance)))
 
-    @property
-    def recorded(self) -> Array:
-        """(g, n) the same as recorded, with what is being taken out: coils bend by that [N]."""
-        return self.fitted + self.removed
+    def recorded(self, some: slice = slice(None)) -> Array:
+        """Return (g, b) c^ as recorded, with what is being taken out: coils bend by that [N]."""
+        removed = self.removed if isinstance(self.removed, float) else self.removed[:, some]
+        return self.fitted(some) + removed
 
-    @cached_property
-    def apart(self) -> Array:
-        """(g, n) what pooled rows leave of the means, c - U y [N]."""
-        return self.moments.mean - self.moments.pooling.groups(self.rows)
-
-    @cached_property
-    def noise_covariance(self) -> Array:
-        """(n, n) V of the noise that fitted rows carry still [N^2]."""
-        taken = self.root @ (self.scaled_arms * self.problem.noise.variance)
-        return np.diag(self.problem.noise.variance) - self.problem.noise.share * taken.T @ taken
+    def noise_covariance(self, some: slice | NDArray[np.intp] = slice(None)) -> Array:
+        """Return (b, n) V of the noise that fitted rows carry still, of some actuators [N^2]."""
+        rows = np.arange(self.problem.n)[some]
+        covariance = np.asarray(-self.taken[:, some].T @ self.taken)
+        covariance[np.arange(len(rows)), rows] += self.problem.noise.variance[some]
+        return covariance
 
     @cached_property
     def free(self) -> int:
@@ -132,16 +142,31 @@ class FittedRows:
     def white_jacobian(self) -> Array:
         """(3 R, free) S^-1/2 J of alpha and the unknowns beside it."""
         n = self.problem.n
-        jacobian = np.empty((len(self.rows), 3, self.free))
+        jacobian = np.empty((len(self.fitted_rows), 3, self.free))
         np.multiply(self.white_arms[None], self.fitted_rows[:, None], out=jacobian[:, :, :n])
         jacobian[:, :, n:] = np.tensordot(self.share, self.white_beside, axes=1)
         return jacobian.reshape(-1, self.free)
 
+    def cross(self, white: Array) -> Array:
+        """Return (k, free) sum of J' S^-1 J_e of (R, 3, k) S^-1/2 J."""
+        count, _, k = white.shape
+        n = self.problem.n
+        cross = np.empty((k, self.free))
+        on_rows = (white.reshape(count, 3 * k).T @ self.fitted_rows).reshape(3, k, n)
+        np.einsum("akn,an->kn", on_rows, self.white_arms, out=cross[:, :n])
+        on_loads = (white.reshape(count, 3 * k).T @ self.share).reshape(3, k, -1)
+        cross[:, n:] = np.einsum("akl,lau->ku", on_loads, self.white_beside)
+        return cross
+
     @cached_property
     def information_factor(self) -> Array:
-        """(free, free) lower Cholesky factor of H."""
-        information = mirrored(self.minimum.information[: self.free, : self.free])
-        return np.asarray(scipy.linalg.cholesky(information, lower=True, check_finite=False))
+        """(free, free) lower Cholesky factor of H; above its diagonal stands anything."""
+        information = self.minimum.information[: self.free, : self.free]
+        # The upper triangle is the lower one in the order of Fortran, so no second copy is made.
+        factor, failed = dpotrf(information.T, lower=True, clean=False)
+        if failed:
+            raise np.linalg.LinAlgError("the information is not positive definite")
+        return np.asarray(factor)
 
     def half_solved(self, cross: Array) -> Array:
         """Return (free, k) L^-1 cross' of (k, free), L the Cholesky factor of H."""

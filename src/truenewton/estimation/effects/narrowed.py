@@ -12,8 +12,9 @@ import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.effects.derivative import Derivative, OnReadings
+from truenewton.estimation.effects.derivative import Derivative, OfEach
 from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.effects.readings import OnReadings, means, traces, without
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.problem import Problem
@@ -23,36 +24,59 @@ FEW = 0.1  # of the actuators: beyond it is no matter of single ones
 HELD = 1e-4  # of the largest information: directions that the data hold
 
 
-def of_single(fit: FittedRows, effect: OnReadings) -> Derivative | None:
+def of_single(
+    fit: FittedRows, effect: OnReadings, chosen: slice, weight: Array
+) -> Derivative | None:
     """Return the derivative of an effect with parameters of the actuators that stand out alone.
 
-    In the order (K, chosen); None where there is no such actuator, or many.
+    In the order (K, actuators), of some functions, which count from their mean (`about_mean`); None
+    where there is no such actuator, or many.
     """
-    chosen, n = fit.struck, fit.problem.n
-    if chosen is None:
-        chosen = standing_out(effect.score, effect.information)
-        if not 0 < chosen.size <= max(1, FEW * n):
+    n, left = fit.problem.n, _from_mean(weight)
+    here = slice(chosen.start - effect.each.start, chosen.stop - effect.each.start)
+    score = left.T @ effect.each_score[here]
+    information = np.einsum("kl,kmn->lmn", left, effect.each_information[here, here], optimize=True)
+    information = np.einsum("lmn,mo->lon", information, left, optimize=True)
+    struck = fit.struck
+    if struck is None:
+        struck = standing_out(score, information)
+        if not 0 < struck.size <= max(1, FEW * n):
             return None
-    count, k, _ = effect.rows.shape
+    k, some = len(weight), struck
+    h = left.T @ means(fit.moments, effect.functions)[chosen]
+    values = effect.field.values(fit, slice(None))[:, some]
+    rows = np.stack([fit.moments.pooling.weighed(one) @ values for one in h], axis=1)
+    arms = fit.scaled_arms[:, some]
+    pulled = fit.root @ arms
+    pull = np.einsum("ra,rkc->akc", fit.white_rho.reshape(-1, 3), rows, optimize=True)
 
     def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
         size = np.zeros((k, n))
-        size[:, chosen] = theta.reshape(k, -1)
-        return problem, effect.remove(before, size)
+        size[:, some] = left @ theta.reshape(k, -1)
+        return problem, without(fit, before, effect, chosen, size)
 
-    own = effect.information[:, :, chosen]
-    information = np.zeros((k, chosen.size, k, chosen.size))
-    at = np.arange(chosen.size)
-    information[:, at, :, at] = np.moveaxis(own, 2, 0)
-    feigned = effect.feigned
+    def feigns() -> tuple[Array, float]:
+        gram = fit.white_arms[:, some].T @ fit.white_arms
+        each = fit.alpha[some, None] * gram * fit.noise_covariance(some)
+        trace = left.T @ traces(fit, effect)[chosen]
+        return (trace[:, None, None] * each).reshape(-1, n), 0.0
+
+    at = np.arange(some.size)
+    spread = np.zeros((k, some.size, k, some.size))
+    spread[:, at, :, at] = np.moveaxis(information[:, :, some], 2, 0)
     return Derivative(
+        k * some.size,
         remove,
-        arms=-np.tile(fit.scaled_arms[:, chosen], k),
-        rows=effect.rows[:, :, chosen].reshape(count, -1),
-        score=effect.score[:, chosen].ravel(),
-        information=information.reshape(k * chosen.size, -1),
-        feigned=None if feigned is None else feigned[:, chosen].reshape(-1, n),
-        actuators=chosen,
+        of_each=OfEach(
+            arms=-np.tile(arms, k),
+            rows=lambda: rows.reshape(len(rows), -1),
+            score=-np.sum(pulled[:, None] * pull, axis=0).ravel(),
+            whole=(np.sum(pulled**2, axis=0) * np.sum(rows**2, axis=0)).ravel(),
+        ),
+        score=score[:, some].ravel(),
+        information=spread.reshape(k * some.size, -1),
+        feigns=feigns if effect.field.gain else None,
+        actuators=some,
     )
 
 
@@ -68,22 +92,33 @@ def standing_out(score: Array, information: Array) -> NDArray[np.intp]:
     return np.flatnonzero(chance < SELDOM / score.shape[1])
 
 
-def about_mean(effect: OnReadings, weight: Array) -> OnReadings:
-    """Return an effect whose (K,) functions count from their mean, of (K,) weights of theirs.
+def about_mean(derivative: Derivative, weight: Array) -> Derivative:
+    """Return an effect of all actuators whose (K,) parameters count from their weighed mean.
 
     So alpha stays that of the whole campaign, and none of its error is that of the mean.
     """
-    k = len(weight)
-    left = np.eye(k) - np.outer(np.ones(k), weight / weight.sum())  # of sizes
+    left, feigns = _from_mean(weight), derivative.feigns
+    assert derivative.jacobian is not None
 
-    def remove(before: Moments, size: Array) -> Moments:
-        return effect.remove(before, left @ size)
+    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return derivative.remove(problem, before, left @ theta)
 
-    turned = np.einsum("kl,kmn->lmn", left, effect.information, optimize=True)
-    return OnReadings(
+    def turned() -> tuple[Array, Array | float]:
+        assert feigns is not None
+        on_alpha, own = feigns()
+        return left.T @ on_alpha, own
+
+    return Derivative(
+        derivative.count,
         remove,
-        np.einsum("rki,kl->rli", effect.rows, left, optimize=True),
-        left.T @ effect.score,
-        np.einsum("lmn,mo->lon", turned, left, optimize=True),
-        None if effect.feigned is None else np.tensordot(left.T, effect.feigned, axes=1),
+        jacobian=derivative.jacobian @ left,
+        score=left.T @ derivative.score,
+        information=left.T @ derivative.information @ left,
+        feigns=turned if feigns else None,
     )
+
+
+def _from_mean(weight: Array) -> Array:
+    """Return (K, K) of sizes less their mean, of (K,) weights."""
+    k = len(weight)
+    return np.asarray(np.eye(k) - np.outer(np.ones(k), weight / weight.sum()))

@@ -7,14 +7,14 @@ U' U, in units that make V's diagonal 1, against tr V chi^2(nu) / nu with nu = (
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.special
-import scipy.stats
 
 from truenewton.estimation.effects.catalogue import CATALOGUE, Effect
-from truenewton.estimation.effects.derivative import Derivative, scored
+from truenewton.estimation.effects.derivative import Derivative, scored, variance_at_least
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 
@@ -47,20 +47,61 @@ class EffectTest:
 
 def tests(fit: FittedRows) -> list[EffectTest]:
     """Test the catalogue at a fit, the likeliest effect first; those that no data tell are left."""
-    found = []
+    found = [_tested(fit, *pair) for pair in _derivatives(fit)]
+    return sorted((test for test in found if test), key=lambda test: test.log_probability)
+
+
+def named(fit: FittedRows) -> list[EffectTest]:
+    """Return the effects that are there; of four hundred sound campaigns one is accused of one.
+
+    Of effects with a parameter of each actuator tr V^2 is asked only where tr V leaves a doubt.
+    """
+    found, sound = [], 0
+    for effect, derivative in _derivatives(fit):
+        if surely_sound(fit, derivative):
+            sound += 1
+        elif test := _tested(fit, effect, derivative):
+            found.append(test)
+    return there(found, sound)
+
+
+def there(found: Sequence[EffectTest], sound: int = 0) -> list[EffectTest]:
+    """Return those that chance does not make, among so many sound ones, the likeliest first."""
+    limit = np.log(-np.expm1(np.log1p(-OF_EACH_KIND) / max(len(found) + sound, 1)))
+    chosen = [test for test in found if test.log_probability < limit]
+    return sorted(chosen, key=lambda test: test.log_probability)
+
+
+def _derivatives(fit: FittedRows) -> Iterator[tuple[Effect, Derivative]]:
     for effect in CATALOGUE:
         derivative = effect.derivative(fit)
         if derivative is not None and derivative.count:
-            test = _tested(fit, effect, derivative)
-            if test is not None:
-                found.append(test)
-    return sorted(found, key=lambda test: test.log_probability)
+            yield effect, derivative
 
 
-def named(found: list[EffectTest]) -> list[EffectTest]:
-    """Return the effects that are there; of four hundred sound campaigns one is accused of one."""
-    limit = np.log(-np.expm1(np.log1p(-OF_EACH_KIND) / max(len(found), 1)))
-    return [test for test in found if test.log_probability < limit]
+def _blind(fit: FittedRows) -> float:
+    return DISTURBED if np.any(fit.problem.disturbance) else BLIND
+
+
+def surely_sound(fit: FittedRows, derivative: Derivative) -> bool:
+    """Tell whether an effect of many parameters would not be named even if it alone were asked.
+
+    With f = U' U / tr V the chance is that of chi^2(nu) > f nu. tr V is known, or more than taken
+    for. nu lies between 1 and the number of parameters, and there the chance is least at either
+    end: as nu grows it grows first, then falls.
+    """
+    k = derivative.count
+    if not FEW < k <= MANY * fit.problem.n:
+        return False
+    at_least = variance_at_least(fit, derivative)
+    if at_least is None:
+        return False
+    score, whole, variance = at_least
+    if not (variance > _blind(fit) * whole).all():
+        return False
+    f = float(np.sum(score**2 / whole) / np.sum(variance / whole))
+    least = min(log_chance(f * nu, nu) for nu in (1.0, float(k)))
+    return least > float(np.log(OF_EACH_KIND))
 
 
 def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTest | None:
@@ -68,7 +109,7 @@ def _tested(fit: FittedRows, effect: Effect, derivative: Derivative) -> EffectTe
     if derivative.count > MANY * fit.problem.n:
         return _tested_by_structure(effect, derivative)
     result = scored(fit, derivative)
-    blind = DISTURBED if np.any(fit.problem.disturbance) else BLIND
+    blind = _blind(fit)
     seen = np.diag(result.variance) > blind * result.whole
     if not seen.any():
         return None
@@ -104,8 +145,8 @@ def _tested_by_structure(effect: Effect, derivative: Derivative) -> EffectTest |
 
 def log_chance(chi2: float, freedom: float) -> float:
     """Return the logarithm of the chance of a larger chi^2, however small it is."""
-    exact = float(scipy.stats.chi2.logsf(chi2, freedom))
-    if np.isfinite(exact):
-        return exact
+    chance = float(scipy.special.chdtrc(freedom, chi2))
+    if chance > 0.0:
+        return float(np.log(chance))
     half = 0.5 * freedom  # the first term of the incomplete Gamma function's expansion
     return float((half - 1.0) * np.log(0.5 * chi2) - 0.5 * chi2 - scipy.special.gammaln(half))

@@ -20,7 +20,7 @@ import scipy.stats
 
 from truenewton.arrays import Array
 from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.effects.score_test import EffectTest, log_chance, named
+from truenewton.estimation.effects.score_test import EffectTest, log_chance, there
 from truenewton.estimation.structure import independent_readings
 
 
@@ -35,8 +35,8 @@ def beside_shared_noise(
     """
     some = [test for test in found if test.effect.within]
     judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
-    there = {test.effect.name for test in named(judged)}
-    return [test for test in some if test.effect.name in there]
+    names = {test.effect.name for test in there(judged)}
+    return [test for test in some if test.effect.name in names]
 
 
 def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
@@ -47,7 +47,7 @@ def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
         chance = log_chance(share * statistic, share * freedom)
         return replace(test, log_probability=chance)
     gain = test.effect.name.startswith("gain")
-    weights = (fit.fitted.mean(axis=0) if gain else np.ones(n)) / variance
+    weights = (fit.fitted().mean(axis=0) if gain else np.ones(n)) / variance
     kappa = float(np.mean((samples @ weights) ** 2) / np.sum(weights**2 * variance))
     left = fit.moments.repeats - freedom
     rest = max(kappa * fit.moments.repeats - statistic, left)

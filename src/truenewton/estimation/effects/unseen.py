@@ -19,22 +19,22 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import UnseenError
-from truenewton.estimation.effects.catalogue import GAIN_BY_LOAD, on_balance
-from truenewton.estimation.effects.derivative import (
-    Derivative,
-    of_all,
-    of_each,
-    of_groups,
-    on_readings,
-    scored,
-)
-from truenewton.estimation.effects.examination import MOST_ACTUATORS
+from truenewton.estimation.effects.catalogue import GAIN_BY_LOAD, ONLY, on_balance
+from truenewton.estimation.effects.derivative import Derivative, scored
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.effects.readings import (
+    Field,
+    RowFunctions,
+    of_all,
+    of_each,
+    on_readings,
+)
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.weights import MAGNETS, NEGLIGIBLE
 from truenewton.records.campaign import load_temperatures
 
+MOST_ACTUATORS = 2000  # whose coils are judged each by itself: beyond, there is no room for it
 TOLD = 0.1  # of the usual size: what is left of an effect that the data tell
 
 
@@ -54,13 +54,20 @@ class Unseen:
     derivative: Callable[[FittedRows], Derivative | None]
 
 
-def static_gain(fit: FittedRows) -> Derivative:
+def static_gain(fit: FittedRows) -> Derivative | None:
     """Let a coil's gain for elastic forces be another than for those at rest: g = -c^ + rest."""
+    if fit.problem.n > MOST_ACTUATORS:
+        return None
     moments = fit.moments
     of_load = moments.of_load * moments.weight[:, None]
-    at_rest = (of_load / of_load.sum(axis=0)).T @ fit.fitted
-    field = 0.01 * (moments.of_load @ at_rest - fit.fitted)
-    return of_each(fit, on_readings(fit, of_groups(moments, np.ones((1, len(field)))), field))
+    share = (of_load / of_load.sum(axis=0)).T
+
+    def elastic(at: FittedRows, some: slice) -> Array:
+        fitted = at.fitted(some)
+        return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
+
+    functions = RowFunctions(moments.weight[None])
+    return of_each(fit, on_readings(fit, functions, Field("elastic", elastic), ONLY), ONLY)
 
 
 def borne(fit: FittedRows) -> Derivative:
@@ -98,8 +105,9 @@ def with_magnets_unsure(left: Examined) -> Minimum:
 def zero_by_load(fit: FittedRows) -> Derivative:
     """Move the zero of all readings under each load but the first."""
     size = 0.1 * float(np.sqrt(fit.problem.noise.variance.mean() * fit.moments.typical_variance))
-    rows = of_groups(fit.moments, fit.moments.of_load.T[1:])
-    return of_all(fit, on_readings(fit, rows, np.full_like(fit.fitted, size)))
+    rows = RowFunctions((fit.moments.of_load * fit.moments.weight[:, None]).T[1:])
+    field = Field("zero", lambda at, _: np.full((len(at.moments.mean), 1), size))
+    return of_all(fit, on_readings(fit, rows, field), slice(0, len(rows.first)))
 
 
 def _up(fit: FittedRows) -> Array:
@@ -117,8 +125,6 @@ UNSEEN: tuple[Unseen, ...] = (
 
 def unseen_errors(left: Examined) -> tuple[UnseenError, ...]:
     """Return what the data cannot show would do to the common scale, the largest first."""
-    if left.problem.n > MOST_ACTUATORS:
-        return ()
     found = sorted(_unseen(left), key=lambda error: -error.relative)
     return tuple(found)
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from truenewton.estimation.effects.catalogue import POSITIONS
+from truenewton.estimation.effects.catalogue import POSITIONS, parts_of_positions
 from truenewton.estimation.effects.correction import correction, with_error
 from truenewton.estimation.effects.derivative import scored
-from truenewton.estimation.effects.examination import MOST_ACTUATORS
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.minimum import Minimum
@@ -15,12 +16,8 @@ from truenewton.statics.layout import Layout
 
 
 def positions_are_unsure(layout: Layout) -> bool:
-    """Tell whether the positions of the magnets have a declared uncertainty, and are not too many.
-
-    Beyond `MOST_ACTUATORS` the error that it makes is not taken into account.
-    """
-    declared = layout.x_error is not None or layout.y_error is not None
-    return declared and int(layout.enabled.sum()) <= MOST_ACTUATORS
+    """Tell whether the positions of the magnets have a declared uncertainty."""
+    return layout.x_error is not None or layout.y_error is not None
 
 
 def with_positions_unsure(left: Examined) -> Minimum:
@@ -34,14 +31,17 @@ def with_positions_unsure(left: Examined) -> Minimum:
     taken_out = correction(fit, POSITIONS)
     if taken_out is not None:
         return taken_out.minimum
-    derivative = POSITIONS.derivative(fit)
-    if derivative is None:
-        return left.minimum
     layout = left.problem.campaign.layout
-    errors = np.concatenate(
+    errors = np.array(
         [
             np.zeros(fit.problem.n) if error is None else error[layout.enabled]
             for error in (layout.x_error, layout.y_error)
         ]
     )
-    return with_error(fit, scored(fit, derivative).moves, np.diag(errors**2))
+    minimum, first = left.minimum, 0
+    for part in parts_of_positions(fit):  # what all of them move does not fit into one array
+        those = errors[:, first : first + part.count // 2]
+        first += part.count // 2
+        at = replace(fit, minimum=minimum)
+        minimum = with_error(at, scored(fit, part).moves, np.diag(those.ravel() ** 2))
+    return minimum

@@ -1,0 +1,311 @@
+"""What effects on readings do: g = h(row) e(group, actuator), a block of actuators after the other.
+
+K functions h of a row, and a field e. All that depends on actuators is linear or square in e, so
+one pass over the means of groups tells it for all h: for effects that all actuators share, sums
+over actuators, three numbers and a vector a group. No array of all groups is made, since the means
+are as large as a campaign's distinct shapes, and what is made stays in the cache.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.estimation.effects.derivative import Derivative, OfEach
+from truenewton.estimation.effects.fitted import FittedRows
+from truenewton.estimation.moments import Moments, WithinGroups
+from truenewton.estimation.problem import Problem
+
+BLOCK = 2**17  # values of a field at a time, which stay in the cache
+
+
+@dataclass(frozen=True, eq=False)
+class RowFunctions:
+    """K functions h of a row, on which an effect on readings depends.
+
+    Attributes
+    ----------
+    first
+        (K, g) weighted sums of h over the rows of each group.
+    within
+        How many of them, the first, are those of `moments.WithinGroups`; the others are the same
+        for all rows of a group.
+    """
+
+    first: Array
+    within: int = 0
+
+
+def row_functions(moments: Moments, of_groups: Array) -> RowFunctions:
+    """Return those by which rows of one group differ, then (K, g) that groups have as a whole."""
+    within, whole = moments.within, of_groups * moments.weight
+    if within is None:
+        return RowFunctions(whole)
+    first = within.first * (moments.weight > 0)
+    return RowFunctions(np.vstack([first, whole]), len(first))
+
+
+@dataclass(frozen=True)
+class Field:
+    """E of an effect on readings.
+
+    Attributes
+    ----------
+    name
+        By which it is known.
+    values
+        Makes (g, b) e of some actuators at a fit; (g, 1) where it is the same for all.
+    gain
+        Whether e is -c^, which noise reaches, and -c_mean where rows of one group differ; else it
+        is 1 there.
+    """
+
+    name: str
+    values: Callable[[FittedRows, slice], Array]
+    gain: bool = False
+
+    def own(self, within: WithinGroups, some: slice = slice(None)) -> Array:
+        """Return (g, b) e as the rows of a group have it, or (g, 1)."""
+        return -within.mean[:, some] if self.gain else np.ones((len(within.mean), 1))
+
+    def sums(self, within: WithinGroups) -> Array:
+        """Return the (files + 1, n) weighted sums of h (c - c_mean) e."""
+        return -within.gain if self.gain else within.zero
+
+
+ZERO = Field("zero", lambda fit, _: np.ones((len(fit.moments.mean), 1)))
+GAIN = Field("gain", lambda fit, some: -fit.recorded(some), gain=True)
+
+
+@dataclass(frozen=True, eq=False)
+class OnReadings:
+    """What an effect on readings does, for K functions h, for k of them with a size of each.
+
+    Attributes
+    ----------
+    functions, field
+        Its h and e.
+    jacobian
+        (R, 3, K) J, were its parameters those of all actuators.
+    score, information
+        (K,) and (K, K) of what pooled rows leave, then.
+    each
+        Which of the functions each actuator may have a size of its own of.
+    each_score, each_information
+        (k, n) and (k, k, n) of each actuator.
+    each_square, each_pull
+        (k, n) sums over the R rows of the square of U' r h e, and (3, k, n) of the same times
+        S^-1/2 rho.
+    """
+
+    functions: RowFunctions
+    field: Field
+    jacobian: Array
+    score: Array
+    information: Array
+    each: slice
+    each_score: Array
+    each_information: Array
+    each_square: Array
+    each_pull: Array
+
+
+def on_readings(
+    fit: FittedRows, functions: RowFunctions, field: Field, each: slice = slice(0, 0)
+) -> OnReadings:
+    """Return what an effect on readings does.
+
+    Between groups e is taken at the fit; within them, where a gain changes, it is -c_mean.
+    """
+    moments, n, first = fit.moments, fit.problem.n, functions.first
+    within = moments.within if functions.within else None
+    g, mean = first.shape[1], means(moments, functions)
+    # Of several files they are often the same: then all groups of a load have rows of each.
+    kinds: dict[bytes, int] = {}
+    kind = np.array([kinds.setdefault(h.tobytes(), len(kinds)) for h in mean])
+    pools = [moments.pooling.weighed(np.frombuffer(h)) for h in kinds]
+    k = each.stop - each.start
+    told, square, own_square, pulled = np.zeros(g), np.zeros(g), np.zeros(g), np.zeros((g, 3))
+    between = np.zeros((len(kinds), len(kinds)))
+    each_score, each_square = np.zeros((2, k, n))
+    each_information, each_pull = np.zeros((k, k, n)), np.zeros((3, k, n))
+    white_rho, weights = fit.white_rho.reshape(-1, 3), 1.0 / fit.problem.noise.variance
+    for some in blocks_of_actuators(fit):
+        e = field.values(fit, some)
+        if fit.independent:
+            off = e * fit.apart(some)
+            told += off @ weights[some]
+            if k:
+                each_score[:, some] = -(first[each] @ off)
+        weigh, arms = weights[some], fit.scaled_arms[:, some]
+        if e.shape[1] == 1:  # the same for all actuators: once
+            if some.start:
+                continue
+            some = slice(None)
+            weigh = weights.sum(keepdims=True)
+            arms = fit.scaled_arms.sum(axis=1, keepdims=True)
+        pulled += e @ arms.T
+        rows = np.stack([pool @ e for pool in pools])  # (kinds, R, b)
+        flat = (len(kinds), -1)
+        between += (rows * weigh).reshape(flat) @ rows.reshape(flat).T
+        if k:
+            mine = rows[kind[each]]
+            each_square[:, some] = np.sum(mine**2, axis=1)
+            each_pull[:, :, some] = np.moveaxis(white_rho.T @ mine, 1, 0)
+        if not fit.independent:
+            continue
+        e_squared = np.square(e, out=e)
+        square += e_squared @ weigh
+        own = None if within is None else field.own(within, some) ** 2
+        if own is not None:
+            own_square += own @ weigh
+        if k:
+            spread = np.stack([(mean[each] * h) @ e_squared for h in first[each]])
+            if own is not None:
+                spread += _apart(moments, functions, each, own)
+            spread -= np.einsum("krb,lrb->klb", mine, mine)
+            each_information[:, :, some] = spread
+    noise = fit.problem.noise.variance
+    score, information = np.zeros(len(first)), np.zeros((len(first),) * 2)
+    if fit.independent:
+        score -= first @ told
+        information += (mean * square) @ first.T - between[kind][:, kind]
+        if within is not None:
+            every = slice(0, len(first))
+            information += _apart(moments, functions, every, own_square[:, None])[:, :, 0]
+            sums = field.sums(within)
+            score[: functions.within] -= sums @ weights
+            if k:
+                each_score -= sums[each]
+    jacobian = np.stack([pool @ pulled for pool in pools], axis=2)[:, :, kind]
+    return OnReadings(
+        functions, field, -jacobian, score, information, each, each_score / noise,
+        each_information / noise, each_square, each_pull,
+    )  # fmt: skip
+
+
+def blocks_of_actuators(fit: FittedRows) -> Iterator[slice]:
+    """Cut actuators into slices whose groups stay in the cache."""
+    step = max(1, BLOCK // len(fit.moments.mean))
+    for start in range(0, fit.problem.n, step):
+        yield slice(start, min(start + step, fit.problem.n))
+
+
+def means(moments: Moments, functions: RowFunctions) -> Array:
+    """Return (K, g) mean h of the rows of each group."""
+    return np.asarray(functions.first / np.where(moments.weight > 0, moments.weight, 1.0))
+
+
+def _apart(moments: Moments, functions: RowFunctions, chosen: slice, own: Array) -> Array:
+    """Return sums of products of K chosen h, less those of their means, times (g, b) values.
+
+    (K, K, b); 0 for those that are the same for all rows of a group.
+    """
+    k, within = chosen.stop - chosen.start, moments.within
+    apart = np.zeros((k, k, own.shape[1]))
+    if within is None:
+        return apart
+    some = slice(chosen.start, min(chosen.stop, functions.within))
+    mean, counted = means(moments, functions)[some], moments.weight > 0
+    for row, at in enumerate(range(some.start, some.stop)):
+        products = within.products(at)[some] * counted - mean * functions.first[at]
+        apart[row, : len(mean)] = products @ own
+    return apart
+
+
+def of_each(fit: FittedRows, effect: OnReadings, chosen: slice) -> Derivative:
+    """Return the derivative of an effect with parameters of each actuator, in the order (K, n).
+
+    ``chosen`` are its functions.
+    """
+    n, k, pull = fit.problem.n, chosen.stop - chosen.start, fit.root @ fit.scaled_arms
+    here = slice(chosen.start - effect.each.start, chosen.stop - effect.each.start)
+
+    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
+        return problem, without(fit, before, effect, chosen, theta.reshape(k, n))
+
+    def feigns() -> tuple[Array, float]:
+        gram = fit.white_arms.T @ fit.white_arms
+        each = fit.alpha[:, None] * gram * fit.noise_covariance()
+        return np.concatenate([one * each for one in traces(fit, effect)[chosen]]), 0.0
+
+    def rows() -> Array:
+        pooling, values = fit.moments.pooling, effect.field.values(fit, slice(None))
+        made = np.empty((len(fit.fitted_rows), k, n))
+        for index, h in enumerate(means(fit.moments, effect.functions)[chosen]):
+            made[:, index] = pooling.weighed(h) @ values
+        return made.reshape(-1, k * n)
+
+    return Derivative(
+        k * n,
+        remove,
+        of_each=OfEach(
+            arms=-np.tile(fit.scaled_arms, k),
+            rows=rows,
+            score=-np.sum(pull[:, None] * effect.each_pull[:, here], axis=0).ravel(),
+            whole=(np.sum(pull**2, axis=0) * effect.each_square[here]).ravel(),
+        ),
+        score=effect.each_score[here].ravel(),
+        information=effect.each_information[here, here],
+        feigns=feigns if effect.field.gain else None,
+    )
+
+
+def of_all(fit: FittedRows, effect: OnReadings, chosen: slice) -> Derivative:
+    """Return the derivative of an effect whose parameters all actuators share.
+
+    ``chosen`` are its functions.
+    """
+
+    def remove(problem: Problem, before: Moments, theta: Array) -> tuple[Problem, Moments]:
+        size = np.repeat(theta[:, None], fit.problem.n, axis=1)
+        return problem, without(fit, before, effect, chosen, size)
+
+    def feigns() -> tuple[Array, float]:
+        # The sum over i of alpha_i (A' S^-1 A)_ij V_ij, both of rank 3 but for a diagonal.
+        white, taken = fit.white_arms, fit.taken
+        both = (fit.alpha * white) @ taken.T
+        each = fit.alpha * np.sum(white**2, axis=0) * fit.problem.noise.variance
+        each -= np.sum(white * (both @ taken), axis=0)
+        return np.outer(traces(fit, effect)[chosen], each), 0.0
+
+    return Derivative(
+        chosen.stop - chosen.start,
+        remove,
+        jacobian=effect.jacobian[:, :, chosen],
+        score=effect.score[chosen],
+        information=effect.information[chosen, chosen],
+        feigns=feigns if effect.field.gain else None,
+    )
+
+
+def traces(fit: FittedRows, effect: OnReadings) -> Array:
+    """Return (K,) trace of U' r h U."""
+    return np.asarray(effect.functions.first @ fit.moments.pooling.squared_lengths)
+
+
+def without(
+    fit: FittedRows, moments: Moments, effect: OnReadings, chosen: slice, size: Array
+) -> Moments:
+    """Return moments without an effect on readings of (K, n) sizes of some functions."""
+    functions, field, counted = effect.functions, effect.field, moments.weight > 0
+    shift = means(moments, functions)[chosen].T @ size
+    mean, within = moments.mean - shift * field.values(fit, slice(None)), moments.within
+    if chosen.start >= functions.within or within is None:
+        return replace(moments, mean=mean)
+    own, sums = field.own(within), field.sums(within)
+    sizes = np.zeros((len(within.first), size.shape[1]))
+    sizes[chosen] = size
+    scatter = moments.scatter - 2.0 * np.sum(size * sums[chosen], axis=0)
+    zeros, gains = within.zero.copy(), within.gain.copy()
+    for index, first in enumerate(within.first):
+        together = within.products(index) * counted
+        apart = (together.T @ sizes - (first * counted)[:, None] * shift) * own
+        zeros[index] -= apart.sum(axis=0)
+        gains[index] -= np.sum(apart * within.mean, axis=0)
+        scatter += sizes[index] * np.sum(apart * own, axis=0)
+    within = replace(within, zero=zeros, gain=gains)
+    return replace(moments, mean=mean, scatter=np.maximum(scatter, 0.0), within=within)
