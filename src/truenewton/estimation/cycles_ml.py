@@ -48,6 +48,11 @@ from truenewton.estimation.odd_actuators import (
     stuck_faults,
 )
 from truenewton.estimation.outliers import Fitted, balancing_groups, rows_of
+from truenewton.estimation.population import (
+    likeliest_spread,
+    smooth_patterns,
+    with_population,
+)
 from truenewton.estimation.problem import (
     Problem,
     load_data,
@@ -57,7 +62,6 @@ from truenewton.estimation.problem import (
 )
 from truenewton.estimation.repeats import WEIGHED_NOISE
 from truenewton.estimation.sifted import Sifted, naming, refuse_too_many
-from truenewton.estimation.stiffness_ml import population_prior, population_spread
 from truenewton.estimation.structure import FITS
 from truenewton.estimation.undetermined import (
     tolerable,
@@ -69,6 +73,8 @@ from truenewton.estimation.weights import scale_errors, temperature_errors, weig
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
+
+LINEAR = 3  # steps after which a population's pull, linear in each, has settled
 
 
 def find(sifted: Sifted, population: bool = False) -> Estimate:
@@ -142,11 +148,16 @@ def _found(sifted: Sifted, population: bool, suspects: list[FoundEffect]) -> Est
             minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
     method = "ml"
     if population:
+        alpha, smooth = minimum.values[: problem.n], smooth_patterns(problem.a)
         covariance = minimum.reading_covariance[: problem.n, : problem.n]
-        spread = population_spread(minimum.values[: problem.n], covariance)
-        of_population = population_prior(problem.n, spread).information
-        problem = replace(problem, prior=free.prior.with_more(of_population))
-        minimum = problem.fitted(moments, minimum.values)
+        spread = likeliest_spread(smooth, alpha, covariance)
+        for _ in range(LINEAR):
+            prior = with_population(free.prior, smooth, alpha, spread)
+            problem = replace(problem, prior=prior)
+            minimum = problem.fitted(moments, minimum.values)
+            alpha = minimum.values[: problem.n]
+        if wrong or not left.fits:
+            minimum = replace(minimum, reading_covariance=left.excess * minimum.reading_covariance)
         method = f"ml, population {spread:.2g}"
     freedom = problem.degrees_of_freedom(moments) - left.told
     estimate = estimate_of(method, problem, moments, minimum, rejected, patterns.shape[1], freedom)
