@@ -13,12 +13,12 @@ from truenewton.calibration.methods import calibrate, held_out
 from truenewton.errors import RankDeficient
 from truenewton.estimation.stiffness_svd import (
     balance_modes,
-    comparable_arms,
     elastic_modes,
     rms_imbalance,
 )
 from truenewton.reading import read_data
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout
 
 DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
@@ -60,8 +60,8 @@ def test_imbalance_vanishes_on_noiseless_modes_and_on_held_out_ones(method):
 
 
 @pytest.mark.parametrize("method", ["svd", "ml"])
-def test_stated_error_errs_on_the_safe_side(method):
-    """A hundred matrices with equal noise in all elements: the soft modes carry more of it."""
+def test_stated_error_is_that_of_a_hundred_or_on_the_safe_side(method):
+    """Equal noise in all elements: the soft modes carry more of it, the columns the same."""
     truth = p45_bench().truth
     clean = truth.stiffness / truth.alpha[:, None]
     alphas, stated = [], []
@@ -73,9 +73,13 @@ def test_stated_error_errs_on_the_safe_side(method):
         alphas.append(calibration.alpha)
         stated.append(calibration.error)
     ratio = np.sqrt(np.mean(np.square(stated), axis=0)) / np.std(alphas, axis=0, ddof=1)
+    covered = np.abs(alphas - truth.alpha / truth.alpha.mean()) < 1.96 * np.array(stated)
+    if method == "ml":  # its noise model is right here
+        assert ratio.mean() == pytest.approx(1.0, abs=0.06)
+        assert 0.92 < covered.mean() < 0.97
+        return
     assert 1.0 < ratio.mean() < 1.5
     assert np.all(ratio > 0.85)
-    covered = np.abs(alphas - truth.alpha / truth.alpha.mean()) < 1.96 * np.array(stated)
     assert 0.88 < covered.mean() < 0.99
 
 
@@ -118,7 +122,7 @@ def test_on_a_real_lbt672_alpha_restores_balance():
     assert all_modes.after == pytest.approx(0.0091, rel=0.01)
     assert (odd.before, odd.after) == pytest.approx((0.0513, 0.0354), rel=0.02)
     assert (even.before, even.after) == pytest.approx((0.0611, 0.0253), rel=0.02)
-    modes, a = elastic_modes(matrix), comparable_arms(matrix)
+    modes, a = elastic_modes(matrix), comparable_arms(matrix.layout)
     assert len(modes) == 641
     _, values = balance_modes(modes, a)
     assert values[1] / values[0] == pytest.approx(11.7, rel=0.01)  # alpha is determined
@@ -127,19 +131,25 @@ def test_on_a_real_lbt672_alpha_restores_balance():
 
 @needs_real_data
 def test_on_a_real_lbt672_a_population_foretells_the_modes_it_has_not_seen():
-    """Alpha agrees with the magnets' efficiency, which was measured apart."""
+    """Alpha agrees with the magnets' efficiency, which was measured apart.
+
+    A population shrinks what differs from neighbour to neighbour, the more the less of alpha's
+    spread is smooth: its correlation is a little less.
+    """
     folder = Path(REAL) / "lbt672"
     matrix = read_data(folder / "lbt672-feedforward.fits")
-    _, odd, even = held_out(matrix, population=True)
-    assert odd.after <= 0.031
-    assert even.after <= 0.023
     table = QTable.read(folder / "lbt672-tables.ecsv")
     assert np.array_equal(table["ID"], matrix.layout.id)
-    for population in (False, True):
-        alpha = calibrate(matrix, population=population).alpha
-        apart = without_polynomial(alpha, matrix.layout)
-        efficiency = without_polynomial(np.log(table["MAGNET_EFFICIENCY"]), matrix.layout)
-        assert np.corrcoef(apart, efficiency)[0, 1] <= -0.70
+    efficiency = without_polynomial(np.log(table["MAGNET_EFFICIENCY"]), matrix.layout)
+    plain, pooled = (calibrate(matrix, population=population) for population in (False, True))
+    _, odd, even = pooled.imbalances
+    assert odd.after <= 0.026
+    assert even.after <= 0.022
+    for calibration, correlation in ((plain, -0.70), (pooled, -0.69)):
+        apart = without_polynomial(calibration.alpha, matrix.layout)
+        assert np.corrcoef(apart, efficiency)[0, 1] <= correlation
+        [warning] = calibration.diagnosis.warnings
+        assert "so alpha is that of the modes" in warning.fault
 
 
 def without_polynomial(values, layout, degree=6):

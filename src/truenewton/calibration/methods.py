@@ -23,6 +23,7 @@ from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.row_readers import RowReader, read_rows
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
+from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign, mean_temperature
@@ -32,7 +33,7 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 
 class Method(NamedTuple):
-    """A method: of a sifted campaign to its estimate; of modes of a stiffness to a fit.
+    """A method: of a sifted campaign to its estimate; of columns of a stiffness to a fit.
 
     Both take whether the actuators are samples of one population.
     """
@@ -61,7 +62,9 @@ def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
 
 
 METHODS = {
-    "ml": Method(cycles_ml.find, lambda pooled: partial(stiffness_ml.likeliest, population=pooled)),
+    "ml": Method(
+        cycles_ml.find, lambda pooled: partial(stiffness_ml.column_fit, population=pooled)
+    ),
     "svd": Method(_svd_of_cycles, lambda _: stiffness_svd.singular_fit),
 }
 
@@ -140,7 +143,7 @@ def held_out(
     matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
 ) -> tuple[stiffness_svd.Imbalance, ...]:
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
-    return stiffness_svd.imbalances(matrix, METHODS[method].of_stiffness(population))
+    return stiffness_svd.imbalances(sift_matrix(matrix), METHODS[method].of_stiffness(population))
 
 
 def calibration_of(
@@ -186,11 +189,13 @@ def calibration_of(
 
 
 def _from_stiffness(matrix: StiffnessMatrix, method: stiffness_svd.ElasticMethod) -> Calibration:
-    on, estimate = matrix.layout.enabled, stiffness_svd.find(matrix, method)
+    sifted = sift_matrix(matrix)
+    matrix, estimate = sifted.matrix, stiffness_svd.find(sifted, method)
+    on = matrix.layout.enabled
     imbalances: tuple[stiffness_svd.Imbalance, ...] = ()
     warnings = estimate.diagnosis.warnings
     try:
-        imbalances = stiffness_svd.imbalances(matrix, method)
+        imbalances = stiffness_svd.imbalances(sifted, method)
     except (RankDeficient, NotConverged) as error:
         warnings += (Fault(f"every second mode alone gives no alpha: {error.fault}", error.remedy),)
     # B is not to be had from elastic forces.

@@ -49,6 +49,11 @@ files, in the order in which data pass through them:
     cycles_ml        `ml` on a campaign
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix
+    stiffness_columns  its columns in balance, each with the noise that it shows
+    column_noise     what that noise follows, chosen by the columns
+    matrix_faults    actuators of a matrix that do not fit, found and set free
+    sifted_matrix    a matrix without them
+    population       what is not smooth in log alpha, as samples of one population
     undetermined     patterns of alpha that noise decides
     identifiability  what the data can and cannot fix
     diagnosis        how well alpha is determined and how well the data fit, in records

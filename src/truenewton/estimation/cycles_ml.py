@@ -43,6 +43,11 @@ from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.odd_actuators import strange_alphas
 from truenewton.estimation.outliers import Fitted, balancing_groups, balancing_moments
+from truenewton.estimation.population import (
+    likeliest_spread,
+    smooth_patterns,
+    with_population,
+)
 from truenewton.estimation.problem import (
     Problem,
     load_data,
@@ -52,7 +57,6 @@ from truenewton.estimation.problem import (
 )
 from truenewton.estimation.repeats import WEIGHED_NOISE
 from truenewton.estimation.sifted import Sifted, refuse_too_many
-from truenewton.estimation.stiffness_ml import population_prior, population_spread
 from truenewton.estimation.structure import FITS
 from truenewton.estimation.suspects import refusal_naming, suspects_of
 from truenewton.estimation.undetermined import (
@@ -65,6 +69,8 @@ from truenewton.estimation.weights import scale_errors, temperature_errors, weig
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
+
+LINEAR = 3  # steps after which a population's pull, linear in each, has settled
 
 
 def find(sifted: Sifted, population: bool = False) -> Estimate:
@@ -159,12 +165,17 @@ def _less_sure(left: Examined) -> Examined:
 
 def _of_population(left: Examined, prior: Prior) -> tuple[Examined, str]:
     """Return the fit with alpha a sample of one population, and the name of that method."""
-    n, minimum = left.problem.n, left.minimum
-    spread = population_spread(minimum.values[:n], minimum.reading_covariance[:n, :n])
-    of_population = population_prior(n, spread).information
-    problem = replace(left.problem, prior=prior.with_more(of_population))
-    fitted = problem.fitted(left.moments, minimum.values)
-    return replace(left, problem=problem, minimum=fitted), f"ml, population {spread:.2g}"
+    n, problem, minimum = left.problem.n, left.problem, left.minimum
+    alpha, smooth = minimum.values[:n], smooth_patterns(problem.a)
+    spread = likeliest_spread(smooth, alpha, minimum.reading_covariance[:n, :n])
+    for _ in range(LINEAR):
+        problem = replace(problem, prior=with_population(prior, smooth, alpha, spread))
+        minimum = problem.fitted(left.moments, minimum.values)
+        alpha = minimum.values[:n]
+    if not (left.fits or left.explained):
+        covariance = left.excess * minimum.reading_covariance
+        minimum = replace(minimum, reading_covariance=covariance)
+    return replace(left, problem=problem, minimum=minimum), f"ml, population {spread:.2g}"
 
 
 def _judged(method: str, left: Examined, rejected: tuple[RejectedRow, ...], held: int) -> Estimate:

@@ -24,11 +24,11 @@ from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import Noise
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.stiffness_ml import likeliest, mode_data
-from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes
+from truenewton.estimation.stiffness_svd import elastic_modes
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import WeightErrors, weight_errors
 from truenewton.records.campaign import Campaign
-from truenewton.statics.arms import enabled_arms, external_load
+from truenewton.statics.arms import comparable_arms, enabled_arms, external_load
 
 
 def load_data(
@@ -136,7 +136,9 @@ def problem_of(campaign: Campaign, noise: Noise, errors: WeightErrors | None = N
     elastic: tuple[DataSet, ...] = ()
     if campaign.stiffness is not None:
         modes = elastic_modes(campaign.stiffness)
-        data = mode_data(modes, likeliest(modes, comparable_arms(campaign.stiffness)).variance)
+        data = mode_data(
+            modes, likeliest(modes, comparable_arms(campaign.stiffness.layout)).variance
+        )
         elastic = (replace(data, nuisance=np.zeros((1, 3, unknowns.total - n))),)
     mean, nothing = np.zeros(unknowns.total), np.zeros((0, 0))
     prior = Prior(mean, nothing, len(errors), held=len(campaign.loads) < 3)

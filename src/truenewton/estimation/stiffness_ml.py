@@ -1,22 +1,43 @@
-"""`ml` on a stiffness matrix: the modes as shapes without weight, and a population if asked for."""
+"""`ml` on a stiffness matrix: alone by its columns, beside cycles its modes as shapes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-import scipy.optimize
 
 from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Prior
+from truenewton.estimation.population import (
+    likeliest_spread,
+    on_logarithms,
+    pull,
+    smooth_patterns,
+    with_population,
+)
 from truenewton.estimation.shape_sums import shape_sums
+from truenewton.estimation.stiffness_columns import Columns, fit_columns
 from truenewton.estimation.stiffness_svd import (
+    SOFTEST,
     ElasticFit,
     balance_modes,
+    elastic_modes_of,
     mode_covariance,
+    refuse_few_modes,
 )
 from truenewton.estimation.systems import balance_rows
+from truenewton.linalg import singular_values_and_vectors
+from truenewton.records.fault import Fault
+
+NOT_BY_COLUMNS = Fault(
+    "what the columns of STIFFNESS leave out of balance is no noise of single elements, so alpha is"
+    " that of the modes, each with the error that it shows",
+    "trust smooth patterns of alpha the least; cycles under known weights would hold them",
+)
+# Variance in terms of the information's, above which noise feigns what holds alpha.
+FEIGNED = 1.4
 
 
 def mode_data(modes: Array, variance: float) -> DataSet:
@@ -24,6 +45,42 @@ def mode_data(modes: Array, variance: float) -> DataSet:
     m, n = modes.shape
     sums = shape_sums(modes, np.ones(m), np.zeros((m, 3)), np.ones((1, m)))
     return DataSet(sums, np.full(n, variance), np.zeros((1, 3)), np.zeros((1, 3, 0)))
+
+
+def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
+    """Find the likeliest relative alpha from columns alone, their noise as it shows.
+
+    Where what the columns leave is no noise of independent elements, alpha is that of the modes,
+    all with one noise, and its errors from what each mode leaves.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    n = columns.a.shape[1]
+    values = singular_values_and_vectors(columns.stiffness)[1]
+    refuse_few_modes(int(np.count_nonzero(values > SOFTEST)), n)
+    try:
+        fit = fit_columns(columns, population=population)
+    except (RankDeficient, NotConverged):
+        fit_of_modes = likeliest(
+            elastic_modes_of(columns.stiffness), columns.a, population=population
+        )
+        return replace(fit_of_modes, warnings=(NOT_BY_COLUMNS,))
+    if fit.feigned > FEIGNED:
+        raise RankDeficient(
+            "noise decides some patterns of alpha: the matrix is too noisy for so many actuators",
+            remedy="use --population, or measure a less noisy matrix",
+            got=fit.feigned,
+            want=FEIGNED,
+        )
+    if (fit.alpha <= 0.0).any():
+        raise RankDeficient(
+            "the alpha that balances the columns is not positive for every actuator",
+            remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
+        )
+    method = f"ml, population {fit.spread:.2g}" if population else "ml"
+    return ElasticFit(method, fit.alpha, fit.covariance, np.sqrt(fit.eigenvalues))
 
 
 def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit:
@@ -34,7 +91,8 @@ def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit
     modes, a
         (m, n) force patterns of unit length; (3, n) arms.
     population
-        Take alpha for samples of a normal population, whose spread the modes give.
+        Take what is not smooth in alpha for samples of a normal population, whose spread the modes
+        give.
 
     Raises
     ------
@@ -44,7 +102,7 @@ def likeliest(modes: Array, a: Array, *, population: bool = False) -> ElasticFit
     fit = _at_spread(modes, a, np.inf, start, singular_values)
     if not population:
         return fit
-    spread = population_spread(fit.alpha, fit.covariance)
+    spread = likeliest_spread(smooth_patterns(a), fit.alpha, fit.covariance)
     fit = _at_spread(modes, a, spread, start, singular_values)
     return replace(fit, method=f"ml, population {spread:.2g}")
 
@@ -53,54 +111,32 @@ def _at_spread(
     modes: Array, a: Array, spread: float, start: Array, singular_values: Array
 ) -> ElasticFit:
     n, freedom = a.shape[1], 3 * len(modes) - a.shape[1] + 1
-    s = (a * start**2) @ a.T
+    s, smooth = (a * start**2) @ a.T, smooth_patterns(a)
     rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a) @ start
     least = 1e-18 / n  # rounding of a mode's element
     variance, values = max(float(rows @ rows) / freedom, least), start
     for _ in range(20):
         # Elastic forces leave the scale free, so nothing but this holds the mean at 1.
         scale = float(np.sum(singular_values**2)) / variance
-        prior = population_prior(n, spread, scale)
+        prior = Prior(np.ones(n), np.full((n, n), scale / n))
+        prior = with_population(prior, smooth, values, spread)
         minimum = minimise(a, [mode_data(modes, variance)], prior, values)
         size, values = minimum.chi2 / freedom, minimum.values / minimum.values.mean()
         if abs(size - 1.0) < 1e-6 or variance * size < least:
             break
         variance *= size
     s = (a * values**2) @ a.T
-    pull = population_prior(n, spread).information * variance
-    covariance = mode_covariance(modes, a, values, s, pull)
+    pulled = pull(on_logarithms(smooth, spread), values)[1] * variance
+    covariance = mode_covariance(modes, a, values, s, pulled)
+    if np.isfinite(spread):
+        covariance = covariance + _shrinkage(modes, a, s, pulled) * variance
     return ElasticFit("ml", values, covariance, singular_values, variance)
 
 
-def population_prior(n: int, spread: float, scale: float = 0.0) -> Prior:
-    """Return a normal prior of (n,) alpha about their common mean, and of the mean about 1.
-
-    Parameters
-    ----------
-    n
-        Number of alphas.
-    spread
-        Standard deviation about the mean; infinite for no prior.
-    scale
-        Information on the mean; 0 leaves it free.
-    """
-    mean = np.full((n, n), 1.0 / n)
-    return Prior(np.ones(n), (np.eye(n) - mean) / spread**2 + scale * mean)
-
-
-def population_spread(alpha: Array, covariance: Array) -> float:
-    """Return the likeliest spread of a normal population of which alpha are noisy samples.
-
-    (n,) alpha about its mean ~ N(0, spread^2 I + covariance), (n, n), maximised over the spread.
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    projected = (vectors.T @ (alpha - alpha.mean())) ** 2
-
-    def minus_log_likelihood(log_spread: float) -> float:
-        total = np.exp(2 * log_spread) + np.maximum(values, 0.0)
-        return float(0.5 * np.sum(np.log(total) + projected / total))
-
-    likeliest_log = scipy.optimize.minimize_scalar(
-        minus_log_likelihood, bounds=(np.log(1e-5), np.log(1.0)), method="bounded"
-    ).x
-    return float(np.exp(likeliest_log))
+def _shrinkage(modes: Array, a: Array, s: Array, pulled: Array) -> Array:
+    """Return the (n, n) covariance of what a population's pull takes from alpha, over variance."""
+    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a)
+    information = rows.T @ rows + pulled
+    information += np.trace(information) / len(pulled) ** 2
+    inverse = np.linalg.inv(information)
+    return np.asarray(inverse @ pulled @ inverse)

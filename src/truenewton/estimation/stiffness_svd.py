@@ -8,7 +8,7 @@ smallest singular vector of the stacked A diag(u), its mean set to 1.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -19,11 +19,13 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis, FoundEffect
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import geometry_fault, refuse
+from truenewton.estimation.sifted_matrix import SiftedMatrix
+from truenewton.estimation.stiffness_columns import Columns
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.arms import enabled_arms
+from truenewton.statics.arms import comparable_arms, enabled_arms
 
 # Softer modes mix with the rigid motions through the bias magnets' gradient [N/m].
 SOFTEST = 1e3
@@ -54,6 +56,8 @@ class ElasticFit:
         (n,) of the balance of the modes, ascending; the first belongs to alpha.
     variance
         Of the noise of one element of a mode, from the minimum; NaN where no method needs it.
+    warnings
+        What is weak.
     """
 
     method: str
@@ -61,16 +65,27 @@ class ElasticFit:
     covariance: Array
     singular_values: Array
     variance: float = float("nan")
+    warnings: tuple[Fault, ...] = ()
 
 
-# From (m, n) modes of unit length and (3, n) arms.
-ElasticMethod = Callable[[Array, Array], ElasticFit]
+ElasticMethod = Callable[[Columns], ElasticFit]
 
 
 def elastic_modes(matrix: StiffnessMatrix) -> Array:
     """Return (m, n_enabled) force patterns of unit length, softest left out, stiffest first."""
-    left, values, _ = singular_values_and_vectors(matrix.used_stiffness)
+    return elastic_modes_of(matrix.used_stiffness)
+
+
+def elastic_modes_of(k: Array) -> Array:
+    """Return the same of an (n, n) stiffness [N/m]."""
+    left, values, _ = singular_values_and_vectors(k)
     return np.asarray(left[:, values > SOFTEST].T)
+
+
+def columns_of(sifted: SiftedMatrix) -> Columns:
+    """Return the columns of a sifted matrix."""
+    k, a = sifted.matrix.used_stiffness, comparable_arms(sifted.matrix.layout)
+    return Columns(k, a, a, sifted.disturbance, sifted.start, k)
 
 
 def modal_stiffness(matrix: StiffnessMatrix) -> Array:
@@ -83,11 +98,15 @@ def asymmetry(matrix: StiffnessMatrix) -> float:
     return linalg.asymmetry(matrix.used_stiffness)
 
 
-def comparable_arms(matrix: StiffnessMatrix) -> Array:
-    """Return the (3, n_enabled) arms with lengths in units of the RMS distance from the axis."""
-    a = enabled_arms(matrix.layout)
-    length = np.sqrt(np.mean(a[1] ** 2 + a[2] ** 2))
-    return np.asarray(a / np.array([[1.0], [length], [length]]))
+def refuse_few_modes(count: int, n: int) -> None:
+    """Raise RankDeficient where so many elastic modes cannot hold alpha of n actuators."""
+    if count * 3 < n + 1:
+        raise RankDeficient(
+            f"only {count} modes are stiffer than {SOFTEST:g} N/m, for {n} actuators",
+            remedy="measure a stiffness matrix of full rank, in N/m",
+            got=count,
+            want=n - 3,
+        )
 
 
 def balance_modes(modes: Array, a: Array) -> tuple[Array, Array]:
@@ -101,13 +120,7 @@ def balance_modes(modes: Array, a: Array) -> tuple[Array, Array]:
         The modes are too few, or a second pattern balances them as well.
     """
     n = a.shape[1]
-    if len(modes) * 3 < n + 1:
-        raise RankDeficient(
-            f"only {len(modes)} modes are stiffer than {SOFTEST:g} N/m, for {n} actuators",
-            remedy="measure a stiffness matrix of full rank, in N/m",
-            got=len(modes),
-            want=n - 3,
-        )
+    refuse_few_modes(len(modes), n)
     triangle = scipy.linalg.qr(balance_rows(modes, a), mode="r")[0][:n]
     _, values, right = singular_values_and_vectors(triangle)
     values, right = values[::-1], right[::-1]
@@ -163,28 +176,31 @@ def mode_covariance(modes: Array, a: Array, alpha: Array, s: Array, prior: Array
     return np.asarray(moved.T @ moved)
 
 
-def singular_fit(modes: Array, a: Array) -> ElasticFit:
-    """Balance (m, n) modes, with (3, n) arms, by the smallest singular vector of them all.
+def singular_fit(columns: Columns) -> ElasticFit:
+    """Balance the elastic modes of columns by the smallest singular vector of them all.
 
     Raises
     ------
     RankDeficient
     """
-    (alpha, singular_values), n = balance_modes(modes, a), a.shape[1]
+    modes, a, n = elastic_modes_of(columns.stiffness), columns.a, columns.a.shape[1]
+    alpha, singular_values = balance_modes(modes, a)
     covariance = mode_covariance(modes, a, alpha, np.eye(3), np.zeros((n, n)))
     return ElasticFit("svd", alpha, covariance, singular_values)
 
 
-def find(matrix: StiffnessMatrix, fit: ElasticMethod) -> Estimate:
-    """Find relative alpha from the balance of the modes.
+def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
+    """Find relative alpha from the balance of the modes or columns.
 
     Raises
     ------
     RankDeficient, NotConverged
     """
+    matrix = sifted.matrix
     refuse([geometry_fault(enabled_arms(matrix.layout))])
-    fitted = fit(elastic_modes(matrix), comparable_arms(matrix))
+    fitted = fit(columns_of(sifted))
     n, singular_values = len(fitted.alpha), fitted.singular_values
+    warnings = (*sifted.warnings, *_orientation_warnings(matrix), *fitted.warnings)
     return Estimate(
         method=fitted.method,
         scale=Scale.MEAN_ONE,
@@ -194,11 +210,8 @@ def find(matrix: StiffnessMatrix, fit: ElasticMethod) -> Estimate:
         noise=float("nan"),
         condition=float(singular_values[-1] / singular_values[1]),
         rank=n - 1,
-        diagnosis=Diagnosis(
-            eigenvalues=tuple((singular_values**2).tolist()),
-            warnings=tuple(_orientation_warnings(matrix)),
-        ),
-        effects=tuple(_not_as_agreed(matrix)),
+        diagnosis=Diagnosis(eigenvalues=tuple((singular_values**2).tolist()), warnings=warnings),
+        effects=(*_not_as_agreed(matrix), *sifted.effects),
     )
 
 
@@ -239,21 +252,28 @@ def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
     return float(np.sqrt(np.mean((modes * alpha @ a.T) ** 2)))
 
 
-def imbalances(matrix: StiffnessMatrix, fit: ElasticMethod) -> tuple[Imbalance, ...]:
+def imbalances(sifted: SiftedMatrix, fit: ElasticMethod) -> tuple[Imbalance, ...]:
     """Return the imbalance with alpha = 1 and with alpha fitted: on all modes, and held out.
 
-    Held out: fitted on every second mode and judged on the others, both ways round.
+    Held out: fitted on every second mode and judged on the others, both ways round; NaN where half
+    of the modes do not hold alpha.
     """
-    modes, a = elastic_modes(matrix), comparable_arms(matrix)
-    ones, even, odd = np.ones(a.shape[1]), modes[0::2], modes[1::2]
-    tests = (
-        ("all modes, fitted", modes, modes),
-        ("odd modes, fitted on the even", even, odd),
-        ("even modes, fitted on the odd", odd, even),
-    )
-    return tuple(
-        Imbalance(
-            name, rms_imbalance(judged, ones, a), rms_imbalance(judged, fit(fitted, a).alpha, a)
-        )
-        for name, fitted, judged in tests
+    columns = columns_of(sifted)
+    left, values, right = singular_values_and_vectors(columns.stiffness)
+    elastic = np.count_nonzero(values > SOFTEST)
+    every, even, odd = (slice(start, elastic, step) for start, step in ((0, 1), (0, 2), (1, 2)))
+    ones = np.ones(columns.a.shape[1])
+
+    def test(name: str, judged: slice, fitted: slice) -> Imbalance:
+        some = columns
+        if fitted is not every:
+            part = (left[:, fitted] * values[fitted]) @ right[fitted]
+            some = replace(columns, stiffness=part)
+        after = rms_imbalance(left[:, judged].T, fit(some).alpha, columns.a)
+        return Imbalance(name, rms_imbalance(left[:, judged].T, ones, columns.a), after)
+
+    return (
+        test("all modes, fitted", every, every),
+        test("odd modes, fitted on the even", odd, even),
+        test("even modes, fitted on the odd", even, odd),
     )

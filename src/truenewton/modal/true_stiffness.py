@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
 from truenewton.errors import RankDeficient
+from truenewton.estimation.sifted_matrix import as_calibrated
 from truenewton.modal.actuator_roles import checked_gain, matched_alpha, off_and_slaved
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms, arms_in_units_of_rms
@@ -128,7 +129,7 @@ def true_stiffness(
     Parameters
     ----------
     matrix
-        Measured; disabled actuators are left out.
+        Measured; disabled actuators are left out, those that the calibration left out float.
     calibration
         Of the same mirror; None takes alpha = 1, and statics for nothing but symmetry.
     sensor_gain
@@ -147,6 +148,8 @@ def true_stiffness(
     FormatError
         Sensor gains that cannot be.
     """
+    if calibration is not None:
+        matrix = as_calibrated(matrix, calibration.effects)
     on = matrix.layout.enabled
     layout = _some(matrix.layout, on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)

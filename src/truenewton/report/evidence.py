@@ -24,10 +24,11 @@ from truenewton.estimation.problem import problem_of, with_share_in_balance
 from truenewton.estimation.repeats import row_groups, row_weights
 from truenewton.estimation.row_readers import RowBlock
 from truenewton.estimation.sifted import Sifted, without
-from truenewton.estimation.stiffness_svd import comparable_arms, elastic_modes, modal_stiffness
+from truenewton.estimation.sifted_matrix import as_calibrated
+from truenewton.estimation.stiffness_svd import elastic_modes, modal_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.arms import enabled_arms
+from truenewton.statics.arms import comparable_arms, enabled_arms
 
 EQUATIONS = (("force", "mN"), ("torque M_y", "mN m"), ("torque M_x", "mN m"))
 
@@ -228,7 +229,8 @@ def _balance_lines(
 
 def stiffness_evidence(matrix: StiffnessMatrix, calibration: Calibration) -> Evidence:
     """Return the evidence that a stiffness matrix gives for its relative alpha."""
-    a, on = comparable_arms(matrix), matrix.layout.enabled
+    matrix = as_calibrated(matrix, calibration.effects)
+    a, on = comparable_arms(matrix.layout), matrix.layout.enabled
     modes, alpha = elastic_modes(matrix), calibration.alpha[on]
     before, after = (modes * values @ a.T for values in (np.ones(len(alpha)), alpha))
     scaled_arms, even = a * alpha, np.ones(len(modes))

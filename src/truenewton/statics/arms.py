@@ -44,6 +44,13 @@ def enabled_arms(layout: Layout) -> Array:
     return np.asarray(arms(layout)[:, layout.enabled])
 
 
+def comparable_arms(layout: Layout) -> Array:
+    """Return the (3, n_enabled) arms with lengths in units of the RMS distance from the axis."""
+    a = enabled_arms(layout)
+    length = np.sqrt(np.mean(a[1] ** 2 + a[2] ** 2))
+    return np.asarray(a / np.array([[1.0], [length], [length]]))
+
+
 def arms_in_units_of_rms(layout: Layout) -> Array:
     """Return the (3, n_enabled) arms, each coordinate in units of its RMS over the actuators."""
     a = enabled_arms(layout)

@@ -1,0 +1,147 @@
+"""How alpha from a stiffness matrix, its errors and its bad actuators fare on known truths.
+
+    TRUENEWTON_REAL_DATA=FOLDER python benchmarks/matrices.py [--seeds 20] [--faults]
+
+The truth is FOLDER/lbt672/lbt672-feedforward.fits made symmetric and balanced, divided by a known
+alpha that scatters by 5 %. Noise of .02, .05 and .1 %: in proportion to each element, equal in all
+elements, or more at some sensors than at others (a factor of two each way). Prints the error of
+alpha, the stated one, how much of the truth 95 % intervals cover, with the Monte Carlo error of
+that, and sound actuators left out; with --faults, the same with actuators that do not fit, .02 %
+of noise equal in all elements.
+"""
+
+import argparse
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import truenewton as tn
+from truenewton.errors import TrueNewtonError
+from truenewton.estimation.matrix_faults import condensed
+from truenewton.estimation.sifted_matrix import sift_matrix
+from truenewton.estimation.stiffness_ml import column_fit
+from truenewton.estimation.stiffness_svd import columns_of
+from truenewton.statics.arms import arms
+
+LEVELS = (2e-4, 5e-4, 1e-3)
+LAWS = ("proportional", "equal", "by sensor")
+FAULTS = ("sign", "times ten", "element", "own element", "rows exchanged", "exchanged", "off",
+          "zeroed")  # fmt: skip
+
+
+def true_stiffness(matrix):
+    """Return the nearest stiffness that is symmetric and costs no force when moved rigidly."""
+    k, rigid = matrix.stiffness, np.linalg.qr(arms(matrix.layout).T)[0]
+    elastic = np.eye(len(k)) - rigid @ rigid.T
+    return elastic @ (0.5 * (k + k.T)) @ elastic
+
+
+def noisy(matrix, k, seed, law, level):
+    """Return the true alpha and a measured matrix."""
+    random = np.random.default_rng(seed)
+    alpha = 1.0 + 0.05 * random.standard_normal(len(k))
+    commanded = k / alpha[:, None]
+    noise = random.standard_normal(k.shape)
+    if law == "proportional":
+        noise *= commanded
+    else:
+        noise *= np.sqrt(np.mean(commanded**2))
+    if law == "by sensor":
+        noise *= np.exp(0.7 * random.standard_normal(len(k)))
+    return alpha, replace(matrix, stiffness=commanded + level * noise)
+
+
+def with_faults(matrix, seed, count, fault):
+    """Return the matrix with bad actuators, fifteen in one sector, and which they are."""
+    random, k, n = np.random.default_rng([9, seed]), matrix.stiffness.copy(), matrix.layout.n
+    x, y = matrix.layout.x, matrix.layout.y
+    distance = np.hypot(x[:, None] - x, y[:, None] - y)
+    bad = random.choice(n, count, replace=False)
+    if count >= 15:
+        bad = np.argsort(distance[bad[0]])[:count]
+    order, good = np.arange(n), ~np.isin(np.arange(n), bad)
+    if fault == "off":
+        k[np.ix_(good, good)] = condensed(k, good)
+    for i in bad:
+        j = np.argsort(distance[i])[1]
+        if fault == "sign":
+            k[i] *= -1.0
+        elif fault == "times ten":
+            k[i] *= 10.0
+        elif fault == "element":
+            k[i, j] *= 1.2
+        elif fault == "own element":
+            k[i, i] *= 1.2
+        elif fault in ("off", "zeroed"):
+            k[i] = k[:, i] = 0.0
+        elif order[i] == i and order[j] == j:
+            order[[i, j]] = order[[j, i]]
+    if "exchanged" in fault:
+        k = k[order]
+        k = k if fault == "rows exchanged" else k[:, order]
+        bad = np.flatnonzero(order != np.arange(n))
+    return replace(matrix, stiffness=k), {int(i) for i in bad}
+
+
+def judged(alpha, matrix, bad=frozenset(), population=False):
+    """Return error, stated error, coverage, how many bad were missed and good ones left out."""
+    try:
+        sifted = sift_matrix(matrix)
+        fit = column_fit(columns_of(sifted), population=population)
+    except TrueNewtonError:
+        return (np.nan,) * 5
+    on = sifted.matrix.layout.enabled
+    error, stated = fit.alpha - alpha[on] / alpha[on].mean(), np.sqrt(np.diag(fit.covariance))
+    covered, out = np.mean(np.abs(error) < 1.96 * stated), set(np.flatnonzero(~on).tolist())
+    rms = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(stated**2))
+    return *rms, covered, len(bad - out), len(out - bad)
+
+
+def line(name, rows):
+    """Print the means over seeds."""
+    rows = np.array(rows)
+    kept = rows[~np.isnan(rows[:, 0])]
+    if not len(kept):
+        print(f"  {name:36} refused", flush=True)
+        return
+    error, stated, covered, missed, lost = kept.mean(axis=0)
+    sure = kept[:, 2].std(ddof=1) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
+    print(f"  {name:36} {100 * error:6.3f}  {100 * stated:6.3f}  {100 * covered:5.1f} +-"
+          f" {100 * sure:3.1f}  {missed:6.2f}  {lost:5.2f}  {len(rows) - len(kept):3d}",
+          flush=True)  # fmt: skip
+
+
+def main():
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--faults", action="store_true")
+    options = parser.parse_args()
+    seeds = range(options.seeds)
+    folder = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672"
+    matrix = tn.read(folder / "lbt672-feedforward.fits")
+    k = true_stiffness(matrix)
+    print(f"{'':38} error  stated   covered     missed   lost  refused   (%, actuators, seeds)")
+    if options.faults:
+        for fault in FAULTS:
+            for count in (1, 5, 15):
+                rows = []
+                for seed in seeds:
+                    alpha, measured = noisy(matrix, k, seed, "equal", 2e-4)
+                    rows.append(judged(alpha, *with_faults(measured, seed, count, fault)))
+                line(f"{fault}, {count}", rows)
+        return
+    for law in LAWS:
+        for level in LEVELS:
+            for population in (False, True):
+                rows = [
+                    judged(*noisy(matrix, k, seed, law, level), population=population)
+                    for seed in seeds
+                ]
+                line(f"{law}, {100 * level:g} %{', population' if population else ''}", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,322 @@
+"""Actuators of a stiffness matrix that do not fit the others: found robustly, and set free.
+
+A true stiffness is symmetric, so a commanded one is but for a factor of each actuator, which pairs
+of neighbours give whatever a few of them say. What then differs in sign or size, is unlike its
+column, stands where its neighbour should, or leaves a column out of balance, does not fit. States
+in which such actuators push nothing say nothing of them, whatever their sensors read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+
+STRONG = 0.05  # coupling in terms of both own stiffnesses, from which a pair counts
+EVEN = 0.1  # coupling from which pairs count alike: one wrong element is not to outweigh the rest
+FACTOR = 3.0  # of alpha from that of the others
+TIMES = 8.0  # what is typical of an actuator, and
+LEAST = 0.05  # of its couplings: how far from symmetry one does not fit
+COLUMN_TIMES = 12.0  # what is typical of a column, and
+COLUMN = 0.05  # of the own stiffness: how far out of balance one does not fit
+ELEMENT_TIMES = 30.0  # what is typical of elements of its size and of both actuators, and
+ELEMENT = 0.01  # of the own stiffness: an element that differs from its transpose
+EXCHANGED = 1.1  # times better with both exchanged
+FEW = 0.1  # of all actuators may not fit; beyond it nothing does
+NEAR = 6.0  # spacings
+
+
+UNLIKE = "its row unlike its column"
+ELEMENT_WRONG = "an element of its row is wrong"
+DOUBT = {UNLIKE: 0.3, ELEMENT_WRONG: 0.03}
+
+
+@dataclass(frozen=True)
+class BadActuator:
+    """An actuator that does not fit: its index, why, and how far, as a ratio."""
+
+    index: int
+    reason: str
+    size: float
+
+    @property
+    def doubt(self) -> float:
+        """Force where its command is zero, in terms of its couplings; as far as it was mended."""
+        return DOUBT.get(self.reason, 0.0)
+
+
+def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, ...], Array]:
+    """Return the actuators that do not fit the others, and the stiffness mended where it can be.
+
+    Parameters
+    ----------
+    k
+        (n, n) stiffness [N/m], no row or column zero throughout.
+    a, gaps
+        (3, n) arms in comparable units; and (3, m) of actuators that are not in the matrix, about
+        which columns need not balance.
+
+    Raises
+    ------
+    RankDeficient
+        More than a few do not fit.
+    """
+    found: dict[int, BadActuator] = {}
+    n = len(k)
+
+    def add(indices: NDArray[np.int64], reason: str, sizes: Array) -> None:
+        for index, size in zip(indices.tolist(), sizes.tolist(), strict=True):
+            found.setdefault(index, BadActuator(index, reason, size))
+        if len(found) > max(2, FEW * n):
+            raise RankDeficient(
+                f"{len(found)} of {n} actuators do not fit the others: the matrix is far from"
+                " symmetric, or its columns from balance",
+                remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
+                got=len(found),
+            )
+
+    order = row_order(k)
+    moved = np.flatnonzero(order != np.arange(n))
+    add(moved, "its row or column exchanged with another", np.ones(len(moved)))
+    own = np.diag(k[order])
+    sign = 1.0 if np.count_nonzero(own > 0.0) >= np.count_nonzero(own < 0.0) else -1.0
+    wrong = np.flatnonzero(sign * own <= 0.0)
+    add(wrong, "wrong sign", own[wrong] / np.median(own))
+    factor = np.where(own < 0.0, -1.0, 1.0)
+    log_alpha, misfit = pair_ratios(factor[:, None] * k[order])
+    far = np.flatnonzero(np.abs(log_alpha) > np.log(FACTOR))
+    for one in far:
+        ratio = np.exp(-log_alpha[[one]])
+        add(far[far == one], f"its row {ratio[0]:.2g} times as large as those of others", ratio)
+    factor = factor * np.exp(log_alpha)
+    even = factor[:, None] * k[order]
+    unlike = _unlike_their_columns(misfit)
+    add(*_apart(unlike, UNLIKE))
+    for i, _ in unlike:
+        even[i] = even[:, i]
+    place = exchanged_places(even, a)
+    moved = np.flatnonzero(place != np.arange(n))
+    add(moved, "exchanged with a neighbour", np.ones(len(moved)))
+    holes = np.concatenate([gaps, a[:, [i for i, _ in unlike]]], axis=1)
+    add(*_apart(_mend_elements(even, a[:, place], holes), ELEMENT_WRONG))
+    return tuple(found[i] for i in sorted(found)), even / factor[:, None]
+
+
+def _apart(pairs: list[tuple[int, float]], reason: str) -> tuple[NDArray[np.int64], str, Array]:
+    indices, sizes = (np.array([pair[which] for pair in pairs]) for which in (0, 1))
+    return indices.astype(np.int64), reason, sizes.astype(float)
+
+
+def row_order(k: Array) -> NDArray[np.int64]:
+    """Return (n,) the row that belongs to each column of an (n, n) stiffness.
+
+    Of a positive matrix the product of all diagonal elements is the largest of any order of rows,
+    as |k_ij|^2 < k_ii k_jj; factors of rows and columns change all these products alike.
+    """
+    size = np.abs(k)
+    least = 1e-12 * float(size.max())
+    # The order that is there must be worse to be left: not by rounding alone.
+    cost = -np.log(np.maximum(size, least)) - 1e-6 * np.eye(len(k))
+    _, row = scipy.optimize.linear_sum_assignment(cost.T)
+    return np.asarray(row)
+
+
+def relative_couplings(k: Array) -> Array:
+    """Return (n, n) elements in terms of the own stiffness of both actuators."""
+    own = np.sqrt(np.abs(np.diag(k)))
+    own = np.where(own > 0.0, own, np.median(own))
+    return np.asarray(k / np.outer(own, own))
+
+
+def pair_ratios(k: Array) -> tuple[Array, Array]:
+    """Return (n,) log alpha from symmetry, with median 0, and the (n, n) misfit of strong pairs.
+
+    Least absolute deviations of log(k_ij / k_ji) = log alpha_j - log alpha_i, weights the squared
+    coupling up to `EVEN`. The misfit is NaN where a pair is weak, infinite where its elements
+    differ in sign.
+    """
+    c, n = np.abs(relative_couplings(k)), len(k)
+    linked = np.maximum(c, c.T) > STRONG
+    np.fill_diagonal(linked, False)
+    same = linked & (k * k.T > 0.0)
+    ratio = np.zeros_like(k)
+    ratio[same] = np.log(k[same] / k.T[same])
+    weight = np.where(same, np.minimum(c * c.T, EVEN**2), 0.0)
+    log_alpha, robust = np.zeros(n), weight
+    for _ in range(50):
+        laplacian = np.diag(robust.sum(axis=1)) - robust
+        held = max(float(np.median(np.diag(laplacian))), 1e-300)
+        laplacian += held / n + 1e-9 * held * np.eye(n)
+        before = log_alpha
+        log_alpha = np.linalg.solve(laplacian, -(robust * ratio).sum(axis=1))
+        log_alpha -= np.median(log_alpha)
+        misfit = np.abs(ratio - (log_alpha - log_alpha[:, None]))
+        robust = weight / np.maximum(misfit, 1e-3)
+        if np.abs(log_alpha - before).max() < 1e-4:
+            break
+    return log_alpha, np.where(same, misfit, np.where(linked, np.inf, np.nan))
+
+
+def _unlike_their_columns(misfit: Array) -> list[tuple[int, float]]:
+    """Return actuators most of whose couplings differ from their transposes, the worst first."""
+    misfit = np.minimum(misfit, 10.0)
+    out: list[tuple[int, float]] = []
+    while True:
+        linked = np.isfinite(misfit).sum(axis=1)
+        typical = np.zeros(len(misfit))
+        typical[linked > 0] = np.nanmedian(misfit[linked > 0], axis=1)
+        worst, usual = int(np.argmax(typical)), float(np.median(typical))
+        if typical[worst] <= max(TIMES * usual, LEAST):
+            return out
+        out.append((worst, float(typical[worst])))
+        misfit[worst], misfit[:, worst] = np.nan, np.nan
+
+
+def exchanged_places(k: Array, a: Array) -> NDArray[np.int64]:
+    """Return (n,) whose place of (3, n) arms each actuator of an (n, n) stiffness stands at.
+
+    What a coupling is at some distance, all pairs say; neighbours are exchanged while their
+    couplings fit better so, the best first.
+    """
+    x, y = a[1], a[2]
+    distance = np.hypot(x[:, None] - x, y[:, None] - y)
+    spacing = typical_spacing(a)
+    c = relative_couplings(0.5 * (k + k.T))
+    bins = np.minimum((distance / spacing * 8.0).astype(int), int(8.0 * NEAR) + 1)
+    profile = np.array([np.median(c[bins == b]) if (bins == b).any() else 0.0
+                        for b in range(bins.max() + 1)])  # fmt: skip
+    expected, near = profile[bins], distance < NEAR * spacing
+    pairs = list(zip(*np.nonzero(np.triu(distance < 1.8 * spacing, 1)), strict=True))
+    place = np.arange(len(k))
+    for _ in range(len(k) // 4):
+        here = c[np.ix_(actuator_at := np.argsort(place), actuator_at)]
+        best = (0.0, 0, 0)
+        for i, j in pairs:
+            some = near[i] | near[j]
+            some[[i, j]] = False
+            (ci, cj), (ei, ej) = here[[i, j]][:, some], expected[[i, j]][:, some]
+            exchanged = float(np.sum((cj - ei) ** 2) + np.sum((ci - ej) ** 2))
+            now = float(np.sum((ci - ei) ** 2) + np.sum((cj - ej) ** 2))
+            if now > EXCHANGED * exchanged and now - exchanged > best[0]:
+                best = (now - exchanged, int(i), int(j))
+        if best[1] == best[2]:
+            break
+        first, second = actuator_at[[best[1], best[2]]]
+        place[[first, second]] = place[[second, first]]
+    return place
+
+
+def typical_spacing(a: Array) -> float:
+    """Return the median distance to the nearest actuator, in the units of (3, n) arms."""
+    distance = np.hypot(a[1][:, None] - a[1], a[2][:, None] - a[2])
+    np.fill_diagonal(distance, np.inf)
+    return float(np.median(distance.min(axis=1)))
+
+
+def _mend_elements(k: Array, a: Array, holes: Array) -> list[tuple[int, float]]:
+    """Return actuators whose row has an element that cannot be, and mend it in place.
+
+    A force too much in a column shows where it is: its moments over its size are its place. And an
+    element that differs from its transpose is wrong in the column that is further from balance.
+    About (3, h) holes columns need not balance.
+    """
+    out: list[tuple[int, float]] = []
+    own = np.abs(np.diag(k))
+    rho = (a @ k) / own
+    size, spacing = np.linalg.norm(rho, axis=0), typical_spacing(a)
+    explained = np.zeros(len(k), dtype=bool)
+    for hole in holes.T:
+        explained |= np.hypot(a[1] - hole[1], a[2] - hole[2]) < 0.5 * NEAR * spacing
+    c = relative_couplings(k)
+    difference, level = np.abs(c - c.T), np.abs(c + c.T)
+    upper = np.triu_indices(len(k), 1)
+    times = np.zeros_like(c)
+    times[upper] = difference[upper] / _by_level(difference[upper], level[upper])
+    times += times.T
+    usual = np.maximum(np.median(times, axis=1), 1.0)
+    wrong = (times > ELEMENT_TIMES * np.maximum(usual[:, None], usual)) & (difference > ELEMENT)
+    pairs = np.argwhere(np.triu(wrong, 1))
+    for i, j in pairs[np.argsort(-times[tuple(pairs.T)], kind="stable")]:
+        if explained[i] and explained[j]:
+            continue
+        much = k[i, j] - k[j, i]
+        in_j, in_i = rho[:, j] - much / own[j] * a[:, i], rho[:, i] + much / own[i] * a[:, j]
+        better_j = np.linalg.norm(in_j) * size[i] < np.linalg.norm(in_i) * size[j]
+        row, column = (i, j) if better_j else (j, i)
+        rho[:, column] = in_j if better_j else in_i
+        size[column] = np.linalg.norm(rho[:, column])
+        k[row, column] = k[column, row]
+        out.append((int(row), float(times[i, j])))
+    limit = np.maximum(COLUMN_TIMES * np.median(size) * usual, COLUMN)
+    for j in np.flatnonzero((size > limit) & ~explained):
+        force = rho[:, j] @ a / np.sum(a**2, axis=0)
+        left = np.linalg.norm(rho[:, [j]] - force * a, axis=0)
+        row = int(np.argmin(left))
+        if explained[row]:
+            continue
+        k[row, j] -= force[row] * own[j]
+        out.append((row, float(size[j])))
+    return out
+
+
+def _by_level(values: Array, level: Array) -> Array:
+    """Return the median of values among those of about the same level."""
+    order = np.argsort(level, kind="stable")
+    out = np.empty_like(values)
+    for some in np.array_split(order, max(1, min(60, len(order) // 200))):
+        out[some] = np.median(values[some])
+    return np.maximum(out, 1e-300)
+
+
+def condensed(k: Array, good: NDArray[np.bool_]) -> Array:
+    """Return the stiffness between the good actuators in states where the others push nothing.
+
+    Parameters
+    ----------
+    k
+        (n, n), of which rows and columns of others may be zero.
+    good
+        (n,) which are.
+    """
+    core = k[np.ix_(good, good)]
+    measured = np.asarray(~good & k.any(axis=1) & k.any(axis=0), dtype=np.bool_)
+    if not measured.any():
+        return np.asarray(core)
+    inverse = np.linalg.pinv(k[np.ix_(measured, measured)], rcond=1e-6)
+    return np.asarray(core - k[np.ix_(good, measured)] @ inverse @ k[np.ix_(measured, good)])
+
+
+def left_over(k: Array, a: Array, good: NDArray[np.bool_], doubt: NDArray[np.float64]) -> Array:
+    """Return (n_good, 3, 3) covariance of forces that actuators left out may still exert.
+
+    Whatever is wrong with a row, its actuator need not be at rest where it is told to be.
+
+    Parameters
+    ----------
+    k, a
+        (n, n) stiffness [N/m], (3, n) arms.
+    good
+        (n,) which are not left out.
+    doubt
+        (n,) force in terms of the couplings; where rows are zero of those of others at that
+        distance.
+    """
+    c = np.abs(relative_couplings(k))
+    c = np.maximum(c, c.T)
+    x, y = a[1], a[2]
+    distance, spacing = np.hypot(x[:, None] - x, y[:, None] - y), typical_spacing(a)
+    bins = np.minimum((distance / spacing * 2.0).astype(int), int(4.0 * NEAR))
+    usual, at = c[np.ix_(good, good)] ** 2, bins[np.ix_(good, good)]
+    profile = np.array([np.sqrt(np.mean(usual[at == b])) if (at == b).any() else 0.0
+                        for b in range(int(bins.max()) + 1)])  # fmt: skip
+    some = np.flatnonzero(doubt > 0.0)
+    zero = ~np.asarray(c[some].any(axis=1))
+    strength = np.where(zero[:, None], profile[bins[some]], c[some]) * doubt[some, None]
+    own = np.abs(np.diag(k)[good])
+    force = strength[:, good] * np.sqrt(own * np.median(own))
+    return np.asarray(np.einsum("kb,lb,bm->mkl", a[:, some], a[:, some], force**2))

@@ -1,0 +1,220 @@
+"""A stiffness matrix with what does not fit left out, as campaigns are sifted of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.matrix_faults import (
+    UNLIKE,
+    BadActuator,
+    bad_actuators,
+    condensed,
+    left_over,
+    pair_ratios,
+    typical_spacing,
+)
+from truenewton.records.fault import Fault
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
+
+FEWEST = 20  # actuators among which one can be told not to fit
+NO_FIT = "actuator does not fit"
+IS_OFF = "actuator is off"
+OFF = "row or column is zero"
+PUSHING = 0.01  # of the actuators may push unseen: forces of more are not told from alpha
+BALANCED = 5.0  # times what is typical: columns about an actuator that was off
+
+
+@dataclass(frozen=True, eq=False)
+class SiftedMatrix:
+    """What fits of a matrix.
+
+    Attributes
+    ----------
+    matrix
+        Those left out are disabled; the others as they are where these push nothing.
+    start
+        (n_enabled,) alpha from symmetry, as if all sensors had one gain.
+    disturbance
+        (n_enabled, 3, 3) covariance of what those left out may add to the balance of each column,
+        torques in comparable units [N^2/m^2].
+    warnings, effects
+        Which were left out, and why.
+    """
+
+    matrix: StiffnessMatrix
+    start: Array
+    disturbance: Array
+    warnings: tuple[Fault, ...] = ()
+    effects: tuple[FoundEffect, ...] = ()
+
+
+def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
+    """Find the actuators that are off or do not fit, and leave them out.
+
+    Raises
+    ------
+    RankDeficient
+        More than a few do not fit, or push unseen.
+    """
+    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    ids = matrix.layout.id[matrix.layout.enabled]
+    off = np.asarray(~(k.any(axis=0) & k.any(axis=1)), dtype=np.bool_)
+    bad: tuple[BadActuator, ...] = ()
+    measured = np.flatnonzero(~off)
+    if len(measured) >= FEWEST:
+        block = np.ix_(measured, measured)
+        found, mended = bad_actuators(k[block], a[:, ~off], a[:, off])
+        bad = tuple(replace(each, index=int(measured[each.index])) for each in found)
+        raw, k = k, k.copy()
+        k[block] = mended
+        unlike = [each.index for each in bad if each.reason == UNLIKE]
+        if unlike and _better_as_read(raw, k, a, ~off, bad, unlike):
+            k[unlike] = raw[unlike]
+    good, doubt = np.asarray(~off, dtype=np.bool_), np.zeros(len(k))
+    good[[each.index for each in bad]] = False
+    doubt[[each.index for each in bad]] = [each.doubt for each in bad]
+    core = condensed(k, good)
+    start = np.exp(np.clip(pair_ratios(core)[0], -1.0, 1.0)) if len(core) else np.ones(0)
+    if off.any() and good.any() and not _balanced_about(core, a, good, off, start):
+        if np.count_nonzero(off) > max(2, PUSHING * len(k)):
+            raise RankDeficient(
+                f"{np.count_nonzero(off)} actuators have a row or column of zeros in STIFFNESS, but"
+                " pushed: the columns around them do not balance",
+                remedy="measure the stiffness with them switched off, or their rows and columns",
+                got=int(np.count_nonzero(off)),
+            )
+        doubt[off] = 1.0
+    disturbance = np.zeros((len(core), 3, 3))
+    if doubt.any():
+        disturbance = left_over(k, a, good, doubt)
+    sifted = matrix if good.all() else freed(matrix, good, core)
+    out = [BadActuator(int(i), OFF, 0.0) for i in np.flatnonzero(off)]
+    return SiftedMatrix(
+        sifted,
+        start,
+        disturbance,
+        tuple(_warnings(ids, out, bad, pushing=bool(doubt[off].any()))),
+        tuple(_effect(ids, each) for each in (*bad, *out)),
+    )
+
+
+def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> StiffnessMatrix:
+    """Return the matrix with enabled actuators that are not good disabled.
+
+    Parameters
+    ----------
+    matrix
+        Measured.
+    good
+        (n_enabled,) which stay.
+    core
+        (n_good, n_good) their stiffness in states in which the others push nothing [N/m].
+    """
+    on = matrix.layout.enabled
+    left = on.copy()
+    left[on] = good
+    stiffness = np.array(matrix.stiffness)
+    stiffness[np.ix_(left, left)] = core
+    return replace(matrix, layout=replace(matrix.layout, enabled=left), stiffness=stiffness)
+
+
+def as_calibrated(matrix: StiffnessMatrix, effects: Sequence[FoundEffect]) -> StiffnessMatrix:
+    """Return the matrix with those actuators freed that a calibration's effects say it left out."""
+    out = {each.where for each in effects if each.name.startswith((NO_FIT, IS_OFF))}
+    ids = matrix.layout.id[matrix.layout.enabled]
+    good = np.array([f"actuator {i}" not in out for i in ids.tolist()], dtype=np.bool_)
+    if good.all():
+        return matrix
+    return freed(matrix, good, condensed(matrix.used_stiffness, good))
+
+
+def _better_as_read(
+    raw: Array,
+    k: Array,
+    a: Array,
+    measured: NDArray[np.bool_],
+    bad: Sequence[BadActuator],
+    unlike: Sequence[int],
+) -> bool:
+    """Tell whether the columns balance better with those freed by their rows than by their columns.
+
+    Freed by its row, an actuator may have a sensor that reads any nonsense; by its column, a row.
+    """
+    good = measured.copy()
+    good[[each.index for each in bad]] = False
+    sizes = []
+    for rows in (raw, k):
+        tried = k.copy()
+        tried[unlike] = rows[unlike]
+        core = condensed(tried, good)
+        start = np.exp(np.clip(pair_ratios(core)[0], -1.0, 1.0))
+        rho = (a[:, good] * start) @ core
+        sizes.append(float(np.sum(rho**2)))
+    return sizes[0] < sizes[1]
+
+
+def _balanced_about(
+    core: Array, a: Array, good: NDArray[np.bool_], off: NDArray[np.bool_], start: Array
+) -> bool:
+    """Tell whether columns next to those that are off balance as well as the others do."""
+    arms = a[:, good]
+    own = np.abs(np.diag(core))
+    size = np.linalg.norm((arms * start) @ core, axis=0) / np.where(own > 0.0, own, np.inf)
+    distance = np.hypot(arms[1][:, None] - a[1, off], arms[2][:, None] - a[2, off])
+    near = (distance < 2.0 * typical_spacing(a)).any(axis=1)
+    if not near.any() or near.all():
+        return True
+    return bool(np.median(size[near]) < BALANCED * np.median(size[~near]))
+
+
+def _warnings(
+    ids: NDArray[np.int64],
+    off: Sequence[BadActuator],
+    bad: Sequence[BadActuator],
+    *,
+    pushing: bool,
+) -> Iterator[Fault]:
+    if off:
+        yield Fault(
+            f"{_named(ids, off)} left out: zero in row or column of STIFFNESS"
+            + (", but the columns around do not balance, as if it pushed" if pushing else ""),
+            "measure the stiffness with it switched off"
+            if pushing
+            else "set ENABLED to F if it was off; its alpha is not calibrated",
+        )
+    if bad:
+        why = {
+            reason: [each for each in bad if each.reason == reason]
+            for reason in dict.fromkeys(each.reason for each in bad)
+        }
+        text = "; ".join(f"{_named(ids, some)}: {reason}" for reason, some in why.items())
+        yield Fault(
+            f"left out, as {'it does' if len(bad) == 1 else 'they do'} not fit the others: {text}",
+            "look at coil, driver, cable, sensor and place of each, and measure again",
+        )
+
+
+def _named(ids: NDArray[np.int64], some: Sequence[BadActuator]) -> str:
+    names = ", ".join(str(ids[each.index]) for each in some[:20])
+    more = f" and {len(some) - 20} more" if len(some) > 20 else ""
+    return f"actuator{'s' if len(some) > 1 else ''} {names}{more}"
+
+
+def _effect(ids: NDArray[np.int64], each: BadActuator) -> FoundEffect:
+    return FoundEffect(
+        name=IS_OFF if each.reason == OFF else f"{NO_FIT}: {each.reason}",
+        where=f"actuator {ids[each.index]}",
+        probability=0.0,
+        size=each.size,
+        unit="",
+        corrected=True,
+        remedy="look at coil, driver, cable, sensor and place; set ENABLED to F while it is off",
+    )

@@ -1,0 +1,127 @@
+"""Actuators of a stiffness matrix that are off or do not fit are named and left out."""
+
+import datetime
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from balanced import p45_bench
+
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import RankDeficient
+from truenewton.estimation.matrix_faults import condensed, row_order
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+
+DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
+BAD = 20
+
+
+def measured(change):
+    """Return P45's matrix in commanded Newtons with 1e-4 noise, one thing changed; and alpha."""
+    truth = p45_bench().truth
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1.0 + 1e-4 * np.random.default_rng(5).standard_normal(k.shape))
+    distance = np.hypot(truth.layout.x - truth.layout.x[BAD], truth.layout.y - truth.layout.y[BAD])
+    change(k, np.argsort(distance)[1])
+    return StiffnessMatrix("P45", DATE, truth.layout, k), truth.alpha
+
+
+def sign(k, _):
+    """The poles of one actuator are exchanged."""
+    k[BAD] *= -1.0
+
+
+def times_ten(k, _):
+    """The unit of one row."""
+    k[BAD] *= 10.0
+
+
+def own_element(k, _):
+    """One element on the diagonal."""
+    k[BAD, BAD] *= 1.2
+
+
+def rows(k, other):
+    """Rows of neighbours."""
+    k[[BAD, other]] = k[[other, BAD]]
+
+
+def off(k, _):
+    """An actuator that was off while the others were measured."""
+    good = np.arange(len(k)) != BAD
+    k[np.ix_(good, good)] = condensed(k, good)
+    k[BAD] = k[:, BAD] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (sign, "wrong sign"),
+        (times_ten, "its row 9.1 times as large as those of others"),
+        (own_element, "an element of its row is wrong"),
+        (rows, "its row or column exchanged with another"),
+        (off, "zero in row or column of STIFFNESS"),
+    ],
+)
+@pytest.mark.parametrize("method", ["svd", "ml"])
+def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, said):
+    matrix, alpha = measured(change)
+    calibration = calibrate(matrix, method)
+    out = ~calibration.layout.enabled
+    assert out[BAD]
+    assert np.count_nonzero(out) == (2 if change is rows else 1)
+    assert np.isnan(calibration.alpha[out]).all()
+    [warning] = calibration.diagnosis.warnings
+    assert said in warning.fault
+    assert str(matrix.layout.id[BAD]) in warning.fault
+    assert [effect.corrected for effect in calibration.effects] == [True] * np.count_nonzero(out)
+    expected = alpha[~out] / alpha[~out].mean()
+    z = (calibration.alpha[~out] - expected) / calibration.error[~out]
+    assert np.sqrt(np.mean(z**2)) < 1.6
+
+
+def test_a_sound_matrix_loses_nobody():
+    matrix, _ = measured(lambda k, other: None)
+    calibration = calibrate(matrix)
+    assert calibration.layout.enabled.all()
+    assert calibration.effects == ()
+    assert calibration.diagnosis.warnings == ()
+
+
+def test_four_neighbours_are_named_and_nobody_else():
+    matrix, alpha = measured(lambda k, other: None)
+    k = matrix.stiffness.copy()
+    k[30:34] *= -1.0
+    calibration = calibrate(replace(matrix, stiffness=k))
+    out = ~calibration.layout.enabled
+    assert np.flatnonzero(out).tolist() == [30, 31, 32, 33]
+    expected = alpha[~out] / alpha[~out].mean()
+    z = (calibration.alpha[~out] - expected) / calibration.error[~out]
+    assert np.sqrt(np.mean(z**2)) < 1.6
+
+
+def test_noise_alone_does_not_make_alpha_harmful():
+    """With 600 N/m soft modes are all noise, and balance as badly with any alpha."""
+    truth = p45_bench().truth
+    clean = truth.stiffness / truth.alpha[:, None]
+    for seed in (1, 2, 6, 8):
+        noise = 600 * np.random.default_rng([7, seed]).standard_normal(clean.shape)
+        calibration = calibrate(StiffnessMatrix("P45", DATE, truth.layout, clean + noise))
+        error = calibration.alpha - truth.alpha / truth.alpha.mean()
+        assert np.std(error) < 0.6 * np.std(truth.alpha / truth.alpha.mean())
+        assert calibration.verdict.level != "not to be used"
+
+
+def test_a_matrix_in_another_order_is_refused():
+    matrix, _ = measured(lambda k, other: None)
+    turned = np.roll(matrix.stiffness, 7, axis=0)
+    with pytest.raises(RankDeficient, match="do not fit the others"):
+        calibrate(StiffnessMatrix("P45", DATE, matrix.layout, turned))
+
+
+def test_the_order_of_rows_is_that_of_the_largest_product():
+    random = np.random.default_rng(1)
+    root = random.standard_normal((30, 30))
+    k = random.uniform(0.5, 2.0, (30, 1)) * (root @ root.T)
+    order = random.permutation(30)
+    assert np.array_equal(k[order][row_order(k[order])], k)
