@@ -212,9 +212,7 @@ def _effect(ids: NDArray[np.int64], each: BadActuator) -> FoundEffect:
     return FoundEffect(
         name=IS_OFF if each.reason == OFF else f"{NO_FIT}: {each.reason}",
         where=f"actuator {ids[each.index]}",
-        probability=0.0,
         size=each.size,
-        unit="",
         corrected=True,
         remedy="look at coil, driver, cable, sensor and place; set ENABLED to F while it is off",
     )
