@@ -723,7 +723,7 @@ def test_outputs_where_none_can_be_are_refused(folder, refused):
     line = refused("calibrate", folder, "-o", missing)
     assert f"{missing}: cannot be written (No such file or directory); choose a folder" in line
     line = refused("calibrate", folder, "-o", folder, "--overwrite")
-    assert f"{folder}: cannot be written (Is a directory); " in line
+    assert f"{folder}: is a folder; choose another name" in line
     line = refused("simulate", "p45", "--cycles", 1, "-o", folder.parent / "nowhere" / "c")
     assert "nowhere/c: cannot be written (No such file or directory); " in line
 

@@ -192,7 +192,7 @@ def test_nothing_prints_but_the_one_place():
         ('name = "bare"', 'name = "b\\u001b[31m"', "cannot stand in a FITS header"),
         ('name = "bare"', 'name = "bar\u00e9"', "cannot stand in a FITS header"),
         ("force_noise = 0.0001\n", "force_noise = 1e-320\n", "give a positive number, 1e-12 to"),
-        ("settling = 0.02", "settling = 1e300", "give zero or more, to 1e+09"),
+        ("settling = 0.15", "settling = 1e300", "give zero or more, to 1e+09"),
     ],
 )
 def test_what_a_plan_cannot_be_is_refused_as_it_is_read(tmp_path, inside, old, new, said):

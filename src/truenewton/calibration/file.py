@@ -154,7 +154,7 @@ def calibration_from(file: FitsFile) -> Calibration:
         The file breaks the contract of a calibration file.
     """
     values = file.values(CALIBRATION)
-    values["layout"]["enabled"] = np.isfinite(values["alpha"])
+    values["layout"]["enabled"] = file.enabled(values["alpha"], "calibrate again")
     count = Unknowns(values["alpha"].size, values["torque_y"].size).count
     file.require_covariances(count, "n + 1 + 2 L", "calibrate again")
     try:

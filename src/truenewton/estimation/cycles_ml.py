@@ -88,6 +88,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     RankDeficient, TooManyOutliers, NotConverged
     """
     sound, moments = sifted.sound, sifted.moments
+    refuse(structural_faults(sound, moments))
     with refusal_naming(lambda: (*sifted.suspects, *sifted.clipped)):
         free = _posed(sifted)
         suspects = suspects_of(sifted, free)
@@ -133,7 +134,6 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
 def _posed(sifted: Sifted) -> Problem:
     """Pose the problem of a campaign, of which readings are independent as far as is known."""
     sound, moments = sifted.sound, sifted.moments
-    refuse(structural_faults(sound, moments))
     rows = len(sifted.rejected) + int(moments.rows.sum())
     refuse_too_many(len(sifted.rejected), rows)
     force = moments.sums.force.sum(axis=1) / moments.sums.weight

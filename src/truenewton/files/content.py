@@ -207,6 +207,19 @@ class FitsFile:
                     want=(side, side),
                 )
 
+    def enabled(self, alpha: NDArray[Any], remedy: str) -> NDArray[np.bool_]:
+        """Return which actuators take part: those with an (n,) alpha.
+
+        Raises
+        ------
+        FormatError
+            None has one.
+        """
+        some = np.asarray(np.isfinite(alpha))
+        if not some.any():
+            raise FormatError("ALPHA holds no number", remedy=remedy, path=self.path)
+        return some
+
     def require_covariances(self, side: int, meaning: str, remedy: str) -> None:
         """Refuse COVARIANCE and SYSTEMATIC that are none, or not parts of one another."""
         self.require_squares(("COVARIANCE", "SYSTEMATIC"), side, meaning)

@@ -120,6 +120,6 @@ def tracking_from(file: FitsFile) -> Tracking:
     file.require_covariances(3 * alpha.size, "ALPHA, K and DRIFT", "track again")
     if not values["days"]["name"]:
         raise FormatError("DAYS is empty", remedy="track again", path=file.path)
-    values["layout"]["enabled"] = np.isfinite(alpha)
+    values["layout"]["enabled"] = file.enabled(alpha, "track again")
     values["effects"] = values["families"]["effect"]
     return file.filled(Tracking, values)
