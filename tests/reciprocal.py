@@ -1,0 +1,111 @@
+"""Small stiffnesses made by hand, and the likelihood of reciprocity written out with all of K."""
+
+import itertools
+
+import numpy as np
+
+from truenewton.estimation.reciprocity.sight import Places, sight
+from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.statics.layout import rings
+
+
+def small_places(motion=None, *, flat=False):
+    layout = rings([0.06, 0.1], [5, 9], nz=[1.0, 1.0] if flat else [0.999, 0.99])
+    return Places(layout.x, layout.y, layout.nz, motion)
+
+
+def free_basis(places):
+    """Return (n, n - 3) displacements apart from rigid motions."""
+    return np.linalg.qr(places.rigid, mode="complete")[0][:, 3:]
+
+
+def random_stiffness(random, places):
+    """Return a symmetric K with K R = 0, softer where it is smoother, by and large."""
+    basis = free_basis(places)
+    root = random.standard_normal((places.n - 3, places.n - 3))
+    size = np.geomspace(1.0, 8.0, places.n - 3)
+    turned = np.linalg.qr(root)[0]
+    return basis @ (turned * size) @ turned.T @ basis.T
+
+
+def random_values(random, n, offset=5e-4):
+    return Values(
+        random.normal(0.0, 0.1, n), random.normal(0.0, 0.02, n), offset * random.normal(0, 1, (2, n))
+    )
+
+
+def measured(places, values, stiffness):
+    """Return K_c without noise."""
+    slopes = bool(values.offset.any())
+    motion = sight(places, values, slopes=slopes).motion
+    return stiffness @ (motion * values.gain) / values.alpha[:, None]
+
+
+def shifted(values, vector, kinds):
+    """Return values with the unknowns of some kinds increased by a vector."""
+    parts = dict(zip(kinds, np.split(vector, len(kinds)), strict=True))
+    zero = np.zeros(len(values.log_alpha))
+    return Values(
+        values.log_alpha + parts.get("log alpha", zero),
+        values.log_gain + parts.get("log g", zero),
+        values.offset + np.array([parts.get("delta x", zero), parts.get("delta y", zero)]),
+    )
+
+
+class BruteForce:
+    """E = K_c - D^-1 K H D_g: whitened rows and columns, all of K fitted by least squares.
+
+    ``rows`` and ``columns`` whiten: rows @ E @ columns has independent elements of variance 1.
+    """
+
+    def __init__(self, places, stiffness, rows, columns, slopes):
+        self.places, self.stiffness = places, stiffness
+        self.rows, self.columns, self.slopes = rows, columns, slopes
+        basis = free_basis(places)
+        count = basis.shape[1]
+        self.units = []
+        for i, j in itertools.combinations_with_replacement(range(count), 2):
+            unit = np.zeros((count, count))
+            unit[i, j] = unit[j, i] = 1.0
+            self.units.append(basis @ unit @ basis.T)
+
+    def model(self, values, stiffness):
+        motion = sight(self.places, values, slopes=self.slopes).motion
+        each = stiffness @ (motion * values.gain) / values.alpha[:, None]
+        return (self.rows @ each @ self.columns).ravel()
+
+    def stiffness_jacobian(self, values):
+        return np.stack([self.model(values, unit) for unit in self.units], axis=1)
+
+    def fitted(self, values):
+        """Return the likeliest K at some values, and what it leaves."""
+        jacobian = self.stiffness_jacobian(values)
+        data = (self.rows @ self.stiffness @ self.columns).ravel()
+        best = np.linalg.lstsq(jacobian, data, rcond=None)[0]
+        return sum(b * u for b, u in zip(best, self.units, strict=True)), data - jacobian @ best
+
+    def objective(self, values):
+        return 0.5 * float(np.sum(self.fitted(values)[1] ** 2))
+
+    def gradient(self, values, kinds, steps):
+        made = []
+        for k, step in enumerate(steps):
+            move = np.zeros(len(steps))
+            move[k] = step
+            up, down = (self.objective(shifted(values, s * move, kinds)) for s in (1, -1))
+            made.append((up - down) / (2 * step))
+        return np.array(made)
+
+    def information(self, values, kinds, steps):
+        """Return the information on the unknowns, all of K unknown too."""
+        best, _ = self.fitted(values)
+        columns = []
+        for k, step in enumerate(steps):
+            move = np.zeros(len(steps))
+            move[k] = step
+            up, down = (self.model(shifted(values, s * move, kinds), best) for s in (1, -1))
+            columns.append((up - down) / (2 * step))
+        jacobian, other = np.stack(columns, axis=1), self.stiffness_jacobian(values)
+        basis = np.linalg.qr(other)[0]
+        apart = jacobian - basis @ (basis.T @ jacobian)
+        return apart.T @ apart
