@@ -1,0 +1,114 @@
+"""A stiffness matrix alone: states from its singular vectors, their noise from what is left.
+
+The modes, stiffest first, stand in bins of equal number. Residuals of a pair of bins share one
+variance: their mean square, over 1 less the mean leverage, since a fit takes part of them up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.estimation.reciprocity.blocks import Residuals
+from truenewton.estimation.reciprocity.information import Leverage
+from truenewton.estimation.reciprocity.sight import Places, Sight
+from truenewton.estimation.reciprocity.states import States, Weights, equal_bins
+from truenewton.estimation.reciprocity.unknowns import Values
+
+MOST_BINS = 12
+FEWEST = 8  # modes in a bin
+MOST_TAKEN = 0.95  # of a block of residuals, by a fit: beyond, too little is left to tell noise
+ROUNDING = 1e-12  # of the forces: no residual is less noisy
+
+
+@dataclass(eq=False)
+class BinnedNoise:
+    """States of a stiffness, and their noise as the last residuals have it.
+
+    Attributes
+    ----------
+    stiffness
+        (n, n) K_c, of the modes that are used alone [N/m].
+    readings
+        (n, m) V, as read; stiffest first.
+    statics, reciprocity
+        Whether the balance of forces counts, and the rest (rigid motions and reciprocity).
+    leverage
+        Of the last fit; None at first.
+    """
+
+    stiffness: Array
+    readings: Array
+    statics: bool = True
+    reciprocity: bool = True
+    leverage: Leverage | None = field(default=None)
+
+    def told(self, leverage: Leverage) -> None:
+        """Take the leverages of a fit over."""
+        self.leverage = leverage
+
+    def __call__(self, places: Places, values: Values, seen: Sight) -> tuple[States, Weights]:
+        """Return states and weights at some values."""
+        states = self.states(places, values, seen)
+        return states, self.weights(states)
+
+    def states(self, places: Places, values: Values, seen: Sight) -> States:
+        """Return the states, W'W as it comes and Q orthonormal."""
+        true = values.alpha[:, None] * self.stiffness
+        rigid, triangle = np.linalg.qr(places.rigid)
+        turn = np.linalg.inv(triangle)
+        rigid_readings = places.rigid_readings(values) @ turn
+        moved = seen.motion @ (values.gain[:, None] * self.readings)
+        apart = moved - rigid @ (rigid.T @ moved)
+        displaced = np.linalg.solve(apart.T @ apart, apart.T).T
+        basis = np.linalg.qr(rigid_readings)[0]
+        dual = self.readings - basis @ (basis.T @ self.readings)
+        dual = np.linalg.solve(dual.T @ dual, dual.T).T
+        return States(
+            readings=self.readings,
+            forces=true @ self.readings,
+            displacements=moved,
+            rigid_readings=rigid_readings,
+            rigid_forces=true @ rigid_readings,
+            turn=turn,
+            rigid=rigid,
+            displaced=displaced,
+            balancing=rigid - displaced @ (moved.T @ rigid),
+            dual=dual,
+        )
+
+    def weights(self, states: States) -> Weights:
+        """Return weights from what the states leave now, and from the leverages of the last fit."""
+        work = states.displacements.T @ states.forces
+        left = Residuals(
+            states.rigid.T @ states.forces, states.displacements.T @ states.rigid_forces, work
+        )
+        bins = equal_bins(states.count, min(MOST_BINS, states.count // FEWEST))
+        sizes = np.array([some.stop - some.start for some in bins])
+        starts = [some.start for some in bins]
+        pairs = np.outer(sizes, sizes) - np.diag(sizes)
+        taken = self.leverage or Leverage(
+            np.zeros((3, len(bins))), np.zeros((len(bins), 3)), np.zeros((len(bins),) * 2)
+        )
+        square = np.add.reduceat(np.add.reduceat(left.reciprocity**2, starts, axis=0), starts, axis=1)
+        # of the diagonal bins half the pairs; off it the leverage of a pair of bins stands whole
+        of_pair = taken.reciprocity * (1.0 + np.eye(len(bins)))
+        variance = square / _left(pairs, of_pair)
+        statics = np.add.reduceat(left.statics**2, starts, axis=1) / _left(sizes, taken.statics)
+        rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(
+            sizes[:, None], taken.rigid
+        )
+        least = ROUNDING**2 * np.mean(np.diagonal(work) ** 2)
+        return Weights(
+            statics=self.statics * np.repeat(1.0 / np.maximum(statics, least), sizes, axis=1),
+            rigid=self.reciprocity * np.repeat(1.0 / np.maximum(rigid, least), sizes, axis=0),
+            reciprocity=self.reciprocity / np.maximum(variance, least),
+            bins=bins,
+        )
+
+
+def _left(count: Array, taken: Array) -> Array:
+    """Return how many residuals a fit leaves of so many."""
+    return np.asarray(count * (1.0 - np.minimum(taken / count, MOST_TAKEN)))
