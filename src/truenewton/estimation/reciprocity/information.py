@@ -22,6 +22,8 @@ from truenewton.estimation.reciprocity.sight import Sight
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Values
 
+ROWS = 64  # of actuators at once, so that what is made of them stays in the cache
+
 
 @dataclass(frozen=True, eq=False)
 class Design:
@@ -97,14 +99,14 @@ def score(point: Point) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Leverage:
-    """How much of each block of residuals the fit takes up: sums of leverages.
+    """How much of each block of residuals a fit takes up: sums of leverages.
 
     Attributes
     ----------
     statics, rigid
         (3, b), (b, 3).
     reciprocity
-        (b, b) of pairs of bins, each unordered pair once off the diagonal, in either place.
+        (b, b) of unordered pairs of bins, in either place.
     """
 
     statics: Array
@@ -112,8 +114,16 @@ class Leverage:
     reciprocity: Array
 
 
-def information(point: Point, covariance: Array | None = None) -> tuple[Array, Leverage | None]:
-    """Return (u, u) the information; with a covariance of the unknowns, leverages as well."""
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """The covariance of the unknowns with the weights that it comes from."""
+
+    covariance: Array
+    weights: Weights
+
+
+def information(point: Point, before: Fitted | None = None) -> tuple[Array, Leverage | None]:
+    """Return (u, u) the information, and the leverages of a fit before, if there was one."""
     kinds, n = list(point.designs), point.states.readings.shape[0]
     total = np.zeros((n * len(kinds), n * len(kinds)))
     bins = len(point.weights.bins)
@@ -121,65 +131,66 @@ def information(point: Point, covariance: Array | None = None) -> tuple[Array, L
     for i, one in enumerate(kinds):
         for j, other in enumerate(kinds[i:], i):
             rows, columns = slice(i * n, (i + 1) * n), slice(j * n, (j + 1) * n)
-            part = None if covariance is None else covariance[rows, columns] * (1 + (i != j))
-            block = _of_reciprocity(point, one, other, part, taken)
+            part = None
+            if before is not None:
+                part = Fitted(before.covariance[rows, columns] * (1 + (i != j)), before.weights)
+            block = total[rows, columns]
+            _add_reciprocity(block, point, one, other, part, taken)
             if one == other == Kind.ALPHA:
-                block += _of_statics(point, part, taken)
-            block += _of_rigid(point, one, other, part, taken)
-            total[rows, columns] = block
+                _add_statics(block, point, part, taken)
+            _add_rigid(block, point, one, other, part, taken)
             total[columns, rows] = block.T
-    return total, None if covariance is None else taken
+    return total, None if before is None else taken
 
 
-def _of_reciprocity(
-    point: Point, one: Kind, other: Kind, covariance: Array | None, taken: Leverage
-) -> Array:
-    """Return (n, n) the sum over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)]."""
+def _add_reciprocity(
+    block: Array, point: Point, one: Kind, other: Kind, before: Fitted | None, taken: Leverage
+) -> None:
+    """Add the (n, n) sum over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)]."""
     a, b, weights = point.designs[one], point.designs[other], point.weights
-    grams = [
-        np.stack([left[some].T @ right[some] for some in weights.bins])
-        for left, right in ((a.p, b.p), (a.q, b.q), (a.p, b.q), (a.q, b.p))
-    ]
-    pp, qq, pq, qp = (gram.reshape(len(gram), -1) for gram in grams)
-    w = weights.reciprocity
-    total = np.einsum("ak,ak->k", pp, w @ qq) - np.einsum("ak,ak->k", pq, w @ qp)
-    if covariance is not None:
-        c = covariance.ravel()
-        each = w * ((pp * c) @ qq.T - (pq * c) @ qp.T)
-        each = each + each.T
-        each[np.diag_indices(len(each))] *= 0.5
-        taken.reciprocity[:] += each
-    return np.asarray(total.reshape(grams[0].shape[1:]))
+    w, bins = weights.reciprocity, len(weights.bins)
+    for start in range(0, len(block), ROWS):
+        some = slice(start, start + ROWS)
+        pp, qq, pq, qp = (
+            np.stack([left[k, some].T @ right[k] for k in weights.bins]).reshape(bins, -1)
+            for left, right in ((a.p, b.p), (a.q, b.q), (a.p, b.q), (a.q, b.p))
+        )
+        both = np.einsum("ak,ak->k", pp, w @ qq) - np.einsum("ak,ak->k", pq, w @ qp)
+        block[some] += both.reshape(-1, block.shape[1])
+        if before is not None:
+            c = before.covariance[some].ravel()
+            each = before.weights.reciprocity * ((pp * c) @ qq.T - (pq * c) @ qp.T)
+            each = each + each.T
+            each[np.diag_indices(bins)] *= 0.5
+            taken.reciprocity[:] += each
 
 
-def _of_statics(point: Point, covariance: Array | None, taken: Leverage) -> Array:
-    """Return (n, n) the sum over the three equations of (Q_r Q_r') o (F^ diag(w) F^')."""
+def _add_statics(block: Array, point: Point, before: Fitted | None, taken: Leverage) -> None:
+    """Add the (n, n) sum over the three equations of (Q_r Q_r') o (F^ diag(w) F^')."""
     q, f, weights = point.states.rigid, point.fitted.forces, point.weights
-    total = np.zeros((len(f), len(f)))
     for r in range(3):
-        pattern = np.outer(q[:, r], q[:, r])
-        for k, some in enumerate(weights.bins):
-            part = pattern * ((f[:, some] * weights.statics[r, some]) @ f[:, some].T)
-            total += part
-            if covariance is not None:
-                taken.statics[r, k] += np.sum(part * covariance)
-    return total
+        block += np.outer(q[:, r], q[:, r]) * ((f * weights.statics[r]) @ f.T)
+        if before is not None:
+            scaled = q[:, r, None] * f
+            each = np.sum(scaled * (before.covariance @ scaled), axis=0)
+            taken.statics[r] += _by_bin(each * before.weights.statics[r], weights)
 
 
-def _of_rigid(
-    point: Point, one: Kind, other: Kind, covariance: Array | None, taken: Leverage
-) -> Array:
-    """Return (n, n) the sum over the three rigid motions of (c_r d_r') o (KV diag(w) KV')."""
+def _add_rigid(
+    block: Array, point: Point, one: Kind, other: Kind, before: Fitted | None, taken: Leverage
+) -> None:
+    """Add the (n, n) sum over the three rigid motions of (c_r d_r') o (KV diag(w) KV')."""
     c, d = point.designs[one].rigid, point.designs[other].rigid
     kv, weights = point.fitted.by_reading, point.weights
-    total = np.zeros((len(kv), len(kv)))
     if c is None or d is None:
-        return total
+        return
     for r in range(3):
-        pattern = np.outer(c[:, r], d[:, r])
-        for k, some in enumerate(weights.bins):
-            part = pattern * ((kv[:, some] * weights.rigid[some, r]) @ kv[:, some].T)
-            total += part
-            if covariance is not None:
-                taken.rigid[k, r] += np.sum(part * covariance)
-    return total
+        block += np.outer(c[:, r], d[:, r]) * ((kv * weights.rigid[:, r]) @ kv.T)
+        if before is not None:
+            each = np.sum(c[:, r, None] * kv * (before.covariance @ (d[:, r, None] * kv)), axis=0)
+            taken.rigid[:, r] += _by_bin(each * before.weights.rigid[:, r], weights)
+
+
+def _by_bin(values: Array, weights: Weights) -> Array:
+    """Return (b,) sums of (m,) values of the states over each bin."""
+    return np.asarray(np.add.reduceat(values, [some.start for some in weights.bins]))

@@ -12,6 +12,7 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.reciprocity.blocks import likeliest, residuals
 from truenewton.estimation.reciprocity.information import (
+    Fitted,
     Leverage,
     Point,
     designs,
@@ -116,16 +117,17 @@ def fit(
     NotConverged
     """
     values = at_nominal(places.n) if start is None else start
-    covariance: Array | None = None
+    before: Fitted | None = None
     for step in range(STEPS):
         point = point_at(places, values, asked, states_at)
-        gathered, leverage = information(point, covariance)
-        before = asked.information(places.n)
-        gathered[np.diag_indices(len(before))] += before
+        gathered, leverage = information(point, before)
+        known = asked.information(places.n)
+        gathered[np.diag_indices(len(known))] += known
         covariance = _inverse(gathered, asked, places.n)
+        before = Fitted(covariance, point.weights)
         if leverage is not None and told is not None:
             told(leverage)
-        move = -covariance @ (score(point) + before * asked.vector(values))
+        move = -covariance @ (score(point) + known * asked.vector(values))
         n = places.n
         error = np.sqrt(np.mean(np.diag(covariance)[:n]))
         settled = step > 0 and np.sqrt(np.mean(move[:n] ** 2)) < SETTLED * error
