@@ -12,6 +12,7 @@ from truenewton.estimation.diagnosis import (
     Goodness,
     RejectedRow,
     ScaleError,
+    Sensor,
 )
 
 
@@ -49,6 +50,8 @@ class Estimate:
         Rows left out.
     effects
         What the bench did beside the model, as far as the data show it.
+    sensors
+        What reciprocity finds of them; empty by other methods.
     """
 
     method: str
@@ -65,3 +68,4 @@ class Estimate:
     scale_errors: tuple[ScaleError, ...] = ()
     rejected: tuple[RejectedRow, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
+    sensors: tuple[Sensor, ...] = ()

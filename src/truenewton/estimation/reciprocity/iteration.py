@@ -185,14 +185,13 @@ def _fit(
     if leverage is not None:
         pairs = np.triu(leverage.reciprocity)
         taken = (leverage.statics.sum(), leverage.rigid.sum(), pairs.sum())
-    rigid = 3 * m if len(asked.kinds) > 1 else 3 * m
     return Fit(
         values=values,
         asked=asked,
         information=gathered,
         covariance=covariance,
         chi2=point.left.chi2(point.weights),
-        equations=(3 * m, rigid, m * (m - 1) // 2),
+        equations=(3 * m, 3 * m, m * (m - 1) // 2),
         parameters=tuple(map(float, taken)),  # type: ignore[arg-type]
         point=point,
         steps=steps,

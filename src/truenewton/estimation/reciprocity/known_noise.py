@@ -33,6 +33,8 @@ class Regressed:
         (n, n) S_zz, sum of z z' [m^2].
     noise
         (n, n) N_c, covariance of the force that a row of weight 1 leaves [N^2].
+    noise_freedom
+        Degrees of freedom from which the noise is known.
     bias_gradient
         Change of the bias magnets' force per displacement [N/m].
     coil_force
@@ -42,6 +44,7 @@ class Regressed:
     stiffness: Array
     square: Array
     noise: Array
+    noise_freedom: float = np.inf
     bias_gradient: float = 0.0
     coil_force: Array | float = 0.0
 

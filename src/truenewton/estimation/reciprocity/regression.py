@@ -64,11 +64,12 @@ def regressed(
         )
     stiffness = np.linalg.solve(square, z.T @ force).T
     spare = moments.groups - len(moments.loads) - n
-    noise = np.diag(variance)
+    noise, freedom = np.diag(variance), float(max(moments.repeats, 1) * n)
     if spare >= SPARE * n:
         noise = _noise(force - z @ stiffness.T, stiffness, variance, spare)
+        freedom = float(spare * n)
     mean = (of_load.sum(axis=0) / of_load.sum()) @ rest
-    return Regressed(stiffness, square, noise, bias_gradient, coil_gradient * mean)
+    return Regressed(stiffness, square, noise, freedom, bias_gradient, coil_gradient * mean)
 
 
 def _noise(left: Array, stiffness: Array, variance: Array, spare: int) -> Array:

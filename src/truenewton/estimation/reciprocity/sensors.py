@@ -1,0 +1,26 @@
+"""What reciprocity finds of the sensors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import Sensor
+from truenewton.estimation.reciprocity.iteration import Fit
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind
+
+
+def sensors_of(fit: Fit, ids: NDArray[np.int64]) -> tuple[Sensor, ...]:
+    """Return the sensors of a fit of actuators with some (n,) IDs; what was not asked is without error."""
+    n = len(ids)
+
+    def error(kind: Kind) -> Array:
+        if kind not in fit.asked.kinds:
+            return np.zeros(n)
+        return np.sqrt(np.maximum(np.diag(fit.covariance_of(kind)), 0.0))
+
+    gain, (dx, dy) = fit.values.gain, fit.values.offset
+    columns = (gain, gain * error(Kind.GAIN), dx, error(OFFSETS[0]), dy, error(OFFSETS[1]))
+    rows = np.stack(columns, axis=1).tolist()
+    return tuple(Sensor(int(k), *row, "fitted") for k, row in zip(ids, rows, strict=True))
