@@ -30,7 +30,9 @@ def random_stiffness(random, places):
 
 def random_values(random, n, offset=5e-4):
     return Values(
-        random.normal(0.0, 0.1, n), random.normal(0.0, 0.02, n), offset * random.normal(0, 1, (2, n))
+        random.normal(0.0, 0.1, n),
+        random.normal(0.0, 0.02, n),
+        offset * random.normal(0, 1, (2, n)),
     )
 
 

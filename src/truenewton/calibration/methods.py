@@ -18,7 +18,9 @@ from truenewton.calibration.verdict import warn_of
 from truenewton.errors import NotConverged, RankDeficient, UnknownName
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles
+from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.row_readers import RowReader, read_rows
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.unknowns import Unknowns
@@ -27,15 +29,17 @@ from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
+Imbalances = tuple[stiffness_svd.Imbalance, ...]
+
 
 class Method(NamedTuple):
-    """A method: of a sifted campaign to its estimate; of modes of a stiffness to a fit.
+    """A method: of a sifted campaign to its estimate; of a stiffness, with what modes leave.
 
     Both take whether the actuators are samples of one population.
     """
 
     of_cycles: Callable[[Sifted, bool], Estimate]
-    of_stiffness: Callable[[bool], stiffness_svd.ElasticMethod]
+    of_stiffness: Callable[[StiffnessMatrix, bool], tuple[Estimate, Imbalances]]
 
 
 def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
@@ -44,9 +48,47 @@ def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
     return cycles_svd.find(campaign, moments)
 
 
+def _elastic(pooled: bool) -> stiffness_svd.ElasticMethod:
+    return partial(stiffness_ml.likeliest, population=pooled)
+
+
+def _by_modes(
+    matrix: StiffnessMatrix, method: stiffness_svd.ElasticMethod
+) -> tuple[Estimate, Imbalances]:
+    """Return the estimate of a method that balances modes, and how well it does."""
+    estimate = stiffness_svd.find(matrix, method)
+    try:
+        return estimate, stiffness_svd.imbalances(matrix, method)
+    except (RankDeficient, NotConverged) as error:
+        fault = Fault(f"every second mode alone gives no alpha: {error.fault}", error.remedy)
+        return with_warnings(estimate, (fault,)), ()
+
+
+def _reciprocal(matrix: StiffnessMatrix, where_it_holds: bool) -> tuple[Estimate, Imbalances]:
+    """Return the estimate of reciprocity; of `ml`, with the reason, only where that is allowed."""
+    base, imbalances = _by_modes(matrix, _elastic(False))
+    try:
+        estimate, of_modes, against = reciprocity_of_matrix.find(matrix, base)
+    except (RankDeficient, NotConverged) as error:
+        if not where_it_holds:
+            raise
+        return with_warnings(base, reciprocity_of_matrix.refused(error)), imbalances
+    if against and where_it_holds:
+        return with_warnings(base, against), imbalances
+    return with_warnings(estimate, against), of_modes
+
+
 METHODS = {
-    "ml": Method(cycles_ml.find, lambda pooled: partial(stiffness_ml.likeliest, population=pooled)),
-    "svd": Method(_svd_of_cycles, lambda _: stiffness_svd.singular_fit),
+    "ml": Method(cycles_ml.find, lambda matrix, pooled: _by_modes(matrix, _elastic(pooled))),
+    "svd": Method(_svd_of_cycles, lambda matrix, _: _by_modes(matrix, stiffness_svd.singular_fit)),
+    "reciprocity": Method(
+        lambda sifted, _: reciprocity_of_cycles.find(sifted),
+        lambda matrix, _: _reciprocal(matrix, False),
+    ),
+    "auto": Method(
+        lambda sifted, _: reciprocity_of_cycles.find_where_it_holds(sifted),
+        lambda matrix, _: _reciprocal(matrix, True),
+    ),
 }
 
 
@@ -60,7 +102,8 @@ def calibrate(
     data
         A campaign under two loads at least, or a measured stiffness matrix (relative alpha).
     method
-        'ml', maximum likelihood; 'svd', the paper's.
+        'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which makes use of what the
+        sensors read; 'auto', reciprocity where it holds, else 'ml'.
     population
         Take the actuators for samples of one normal population, whose spread the data give: pulls
         what the data hardly hold toward the mean. With 'ml' only; the result names it.
@@ -85,7 +128,7 @@ def calibrate(
     if isinstance(data, Campaign):
         made = calibration_of(data, find_alpha(sift(data), method, population=population))
     elif isinstance(data, StiffnessMatrix):
-        made = _from_stiffness(data, METHODS[method].of_stiffness(population))
+        made = _from_stiffness(data, *METHODS[method].of_stiffness(data, population))
     else:
         raise TypeError(
             f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix"
@@ -100,6 +143,8 @@ def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: 
         raise UnknownName(
             f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method
         )
+    if population and method not in ("ml", "svd"):
+        raise UnknownName("a population goes with ml only", remedy="use ml", got=method)
     if method == "svd" and (population or (isinstance(data, Campaign) and data.stiffness)):
         raise UnknownName(
             "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
@@ -115,7 +160,7 @@ def held_out(
     matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
 ) -> tuple[stiffness_svd.Imbalance, ...]:
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
-    return stiffness_svd.imbalances(matrix, METHODS[method].of_stiffness(population))
+    return METHODS[method].of_stiffness(matrix, population)[1]
 
 
 def calibration_of(
@@ -159,22 +204,16 @@ def calibration_of(
     )
 
 
-def _from_stiffness(matrix: StiffnessMatrix, method: stiffness_svd.ElasticMethod) -> Calibration:
-    on, estimate = matrix.layout.enabled, stiffness_svd.find(matrix, method)
-    imbalances: tuple[stiffness_svd.Imbalance, ...] = ()
-    warnings = estimate.diagnosis.warnings
-    try:
-        imbalances = stiffness_svd.imbalances(matrix, method)
-    except (RankDeficient, NotConverged) as error:
-        warnings += (Fault(f"every second mode alone gives no alpha: {error.fault}", error.remedy),)
+def _from_stiffness(
+    matrix: StiffnessMatrix, estimate: Estimate, imbalances: Imbalances
+) -> Calibration:
+    on = matrix.layout.enabled
     # B is not to be had from elastic forces.
     reading, systematic = (
         np.pad(covariance, (0, 1), constant_values=np.nan)
         for covariance in (estimate.reading_covariance, estimate.systematic_covariance)
     )
-    diagnosis = replace(estimate.diagnosis, warnings=warnings)
-    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic,
-                       diagnosis=diagnosis)  # fmt: skip
+    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
     return Calibration(
         instrument=matrix.instrument,
         date=matrix.date,
@@ -225,6 +264,7 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "diagnosis": estimate.diagnosis,
         "goodness": goodness,
         "scale_errors": estimate.scale_errors,
+        "sensors": estimate.sensors,
     }
 
 

@@ -17,6 +17,7 @@ from truenewton.estimation.diagnosis import (
     Goodness,
     RejectedRow,
     ScaleError,
+    Sensor,
 )
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
@@ -85,6 +86,8 @@ class Calibration:
         What the bench did beside the model, the likeliest first.
     imbalances
         Of elastic modes, fitted and held out; empty but for a stiffness file.
+    sensors
+        Gains and places of the sensors by reciprocity; empty by other methods.
     """
 
     instrument: str
@@ -121,6 +124,7 @@ class Calibration:
     rejected_rows: tuple[RejectedRow, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
     imbalances: tuple[Imbalance, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "alpha", "reading_error", "systematic_error", "cycle_error", "covariance",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import typer
 
-METHOD = typer.Option("ml", help="ml, maximum likelihood; svd, the paper's.")
+METHOD = typer.Option(
+    "ml", help="ml, maximum likelihood; svd, the paper's; reciprocity; auto, reciprocity or ml."
+)
 POPULATION = typer.Option(
     False, "--population", help="Take alpha for samples of one normal population (ml)."
 )

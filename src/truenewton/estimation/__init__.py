@@ -43,6 +43,7 @@ files, in the order in which data pass through them:
     odd_actuators    readings that are stuck, coils without force, poles exchanged
     fit_warnings     what is weak in a campaign and its fit, in words
     cycles_ml        `ml` on a campaign
+    reciprocity      alpha, sensor gains and offsets from a stiffness that must be symmetric
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix
     undetermined     patterns of alpha that noise decides

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from truenewton.arrays import Array
@@ -14,6 +14,7 @@ from truenewton.estimation.diagnosis import (
     ScaleError,
     Sensor,
 )
+from truenewton.records.fault import Fault
 
 
 class Scale(StrEnum):
@@ -69,3 +70,9 @@ class Estimate:
     rejected: tuple[RejectedRow, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
     sensors: tuple[Sensor, ...] = ()
+
+
+def with_warnings(estimate: Estimate, more: tuple[Fault, ...]) -> Estimate:
+    """Return an estimate with more of what is weak in it."""
+    diagnosis = estimate.diagnosis
+    return replace(estimate, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, *more)))

@@ -16,4 +16,9 @@ docs/reciprocity.md. The files, in the order in which data pass through them:
     known_noise    states of a regressed stiffness whose noise is known
     binned_noise   noise from what is left, in bins of modes
     iteration      steps, spreads of gains and offsets, and the end
+    regression     the stiffness that a campaign measured, and the noise that it leaves
+    gate           whether reciprocity holds: what speaks against it
+    sensors        what it finds of the sensors
+    cycles         a campaign: relative alpha by reciprocity, the scale from the weights
+    matrix         a stiffness matrix alone, modes held out
 """

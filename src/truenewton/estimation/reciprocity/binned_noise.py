@@ -62,10 +62,9 @@ class BinnedNoise:
         rigid_readings = places.rigid_readings(values) @ turn
         moved = seen.motion @ (values.gain[:, None] * self.readings)
         apart = moved - rigid @ (rigid.T @ moved)
-        displaced = np.linalg.solve(apart.T @ apart, apart.T).T
+        displaced = _dual(apart)
         basis = np.linalg.qr(rigid_readings)[0]
-        dual = self.readings - basis @ (basis.T @ self.readings)
-        dual = np.linalg.solve(dual.T @ dual, dual.T).T
+        dual = _dual(self.readings - basis @ (basis.T @ self.readings))
         return States(
             readings=self.readings,
             forces=true @ self.readings,
@@ -92,14 +91,14 @@ class BinnedNoise:
         taken = self.leverage or Leverage(
             np.zeros((3, len(bins))), np.zeros((len(bins), 3)), np.zeros((len(bins),) * 2)
         )
-        square = np.add.reduceat(np.add.reduceat(left.reciprocity**2, starts, axis=0), starts, axis=1)
+        square = np.add.reduceat(
+            np.add.reduceat(left.reciprocity**2, starts, axis=0), starts, axis=1
+        )
         # of the diagonal bins half the pairs; off it the leverage of a pair of bins stands whole
         of_pair = taken.reciprocity * (1.0 + np.eye(len(bins)))
         variance = square / _left(pairs, of_pair)
         statics = np.add.reduceat(left.statics**2, starts, axis=1) / _left(sizes, taken.statics)
-        rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(
-            sizes[:, None], taken.rigid
-        )
+        rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(sizes[:, None], taken.rigid)
         least = ROUNDING**2 * np.mean(np.diagonal(work) ** 2)
         return Weights(
             statics=self.statics * np.repeat(1.0 / np.maximum(statics, least), sizes, axis=1),
@@ -107,6 +106,11 @@ class BinnedNoise:
             reciprocity=self.reciprocity / np.maximum(variance, least),
             bins=bins,
         )
+
+
+def _dual(basis: Array) -> Array:
+    """Return (n, m) D in the span of a basis B, D'B = 1."""
+    return np.asarray(np.linalg.solve(basis.T @ basis, basis.T).T, dtype=np.float64)
 
 
 def _left(count: Array, taken: Array) -> Array:

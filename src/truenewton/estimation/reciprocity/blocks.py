@@ -1,9 +1,9 @@
 """The three blocks of equations that a true stiffness obeys, and the likeliest true forces.
 
-    S = Q'F                  statics: forces of a free shell balance            (3 x m)
-    t = W'D_alpha K_c z_R    rigid motions cost no force                        (m x 3)
-    A = T - T', T = W'F      reciprocity: virtual work of each state's displacement on the other's
-                             force is the same                                  m (m - 1) / 2
+S = Q'F                  statics: forces of a free shell balance            (3 x m)
+t = W'D_alpha K_c z_R    rigid motions cost no force                        (m x 3)
+A = T - T', T = W'F      reciprocity: virtual work of each state's displacement on the other's
+                         force is the same                                  m (m - 1) / 2
 """
 
 from __future__ import annotations

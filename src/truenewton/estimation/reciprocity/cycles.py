@@ -18,7 +18,7 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.diagnosis import Goodness, NoiseSource
 from truenewton.estimation.effects.words import effect_warnings
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.estimate import Estimate, with_warnings
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
@@ -30,7 +30,7 @@ from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.regression import regressed
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind
+from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind
 from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.weights import temperature_errors, weight_errors
@@ -38,13 +38,11 @@ from truenewton.records.fault import Fault
 from truenewton.statics.layout import Layout
 
 METHOD = "reciprocity"
-# Spreads of log g and of offsets [m] to begin with; the data give their own.
-USUAL = Asked(gain_spread=0.004, offset_spread=5e-4, estimated=True)
 IMPROBABLE = 1e-3  # of a fit: beyond, errors grow by what it leaves
 
 
 def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> Estimate:
-    """Find alpha and the sensors of a campaign; what speaks against the answer is among its warnings.
+    """Find alpha and the sensors of a campaign; what speaks against them is among the warnings.
 
     Parameters
     ----------
@@ -60,7 +58,7 @@ def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> E
     RankDeficient, TooManyOutliers, NotConverged
     """
     estimate, against = _found(sifted, cycles_ml.find(sifted), motion, asked)
-    return _with_warnings(estimate, against)
+    return with_warnings(estimate, against)
 
 
 def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate:
@@ -77,12 +75,7 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
         estimate, against = _found(sifted, base, motion, USUAL)
     except (RankDeficient, NotConverged) as error:
         against = (Fault(f"{METHOD}: {error.fault}", str(error.remedy)),)
-    return _with_warnings(base, against) if against else estimate
-
-
-def _with_warnings(estimate: Estimate, more: tuple[Fault, ...]) -> Estimate:
-    diagnosis = estimate.diagnosis
-    return replace(estimate, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, *more)))
+    return with_warnings(base, against) if against else estimate
 
 
 def _found(
@@ -125,7 +118,7 @@ def _found(
 
 
 def asked_offset(fitted: Fit) -> float:
-    """Return the spread of the offsets as the data give it; NaN where they were not asked for it."""
+    """Return the spread of the offsets as the data give it; NaN where they do not."""
     return fitted.asked.offset_spread if fitted.asked.estimated else float("nan")
 
 
@@ -145,7 +138,9 @@ def _balancing(sifted: Sifted, base: Estimate) -> Moments:
     }
     if not out:
         return moments
-    return chosen_groups(moments, np.array([tuple(label) not in out for label in moments.labels.tolist()]))
+    return chosen_groups(
+        moments, np.array([tuple(label) not in out for label in moments.labels.tolist()])
+    )
 
 
 def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:

@@ -62,10 +62,16 @@ class Point:
 
 
 def designs(
-    kinds: tuple[Kind, ...], values: Values, seen: Sight, states: States, fitted: Likeliest, length: float
+    kinds: tuple[Kind, ...],
+    values: Values,
+    seen: Sight,
+    states: States,
+    fitted: Likeliest,
+    length: float,
 ) -> dict[Kind, Design]:
     """Return the design of each kind; ``length`` is that of `sight.Places`."""
-    gain, made = values.gain, {}
+    gain = values.gain
+    made: dict[Kind, Design] = {}
     read = gain[:, None] * states.readings
     q = (seen.motion.T @ fitted.forces).T
     for kind in kinds:

@@ -69,6 +69,11 @@ class Fit:
         return self.covariance[k * n : (k + 1) * n, k * n : (k + 1) * n]
 
     @property
+    def asked_again(self) -> Asked:
+        """What was asked, the spreads taken for known."""
+        return replace(self.asked, estimated=False)
+
+    @property
     def reduced(self) -> tuple[float, float, float]:
         """chi2 of each block over its degrees of freedom."""
         return tuple(  # type: ignore[return-value]
@@ -212,6 +217,9 @@ def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
         for kind in names:
             k = asked.kinds.index(kind)
             total += float(np.sum(values.of(kind) ** 2))
-            held += n - float(np.trace(covariance[k * n : (k + 1) * n, k * n : (k + 1) * n])) / size**2
-        asked = replace(asked, **{spread: float(np.sqrt(total / max(held, 1.0)))})
+            held += (
+                n - float(np.trace(covariance[k * n : (k + 1) * n, k * n : (k + 1) * n])) / size**2
+            )
+        found = float(np.sqrt(total / max(held, 1.0)))
+        asked = replace(asked, **{spread: found})  # type: ignore[arg-type]
     return asked

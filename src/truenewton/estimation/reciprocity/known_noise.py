@@ -1,8 +1,8 @@
-"""A stiffness regressed from shapes, its noise known: states in which all residuals are independent.
+"""A stiffness regressed from shapes, its noise known: states whose residuals are all independent.
 
 K_c = S_cz S_zz^-1 has noise of covariance N_c for rows, S_zz^-1 for columns. States V with
-V'S_zz^-1 V = 1 and W'N W diagonal, N = D_alpha N_c D_alpha, apart from rigid motions in both senses,
-have independent residuals; so the sums below are the likelihood itself.
+V'S_zz^-1 V = 1 and W'N W diagonal, N = D_alpha N_c D_alpha, both apart from rigid motions in these
+metrics, have independent residuals; so the sums below are the likelihood itself.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,7 @@ from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind
 
 
 def sensors_of(fit: Fit, ids: NDArray[np.int64]) -> tuple[Sensor, ...]:
-    """Return the sensors of a fit of actuators with some (n,) IDs; what was not asked is without error."""
+    """Return the sensors of a fit, of actuators with (n,) IDs; what was not asked has no error."""
     n = len(ids)
 
     def error(kind: Kind) -> Array:
@@ -22,5 +24,5 @@ def sensors_of(fit: Fit, ids: NDArray[np.int64]) -> tuple[Sensor, ...]:
 
     gain, (dx, dy) = fit.values.gain, fit.values.offset
     columns = (gain, gain * error(Kind.GAIN), dx, error(OFFSETS[0]), dy, error(OFFSETS[1]))
-    rows = np.stack(columns, axis=1).tolist()
-    return tuple(Sensor(int(k), *row, "fitted") for k, row in zip(ids, rows, strict=True))
+    cells = (column.tolist() for column in (ids, *columns))
+    return tuple(itertools.starmap(Sensor, zip(*cells, n * ["fitted"], strict=True)))

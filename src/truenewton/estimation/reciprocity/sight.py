@@ -87,7 +87,7 @@ class Sight:
 
 
 def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
-    """Return what the sensors see, by a model of the glass or, of sensors off their magnets, a plate.
+    """Return what the sensors see, by a model of the glass, or of a plate if off.
 
     Without either H is 1: an annular sensor round its magnet sees less of a bend than that has, but
     nearly in proportion over the mirror, which leaves the stiffness nearly symmetric.

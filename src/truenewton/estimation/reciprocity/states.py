@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,4 +91,4 @@ class Weights:
 def equal_bins(count: int, bins: int) -> tuple[slice, ...]:
     """Return slices that part so many states into bins of equal number, as nearly as can be."""
     edges = np.linspace(0, count, max(1, min(bins, count)) + 1).round().astype(int)
-    return tuple(slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True))
+    return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))

@@ -108,3 +108,7 @@ class Asked:
             log_gain=log_gain - (log_gain.mean() if np.isinf(self.gain_spread) else 0.0),
             offset=values.offset + np.array([by.get(kind, nothing) for kind in OFFSETS]),
         )
+
+
+# Spreads of log g and of offsets [m] to begin with; the data give their own.
+USUAL = Asked(gain_spread=0.004, offset_spread=5e-4, estimated=True)

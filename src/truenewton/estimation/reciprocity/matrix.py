@@ -1,0 +1,176 @@
+"""Reciprocity on a stiffness matrix alone: relative alpha and sensors, held-out modes, the gate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
+from truenewton.estimation.reciprocity.gate import Evidence, apart, refusals
+from truenewton.estimation.reciprocity.iteration import Fit, fit
+from truenewton.estimation.reciprocity.sensors import sensors_of
+from truenewton.estimation.reciprocity.sight import Places, places_of
+from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
+from truenewton.estimation.stiffness_svd import SOFTEST, Imbalance, comparable_arms, rms_imbalance
+from truenewton.linalg import singular_values_and_vectors
+from truenewton.records.fault import Fault
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+
+HALVES = ("odd modes, fitted on the even", "even modes, fitted on the odd")
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The elastic modes of a measured stiffness K_c = U S V', stiffest first.
+
+    Attributes
+    ----------
+    places, arms
+        Of the actuators; (3, n) arms with lengths in units of the rms distance from the axis.
+    forces, values, readings
+        (n, m) U, (m,) S [N/m], (n, m) V.
+    """
+
+    places: Places
+    arms: Array
+    forces: Array
+    values: Array
+    readings: Array
+
+    def every(self, some: slice) -> Modes:
+        """Return some of the modes."""
+        return replace(self, forces=self.forces[:, some], values=self.values[some],
+                       readings=self.readings[:, some])  # fmt: skip
+
+    def imbalance(self, values: Values | None = None) -> float:
+        """Return the rms imbalance of the modes, each of unit length, with alpha of mean 1."""
+        alpha = np.ones(self.places.n) if values is None else values.alpha / values.alpha.mean()
+        return rms_imbalance(self.forces.T, alpha, self.arms)
+
+    def fit(
+        self,
+        asked: Asked,
+        *,
+        statics: bool = True,
+        reciprocity: bool = True,
+        start: Values | None = None,
+    ) -> Fit:
+        """Find alpha and the sensors, by the balance of forces, by reciprocity, or by both."""
+        noise = BinnedNoise(
+            (self.forces * self.values) @ self.readings.T, self.readings, statics, reciprocity
+        )
+        return fit(self.places, asked, noise, start=start, told=noise.told)
+
+
+def modes_of(matrix: StiffnessMatrix) -> Modes:
+    """Return the elastic modes of a matrix, the softest left out."""
+    forces, values, readings = singular_values_and_vectors(matrix.used_stiffness)
+    some = values > SOFTEST
+    return Modes(
+        places_of(matrix.layout),
+        comparable_arms(matrix),
+        forces[:, some],
+        values[some],
+        readings[some].T,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """Fits of a stiffness, and what they say of each other.
+
+    Attributes
+    ----------
+    joint
+        By all equations.
+    imbalances
+        Of all modes, and of those held out.
+    split_half
+        Rms difference of log alpha between two fits, each to every second mode.
+    evidence
+        For the gate.
+    """
+
+    joint: Fit
+    imbalances: tuple[Imbalance, ...]
+    split_half: float
+    evidence: Evidence
+
+
+def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
+    """Fit all modes and every second one, by balance and reciprocity together and apart.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    joint = modes.fit(asked)
+    halves = modes.every(slice(0, None, 2)), modes.every(slice(1, None, 2))
+    fits = [half.fit(asked).values for half in halves]
+    known = replace(joint.values, log_alpha=np.zeros(modes.places.n))
+    alone = Asked()  # alpha only: the balance knows nothing of sensors
+    by_balance = [half.fit(alone, reciprocity=False, start=known).values for half in halves]
+    balance = modes.fit(alone, reciprocity=False, start=known)
+    reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
+    lines = [Imbalance("all modes, fitted", modes.imbalance(), modes.imbalance(joint.values))]
+    lines += [
+        Imbalance(name, judged.imbalance(), judged.imbalance(values))
+        for name, judged, values in zip(HALVES, halves[::-1], fits, strict=True)
+    ]
+    each = [one.imbalance(other) for one, other in zip(halves[::-1], by_balance, strict=True)]
+    difference = fits[0].log_alpha - fits[1].log_alpha
+    evidence = Evidence(
+        held_out=float(np.hypot(lines[1].after, lines[2].after)),
+        by_balance=float(np.linalg.norm(each)),
+        apart=apart(balance, reciprocity),
+        gain_spread=joint.asked.gain_spread,
+        offset_spread=joint.asked.offset_spread,
+    )
+    return Examined(joint, tuple(lines), float(np.std(difference)), evidence)
+
+
+def find(
+    matrix: StiffnessMatrix, base: Estimate
+) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Fault, ...]]:
+    """Find relative alpha and the sensors; return what speaks against them, too.
+
+    The stated error is that of the fit, or the difference between the two halves of the modes where
+    that is larger: what a real matrix leaves is not noise.
+
+    Parameters
+    ----------
+    matrix
+        Commanded force per reading.
+    base
+        The estimate of `ml`, which says what is odd about the matrix itself.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    modes = modes_of(matrix)
+    found = examined(modes)
+    n, joint = modes.places.n, found.joint
+    alpha = joint.values.alpha / joint.values.alpha.mean()
+    covariance = joint.covariance_of(Kind.ALPHA)
+    formal = float(np.sqrt(np.mean(np.diag(covariance))))
+    covariance = covariance * max(found.split_half / formal, 1.0) ** 2
+    held = np.eye(n) - np.outer(np.ones(n), alpha / alpha.sum())  # mean alpha stays 1
+    covariance = held @ covariance @ held.T * np.outer(alpha, alpha)
+    estimate = replace(
+        base,
+        method="reciprocity",
+        values=alpha,
+        reading_covariance=covariance,
+        sensors=sensors_of(joint, matrix.layout.id[matrix.layout.enabled]),
+    )
+    return estimate, found.imbalances, tuple(refusals(found.evidence))
+
+
+def refused(error: RankDeficient | NotConverged) -> tuple[Fault, ...]:
+    """Return what speaks against reciprocity where it gives no alpha."""
+    return (Fault(f"reciprocity gives no alpha: {error.fault}", str(error.remedy)),)
