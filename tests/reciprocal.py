@@ -63,28 +63,36 @@ class BruteForce:
     def __init__(self, places, stiffness, rows, columns, slopes):
         self.places, self.stiffness = places, stiffness
         self.rows, self.columns, self.slopes = rows, columns, slopes
-        basis = free_basis(places)
-        count = basis.shape[1]
-        self.units = []
-        for i, j in itertools.combinations_with_replacement(range(count), 2):
-            unit = np.zeros((count, count))
-            unit[i, j] = unit[j, i] = 1.0
-            self.units.append(basis @ unit @ basis.T)
+        self.basis = free_basis(places)
+        count = self.basis.shape[1]
+        self.pairs = np.array([*itertools.combinations_with_replacement(range(count), 2)]).T
+
+    def sides(self, values):
+        """Return what stands left and right of K in the whitened model."""
+        motion = sight(self.places, values, slopes=self.slopes).motion
+        return self.rows / values.alpha, motion @ (values.gain[:, None] * self.columns)
 
     def model(self, values, stiffness):
-        motion = sight(self.places, values, slopes=self.slopes).motion
-        each = stiffness @ (motion * values.gain) / values.alpha[:, None]
-        return (self.rows @ each @ self.columns).ravel()
+        left, right = self.sides(values)
+        return (left @ stiffness @ right).ravel()
 
     def stiffness_jacobian(self, values):
-        return np.stack([self.model(values, unit) for unit in self.units], axis=1)
+        left, right = self.sides(values)
+        left, right = left @ self.basis, self.basis.T @ right
+        i, j = self.pairs
+        each = np.einsum("ak,kb->abk", left[:, i], right[j])
+        each += (i != j) * np.einsum("ak,kb->abk", left[:, j], right[i])
+        return each.reshape(-1, len(i))
 
     def fitted(self, values):
         """Return the likeliest K at some values, and what it leaves."""
         jacobian = self.stiffness_jacobian(values)
         data = (self.rows @ self.stiffness @ self.columns).ravel()
         best = np.linalg.lstsq(jacobian, data, rcond=None)[0]
-        return sum(b * u for b, u in zip(best, self.units, strict=True)), data - jacobian @ best
+        inner = np.zeros((self.basis.shape[1],) * 2)
+        inner[*self.pairs] = best
+        inner = inner + inner.T - np.diag(np.diag(inner))
+        return self.basis @ inner @ self.basis.T, data - jacobian @ best
 
     def objective(self, values):
         return 0.5 * float(np.sum(self.fitted(values)[1] ** 2))

@@ -20,6 +20,9 @@ from truenewton.estimation.reciprocity.unknowns import Values
 MOST_BINS = 12
 FEWEST = 8  # modes in a bin
 MOST_TAKEN = 0.95  # of a block of residuals, by a fit: beyond, too little is left to tell noise
+# Of the variance of the quietest pair with the same mode, what is rigid has at least so much: gains
+# and offsets of a small mirror can fit rigid motions without any rest.
+QUIETEST = 0.01
 ROUNDING = 1e-12  # of the forces: no residual is less noisy
 
 
@@ -99,11 +102,13 @@ class BinnedNoise:
         variance = square / _left(pairs, of_pair)
         statics = np.add.reduceat(left.statics**2, starts, axis=1) / _left(sizes, taken.statics)
         rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(sizes[:, None], taken.rigid)
-        least = ROUNDING**2 * np.mean(np.diagonal(work) ** 2)
+        variance = np.maximum(variance, ROUNDING**2 * np.mean(np.diagonal(work) ** 2))
+        least = QUIETEST * variance.min(axis=0)
         return Weights(
             statics=self.statics * np.repeat(1.0 / np.maximum(statics, least), sizes, axis=1),
-            rigid=self.reciprocity * np.repeat(1.0 / np.maximum(rigid, least), sizes, axis=0),
-            reciprocity=self.reciprocity / np.maximum(variance, least),
+            rigid=self.reciprocity
+            * np.repeat(1.0 / np.maximum(rigid, least[:, None]), sizes, axis=0),
+            reciprocity=self.reciprocity / variance,
             bins=bins,
         )
 
