@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from balanced import p45_bench, p45_campaign
-from reciprocal import BruteForce, measured, random_stiffness, random_values, shifted, small_places
+from joint_bound import BruteForce, shifted
+from reciprocal import measured, random_stiffness, random_values, small_places
 
 import truenewton as tn
 from truenewton.calibration.methods import calibrate

@@ -19,10 +19,12 @@ from truenewton.estimation.reciprocity.unknowns import Values
 
 MOST_BINS = 12
 FEWEST = 8  # modes in a bin
+ENOUGH = 20  # modes in a bin, from which on each of three equations tells its own noise
 MOST_TAKEN = 0.95  # of a block of residuals, by a fit: beyond, too little is left to tell noise
 # Of the variance of the quietest pair with the same mode, what is rigid has at least so much: gains
 # and offsets of a small mirror can fit rigid motions without any rest.
 QUIETEST = 0.01
+AT_ONCE = 8  # times; from then on variances go half the way, which ends what swings to and fro
 ROUNDING = 1e-12  # of the forces: no residual is less noisy
 
 
@@ -40,6 +42,8 @@ class BinnedNoise:
         Whether the balance of forces counts, and the rest (rigid motions and reciprocity).
     leverage
         Of the last fit; None at first.
+    times, before
+        How often the noise was taken; the variances of the last time.
     """
 
     stiffness: Array
@@ -47,6 +51,8 @@ class BinnedNoise:
     statics: bool = True
     reciprocity: bool = True
     leverage: Leverage | None = field(default=None)
+    times: int = field(default=0)
+    before: tuple[Array, Array, Array] | None = field(default=None)
 
     def told(self, leverage: Leverage) -> None:
         """Take the leverages of a fit over."""
@@ -103,11 +109,18 @@ class BinnedNoise:
         statics = np.add.reduceat(left.statics**2, starts, axis=1) / _left(sizes, taken.statics)
         rigid = np.add.reduceat(left.rigid**2, starts, axis=0) / _left(sizes[:, None], taken.rigid)
         variance = np.maximum(variance, ROUNDING**2 * np.mean(np.diagonal(work) ** 2))
+        if sizes.min() < ENOUGH:
+            statics = np.repeat(statics.mean(axis=0, keepdims=True), 3, axis=0)
+            rigid = np.repeat(rigid.mean(axis=1, keepdims=True), 3, axis=1)
         least = QUIETEST * variance.min(axis=0)
+        found = (np.maximum(statics, least), np.maximum(rigid, least[:, None]), variance)
+        if self.times > AT_ONCE and self.before is not None:
+            found = tuple(np.sqrt(one * old) for one, old in zip(found, self.before, strict=True))
+        self.times, self.before = self.times + 1, found
+        statics, rigid, variance = found
         return Weights(
-            statics=self.statics * np.repeat(1.0 / np.maximum(statics, least), sizes, axis=1),
-            rigid=self.reciprocity
-            * np.repeat(1.0 / np.maximum(rigid, least[:, None]), sizes, axis=0),
+            statics=self.statics * np.repeat(1.0 / statics, sizes, axis=1),
+            rigid=self.reciprocity * np.repeat(1.0 / rigid, sizes, axis=0),
             reciprocity=self.reciprocity / variance,
             bins=bins,
         )

@@ -64,6 +64,13 @@ def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> E
 def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate:
     """Find alpha as `find` does where reciprocity holds, else by `ml`, which says why.
 
+    Parameters
+    ----------
+    sifted
+        The campaign.
+    motion
+        (n, n) as for `find`.
+
     Raises
     ------
     RankDeficient, TooManyOutliers, NotConverged
@@ -114,10 +121,10 @@ def _found(
         diagnosis=replace(estimate.diagnosis, warnings=said),
         sensors=sensors_of(fitted, ids),
     )
-    return estimate, tuple(refusals(Evidence(fitted.reduced, offset_spread=asked_offset(fitted))))
+    return estimate, tuple(refusals(Evidence(fitted.reduced, offset_spread=_offset_spread(fitted))))
 
 
-def asked_offset(fitted: Fit) -> float:
+def _offset_spread(fitted: Fit) -> float:
     """Return the spread of the offsets as the data give it; NaN where they do not."""
     return fitted.asked.offset_spread if fitted.asked.estimated else float("nan")
 
@@ -150,7 +157,7 @@ def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:
     return Goodness(chi2, round(freedom), NoiseSource.REPEATS, float(probability))
 
 
-def alpha_information(fitted: Fit) -> Array:
+def _alpha_information(fitted: Fit) -> Array:
     """Return the (n, n) information on log alpha, gains and offsets unknown too."""
     n, whole = len(fitted.values.log_alpha), fitted.information
     if fitted.asked.kinds == (Kind.ALPHA,):
@@ -177,7 +184,7 @@ def _with_weights(
     start = np.zeros(unknowns.total)
     start[: unknowns.count] = base.values
     start[:n] = scale * fitted.values.alpha
-    information = alpha_information(fitted) / np.outer(start[:n], start[:n]) / excess
+    information = _alpha_information(fitted) / np.outer(start[:n], start[:n]) / excess
     own = problem.prior
     prior = Prior(np.concatenate([start[:n], own.mean[n:]]), information, own.measured, own.held)
     return minimise(problem.a, [data], prior, start)

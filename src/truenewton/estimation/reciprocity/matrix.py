@@ -67,9 +67,10 @@ class Modes:
 
 
 def modes_of(matrix: StiffnessMatrix) -> Modes:
-    """Return the elastic modes of a matrix, the softest left out."""
+    """Return the elastic modes of a matrix, n - 3 at most; the softest are left out."""
     forces, values, readings = singular_values_and_vectors(matrix.used_stiffness)
-    some = values > SOFTEST
+    # Noise may lift rigid motions above it.
+    some = (values > SOFTEST) & (np.arange(len(values)) < len(values) - 3)
     return Modes(
         places_of(matrix.layout),
         comparable_arms(matrix),

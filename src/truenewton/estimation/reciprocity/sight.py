@@ -64,7 +64,7 @@ class Places:
 
 
 def places_of(layout: Layout, motion: Array | None = None) -> Places:
-    """Return the places of the enabled actuators of a layout."""
+    """Return the places of the enabled actuators of a layout, with (n, n) motion if known."""
     on = layout.enabled
     return Places(layout.x[on], layout.y[on], layout.nz[on], motion)
 
