@@ -32,24 +32,24 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 Imbalances = tuple[stiffness_svd.Imbalance, ...]
 
 
+class Known(NamedTuple):
+    """What is known beside the data, as `calibrate` takes it."""
+
+    population: bool = False
+    motion: Array | None = None
+
+
 class Method(NamedTuple):
-    """A method: of a sifted campaign to its estimate; of a stiffness, with what modes leave.
+    """A method: of a sifted campaign to its estimate; of a stiffness, with what modes leave."""
 
-    Both take whether the actuators are samples of one population.
-    """
-
-    of_cycles: Callable[[Sifted, bool], Estimate]
-    of_stiffness: Callable[[StiffnessMatrix, bool], tuple[Estimate, Imbalances]]
+    of_cycles: Callable[[Sifted, Known], Estimate]
+    of_stiffness: Callable[[StiffnessMatrix, Known], tuple[Estimate, Imbalances]]
 
 
-def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
+def _svd_of_cycles(sifted: Sifted, _: Known) -> Estimate:
     campaign = sifted.campaign  # all of its rows count
     moments = campaign_moments(campaign) if sifted.rejected else sifted.moments
     return cycles_svd.find(campaign, moments)
-
-
-def _elastic(pooled: bool) -> stiffness_svd.ElasticMethod:
-    return partial(stiffness_ml.likeliest, population=pooled)
 
 
 def _by_modes(
@@ -64,11 +64,13 @@ def _by_modes(
         return with_warnings(estimate, (fault,)), ()
 
 
-def _reciprocal(matrix: StiffnessMatrix, where_it_holds: bool) -> tuple[Estimate, Imbalances]:
+def _reciprocal(
+    matrix: StiffnessMatrix, known: Known, *, where_it_holds: bool = False
+) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity; of `ml`, with the reason, only where that is allowed."""
-    base, imbalances = _by_modes(matrix, _elastic(False))
+    base, imbalances = _by_modes(matrix, stiffness_ml.likeliest)
     try:
-        estimate, of_modes, against = reciprocity_of_matrix.find(matrix, base)
+        estimate, of_modes, against = reciprocity_of_matrix.find(matrix, base, known.motion)
     except (RankDeficient, NotConverged) as error:
         if not where_it_holds:
             raise
@@ -79,21 +81,29 @@ def _reciprocal(matrix: StiffnessMatrix, where_it_holds: bool) -> tuple[Estimate
 
 
 METHODS = {
-    "ml": Method(cycles_ml.find, lambda matrix, pooled: _by_modes(matrix, _elastic(pooled))),
+    "ml": Method(
+        lambda sifted, known: cycles_ml.find(sifted, known.population),
+        lambda matrix, known: _by_modes(
+            matrix, partial(stiffness_ml.likeliest, population=known.population)
+        ),
+    ),
     "svd": Method(_svd_of_cycles, lambda matrix, _: _by_modes(matrix, stiffness_svd.singular_fit)),
     "reciprocity": Method(
-        lambda sifted, _: reciprocity_of_cycles.find(sifted),
-        lambda matrix, _: _reciprocal(matrix, False),
+        lambda sifted, known: reciprocity_of_cycles.find(sifted, known.motion), _reciprocal
     ),
     "auto": Method(
-        lambda sifted, _: reciprocity_of_cycles.find_where_it_holds(sifted),
-        lambda matrix, _: _reciprocal(matrix, True),
+        lambda sifted, known: reciprocity_of_cycles.find_where_it_holds(sifted, known.motion),
+        partial(_reciprocal, where_it_holds=True),
     ),
 }
 
 
 def calibrate(
-    data: Campaign | StiffnessMatrix, method: str = "ml", *, population: bool = False
+    data: Campaign | StiffnessMatrix,
+    method: str = "ml",
+    *,
+    population: bool = False,
+    motion: Array | None = None,
 ) -> Calibration:
     """Find alpha of every actuator.
 
@@ -107,6 +117,9 @@ def calibrate(
     population
         Take the actuators for samples of one normal population, whose spread the data give: pulls
         what the data hardly hold toward the mean. With 'ml' only; the result names it.
+    motion
+        (n, n) displacements where forces act for those that the sensors see, of all actuators, by a
+        model of the glass; with 'reciprocity' and 'auto' only.
 
     Raises
     ------
@@ -125,10 +138,11 @@ def calibrate(
         The verdict is 'not to be used', or the data show what was not taken out of them.
     """
     refuse_method(data, method, population=population)
+    known = Known(population, motion)
     if isinstance(data, Campaign):
-        made = calibration_of(data, find_alpha(sift(data), method, population=population))
+        made = calibration_of(data, METHODS[method].of_cycles(sift(data), known))
     elif isinstance(data, StiffnessMatrix):
-        made = _from_stiffness(data, *METHODS[method].of_stiffness(data, population))
+        made = _from_stiffness(data, *METHODS[method].of_stiffness(data, known))
     else:
         raise TypeError(
             f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix"
@@ -153,14 +167,14 @@ def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: 
 
 def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
     """Find alpha of a campaign that was sifted, as `calibrate` does; 'ml' reads no row."""
-    return METHODS[method].of_cycles(sifted, population)
+    return METHODS[method].of_cycles(sifted, Known(population))
 
 
 def held_out(
     matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
 ) -> tuple[stiffness_svd.Imbalance, ...]:
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
-    return METHODS[method].of_stiffness(matrix, population)[1]
+    return METHODS[method].of_stiffness(matrix, Known(population))[1]
 
 
 def calibration_of(

@@ -76,11 +76,25 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
         )
 
 
-def apart(one: Fit, other: Fit) -> float:
-    """Return chi2 per degree of freedom between the log alpha of two independent fits."""
+def disagreement(one: Fit, other: Fit) -> float:
+    """Return the variance between the log alpha of two independent fits over what they state.
+
+    1 at least: what two halves of the modes leave is more than noise where it is larger.
+    """
+    difference = one.values.log_alpha - other.values.log_alpha
+    stated = sum(float(np.trace(fit.covariance_of(Kind.ALPHA))) for fit in (one, other))
+    return max(1.0, len(difference) * float(np.var(difference)) / stated)
+
+
+def apart(one: Fit, other: Fit, excess: float = 1.0, other_excess: float = 1.0) -> float:
+    """Return chi2 per degree of freedom between the log alpha of two independent fits.
+
+    Their covariances are so much larger than stated.
+    """
     difference = one.values.log_alpha - other.values.log_alpha
     difference = difference - difference.mean()
-    covariance = one.covariance_of(Kind.ALPHA) + other.covariance_of(Kind.ALPHA)
+    covariance = excess * one.covariance_of(Kind.ALPHA)
+    covariance = covariance + other_excess * other.covariance_of(Kind.ALPHA)
     n = len(difference)
     held: Array = covariance + np.trace(covariance) / n**2  # the common scale is no difference
     return float(difference @ scipy.linalg.solve(held, difference, assume_a="pos")) / (n - 1)

@@ -10,7 +10,7 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
-from truenewton.estimation.reciprocity.gate import Evidence, apart, refusals
+from truenewton.estimation.reciprocity.gate import Evidence, apart, disagreement, refusals
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
@@ -66,13 +66,21 @@ class Modes:
         return fit(self.places, asked, noise, start=start, told=noise.told)
 
 
-def modes_of(matrix: StiffnessMatrix) -> Modes:
-    """Return the elastic modes of a matrix, n - 3 at most; the softest are left out."""
+def modes_of(matrix: StiffnessMatrix, motion: Array | None = None) -> Modes:
+    """Return the elastic modes of a matrix, n - 3 at most; the softest are left out.
+
+    Parameters
+    ----------
+    matrix
+        Commanded force per reading.
+    motion
+        (n, n) displacements at the magnets for those at the sensors, by a model of the glass.
+    """
     forces, values, readings = singular_values_and_vectors(matrix.used_stiffness)
     # Noise may lift rigid motions above it.
     some = (values > SOFTEST) & (np.arange(len(values)) < len(values) - 3)
     return Modes(
-        places_of(matrix.layout),
+        places_of(matrix.layout, motion),
         comparable_arms(matrix),
         forces[:, some],
         values[some],
@@ -111,31 +119,35 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     """
     joint = modes.fit(asked)
     halves = modes.every(slice(0, None, 2)), modes.every(slice(1, None, 2))
-    fits = [half.fit(asked).values for half in halves]
+    fits = [half.fit(asked) for half in halves]
     known = replace(joint.values, log_alpha=np.zeros(modes.places.n))
-    alone = Asked()  # alpha only: the balance knows nothing of sensors
-    by_balance = [half.fit(alone, reciprocity=False, start=known).values for half in halves]
-    balance = modes.fit(alone, reciprocity=False, start=known)
-    reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
     lines = [Imbalance("all modes, fitted", modes.imbalance(), modes.imbalance(joint.values))]
     lines += [
-        Imbalance(name, judged.imbalance(), judged.imbalance(values))
-        for name, judged, values in zip(HALVES, halves[::-1], fits, strict=True)
+        Imbalance(name, judged.imbalance(), judged.imbalance(half.values))
+        for name, judged, half in zip(HALVES, halves[::-1], fits, strict=True)
     ]
-    each = [one.imbalance(other) for one, other in zip(halves[::-1], by_balance, strict=True)]
-    difference = fits[0].log_alpha - fits[1].log_alpha
+    by_balance, between = np.nan, np.nan
+    try:  # alpha only: the balance knows nothing of sensors
+        alone = [one.fit(Asked(), reciprocity=False, start=known) for one in (modes, *halves)]
+        each = [one.imbalance(f.values) for one, f in zip(halves[::-1], alone[1:], strict=True)]
+        by_balance = float(np.linalg.norm(each))
+        reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
+        between = apart(alone[0], reciprocity, disagreement(*alone[1:]), disagreement(*fits))
+    except (RankDeficient, NotConverged):
+        pass  # where balance alone gives no alpha, nothing speaks against reciprocity
     evidence = Evidence(
         held_out=float(np.hypot(lines[1].after, lines[2].after)),
-        by_balance=float(np.linalg.norm(each)),
-        apart=apart(balance, reciprocity),
+        by_balance=by_balance,
+        apart=between,
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
+    difference = fits[0].values.log_alpha - fits[1].values.log_alpha
     return Examined(joint, tuple(lines), float(np.std(difference)), evidence)
 
 
 def find(
-    matrix: StiffnessMatrix, base: Estimate
+    matrix: StiffnessMatrix, base: Estimate, motion: Array | None = None
 ) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Fault, ...]]:
     """Find relative alpha and the sensors; return what speaks against them, too.
 
@@ -148,12 +160,14 @@ def find(
         Commanded force per reading.
     base
         The estimate of `ml`, which says what is odd about the matrix itself.
+    motion
+        (n, n) as for `modes_of`.
 
     Raises
     ------
     RankDeficient, NotConverged
     """
-    modes = modes_of(matrix)
+    modes = modes_of(matrix, motion)
     found = examined(modes)
     n, joint = modes.places.n, found.joint
     alpha = joint.values.alpha / joint.values.alpha.mean()
