@@ -12,6 +12,11 @@ import truenewton as tn
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.reciprocity import cycles
+from truenewton.estimation.reciprocity.condensation import (
+    condensed,
+    condensed_regression,
+    odd_actuators,
+)
 from truenewton.estimation.reciprocity.information import information, score
 from truenewton.estimation.reciprocity.iteration import fit, point_at
 from truenewton.estimation.reciprocity.known_noise import Regressed
@@ -241,6 +246,36 @@ def test_dead_sensors_send_a_matrix_back_to_ml():
     assert made.method == "ml"
     assert not made.sensors
     assert any("reciprocity" in fault for fault, _ in made.verdict.faults)
+
+
+def test_a_sensor_that_reads_a_mixture_is_left_free_and_its_actuator_stays():
+    matrix, alpha = p45_matrix(1)
+    mixture = np.eye(45)
+    mixture[7] = 0.3 * np.random.default_rng(1).standard_normal(45)
+    wrong = matrix.stiffness @ np.linalg.inv(mixture)
+    np.testing.assert_array_equal(odd_actuators(matrix.stiffness), [])
+    np.testing.assert_array_equal(odd_actuators(wrong), [7])
+    made = calibrate(replace(matrix, stiffness=wrong), "reciprocity")
+    assert [sensor.state for sensor in made.sensors].count("free") == 1
+    assert made.sensors[7].state == "free"
+    assert any("left out of it: 8" in fault for fault, _ in made.verdict.faults)
+    others = np.arange(45) != 7
+    assert np.std(np.log(made.alpha / alpha)[others]) < 0.5 * np.std(alpha)
+
+
+def test_noise_of_a_condensed_stiffness_is_that_of_its_elements():
+    random = np.random.default_rng(4)
+    places, _, stiffness, _ = noisy_stiffness(5, 1e-3)
+    keep = ~np.isin(np.arange(places.n), [3, 9])
+    less = condensed_regression(stiffness, keep)
+    half = np.linalg.inv(np.linalg.cholesky(stiffness.square))
+    size, drawn = 1e-3 * np.linalg.cholesky(stiffness.noise), []
+    for _ in range(2000):
+        error = size @ random.standard_normal((places.n, places.n)) @ half
+        drawn.append(condensed(stiffness.stiffness + error, keep)[0] - less.stiffness)
+    scatter = np.var(drawn, axis=0)
+    wanted = 1e-6 * np.outer(np.diag(less.noise), np.diag(np.linalg.inv(less.square)))
+    np.testing.assert_allclose(scatter, wanted, rtol=0.25)
 
 
 def test_a_population_goes_with_ml_only():

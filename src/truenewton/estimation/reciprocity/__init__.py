@@ -17,6 +17,7 @@ docs/reciprocity.md. The files, in the order in which data pass through them:
     binned_noise   noise from what is left, in bins of modes
     iteration      steps, spreads of gains and offsets, and the end
     regression     the stiffness that a campaign measured, and the noise that it leaves
+    condensation   actuators and sensors that do not obey it: found, and left free
     gate           whether reciprocity holds: what speaks against it
     sensors        what it finds of the sensors
     cycles         a campaign: relative alpha by reciprocity, the scale from the weights

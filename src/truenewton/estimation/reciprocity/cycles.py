@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 import scipy.stats
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
@@ -24,7 +25,12 @@ from truenewton.estimation.minimum import Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import Problem, load_data, problem_of
-from truenewton.estimation.reciprocity.gate import Evidence, refusals
+from truenewton.estimation.reciprocity.condensation import (
+    condensed_regression,
+    kept,
+    kept_places,
+)
+from truenewton.estimation.reciprocity.gate import Evidence, left_free, refusals
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.regression import regressed
@@ -99,13 +105,16 @@ def _found(
         )
     bias, coil = gradients.pop()
     stiffness = regressed(moments, noise.variance, bias_gradient=bias, coil_gradient=coil)
-    fitted = fit(_places(layout, motion), asked, stiffness.states)
+    keep, odd = kept(stiffness.stiffness)
+    places = kept_places(_places(layout, motion), keep, stiffness.stiffness)
+    stiffness = condensed_regression(stiffness, keep)
+    fitted = fit(places, asked, stiffness.states)
     goodness = _goodness(fitted, stiffness)
     excess = goodness.reduced if goodness.probability < IMPROBABLE else 1.0
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(campaign), **temperature_errors(campaign, force)}
     problem = problem_of(campaign, noise, errors)
-    minimum = _with_weights(problem, moments, fitted, base, excess)
+    minimum = _with_weights(problem, moments, (fitted, keep), base, excess)
     estimate = cycles_ml.estimate_of(METHOD, problem, moments, minimum, base.rejected, 0)
     said = (*estimate.diagnosis.warnings, *effect_warnings(base.effects))
     if excess > 1.0:
@@ -113,15 +122,18 @@ def _found(
         fault = f"reciprocity fits badly: E_STAT is {np.sqrt(excess):.2g} times larger for it"
         said += (Fault(fault, remedy),)
     ids = layout.id[layout.enabled]
+    said += tuple(left_free(ids[~keep]))
     estimate = replace(
         estimate,
         goodness=goodness,
         effects=base.effects,
         declared_chi2=base.declared_chi2,
         diagnosis=replace(estimate.diagnosis, warnings=said),
-        sensors=sensors_of(fitted, ids),
+        sensors=sensors_of(fitted, ids, keep),
     )
-    return estimate, tuple(refusals(Evidence(fitted.reduced, offset_spread=_offset_spread(fitted))))
+    return estimate, tuple(
+        refusals(Evidence(fitted.reduced, odd=odd, offset_spread=_offset_spread(fitted)))
+    )
 
 
 def _offset_spread(fitted: Fit) -> float:
@@ -170,9 +182,17 @@ def _alpha_information(fitted: Fit) -> Array:
 
 
 def _with_weights(
-    problem: Problem, moments: Moments, fitted: Fit, base: Estimate, excess: float
+    problem: Problem,
+    moments: Moments,
+    kept_fit: tuple[Fit, NDArray[np.bool_]],
+    base: Estimate,
+    excess: float,
 ) -> Minimum:
-    """Return the likeliest alpha, B and torques by the mean force under each load."""
+    """Return the likeliest alpha, B and torques by the mean force under each load.
+
+    Of the actuators that the fit keeps; alpha of the others stays that of the balance.
+    """
+    fitted, keep = kept_fit
     unknowns, n = problem.unknowns, problem.n
     share = moments.of_load * moments.weight[:, None]
     weight = share.sum(axis=0)
@@ -180,11 +200,14 @@ def _with_weights(
     sums = shape_sums(mean, weight, known, np.eye(len(weight)))
     data = replace(load_data(problem.campaign, moments, problem.noise.in_balance, problem.errors),
                    sums=sums)  # fmt: skip
-    scale = np.exp(np.mean(np.log(np.maximum(base.values[:n], 1e-3))))
+    scale = np.exp(np.mean(np.log(np.maximum(base.values[:n][keep], 1e-3))))
     start = np.zeros(unknowns.total)
     start[: unknowns.count] = base.values
-    start[:n] = scale * fitted.values.alpha
-    information = _alpha_information(fitted) / np.outer(start[:n], start[:n]) / excess
+    start[:n][keep] = scale * fitted.values.alpha
+    free = np.where(keep, np.inf, np.diag(base.reading_covariance)[:n])
+    information = np.diag(1.0 / free)
+    root = start[:n][keep]
+    information[np.ix_(keep, keep)] += _alpha_information(fitted) / np.outer(root, root) / excess
     own = problem.prior
     prior = Prior(np.concatenate([start[:n], own.mean[n:]]), information, own.measured, own.held)
     return minimise(problem.a, [data], prior, start)

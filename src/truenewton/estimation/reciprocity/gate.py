@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.reciprocity.iteration import Fit
@@ -36,6 +37,8 @@ class Evidence:
         Rms imbalance of modes that the fit has not seen, with reciprocity and by balance alone.
     apart
         chi2 per degree of freedom between alpha by balance alone and by reciprocity alone.
+    odd
+        Actuators that are not like the others; more than may be left free.
     gain_spread, offset_spread
         Spreads of log g and of the offsets [m], as the data give them.
     """
@@ -44,12 +47,15 @@ class Evidence:
     held_out: float = float("nan")
     by_balance: float = float("nan")
     apart: float = float("nan")
+    odd: tuple[int, ...] = ()
     gain_spread: float = float("nan")
     offset_spread: float = float("nan")
 
 
 def refusals(evidence: Evidence) -> Iterator[Fault]:
     """Yield why reciprocity is not to be believed."""
+    if evidence.odd:
+        yield Fault(f"{len(evidence.odd)} actuators or more do not obey reciprocity", REMEDY)
     for name, size in zip(BLOCKS, evidence.blocks, strict=False):
         if size > BLOCK:
             yield Fault(
@@ -73,6 +79,16 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
         yield Fault(
             f"the sensors would have to be {1e3 * evidence.offset_spread:.2g} mm off their magnets",
             REMEDY,
+        )
+
+
+def left_free(ids: NDArray[np.int64]) -> Iterator[Fault]:
+    """Say of which actuators, by their (n,) IDs, alpha is that of the balance."""
+    if ids.size:
+        which = ", ".join(map(str, ids.tolist()))
+        yield Fault(
+            f"actuators or sensors that do not obey reciprocity were left out of it: {which}",
+            "look at their sensors, wiring and places; their alpha is that of ml",
         )
 
 

@@ -5,12 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.estimate import Estimate, with_warnings
 from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
-from truenewton.estimation.reciprocity.gate import Evidence, apart, disagreement, refusals
+from truenewton.estimation.reciprocity.condensation import condensed, kept, kept_places
+from truenewton.estimation.reciprocity.gate import (
+    Evidence,
+    apart,
+    disagreement,
+    left_free,
+    refusals,
+)
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
@@ -66,7 +74,11 @@ class Modes:
         return fit(self.places, asked, noise, start=start, told=noise.told)
 
 
-def modes_of(matrix: StiffnessMatrix, motion: Array | None = None) -> Modes:
+def modes_of(
+    matrix: StiffnessMatrix,
+    motion: Array | None = None,
+    keep: NDArray[np.bool_] | None = None,
+) -> Modes:
     """Return the elastic modes of a matrix, n - 3 at most; the softest are left out.
 
     Parameters
@@ -75,13 +87,19 @@ def modes_of(matrix: StiffnessMatrix, motion: Array | None = None) -> Modes:
         Commanded force per reading.
     motion
         (n, n) displacements at the magnets for those at the sensors, by a model of the glass.
+    keep
+        (n,) which actuators count; the others are free. All unless given.
     """
-    forces, values, readings = singular_values_and_vectors(matrix.used_stiffness)
+    stiffness, on = matrix.used_stiffness, matrix.layout.enabled
+    keep = np.ones(len(stiffness), dtype=bool) if keep is None else keep
+    motion = None if motion is None else motion[np.ix_(on, on)]
+    places = kept_places(places_of(matrix.layout, motion), keep, stiffness)
+    forces, values, readings = singular_values_and_vectors(condensed(stiffness, keep)[0])
     # Noise may lift rigid motions above it.
     some = (values > SOFTEST) & (np.arange(len(values)) < len(values) - 3)
     return Modes(
-        places_of(matrix.layout, motion),
-        comparable_arms(matrix),
+        places,
+        comparable_arms(matrix)[:, keep],
         forces[:, some],
         values[some],
         readings[some].T,
@@ -167,23 +185,32 @@ def find(
     ------
     RankDeficient, NotConverged
     """
-    modes = modes_of(matrix, motion)
+    keep, odd = kept(matrix.used_stiffness)
+    modes = modes_of(matrix, motion, keep)
     found = examined(modes)
-    n, joint = modes.places.n, found.joint
-    alpha = joint.values.alpha / joint.values.alpha.mean()
+    joint, n = found.joint, len(keep)
+    by_balance = base.values[:n]
+    alpha = by_balance.copy()
+    scale = np.exp(np.mean(np.log(by_balance[keep])))
+    alpha[keep] = scale * joint.values.alpha
+    alpha /= alpha.mean()
     covariance = joint.covariance_of(Kind.ALPHA)
     formal = float(np.sqrt(np.mean(np.diag(covariance))))
     covariance = covariance * max(found.split_half / formal, 1.0) ** 2
+    whole = np.diag(np.diag(base.reading_covariance)[:n] / by_balance**2)
+    whole[np.ix_(keep, keep)] = covariance
     held = np.eye(n) - np.outer(np.ones(n), alpha / alpha.sum())  # mean alpha stays 1
-    covariance = held @ covariance @ held.T * np.outer(alpha, alpha)
+    covariance = held @ whole @ held.T * np.outer(alpha, alpha)
+    ids = matrix.layout.id[matrix.layout.enabled]
     estimate = replace(
         base,
         method="reciprocity",
         values=alpha,
         reading_covariance=covariance,
-        sensors=sensors_of(joint, matrix.layout.id[matrix.layout.enabled]),
+        sensors=sensors_of(joint, ids, keep),
     )
-    return estimate, found.imbalances, tuple(refusals(found.evidence))
+    estimate = with_warnings(estimate, tuple(left_free(ids[~keep])))
+    return estimate, found.imbalances, tuple(refusals(replace(found.evidence, odd=odd)))
 
 
 def refused(error: RankDeficient | NotConverged) -> tuple[Fault, ...]:
