@@ -70,7 +70,9 @@ class Likeliest:
 def likeliest(states: States, left: Residuals, weights: Weights) -> Likeliest:
     """Return the likeliest forces: what is wrong with the measured ones is shared by variance."""
     share = 0.5 if weights.share is None else weights.share
-    correction = -share * left.reciprocity
-    forces = states.forces - states.balancing @ left.statics + states.displaced @ correction
+    counts, balances = bool(weights.reciprocity.any()), bool(weights.statics.any())
+    correction = -share * left.reciprocity * counts  # what is not asked for corrects nothing
+    balance = states.balancing @ left.statics * balances
+    forces = states.forces - balance + states.displaced @ correction
     work = left.work + correction
     return Likeliest(forces, states.dual @ work.T)

@@ -36,7 +36,7 @@ from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.regression import regressed
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
-from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind
+from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values, at_nominal
 from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.weights import temperature_errors, weight_errors
@@ -44,6 +44,7 @@ from truenewton.records.fault import Fault
 from truenewton.statics.layout import Layout
 
 METHOD = "reciprocity"
+SMALLEST = 0.05  # alpha of `ml` with which an iteration begins
 IMPROBABLE = 1e-3  # of a fit: beyond, errors grow by what it leaves
 
 
@@ -108,7 +109,7 @@ def _found(
     keep, odd = kept(stiffness.stiffness)
     places = kept_places(_places(layout, motion), keep, stiffness.stiffness)
     stiffness = condensed_regression(stiffness, keep)
-    fitted = fit(places, asked, stiffness.states)
+    fitted = fit(places, asked, stiffness.states, start=_near(base, keep))
     goodness = _goodness(fitted, stiffness)
     excess = goodness.reduced if goodness.probability < IMPROBABLE else 1.0
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
@@ -162,6 +163,13 @@ def _balancing(sifted: Sifted, base: Estimate) -> Moments:
     )
 
 
+def _near(base: Estimate, keep: NDArray[np.bool_]) -> Values:
+    """Return where to begin, near enough for the quietest readings: alpha of `ml`, about mean 1."""
+    log_alpha = np.log(np.maximum(base.values[: len(keep)][keep], SMALLEST))
+    start = at_nominal(int(keep.sum()))
+    return replace(start, log_alpha=log_alpha - log_alpha.mean())
+
+
 def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:
     """Return chi2 of all blocks; the noise is known only so well."""
     chi2, freedom = sum(fitted.chi2), sum(fitted.equations) - sum(fitted.parameters)
@@ -200,7 +208,7 @@ def _with_weights(
     sums = shape_sums(mean, weight, known, np.eye(len(weight)))
     data = replace(load_data(problem.campaign, moments, problem.noise.in_balance, problem.errors),
                    sums=sums)  # fmt: skip
-    scale = np.exp(np.mean(np.log(np.maximum(base.values[:n][keep], 1e-3))))
+    scale = np.exp(np.mean(np.log(np.maximum(base.values[:n][keep], SMALLEST))))
     start = np.zeros(unknowns.total)
     start[: unknowns.count] = base.values
     start[:n][keep] = scale * fitted.values.alpha
