@@ -125,7 +125,7 @@ def campaigns(seeds, bounds, noise, loop):
         gradients = {"bias_gradient": mirror.bias_gradient, "coil_gradient": mirror.coil_gradient}
         stiffness = regressed(sifted.moments, noises.variance, **gradients)
         for name, asked in GAINS.items():
-            start = at_nominal(n)
+            start = replace(at_nominal(n), log_alpha=np.log(found) - np.mean(np.log(found)))
             if not asked.gain_spread:
                 start = replace(start, log_gain=np.log(bench.truth.sensor_gain))
             made = fit(exact, asked, stiffness.states, start=start)

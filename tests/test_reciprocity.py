@@ -10,7 +10,7 @@ from reciprocal import measured, random_stiffness, random_values, small_places
 
 import truenewton as tn
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import RankDeficient, UnknownName
+from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
 from truenewton.estimation.reciprocity import cycles
 from truenewton.estimation.reciprocity.condensation import (
     condensed,
@@ -24,9 +24,10 @@ from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values
 from truenewton.estimation.sifted import sift
-from truenewton.mirrors.shell.puck_motion import puck_motion
+from truenewton.mirrors.shell.puck_motion import motion_for, puck_motion
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import rings
 
 ALL = Asked(1.0, 1.0)  # asked for: alpha, gains and offsets
 
@@ -276,6 +277,13 @@ def test_noise_of_a_condensed_stiffness_is_that_of_its_elements():
     scatter = np.var(drawn, axis=0)
     wanted = 1e-6 * np.outer(np.diag(less.noise), np.diag(np.linalg.inv(less.square)))
     np.testing.assert_allclose(scatter, wanted, rtol=0.25)
+
+
+def test_the_glass_goes_with_reciprocity_and_its_own_mirror():
+    with pytest.raises(UnknownName, match="ml does not ask"):
+        calibrate(p45_campaign(), motion=np.eye(45))
+    with pytest.raises(CampaignMismatch, match="actuators of P45"):
+        motion_for(p45_bench().mirror, rings([0.06, 0.1], [5, 9]))
 
 
 def test_a_population_goes_with_ml_only():

@@ -138,6 +138,12 @@ def calibrate(
         The verdict is 'not to be used', or the data show what was not taken out of them.
     """
     refuse_method(data, method, population=population)
+    if motion is not None and method in ("ml", "svd"):
+        raise UnknownName(
+            f"{method} does not ask what the sensors see of the glass",
+            remedy="leave the mirror out, or use reciprocity or auto",
+            got=method,
+        )
     known = Known(population, motion)
     if isinstance(data, Campaign):
         made = calibration_of(data, METHODS[method].of_cycles(sift(data), known))
