@@ -10,6 +10,7 @@ from reciprocal import measured, random_stiffness, random_values, small_places
 
 import truenewton as tn
 from truenewton.calibration.methods import calibrate
+from truenewton.calibration.words import summary_lines
 from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
 from truenewton.estimation.reciprocity import cycles
 from truenewton.estimation.reciprocity.condensation import (
@@ -167,6 +168,7 @@ def test_a_campaign_gives_better_alpha_and_the_sensors(tmp_path):
     again = tn.read(tmp_path / "alpha.fits")
     assert again.sensors == made.sensors
     assert again.verdict == made.verdict
+    assert any(row.startswith("  sensors") for row in summary_lines(made))
 
 
 def test_with_a_model_of_the_glass_the_readings_of_annuli_fit():
