@@ -32,7 +32,7 @@ from truenewton.estimation.reciprocity.condensation import (
 )
 from truenewton.estimation.reciprocity.gate import Evidence, left_free, refusals
 from truenewton.estimation.reciprocity.iteration import Fit, fit
-from truenewton.estimation.reciprocity.known_noise import Regressed
+from truenewton.estimation.reciprocity.known_noise import ONE_EACH, Regressed
 from truenewton.estimation.reciprocity.regression import regressed
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
@@ -133,7 +133,14 @@ def _found(
         sensors=sensors_of(fitted, ids, keep),
     )
     return estimate, tuple(
-        refusals(Evidence(fitted.reduced, odd=odd, offset_spread=_offset_spread(fitted)))
+        refusals(
+            Evidence(
+                fitted.reduced,
+                odd=odd,
+                untried=problem.n if problem.n > ONE_EACH else 0,
+                offset_spread=_offset_spread(fitted),
+            )
+        )
     )
 
 

@@ -39,6 +39,8 @@ class Evidence:
         chi2 per degree of freedom between alpha by balance alone and by reciprocity alone.
     odd
         Actuators that are not like the others; more than may be left free.
+    untried
+        Number of actuators, where nobody has held errors of so many against the truth.
     gain_spread, offset_spread
         Spreads of log g and of the offsets [m], as the data give them.
     """
@@ -48,6 +50,7 @@ class Evidence:
     by_balance: float = float("nan")
     apart: float = float("nan")
     odd: tuple[int, ...] = ()
+    untried: int = 0
     gain_spread: float = float("nan")
     offset_spread: float = float("nan")
 
@@ -56,6 +59,12 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
     """Yield why reciprocity is not to be believed."""
     if evidence.odd:
         yield Fault(f"{len(evidence.odd)} actuators or more do not obey reciprocity", REMEDY)
+    if evidence.untried:
+        yield Fault(
+            f"errors of reciprocity of {evidence.untried} actuators have not been held against a"
+            " truth yet: noise in forces may make them too small",
+            "use ml, or compare two campaigns",
+        )
     for name, size in zip(BLOCKS, evidence.blocks, strict=False):
         if size > BLOCK:
             yield Fault(
