@@ -2,6 +2,7 @@
 
     python benchmarks/reciprocity.py [--seeds 30] [--bounds 5] [--noise 1e-3] [--loop]
     python benchmarks/reciprocity.py --gate [--seeds 12]
+    python benchmarks/reciprocity.py --large
     TRUENEWTON_REAL_DATA=FOLDER python benchmarks/reciprocity.py --measured
 
 The first prints, for campaigns of P45 (4 cycles under each of two loads), the relative error of
@@ -9,7 +10,8 @@ alpha with sensor gains known, with a spread of 0.4 %, and free, in terms of the
 with all of K unknown (`joint_bound`), and how many of the 95 % intervals hold the truth; beside it
 `ml`, and reciprocity without a model of the glass, as a user without one has it. --loop holds the
 shapes in closed loop. The second prints how often the gate accepts stiffnesses of P45 with faults,
-and whether it should. The third prints what is left out of balance on held-out modes of a measured
+and whether it should. The third prints error and coverage of stiffnesses of LBT672, 672 actuators
+with offsets of 0.5 mm. The last prints what is left out of balance on held-out modes of a measured
 LBT672, FOLDER holding lbt672/lbt672-feedforward.fits.
 """
 
@@ -41,7 +43,7 @@ from truenewton.estimation.reciprocity.regression import regressed
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values, at_nominal
 from truenewton.estimation.sifted import sift
-from truenewton.mirrors.known import p45
+from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import puck_motion
 from truenewton.records.campaign import Campaign
@@ -139,8 +141,8 @@ def campaigns(seeds, bounds, noise, loop):
         print(f"{name:<26}{line}")
 
 
-def matrix_of(random, glass, layout, *, gain=0.004, offset=0.0, asymmetry=0.0, dead=0):
-    """Return a stiffness that P45 might have measured in 8 readings at 1 mN, and its alpha."""
+def matrix_of(random, glass, layout, *, gain=0.004, offset=0.0, asymmetry=0.0, dead=0, noise=1e-3):
+    """Return a stiffness as measured in 8 readings with noise [N], and log alpha."""
     n = layout.n
     alpha = random.normal(0.0, 0.05, n)
     values = Values(alpha, random.normal(0.0, gain, n), offset * random.normal(0, 1, (2, n)))
@@ -150,7 +152,7 @@ def matrix_of(random, glass, layout, *, gain=0.004, offset=0.0, asymmetry=0.0, d
     stiffness = stiffness @ (motion * values.gain) / values.alpha[:, None]
     _, size, right = np.linalg.svd(stiffness)
     stroke = np.minimum(1e-6, 0.4 / np.maximum(size, 1.0)) * np.sqrt(8)
-    stiffness = stiffness + (1e-3 * random.standard_normal((n, n)) / stroke) @ right
+    stiffness = stiffness + (noise * random.standard_normal((n, n)) / stroke) @ right
     if dead:
         some = random.choice(n, dead, replace=False)
         stiffness[:, some] = stiffness[:, some] @ random.standard_normal((dead, dead))
@@ -227,6 +229,33 @@ def measured():
     print(f"    refused because: {[fault for fault, _ in refusals(evidence)] or 'accepted'}")
 
 
+def large():
+    """Print error and coverage of stiffnesses of LBT672 at three noises."""
+    mirror, date = lbt672(), next(run_cycles(static_bench(p45(), 0), 1)).date
+    glass = held_glass(mirror)
+    for noise in (1e-3, 3e-4, 1e-4):
+        random = np.random.default_rng([0, 7])
+        stiffness, alpha = matrix_of(random, glass, mirror.layout, offset=5e-4, noise=noise)
+        modes = modes_of(StiffnessMatrix("LBT672", date, mirror.layout, stiffness))
+        joint, one, other = (
+            each.fit(USUAL)
+            for each in (modes, modes.every(slice(0, None, 2)), modes.every(slice(1, None, 2)))
+        )
+        error = joint.values.log_alpha - alpha
+        error -= error.mean()
+        stated = np.sqrt(np.diag(joint.covariance_of(Kind.ALPHA)))
+        formal, rms = np.sqrt(np.mean(stated**2)), np.std(error)
+        halves = np.std(one.values.log_alpha - other.values.log_alpha)
+        inside = [
+            np.mean(np.abs(error) < 1.96 * size * stated) for size in (1.0, max(1, halves / formal))
+        ]
+        print(
+            f"{1e3 * noise:.1f} mN: rms {rms:.4f}, stated {formal:.4f}, halves differ by"
+            f" {halves:.4f}; coverage {inside[0]:.3f}, by halves {inside[1]:.3f}",
+            flush=True,
+        )
+
+
 def tn_asymmetry(matrix):
     """Return |K - K'| / |K + K'|."""
     k = matrix.used_stiffness
@@ -241,10 +270,13 @@ def main():
     parser.add_argument("--noise", type=float, default=1e-3, help="of a force reading [N]")
     parser.add_argument("--loop", action="store_true", help="in closed loop")
     parser.add_argument("--gate", action="store_true")
+    parser.add_argument("--large", action="store_true")
     parser.add_argument("--measured", action="store_true")
     options = parser.parse_args()
     if options.measured:
         measured()
+    elif options.large:
+        large()
     elif options.gate:
         gate(options.seeds)
     else:
