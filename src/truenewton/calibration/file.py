@@ -141,6 +141,21 @@ CALIBRATION = FileFormat(
             of="imbalances",
             optional=True,
         ),
+        TableFormat(
+            "SENSORS",
+            (
+                Column("ID", "actuator", kind="int"),
+                Column("GAIN", "gain"),
+                Column("E_GAIN", "gain_error"),
+                Column("DX", "x", "m"),
+                Column("E_DX", "x_error", "m"),
+                Column("DY", "y", "m"),
+                Column("E_DY", "y_error", "m"),
+                Column("STATE", "state", kind="str"),
+            ),
+            of="sensors",
+            optional=True,
+        ),
     ),
 )
 

@@ -19,11 +19,13 @@ from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, Unkn
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.effects.words import effect_warnings
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.estimate import Estimate, with_warnings
 from truenewton.estimation.identifiability import diagnose
+from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles
+from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.row_readers import RowReader, read_rows
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
-from truenewton.estimation.sifted_matrix import sift_matrix
+from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
 from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign, mean_temperature
@@ -31,18 +33,24 @@ from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
+Imbalances = tuple[stiffness_svd.Imbalance, ...]
+
+
+class Known(NamedTuple):
+    """What is known beside the data, as `calibrate` takes it."""
+
+    population: bool = False
+    motion: Array | None = None
+
 
 class Method(NamedTuple):
-    """A method: of a sifted campaign to its estimate; of columns of a stiffness to a fit.
+    """A method: of a sifted campaign to its estimate; of a stiffness, with what modes leave."""
 
-    Both take whether the actuators are samples of one population.
-    """
-
-    of_cycles: Callable[[Sifted, bool], Estimate]
-    of_stiffness: Callable[[bool], stiffness_svd.ElasticMethod]
+    of_cycles: Callable[[Sifted, Known], Estimate]
+    of_stiffness: Callable[[SiftedMatrix, Known], tuple[Estimate, Imbalances]]
 
 
-def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
+def _svd_of_cycles(sifted: Sifted, _: Known) -> Estimate:
     """Solve the paper's system, of all rows; what the data are worth `ml` says, as for itself."""
     judged = cycles_ml.find(sifted)
     campaign = sifted.campaign
@@ -61,16 +69,60 @@ def _svd_of_cycles(sifted: Sifted, _: bool) -> Estimate:
     return replace(found, effects=effects, diagnosis=diagnosis, goodness=goodness)
 
 
+def _by_balance(
+    sifted: SiftedMatrix, method: stiffness_svd.ElasticMethod
+) -> tuple[Estimate, Imbalances]:
+    """Return the estimate of a method that balances forces, and how well it does."""
+    estimate = stiffness_svd.find(sifted, method)
+    try:
+        return estimate, stiffness_svd.imbalances(sifted, method)
+    except (RankDeficient, NotConverged) as error:
+        fault = Fault(f"every second mode alone gives no alpha: {error.fault}", error.remedy)
+        return with_warnings(estimate, (fault,)), ()
+
+
+def _reciprocal(
+    sifted: SiftedMatrix, known: Known, *, where_it_holds: bool = False
+) -> tuple[Estimate, Imbalances]:
+    """Return the estimate of reciprocity; of `ml`, with the reason, only where that is allowed."""
+    base, imbalances = _by_balance(sifted, stiffness_ml.column_fit)
+    try:
+        estimate, of_modes, against = reciprocity_of_matrix.find(sifted.matrix, base, known.motion)
+    except (RankDeficient, NotConverged) as error:
+        if not where_it_holds:
+            raise
+        return with_warnings(base, reciprocity_of_matrix.refused(error)), imbalances
+    if against and where_it_holds:
+        return with_warnings(base, against), imbalances
+    return with_warnings(estimate, against), of_modes
+
+
 METHODS = {
     "ml": Method(
-        cycles_ml.find, lambda pooled: partial(stiffness_ml.column_fit, population=pooled)
+        lambda sifted, known: cycles_ml.find(sifted, known.population),
+        lambda sifted, known: _by_balance(
+            sifted, partial(stiffness_ml.column_fit, population=known.population)
+        ),
     ),
-    "svd": Method(_svd_of_cycles, lambda _: stiffness_svd.singular_fit),
+    "svd": Method(
+        _svd_of_cycles, lambda sifted, _: _by_balance(sifted, stiffness_svd.singular_fit)
+    ),
+    "reciprocity": Method(
+        lambda sifted, known: reciprocity_of_cycles.find(sifted, known.motion), _reciprocal
+    ),
+    "auto": Method(
+        lambda sifted, known: reciprocity_of_cycles.find_where_it_holds(sifted, known.motion),
+        partial(_reciprocal, where_it_holds=True),
+    ),
 }
 
 
 def calibrate(
-    data: Campaign | StiffnessMatrix, method: str = "ml", *, population: bool = False
+    data: Campaign | StiffnessMatrix,
+    method: str = "ml",
+    *,
+    population: bool = False,
+    motion: Array | None = None,
 ) -> Calibration:
     """Find alpha of every actuator.
 
@@ -79,10 +131,14 @@ def calibrate(
     data
         A campaign under two loads at least, or a measured stiffness matrix (relative alpha).
     method
-        'ml', maximum likelihood; 'svd', the paper's.
+        'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which makes use of what the
+        sensors read; 'auto', reciprocity where it holds, else 'ml'.
     population
         Take the actuators for samples of one normal population, whose spread the data give: pulls
         what the data hardly hold toward the mean. With 'ml' only; the result names it.
+    motion
+        (n, n) displacements where forces act for those that the sensors see, of all actuators, by a
+        model of the glass; with 'reciprocity' and 'auto' only.
 
     Raises
     ------
@@ -101,10 +157,19 @@ def calibrate(
         The verdict is 'not to be used', or the data show what was not taken out of them.
     """
     refuse_method(data, method, population=population)
+    if motion is not None and method in ("ml", "svd"):
+        raise UnknownName(
+            f"{method} does not ask what the sensors see of the glass",
+            remedy="leave the mirror out, or use reciprocity or auto",
+            got=method,
+        )
+    known = Known(population, motion)
     if isinstance(data, Campaign):
-        made = calibration_of(data, find_alpha(sift(data), method, population=population))
+        made = calibration_of(data, METHODS[method].of_cycles(sift(data), known))
     elif isinstance(data, StiffnessMatrix):
-        made = _from_stiffness(data, METHODS[method].of_stiffness(population))
+        sifted = sift_matrix(data)
+        found = METHODS[method].of_stiffness(sifted, known)
+        made = _from_stiffness(sifted.matrix, *found)
     else:
         raise TypeError(
             f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix"
@@ -119,6 +184,8 @@ def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: 
         raise UnknownName(
             f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method
         )
+    if population and method not in ("ml", "svd"):
+        raise UnknownName("a population goes with ml only", remedy="use ml", got=method)
     if method == "svd" and (population or (isinstance(data, Campaign) and data.stiffness)):
         raise UnknownName(
             "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
@@ -127,7 +194,7 @@ def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: 
 
 def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
     """Find alpha of a campaign that was sifted, as `calibrate` does; 'ml' reads no row."""
-    return METHODS[method].of_cycles(sifted, population)
+    return METHODS[method].of_cycles(sifted, Known(population))
 
 
 def refusals(error: TrueNewtonError, sifted: Sifted | None) -> tuple[Fault, ...]:
@@ -143,7 +210,7 @@ def held_out(
     matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
 ) -> tuple[stiffness_svd.Imbalance, ...]:
     """Return how well alpha restores the balance of elastic modes, fitted and held out."""
-    return stiffness_svd.imbalances(sift_matrix(matrix), METHODS[method].of_stiffness(population))
+    return METHODS[method].of_stiffness(sift_matrix(matrix), Known(population))[1]
 
 
 def calibration_of(
@@ -188,24 +255,16 @@ def calibration_of(
     )
 
 
-def _from_stiffness(matrix: StiffnessMatrix, method: stiffness_svd.ElasticMethod) -> Calibration:
-    sifted = sift_matrix(matrix)
-    matrix, estimate = sifted.matrix, stiffness_svd.find(sifted, method)
+def _from_stiffness(
+    matrix: StiffnessMatrix, estimate: Estimate, imbalances: Imbalances
+) -> Calibration:
     on = matrix.layout.enabled
-    imbalances: tuple[stiffness_svd.Imbalance, ...] = ()
-    warnings = estimate.diagnosis.warnings
-    try:
-        imbalances = stiffness_svd.imbalances(sifted, method)
-    except (RankDeficient, NotConverged) as error:
-        warnings += (Fault(f"every second mode alone gives no alpha: {error.fault}", error.remedy),)
     # B is not to be had from elastic forces.
     reading, systematic = (
         np.pad(covariance, (0, 1), constant_values=np.nan)
         for covariance in (estimate.reading_covariance, estimate.systematic_covariance)
     )
-    diagnosis = replace(estimate.diagnosis, warnings=warnings)
-    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic,
-                       diagnosis=diagnosis)  # fmt: skip
+    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
     return Calibration(
         instrument=matrix.instrument,
         date=matrix.date,
@@ -257,6 +316,7 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "diagnosis": estimate.diagnosis,
         "goodness": goodness,
         "scale_errors": estimate.scale_errors,
+        "sensors": estimate.sensors,
     }
 
 

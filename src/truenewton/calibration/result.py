@@ -17,6 +17,7 @@ from truenewton.estimation.diagnosis import (
     Goodness,
     RejectedRow,
     ScaleError,
+    Sensor,
     UnseenError,
 )
 from truenewton.estimation.stiffness_svd import Imbalance
@@ -90,6 +91,8 @@ class Calibration:
         What the data cannot show, and would do to the common scale; in none of the errors.
     imbalances
         Of elastic modes, fitted and held out; empty but for a stiffness file.
+    sensors
+        Gains and places of the sensors by reciprocity; empty by other methods.
     """
 
     instrument: str
@@ -128,6 +131,7 @@ class Calibration:
     effects: tuple[FoundEffect, ...] = ()
     unseen: tuple[UnseenError, ...] = ()
     imbalances: tuple[Imbalance, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "alpha", "reading_error", "systematic_error", "cycle_error", "covariance",

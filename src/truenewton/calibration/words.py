@@ -115,6 +115,7 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
         ],
         "effects": [asdict(effect) for effect in c.effects],
         "unseen": [asdict(error) for error in c.unseen],
+        "sensors": [asdict(sensor) for sensor in c.sensors],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
         "imbalance": [asdict(line) for line in c.imbalances],
     }
@@ -150,6 +151,11 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         ):
             my, mx = (with_error(1e3 * m, 1e3 * e) for m, e in zip(torques, errors, strict=True))
             yield f"torques, {load.name}", f"{my}, {mx}", "M_y, M_x [mN m]"
+    if c.sensors:
+        gains = float(np.nanstd([sensor.gain for sensor in c.sensors]))
+        off = float(np.sqrt(np.nanmean([[s.x**2, s.y**2] for s in c.sensors])))
+        value = f"gains within {percent(gains)}, {1e3 * off:.2g} mm off"
+        yield "sensors", value, "rms, along each axis; each in the table SENSORS"
     if np.isfinite(c.noise):
         source = c.goodness.against if c.goodness is not None else NoiseSource.REPEATS
         yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", NOISE_FROM[source]

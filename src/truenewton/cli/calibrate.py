@@ -18,6 +18,7 @@ def run(
     ),
     method: str = options.METHOD,
     population: bool = options.POPULATION,
+    mirror: str | None = options.GLASS,
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
@@ -33,12 +34,15 @@ def run(
     )
     from truenewton.cli.terminal import print_result
     from truenewton.files.outputs import refuse_existing
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.shell.puck_motion import motion_for
     from truenewton.reading import read_data
     from truenewton.records.campaign import Campaign
 
     refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
-    calibration = calibrate(data, method, population=population)
+    motion = motion_for(mirror_from(mirror), data.layout) if mirror else None
+    calibration = calibrate(data, method, population=population, motion=motion)
     refuse_unusable(calibration, force=force)
     if output is not None:
         calibration.write(output, overwrite=overwrite)

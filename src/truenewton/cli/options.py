@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import typer
 
-METHOD = typer.Option("ml", help="ml, maximum likelihood; svd, the paper's.")
+METHOD = typer.Option(
+    "ml", help="ml, maximum likelihood; svd, the paper's; reciprocity; auto, reciprocity or ml."
+)
 POPULATION = typer.Option(
     False, "--population", help="Take alpha for samples of one normal population (ml)."
+)
+GLASS = typer.Option(
+    None, "--mirror", help="Its glass, known or a TOML file: what its sensors see (reciprocity)."
 )
 ANYWAY = typer.Option(
     False, "--anyway", help="Go on though the verdict on alpha is 'not to be used'."

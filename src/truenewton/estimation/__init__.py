@@ -47,6 +47,7 @@ files, in the order in which data pass through them:
     suspects         files, columns and actuators that may not be what they say
     fit_warnings     what is weak in a campaign and its fit, in words
     cycles_ml        `ml` on a campaign
+    reciprocity      alpha, sensor gains and offsets from a stiffness that must be symmetric
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix
     stiffness_columns  its columns in balance, each with the noise that it shows

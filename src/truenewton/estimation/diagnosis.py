@@ -196,3 +196,29 @@ class RejectedRow:
     actuator: int
     sigmas: float
     against: str
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor as the data show it.
+
+    Attributes
+    ----------
+    actuator
+        ID.
+    gain, gain_error
+        True displacement / reading, and its standard uncertainty.
+    x, x_error, y, y_error
+        Of its place: the actuator's less the sensor's [m].
+    state
+        'fitted'; 'free' where the fit leaves the actuator out, with its sensor.
+    """
+
+    actuator: int
+    gain: float
+    gain_error: float
+    x: float
+    x_error: float
+    y: float
+    y_error: float
+    state: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from truenewton.arrays import Array
@@ -12,8 +12,10 @@ from truenewton.estimation.diagnosis import (
     Goodness,
     RejectedRow,
     ScaleError,
+    Sensor,
     UnseenError,
 )
+from truenewton.records.fault import Fault
 
 
 class Scale(StrEnum):
@@ -54,6 +56,8 @@ class Estimate:
         What the bench did beside the model, as far as the data show it.
     unseen
         What they cannot show, and what of its usual size would do to the common scale.
+    sensors
+        What reciprocity finds of them; empty by other methods.
     """
 
     method: str
@@ -72,3 +76,10 @@ class Estimate:
     effects: tuple[FoundEffect, ...] = ()
     unseen: tuple[UnseenError, ...] = ()
     solved_condition: float = float("nan")
+    sensors: tuple[Sensor, ...] = ()
+
+
+def with_warnings(estimate: Estimate, more: tuple[Fault, ...]) -> Estimate:
+    """Return an estimate with more of what is weak in it."""
+    diagnosis = estimate.diagnosis
+    return replace(estimate, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, *more)))

@@ -1,6 +1,7 @@
 """The elastic shell between its actuators.
 
 held_glass           a mirror's glass between its actuators, and what holds it under its loads
+puck_motion          where forces act, for what annular sensors read
 moving_mass          static shapes between actuators, and the mass that moves with them
 air_film             damping by the film of air behind the glass
 condensation         from influence to stiffness: the shell seen from its actuators alone

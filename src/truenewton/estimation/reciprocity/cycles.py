@@ -1,0 +1,228 @@
+"""Reciprocity on a campaign: relative alpha and sensors from POSITION, the scale from the weights.
+
+The stiffness, regressed under all loads together, knows nothing of their means. Those balance the
+weights, and go through the likelihood of `ml` with what reciprocity says of alpha as a prior: so B,
+torques, E_SYST and COVARIANCE are those of `ml`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg
+import scipy.stats
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation import cycles_ml
+from truenewton.estimation.diagnosis import Goodness, NoiseSource
+from truenewton.estimation.effects.words import effect_warnings
+from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.estimation.likelihood import minimise
+from truenewton.estimation.minimum import Minimum, Prior
+from truenewton.estimation.moments import Moments, chosen_groups
+from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.problem import Problem, load_data, problem_of
+from truenewton.estimation.reciprocity.condensation import (
+    condensed_regression,
+    kept,
+    kept_places,
+)
+from truenewton.estimation.reciprocity.gate import Evidence, left_free, refusals
+from truenewton.estimation.reciprocity.iteration import Fit, fit
+from truenewton.estimation.reciprocity.known_noise import ONE_EACH, Regressed
+from truenewton.estimation.reciprocity.regression import regressed
+from truenewton.estimation.reciprocity.sensors import sensors_of
+from truenewton.estimation.reciprocity.sight import Places, places_of
+from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values, at_nominal
+from truenewton.estimation.shape_sums import shape_sums
+from truenewton.estimation.sifted import Sifted
+from truenewton.estimation.weights import temperature_errors, weight_errors
+from truenewton.records.fault import Fault
+from truenewton.statics.layout import Layout
+
+METHOD = "reciprocity"
+SMALLEST = 0.05  # alpha of `ml` with which an iteration begins
+IMPROBABLE = 1e-3  # of a fit: beyond, errors grow by what it leaves
+
+
+def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> Estimate:
+    """Find alpha and the sensors of a campaign; what speaks against them is among the warnings.
+
+    Parameters
+    ----------
+    sifted
+        Cycles with POSITION, under two loads at least.
+    motion
+        (n, n) displacements at the magnets for those at the sensors, by a model of the glass.
+    asked
+        Of the sensors.
+
+    Raises
+    ------
+    RankDeficient, TooManyOutliers, NotConverged
+    """
+    estimate, against = _found(sifted, cycles_ml.find(sifted), motion, asked)
+    return with_warnings(estimate, against)
+
+
+def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate:
+    """Find alpha as `find` does where reciprocity holds, else by `ml`, which says why.
+
+    Parameters
+    ----------
+    sifted
+        The campaign.
+    motion
+        (n, n) as for `find`.
+
+    Raises
+    ------
+    RankDeficient, TooManyOutliers, NotConverged
+    """
+    base = cycles_ml.find(sifted)
+    if sifted.moments.displacement is None:
+        return base
+    try:
+        estimate, against = _found(sifted, base, motion, USUAL)
+    except (RankDeficient, NotConverged) as error:
+        against = (Fault(f"{METHOD}: {error.fault}", str(error.remedy)),)
+    return with_warnings(base, against) if against else estimate
+
+
+def _found(
+    sifted: Sifted, base: Estimate, motion: Array | None, asked: Asked
+) -> tuple[Estimate, tuple[Fault, ...]]:
+    """Return the estimate, and what speaks against it; ``base`` is that of `ml`."""
+    campaign, moments = sifted.sound, _balancing(sifted, base)
+    layout, noise = campaign.layout, reading_noise(campaign, moments)
+    gradients = {(c.bias_gradient or 0.0, c.coil_gradient or 0.0) for c in campaign.cycles}
+    if len(gradients) > 1:
+        raise RankDeficient(
+            "COILGRAD or BIASGRAD differs between cycle files, which reciprocity puts together",
+            remedy="use ml, or declare one pair for all",
+        )
+    bias, coil = gradients.pop()
+    stiffness = regressed(moments, noise.variance, bias_gradient=bias, coil_gradient=coil)
+    keep, odd = kept(stiffness.stiffness)
+    places = kept_places(_places(layout, motion), keep, stiffness.stiffness)
+    stiffness = condensed_regression(stiffness, keep)
+    fitted = fit(places, asked, stiffness.states, start=_near(base, keep))
+    goodness = _goodness(fitted, stiffness)
+    excess = goodness.reduced if goodness.probability < IMPROBABLE else 1.0
+    force = moments.sums.force.sum(axis=1) / moments.sums.weight
+    errors = {**weight_errors(campaign), **temperature_errors(campaign, force)}
+    problem = problem_of(campaign, noise, errors)
+    minimum = _with_weights(problem, moments, (fitted, keep), base, excess)
+    estimate = cycles_ml.estimate_of(METHOD, problem, moments, minimum, base.rejected, 0)
+    said = (*estimate.diagnosis.warnings, *effect_warnings(base.effects))
+    if excess > 1.0:
+        remedy = "give the mirror, so that what its sensors see is known" if motion is None else ""
+        fault = f"reciprocity fits badly: E_STAT is {np.sqrt(excess):.2g} times larger for it"
+        said += (Fault(fault, remedy),)
+    ids = layout.id[layout.enabled]
+    said += tuple(left_free(ids[~keep]))
+    estimate = replace(
+        estimate,
+        goodness=goodness,
+        effects=base.effects,
+        declared_chi2=base.declared_chi2,
+        diagnosis=replace(estimate.diagnosis, warnings=said),
+        sensors=sensors_of(fitted, ids, keep),
+    )
+    return estimate, tuple(
+        refusals(
+            Evidence(
+                fitted.reduced,
+                odd=odd,
+                untried=problem.n if problem.n > ONE_EACH else 0,
+                offset_spread=_offset_spread(fitted),
+            )
+        )
+    )
+
+
+def _offset_spread(fitted: Fit) -> float:
+    """Return the spread of the offsets as the data give it; NaN where they do not."""
+    return fitted.asked.offset_spread if fitted.asked.estimated else float("nan")
+
+
+def _places(layout: Layout, motion: Array | None) -> Places:
+    on = layout.enabled
+    return places_of(layout, None if motion is None else motion[np.ix_(on, on)])
+
+
+def _balancing(sifted: Sifted, base: Estimate) -> Moments:
+    """Return the moments without the groups that did not balance for `ml`."""
+    moments, campaign = sifted.moments, sifted.campaign
+    out = {
+        (campaign.load_index[row.cycle], int(cycle.shape[row.row]), int(cycle.sign[row.row]))
+        for row in base.rejected
+        if row.against == "balance"
+        for cycle in (campaign.cycles[row.cycle],)
+    }
+    if not out:
+        return moments
+    return chosen_groups(
+        moments, np.array([tuple(label) not in out for label in moments.labels.tolist()])
+    )
+
+
+def _near(base: Estimate, keep: NDArray[np.bool_]) -> Values:
+    """Return where to begin, near enough for the quietest readings: alpha of `ml`, about mean 1."""
+    log_alpha = np.log(np.maximum(base.values[: len(keep)][keep], SMALLEST))
+    start = at_nominal(int(keep.sum()))
+    return replace(start, log_alpha=log_alpha - log_alpha.mean())
+
+
+def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:
+    """Return chi2 of all blocks; the noise is known only so well."""
+    chi2, freedom = sum(fitted.chi2), sum(fitted.equations) - sum(fitted.parameters)
+    probability = scipy.stats.f.sf(chi2 / freedom, freedom, stiffness.noise_freedom)
+    return Goodness(chi2, round(freedom), NoiseSource.REPEATS, float(probability))
+
+
+def _alpha_information(fitted: Fit) -> Array:
+    """Return the (n, n) information on log alpha, gains and offsets unknown too."""
+    n, whole = len(fitted.values.log_alpha), fitted.information
+    if fitted.asked.kinds == (Kind.ALPHA,):
+        return whole
+    rest, cross = whole[n:, n:].copy(), whole[n:, :n]
+    if np.isinf(fitted.asked.gain_spread):  # what holds their free scale does not reach alpha
+        rest[:n, :n] += np.trace(rest[:n, :n]) / n**2
+    taken = cross.T @ scipy.linalg.solve(rest, cross, assume_a="pos")
+    return np.asarray(whole[:n, :n] - 0.5 * (taken + taken.T))
+
+
+def _with_weights(
+    problem: Problem,
+    moments: Moments,
+    kept_fit: tuple[Fit, NDArray[np.bool_]],
+    base: Estimate,
+    excess: float,
+) -> Minimum:
+    """Return the likeliest alpha, B and torques by the mean force under each load.
+
+    Of the actuators that the fit keeps; alpha of the others stays that of the balance.
+    """
+    fitted, keep = kept_fit
+    unknowns, n = problem.unknowns, problem.n
+    share = moments.of_load * moments.weight[:, None]
+    weight = share.sum(axis=0)
+    mean, known = (share.T @ values / weight[:, None] for values in (moments.mean, moments.known))
+    sums = shape_sums(mean, weight, known, np.eye(len(weight)))
+    data = replace(load_data(problem.campaign, moments, problem.noise.in_balance, problem.errors),
+                   sums=sums)  # fmt: skip
+    scale = np.exp(np.mean(np.log(np.maximum(base.values[:n][keep], SMALLEST))))
+    start = np.zeros(unknowns.total)
+    start[: unknowns.count] = base.values
+    start[:n][keep] = scale * fitted.values.alpha
+    free = np.where(keep, np.inf, np.diag(base.reading_covariance)[:n])
+    information = np.diag(1.0 / free)
+    root = start[:n][keep]
+    information[np.ix_(keep, keep)] += _alpha_information(fitted) / np.outer(root, root) / excess
+    own = problem.prior
+    prior = Prior(np.concatenate([start[:n], own.mean[n:]]), information, own.measured, own.held)
+    return minimise(problem.a, [data], prior, start)

@@ -1,0 +1,125 @@
+"""Whether reciprocity holds: what speaks against it, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.reciprocity.iteration import Fit
+from truenewton.estimation.reciprocity.unknowns import Kind
+from truenewton.records.fault import Fault
+from truenewton.rounding import percent
+
+# Of simulated stiffnesses of P45 these keep those whose alpha is better with reciprocity than by
+# balance alone (docs/reciprocity.md).
+WORSE = 1.15  # held-out imbalance in terms of that of balance alone
+APART = 6.0  # chi2 per degree of freedom between balance alone and reciprocity alone
+BLOCK = 1.5  # chi2 per degree of freedom of a block, where the noise is known
+FARTHEST = 1.2e-3  # rms offset of the sensors along an axis [m]
+REMEDY = "use ml; check positions, order and gains of the sensors"
+BLOCKS = ("the balance of forces", "rigid motions", "reciprocity")
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What there is for and against reciprocity; NaN where nothing tells.
+
+    Attributes
+    ----------
+    blocks
+        chi2 per degree of freedom of `gate.BLOCKS`, against noise that is known.
+    held_out, by_balance
+        Rms imbalance of modes that the fit has not seen, with reciprocity and by balance alone.
+    apart
+        chi2 per degree of freedom between alpha by balance alone and by reciprocity alone.
+    odd
+        Actuators that are not like the others; more than may be left free.
+    untried
+        Number of actuators, where nobody has held errors of so many against the truth.
+    gain_spread, offset_spread
+        Spreads of log g and of the offsets [m], as the data give them.
+    """
+
+    blocks: tuple[float, ...] = ()
+    held_out: float = float("nan")
+    by_balance: float = float("nan")
+    apart: float = float("nan")
+    odd: tuple[int, ...] = ()
+    untried: int = 0
+    gain_spread: float = float("nan")
+    offset_spread: float = float("nan")
+
+
+def refusals(evidence: Evidence) -> Iterator[Fault]:
+    """Yield why reciprocity is not to be believed."""
+    if evidence.odd:
+        yield Fault(f"{len(evidence.odd)} actuators or more do not obey reciprocity", REMEDY)
+    if evidence.untried:
+        yield Fault(
+            f"errors of reciprocity of {evidence.untried} actuators have not been held against a"
+            " truth yet: noise in forces may make them too small",
+            "use ml, or compare two campaigns",
+        )
+    for name, size in zip(BLOCKS, evidence.blocks, strict=False):
+        if size > BLOCK:
+            yield Fault(
+                f"reciprocity does not fit: {name} is off by {np.sqrt(size):.2g} times the noise",
+                REMEDY,
+            )
+    if evidence.held_out > WORSE * evidence.by_balance:
+        yield Fault(
+            f"with reciprocity modes that the fit has not seen balance worse"
+            f" ({percent(evidence.held_out)} of their force) than by balance alone"
+            f" ({percent(evidence.by_balance)})",
+            REMEDY,
+        )
+    if evidence.apart > APART:
+        yield Fault(
+            f"alpha by balance and alpha by reciprocity are {np.sqrt(evidence.apart):.2g} times"
+            " as far apart as their errors let expect",
+            REMEDY,
+        )
+    if evidence.offset_spread > FARTHEST:
+        yield Fault(
+            f"the sensors would have to be {1e3 * evidence.offset_spread:.2g} mm off their magnets",
+            REMEDY,
+        )
+
+
+def left_free(ids: NDArray[np.int64]) -> Iterator[Fault]:
+    """Say of which actuators, by their (n,) IDs, alpha is that of the balance."""
+    if ids.size:
+        which = ", ".join(map(str, ids.tolist()))
+        yield Fault(
+            f"actuators or sensors that do not obey reciprocity were left out of it: {which}",
+            "look at their sensors, wiring and places; their alpha is that of ml",
+        )
+
+
+def disagreement(one: Fit, other: Fit) -> float:
+    """Return the variance between the log alpha of two independent fits over what they state.
+
+    1 at least: what two halves of the modes leave is more than noise where it is larger.
+    """
+    difference = one.values.log_alpha - other.values.log_alpha
+    stated = sum(float(np.trace(fit.covariance_of(Kind.ALPHA))) for fit in (one, other))
+    return max(1.0, len(difference) * float(np.var(difference)) / stated)
+
+
+def apart(one: Fit, other: Fit, excess: float = 1.0, other_excess: float = 1.0) -> float:
+    """Return chi2 per degree of freedom between the log alpha of two independent fits.
+
+    Their covariances are so much larger than stated.
+    """
+    difference = one.values.log_alpha - other.values.log_alpha
+    difference = difference - difference.mean()
+    covariance = excess * one.covariance_of(Kind.ALPHA)
+    covariance = covariance + other_excess * other.covariance_of(Kind.ALPHA)
+    n = len(difference)
+    held: Array = covariance + np.trace(covariance) / n**2  # the common scale is no difference
+    return float(difference @ scipy.linalg.solve(held, difference, assume_a="pos")) / (n - 1)

@@ -1,0 +1,225 @@
+"""Steps to the likeliest unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.linalg
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.reciprocity.blocks import likeliest, residuals
+from truenewton.estimation.reciprocity.information import (
+    Fitted,
+    Leverage,
+    Point,
+    designs,
+    information,
+    score,
+)
+from truenewton.estimation.reciprocity.sight import Places, Sight, sight
+from truenewton.estimation.reciprocity.states import States, Weights
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind, Values, at_nominal
+
+STEPS = 40
+SETTLED = 0.02  # rms step of alpha over its rms error
+LONGEST = 0.3  # step of any log alpha or log g
+
+# What makes states and weights at a place of the unknowns, told of leverages once they are known.
+StatesAt = Callable[[Places, Values, Sight], tuple[States, Weights]]
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The likeliest unknowns.
+
+    Attributes
+    ----------
+    values, asked
+        The unknowns; what was asked, with the spreads that the data gave.
+    information
+        (u, u) of the unknowns, that of the spreads added; free scales are left free.
+    covariance
+        (u, u) where mean log alpha is 0, and mean log g where it is free.
+    chi2, equations
+        Weighted sum of squares of statics, rigid motions and reciprocity; number of each.
+    parameters
+        (3,) how many unknowns each block determines; NaN where leverages were not asked for.
+    point
+        All else, at the likeliest unknowns.
+    steps
+        Taken.
+    """
+
+    values: Values
+    asked: Asked
+    information: Array
+    covariance: Array
+    chi2: tuple[float, float, float]
+    equations: tuple[int, int, int]
+    parameters: tuple[float, float, float]
+    point: Point
+    steps: int
+
+    def covariance_of(self, kind: Kind) -> Array:
+        """Return the (n, n) covariance of one kind of unknowns."""
+        n, k = len(self.values.log_alpha), self.asked.kinds.index(kind)
+        return self.covariance[k * n : (k + 1) * n, k * n : (k + 1) * n]
+
+    @property
+    def asked_again(self) -> Asked:
+        """What was asked, the spreads taken for known."""
+        return replace(self.asked, estimated=False)
+
+    @property
+    def reduced(self) -> tuple[float, float, float]:
+        """chi2 of each block over its degrees of freedom."""
+        return tuple(  # type: ignore[return-value]
+            chi2 / max(count - taken, 1.0)
+            for chi2, count, taken in zip(self.chi2, self.equations, self.parameters, strict=True)
+        )
+
+
+def point_at(places: Places, values: Values, asked: Asked, states_at: StatesAt) -> Point:
+    """Return all that is known at a place of the unknowns."""
+    seen = sight(places, values, slopes=bool(asked.offset_spread))
+    states, weights = states_at(places, values, seen)
+    left = residuals(states)
+    fitted = likeliest(states, left, weights)
+    made = designs(asked.kinds, values, seen, states, fitted, places.length)
+    return Point(states, left, weights, fitted, made)
+
+
+def fit(
+    places: Places,
+    asked: Asked,
+    states_at: StatesAt,
+    *,
+    start: Values | None = None,
+    told: Callable[[Leverage], None] | None = None,
+) -> Fit:
+    """Find the likeliest unknowns.
+
+    Parameters
+    ----------
+    places
+        Of the actuators.
+    asked
+        What is asked.
+    states_at
+        Gives states and weights.
+    start
+        Where to begin; at nominal values unless given.
+    told
+        Is told the leverages after each step.
+
+    Raises
+    ------
+    RankDeficient
+        The data do not hold all that is asked.
+    NotConverged
+    """
+    values = at_nominal(places.n) if start is None else start
+    before: Fitted | None = None
+    for step in range(STEPS):
+        point = point_at(places, values, asked, states_at)
+        gathered, leverage = information(point, before)
+        known = asked.information(places.n)
+        gathered[np.diag_indices(len(known))] += known
+        covariance = _inverse(gathered, asked, places.n)
+        before = Fitted(covariance, point.weights)
+        if leverage is not None and told is not None:
+            told(leverage)
+        move = -covariance @ (score(point) + known * asked.vector(values))
+        n = places.n
+        error = np.sqrt(np.mean(np.diag(covariance)[:n]))
+        settled = step > 0 and np.sqrt(np.mean(move[:n] ** 2)) < SETTLED * error
+        logs = move[: n * sum(kind not in OFFSETS for kind in asked.kinds)]
+        move = move * min(1.0, LONGEST / max(float(np.abs(logs).max()), 1e-300))
+        values = asked.moved(values, move)
+        if settled:
+            return _fit(values, asked, gathered, covariance, point, leverage, step + 1)
+        if asked.estimated:
+            asked = _with_spreads(asked, values, covariance)
+    raise NotConverged(
+        f"reciprocity has not settled after {STEPS} steps",
+        remedy="use ml; the sensors or their positions may not be what they say",
+        got=float(np.sqrt(np.mean(move[:n] ** 2)) / error),
+        want=SETTLED,
+    )
+
+
+def _inverse(gathered: Array, asked: Asked, n: int) -> Array:
+    """Return the covariance with the free scales held at mean log 0."""
+    held = gathered.copy()
+    held[:n, :n] += np.trace(held[:n, :n]) / n**2
+    if np.isinf(asked.gain_spread):
+        held[n : 2 * n, n : 2 * n] += np.trace(held[n : 2 * n, n : 2 * n]) / n**2
+    unit = 1.0 / np.sqrt(np.diag(held))
+    held *= unit[:, None] * unit
+    try:
+        factor = scipy.linalg.cho_factor(held, lower=True, overwrite_a=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        raise RankDeficient(
+            "reciprocity does not hold all that is asked of it",
+            remedy="give the sensor gains, or use ml",
+        ) from None
+    inverse = scipy.linalg.cho_solve(factor, np.diag(unit), check_finite=False)
+    inverse *= unit[:, None]
+    scales = np.zeros((len(unit), 2 if np.isinf(asked.gain_spread) else 1))
+    for k in range(scales.shape[1]):  # what the hold itself says of the scale is no knowledge
+        scales[k * n : (k + 1) * n, k] = 1.0 / np.sqrt(n)
+    inverse -= scales @ (scales.T @ inverse)
+    inverse -= (inverse @ scales) @ scales.T
+    return np.asarray(inverse)
+
+
+def _fit(
+    values: Values,
+    asked: Asked,
+    gathered: Array,
+    covariance: Array,
+    point: Point,
+    leverage: Leverage | None,
+    steps: int,
+) -> Fit:
+    m = point.states.count
+    taken = (np.nan,) * 3
+    if leverage is not None:
+        pairs = np.triu(leverage.reciprocity)
+        taken = (leverage.statics.sum(), leverage.rigid.sum(), pairs.sum())
+    return Fit(
+        values=values,
+        asked=asked,
+        information=gathered,
+        covariance=covariance,
+        chi2=point.left.chi2(point.weights),
+        equations=(3 * m, 3 * m, m * (m - 1) // 2),
+        parameters=tuple(map(float, taken)),  # type: ignore[arg-type]
+        point=point,
+        steps=steps,
+    )
+
+
+def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
+    """Return what is asked with the spreads that the data give (MacKay).
+
+    sum v^2 over the number of unknowns less what the prior, not the data, says of them.
+    """
+    n = len(values.log_alpha)
+    for names, spread in (((Kind.GAIN,), "gain_spread"), (OFFSETS, "offset_spread")):
+        size = getattr(asked, spread)
+        if not size or np.isinf(size):
+            continue
+        total, held = 0.0, 0.0
+        for kind in names:
+            k = asked.kinds.index(kind)
+            total += float(np.sum(values.of(kind) ** 2))
+            held += (
+                n - float(np.trace(covariance[k * n : (k + 1) * n, k * n : (k + 1) * n])) / size**2
+            )
+        found = float(np.sqrt(total / max(held, 1.0)))
+        asked = replace(asked, **{spread: found})  # type: ignore[arg-type]
+    return asked

@@ -1,0 +1,219 @@
+"""Reciprocity on a stiffness matrix alone: relative alpha and sensors, held-out modes, the gate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
+from truenewton.estimation.reciprocity.condensation import condensed, kept, kept_places
+from truenewton.estimation.reciprocity.gate import (
+    Evidence,
+    apart,
+    disagreement,
+    left_free,
+    refusals,
+)
+from truenewton.estimation.reciprocity.iteration import Fit, fit
+from truenewton.estimation.reciprocity.sensors import sensors_of
+from truenewton.estimation.reciprocity.sight import Places, places_of
+from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
+from truenewton.estimation.stiffness_svd import SOFTEST, Imbalance, rms_imbalance
+from truenewton.linalg import singular_values_and_vectors
+from truenewton.records.fault import Fault
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
+
+HALVES = ("odd modes, fitted on the even", "even modes, fitted on the odd")
+
+
+@dataclass(frozen=True, eq=False)
+class Modes:
+    """The elastic modes of a measured stiffness K_c = U S V', stiffest first.
+
+    Attributes
+    ----------
+    places, arms
+        Of the actuators; (3, n) arms with lengths in units of the rms distance from the axis.
+    forces, values, readings
+        (n, m) U, (m,) S [N/m], (n, m) V.
+    """
+
+    places: Places
+    arms: Array
+    forces: Array
+    values: Array
+    readings: Array
+
+    def every(self, some: slice) -> Modes:
+        """Return some of the modes."""
+        return replace(self, forces=self.forces[:, some], values=self.values[some],
+                       readings=self.readings[:, some])  # fmt: skip
+
+    def imbalance(self, values: Values | None = None) -> float:
+        """Return the rms imbalance of the modes, each of unit length, with alpha of mean 1."""
+        alpha = np.ones(self.places.n) if values is None else values.alpha / values.alpha.mean()
+        return rms_imbalance(self.forces.T, alpha, self.arms)
+
+    def fit(
+        self,
+        asked: Asked,
+        *,
+        statics: bool = True,
+        reciprocity: bool = True,
+        start: Values | None = None,
+    ) -> Fit:
+        """Find alpha and the sensors, by the balance of forces, by reciprocity, or by both."""
+        noise = BinnedNoise(
+            (self.forces * self.values) @ self.readings.T, self.readings, statics, reciprocity
+        )
+        return fit(self.places, asked, noise, start=start, told=noise.told)
+
+
+def modes_of(
+    matrix: StiffnessMatrix,
+    motion: Array | None = None,
+    keep: NDArray[np.bool_] | None = None,
+) -> Modes:
+    """Return the elastic modes of a matrix, n - 3 at most; the softest are left out.
+
+    Parameters
+    ----------
+    matrix
+        Commanded force per reading.
+    motion
+        (n, n) displacements at the magnets for those at the sensors, by a model of the glass.
+    keep
+        (n,) which actuators count; the others are free. All unless given.
+    """
+    stiffness, on = matrix.used_stiffness, matrix.layout.enabled
+    keep = np.ones(len(stiffness), dtype=bool) if keep is None else keep
+    motion = None if motion is None else motion[np.ix_(on, on)]
+    places = kept_places(places_of(matrix.layout, motion), keep, stiffness)
+    forces, values, readings = singular_values_and_vectors(condensed(stiffness, keep)[0])
+    # Noise may lift rigid motions above it.
+    some = (values > SOFTEST) & (np.arange(len(values)) < len(values) - 3)
+    return Modes(
+        places,
+        comparable_arms(matrix.layout)[:, keep],
+        forces[:, some],
+        values[some],
+        readings[some].T,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Examined:
+    """Fits of a stiffness, and what they say of each other.
+
+    Attributes
+    ----------
+    joint
+        By all equations.
+    imbalances
+        Of all modes, and of those held out.
+    split_half
+        Rms difference of log alpha between two fits, each to every second mode.
+    evidence
+        For the gate.
+    """
+
+    joint: Fit
+    imbalances: tuple[Imbalance, ...]
+    split_half: float
+    evidence: Evidence
+
+
+def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
+    """Fit all modes and every second one, by balance and reciprocity together and apart.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    joint = modes.fit(asked)
+    halves = modes.every(slice(0, None, 2)), modes.every(slice(1, None, 2))
+    fits = [half.fit(asked) for half in halves]
+    known = replace(joint.values, log_alpha=np.zeros(modes.places.n))
+    lines = [Imbalance("all modes, fitted", modes.imbalance(), modes.imbalance(joint.values))]
+    lines += [
+        Imbalance(name, judged.imbalance(), judged.imbalance(half.values))
+        for name, judged, half in zip(HALVES, halves[::-1], fits, strict=True)
+    ]
+    by_balance, between = np.nan, np.nan
+    try:  # alpha only: the balance knows nothing of sensors
+        alone = [one.fit(Asked(), reciprocity=False, start=known) for one in (modes, *halves)]
+        each = [one.imbalance(f.values) for one, f in zip(halves[::-1], alone[1:], strict=True)]
+        by_balance = float(np.linalg.norm(each))
+        reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
+        between = apart(alone[0], reciprocity, disagreement(*alone[1:]), disagreement(*fits))
+    except (RankDeficient, NotConverged):
+        pass  # where balance alone gives no alpha, nothing speaks against reciprocity
+    evidence = Evidence(
+        held_out=float(np.hypot(lines[1].after, lines[2].after)),
+        by_balance=by_balance,
+        apart=between,
+        gain_spread=joint.asked.gain_spread,
+        offset_spread=joint.asked.offset_spread,
+    )
+    difference = fits[0].values.log_alpha - fits[1].values.log_alpha
+    return Examined(joint, tuple(lines), float(np.std(difference)), evidence)
+
+
+def find(
+    matrix: StiffnessMatrix, base: Estimate, motion: Array | None = None
+) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Fault, ...]]:
+    """Find relative alpha and the sensors; return what speaks against them, too.
+
+    The stated error is that of the fit, or the difference between the two halves of the modes where
+    that is larger: what a real matrix leaves is not noise.
+
+    Parameters
+    ----------
+    matrix
+        Commanded force per reading.
+    base
+        The estimate of `ml`, which says what is odd about the matrix itself.
+    motion
+        (n, n) as for `modes_of`.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+    """
+    keep, odd = kept(matrix.used_stiffness)
+    modes = modes_of(matrix, motion, keep)
+    found = examined(modes)
+    joint, n = found.joint, len(keep)
+    by_balance = base.values[:n]
+    alpha = by_balance.copy()
+    scale = np.exp(np.mean(np.log(by_balance[keep])))
+    alpha[keep] = scale * joint.values.alpha
+    alpha /= alpha.mean()
+    covariance = joint.covariance_of(Kind.ALPHA)
+    formal = float(np.sqrt(np.mean(np.diag(covariance))))
+    covariance = covariance * max(found.split_half / formal, 1.0) ** 2
+    whole = np.diag(np.diag(base.reading_covariance)[:n] / by_balance**2)
+    whole[np.ix_(keep, keep)] = covariance
+    held = np.eye(n) - np.outer(np.ones(n), alpha / alpha.sum())  # mean alpha stays 1
+    covariance = held @ whole @ held.T * np.outer(alpha, alpha)
+    ids = matrix.layout.id[matrix.layout.enabled]
+    estimate = replace(
+        base,
+        method="reciprocity",
+        values=alpha,
+        reading_covariance=covariance,
+        sensors=sensors_of(joint, ids, keep),
+    )
+    estimate = with_warnings(estimate, tuple(left_free(ids[~keep])))
+    return estimate, found.imbalances, tuple(refusals(replace(found.evidence, odd=odd)))
+
+
+def refused(error: RankDeficient | NotConverged) -> tuple[Fault, ...]:
+    """Return what speaks against reciprocity where it gives no alpha."""
+    return (Fault(f"reciprocity gives no alpha: {error.fault}", str(error.remedy)),)

@@ -1,0 +1,121 @@
+"""Where sensors see the mirror and where forces do work: from displacements of one to the other.
+
+Between its actuators the glass bends nearly as a thin plate. The smoothest plate through what the
+sensors see at s = x - delta,
+
+    u(p) = sum_k a_k phi(p - x_k) + b (1, p),    sum a = 0,  sum a x = 0,    phi = r^2 log r
+
+has its forces a where the magnets are, x. H takes u(s) to u(x), G_x and G_y to its slopes at the
+sensors. As u is linear in what it is held to, the change of H with an offset is exact:
+
+    d(H z) / d(delta_xj) = H e_j (G_x z)_j
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lu_factor, lu_solve
+
+from truenewton.arrays import Array
+from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.statics.layout import Layout
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where the enabled actuators are.
+
+    Attributes
+    ----------
+    x, y, nz
+        (n,) of their magnets [m, m, -].
+    motion
+        (n, n) displacements at the magnets for those that the sensors see, by a model of the
+        glass; None where there is none.
+    """
+
+    x: Array
+    y: Array
+    nz: Array
+    motion: Array | None = None
+
+    @property
+    def n(self) -> int:
+        """Their number."""
+        return len(self.x)
+
+    @property
+    def length(self) -> float:
+        """Rms distance from the axis [m]."""
+        return float(np.sqrt(np.mean(self.x**2 + self.y**2)))
+
+    @property
+    def rigid(self) -> Array:
+        """(n, 3) R: rigid motions as the magnets have them, tilts in units of ``length``."""
+        return np.stack([self.nz, self.x / self.length, self.y / self.length], axis=1)
+
+    def rigid_readings(self, values: Values) -> Array:
+        """Return (n, 3) what the sensors read of rigid motions, by their gains and offsets."""
+        dx, dy = values.offset
+        seen = [self.nz, (self.x - dx) / self.length, (self.y - dy) / self.length]
+        return np.asarray(np.stack(seen, axis=1) / values.gain[:, None])
+
+
+def places_of(layout: Layout, motion: Array | None = None) -> Places:
+    """Return the places of the enabled actuators of a layout, with (n, n) motion if known."""
+    on = layout.enabled
+    return Places(layout.x[on], layout.y[on], layout.nz[on], motion)
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What the sensors see.
+
+    Attributes
+    ----------
+    motion
+        (n, n) H, displacements at the magnets for those at the sensors.
+    slopes
+        (2, n, n) G_x, G_y: slopes at the sensors for displacements there [1/m]; None where offsets
+        are not asked for.
+    """
+
+    motion: Array
+    slopes: Array | None = None
+
+
+def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
+    """Return what the sensors see, by a model of the glass, or of a plate if off.
+
+    Without either H is 1: an annular sensor round its magnet sees less of a bend than that has, but
+    nearly in proportion over the mirror, which leaves the stiffness nearly symmetric.
+    """
+    n = places.n
+    motion = np.eye(n) if places.motion is None else places.motion
+    if not slopes:
+        return Sight(motion)
+    unit = places.length
+    at = np.stack([places.x, places.y]) / unit
+    seen = at - values.offset / unit
+    border = np.concatenate([np.ones((1, n)), at])
+    system = np.zeros((n + 3, n + 3))
+    system[:n, :n], dx, dy = _plate(seen, at)
+    system[:n, n:] = np.concatenate([np.ones((1, n)), seen]).T
+    system[n:, :n] = border
+    rows = np.zeros((3, n, n + 3))
+    rows[0, :, :n], rows[0, :, n:] = _plate(at, at)[0], border.T
+    rows[1, :, :n], rows[1, :, n + 1] = dx / unit, 1.0 / unit
+    rows[2, :, :n], rows[2, :, n + 2] = dy / unit, 1.0 / unit
+    solved = lu_solve(lu_factor(system, check_finite=False), rows.reshape(3 * n, -1).T, trans=1)
+    across = solved.T.reshape(3, n, n + 3)[:, :, :n]
+    return Sight(motion @ across[0], across[1:])
+
+
+def _plate(of: Array, centres: Array) -> tuple[Array, Array, Array]:
+    """Return (n, n) r^2 log r of places (2, n) from centres, and its slopes along x and y."""
+    x, y = of[:, :, None] - centres[:, None, :]
+    square = x**2 + y**2
+    log = np.log(np.where(square > 0.0, square, 1.0))
+    return 0.5 * square * log, x * (log + 1.0), y * (log + 1.0)
