@@ -31,6 +31,7 @@ FEW = 0.1  # of all actuators may not fit; beyond it nothing does
 NEAR = 6.0  # spacings
 
 
+OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
 UNLIKE = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
 DOUBT = {UNLIKE: 0.3, ELEMENT_WRONG: 0.03}
@@ -50,6 +51,10 @@ class BadActuator:
         return DOUBT.get(self.reason, 0.0)
 
 
+class FitsNoSymmetry(RankDeficient):
+    """So many actuators do not fit the others that there is no telling which."""
+
+
 def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, ...], Array]:
     """Return the actuators that do not fit the others, and the stiffness mended where it can be.
 
@@ -64,7 +69,9 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     Raises
     ------
     RankDeficient
-        More than a few do not fit.
+        Rows or columns are in another order, or of another sign.
+    FitsNoSymmetry
+        More than a few do not fit for other reasons.
     """
     found: dict[int, BadActuator] = {}
     n = len(k)
@@ -73,7 +80,8 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
         for index, size in zip(indices.tolist(), sizes.tolist(), strict=True):
             found.setdefault(index, BadActuator(index, reason, size))
         if len(found) > max(2, FEW * n):
-            raise RankDeficient(
+            certain = reason in (OTHER_ORDER, OTHER_SIGN)
+            raise (RankDeficient if certain else FitsNoSymmetry)(
                 f"{len(found)} of {n} actuators do not fit the others: the matrix is far from"
                 " symmetric, or its columns from balance",
                 remedy="check X, Y, NZ and the order of rows and columns in STIFFNESS",
@@ -82,11 +90,11 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
 
     order = row_order(k)
     moved = np.flatnonzero(order != np.arange(n))
-    add(moved, "its row or column exchanged with another", np.ones(len(moved)))
+    add(moved, OTHER_ORDER, np.ones(len(moved)))
     own = np.diag(k[order])
     sign = 1.0 if np.count_nonzero(own > 0.0) >= np.count_nonzero(own < 0.0) else -1.0
     wrong = np.flatnonzero(sign * own <= 0.0)
-    add(wrong, "wrong sign", own[wrong] / np.median(own))
+    add(wrong, OTHER_SIGN, own[wrong] / np.median(own))
     factor = np.where(own < 0.0, -1.0, 1.0)
     log_alpha, misfit = pair_ratios(factor[:, None] * k[order])
     far = np.flatnonzero(np.abs(log_alpha) > np.log(FACTOR))

@@ -14,6 +14,7 @@ from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.matrix_faults import (
     UNLIKE,
     BadActuator,
+    FitsNoSymmetry,
     bad_actuators,
     condensed,
     left_over,
@@ -62,16 +63,20 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     Raises
     ------
     RankDeficient
-        More than a few do not fit, or push unseen.
+        Rows are in another order or of another sign, or more than a few push unseen.
     """
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
     ids = matrix.layout.id[matrix.layout.enabled]
     off = np.asarray(~(k.any(axis=0) & k.any(axis=1)), dtype=np.bool_)
     bad: tuple[BadActuator, ...] = ()
+    unsure: tuple[Fault, ...] = ()
     measured = np.flatnonzero(~off)
     if len(measured) >= FEWEST:
         block = np.ix_(measured, measured)
-        found, mended = bad_actuators(k[block], a[:, ~off], a[:, off])
+        try:
+            found, mended = bad_actuators(k[block], a[:, ~off], a[:, off])
+        except FitsNoSymmetry as error:
+            found, mended, unsure = (), k[block], (_as_measured(error),)
         bad = tuple(replace(each, index=int(measured[each.index])) for each in found)
         raw, k = k, k.copy()
         k[block] = mended
@@ -101,7 +106,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         sifted,
         start,
         disturbance,
-        tuple(_warnings(ids, out, bad, pushing=bool(doubt[off].any()))),
+        (*unsure, *_warnings(ids, out, bad, pushing=bool(doubt[off].any()))),
         tuple(_effect(ids, each) for each in (*bad, *out)),
     )
 
@@ -173,6 +178,15 @@ def _balanced_about(
     if not near.any() or near.all():
         return True
     return bool(np.median(size[near]) < BALANCED * np.median(size[~near]))
+
+
+def _as_measured(error: FitsNoSymmetry) -> Fault:
+    """Return what is said of a matrix of which all is kept, as too much does not fit."""
+    return Fault(
+        f"{error.fault}; none is left out",
+        f"{error.remedy}, and gains and places of the sensors; believe alpha no further than modes"
+        " that the fit has not seen balance",
+    )
 
 
 def _warnings(
