@@ -497,7 +497,7 @@ def test_on_a_real_lbt672_alpha_and_statics_bring_the_soft_modes_to_those_of_the
     plain = true_stiffness(matrix, None)
     found = true_stiffness(matrix, calibrate(matrix, population=True))
     assert (plain.asymmetry, found.asymmetry) == pytest.approx((0.0311, 0.0214), rel=0.01)
-    assert (plain.imbalance, found.imbalance) == pytest.approx((2.2e-3, 2.5e-4), rel=0.05)
+    assert (plain.imbalance, found.imbalance) == pytest.approx((2.2e-3, 2.6e-4), rel=0.05)
     assert found.rigid_stiffness == pytest.approx([-12.2, -29.0, -65.4], rel=0.01)
     before, after = (
         compare_modes(each.modes.modes, theirs.modes, theirs.stiffness) for each in (plain, found)

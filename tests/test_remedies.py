@@ -113,14 +113,14 @@ FAULTS = {
         "not to be used", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
     ),
     "quadratic coils": (
-        lambda: bent(2, 0.01), "not to be used", "quadratic coil", "at half of which it is half",
+        lambda: bent(2, 0.01), "limited", "quadratic coil", "at half of which it is half",
     ),
     "each quadratic": (
         lambda: bent(2, 0.05, each=True),
-        "not to be used", "quadratic coil of each", "at half of which it is half",
+        "limited", "quadratic coil of each", "at half of which it is half",
     ),
     "cubic coils": (
-        lambda: bent(3, 0.05), "not to be used", "cubic coil", "at half of which it is a quarter",
+        lambda: bent(3, 0.05), "limited", "cubic coil", "at half of which it is a quarter",
     ),
     "loads alike": (
         lambda: campaign_of(

@@ -214,6 +214,15 @@ def _limits(c: Calibration) -> Iterator[Fault]:
             f"alpha is about {median:.2g}",
             "check the units of FORCE, WEIGHT and ADDED: they are Newton",
         )
+    if c.imbalances:
+        fitted, *unseen = (line.after for line in c.imbalances)
+        if max(unseen) > UNEVEN * fitted:
+            yield Fault(
+                f"modes that the fit has not seen are out of balance by up to"
+                f" {percent(max(unseen))} of their force, fitted ones by {percent(fitted)}",
+                "trust smooth patterns of alpha the least; cycles under known weights would hold"
+                " them",
+            )
     warned = c.diagnosis.warnings if c.diagnosis is not None else ()
     yield from warned
     fit = c.goodness
@@ -229,15 +238,6 @@ def _limits(c: Calibration) -> Iterator[Fault]:
         yield Fault(f"{part} of the rows do not fit", "find out what happened during the run")
     yield from _scale_faults(c)
     yield from _row_faults(c)
-    if c.imbalances:
-        fitted, *unseen = (line.after for line in c.imbalances)
-        if max(unseen) > UNEVEN * fitted:
-            yield Fault(
-                f"modes that the fit has not seen are out of balance by up to"
-                f" {percent(max(unseen))} of their force, fitted ones by {percent(fitted)}",
-                "trust smooth patterns of alpha the least; cycles under known weights would hold"
-                " them",
-            )
     named = {effect.where for effect in c.effects}
     for k in _off_family(c):
         if f"actuator {c.layout.id[k]}" in named:
