@@ -12,6 +12,7 @@ import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnknownName
+from truenewton.estimation.diagnosis import Sensor
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.file import modes_paths, write_modes
 from truenewton.modal.findings import find_modes
@@ -223,6 +224,29 @@ def test_what_does_not_belong_together_is_refused(p45):
     for wrong in ({"off": [3], "slaved": [3]}, {"off": ["5", "17"]}, {"slaved": [5.5]}):
         with pytest.raises(UnknownName):
             find_modes(campaign, found.calibration, **wrong)
+
+
+def test_the_command_uses_the_gains_of_the_sensors(p45, inside, tmp_path):
+    bench, _, found = p45
+    tn.write_stiffness(found.measured.matrix, tmp_path / "s.fits")
+    gain = bench.truth.sensor_gain
+    sensors = tuple(Sensor(k + 1, g, 1e-3, 0, 0, 0, 0, "fitted") for k, g in enumerate(gain))
+    told = []
+    for known in (sensors, ()):
+        calibration = replace(found.calibration, sensors=known)
+        calibration.write(tmp_path / "alpha.fits", overwrite=True)
+        asked = ("modes", tmp_path / "s.fits", "--calibration", tmp_path / "alpha.fits")
+        code, out, _ = inside(*asked)
+        assert code == 0
+        assert ("modes are in true displacement" in out) == bool(known)
+        told.append(json.loads(inside(*asked, "--json")[1]))
+    with_gains, without = told
+    np.testing.assert_allclose(with_gains["sensor_gain"], gain)
+    by_hand = find_modes(found.measured.matrix, found.calibration, sensor_gain=gain).after.modes
+    np.testing.assert_allclose(with_gains["stiffness"], by_hand.stiffness)
+    # What is taken with alpha = 1 knows no gains either; true ones leave less asymmetry.
+    assert with_gains["asymmetry"][0] == without["asymmetry"][0]
+    assert with_gains["asymmetry"][1] < 0.7 * without["asymmetry"][1]
 
 
 def test_alpha_of_another_mirror_is_warned_of(p45, inside, tmp_path):

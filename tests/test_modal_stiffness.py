@@ -17,6 +17,7 @@ from truenewton.bench.simulated.static import loop_of, rows_of_cycle, run_cycles
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.estimation import repeats
+from truenewton.estimation.diagnosis import Sensor
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.files import stored_rows
@@ -313,6 +314,33 @@ def test_alpha_and_gains_give_back_the_true_stiffness():
     modes = found.modes
     assert modes.stiffness[:3] == pytest.approx([-31.0] * 3, abs=1e-6)
     assert modes.stiffness[3] == pytest.approx(4626.0, rel=1e-3)
+
+
+def with_gains(calibration, gain, state="fitted"):
+    """Return a calibration that holds sensors of (45,) gains, last first."""
+    ids = calibration.layout.id.tolist()
+    sensors = (Sensor(i, g, 1e-3, 0, 0, 0, 0, state) for i, g in zip(ids, gain, strict=True))
+    return replace(calibration, sensors=tuple(sensors)[::-1])
+
+
+def test_gains_that_the_calibration_knows_are_used_by_id():
+    k, matrix, gain, calibration = known()
+    found = true_stiffness(matrix, with_gains(calibration, gain))
+    assert found.stiffness == pytest.approx(k, abs=1e-9 * np.abs(k).max())
+    assert np.array_equal(found.enabled_gain, gain)
+    without = true_stiffness(matrix, calibration)
+    assert np.abs(without.stiffness - k).max() > 1e-3 * np.abs(k).max()
+    said = true_stiffness(matrix, with_gains(calibration, gain), sensor_gain=np.ones(45))
+    assert np.array_equal(said.stiffness, without.stiffness)
+    free = true_stiffness(matrix, with_gains(calibration, np.full(45, np.nan), "free"))
+    assert np.array_equal(free.stiffness, without.stiffness)
+    kept = np.arange(45) != 6
+    some = replace(matrix, layout=replace(matrix.layout, enabled=kept))
+    assert np.array_equal(
+        true_stiffness(some, with_gains(calibration, gain)).enabled_gain, gain[kept]
+    )
+    with pytest.raises(FormatError, match="not positive"):
+        true_stiffness(matrix, with_gains(calibration, -gain))
 
 
 def test_alpha_is_matched_by_id():

@@ -15,6 +15,7 @@ from bokeh.resources import Resources
 
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, OutputExists, UnknownName
+from truenewton.estimation.diagnosis import Sensor
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
 from truenewton.records.source import Source
@@ -144,6 +145,42 @@ def test_leverage_is_that_of_the_readings(p45):
     [even] = [one for one in calibration_layers(read_back, None) if one.key == "leverage"]
     assert even.values == pytest.approx(layer.values, rel=0.4)  # noise taken as even
     assert even.values.sum() == pytest.approx(3.0)
+
+
+def with_sensors(calibration):
+    """Return a calibration that holds sensors; that of actuator 8 is free."""
+    random = np.random.default_rng(3)
+    gains, places = random.normal(1.0, 4e-3, 45), random.normal(0.0, 5e-4, (45, 2))
+    sensors = [
+        Sensor(actuator, gain, 2e-3, x, 1e-4, y, 1e-4, "fitted")
+        for actuator, gain, (x, y) in zip(
+            calibration.layout.id.tolist(), gains.tolist(), places.tolist(), strict=True
+        )
+    ]
+    nothing = [float("nan")] * 6
+    sensors[7] = Sensor(8, *nothing, "free")
+    return replace(calibration, sensors=tuple(sensors))
+
+
+def test_sensors_are_layers_of_the_map_where_they_are_known(p45):
+    c = with_sensors(p45.calibration)
+    gain, *offsets = layers = calibration_layers(c, None)[-3:]
+    assert [layer.key for layer in layers] == ["sensor_gain", "sensor_dx", "sensor_dy"]
+    assert not any(
+        layer.key.startswith("sensor") for layer in calibration_layers(p45.calibration, None)
+    )
+    np.testing.assert_array_equal(gain.values, [sensor.gain for sensor in c.sensors])
+    np.testing.assert_allclose(offsets[1].values, [1e3 * sensor.y for sensor in c.sensors])
+    assert np.isnan(gain.values[7])
+    assert offsets[0].limits[0] == -offsets[0].limits[1]
+    # What reciprocity was not asked has no error, and no map.
+    unasked = tuple(replace(s, x_error=0.0, y_error=0.0) for s in c.sensors)
+    keys = [layer.key for layer in calibration_layers(replace(c, sensors=unasked), None)]
+    assert keys[-1] == "sensor_gain"
+    assert not any("dx" in key for key in keys)
+    text = page(investigate(c))
+    assert "the mirror moves by more than the sensor says" in text
+    assert "Place of the actuator less that of its sensor" in text
 
 
 def test_numbers_go_as_far_as_their_errors(p45):

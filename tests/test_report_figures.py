@@ -11,7 +11,7 @@ import report_data
 from balanced import p45_bench, p45_campaign
 from matplotlib.dates import num2date
 from matplotlib.figure import Figure
-from test_report import changed_by
+from test_report import changed_by, with_sensors
 
 from truenewton.bench.simulated.static import START
 from truenewton.calibration.figures import write_figures
@@ -135,6 +135,21 @@ def test_all_of_them_as_pdf_png_and_svg(p45, tmp_path):
     assert "<svg" in text
     write_figure(p45.plot("balance"), tmp_path / "again.svg")
     assert (tmp_path / "again.svg").read_text() == text
+
+
+def test_sensors_are_drawn_where_they_are_known(p45):
+    found = investigate(with_sensors(p45.calibration))
+    maps = {"map-sensor-gain", "map-sensor-dx", "map-sensor-dy"}
+    assert maps <= set(still_figures(found))
+    assert not maps & set(figures_of(p45))
+    text = (Path(__file__).parents[1] / "docs" / "report.md").read_text(encoding="utf-8")
+    assert all(f"`{name}`" in text for name in maps)
+    open_circles, dots = found.plot("map-sensor-dx").collections[:2]
+    assert len(open_circles.get_paths()) == 1
+    np.testing.assert_allclose(
+        dots.get_array(), [1e3 * s.x for s in found.calibration.sensors if s.state == "fitted"]
+    )
+    assert sum(dots.get_clim()) == 0.0
 
 
 def test_every_name_of_a_figure_is_documented(p45):

@@ -182,6 +182,11 @@ class Calibration:
         variances = np.diag(self.covariance)[unknowns.torques]
         return np.asarray(np.sqrt(variances).reshape(-1, 2))
 
+    def of_sensors(self, name: str) -> Array:
+        """Return (n,) an attribute of the sensors, as 'gain'; NaN of those that are not fitted."""
+        fitted = {s.actuator: getattr(s, name) for s in self.sensors if s.state == "fitted"}
+        return np.array([fitted.get(actuator, np.nan) for actuator in self.layout.id.tolist()])
+
     @property
     def table(self) -> QTable:
         """One row per actuator: ID, X, Y, ALPHA and its errors, with units."""

@@ -98,6 +98,20 @@ def matched_alpha(layout: Layout, instrument: str, calibration: Calibration | No
     return np.asarray(calibration.alpha[at])
 
 
+def matched_gain(layout: Layout, calibration: Calibration | None) -> Array:
+    """Return (n,) true displacement / reading of the actuators of a mirror; 1 where not known.
+
+    Raises
+    ------
+    FormatError
+    """
+    gain = np.ones(layout.n)
+    if calibration is not None:
+        theirs = calibration.of_sensors("gain")[indices_of(calibration.layout, layout.id)]
+        gain = np.where(np.isnan(theirs), 1.0, theirs)
+    return checked_gain(gain, np.ones(layout.n, dtype=bool))
+
+
 def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return (k,) indices in a layout of actuators named by (k,) IDs; any for one it has not."""
     order = np.argsort(layout.id)

@@ -30,7 +30,12 @@ from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
 from truenewton.errors import RankDeficient
 from truenewton.estimation.sifted_matrix import as_calibrated
-from truenewton.modal.actuator_roles import checked_gain, matched_alpha, off_and_slaved
+from truenewton.modal.actuator_roles import (
+    checked_gain,
+    matched_alpha,
+    matched_gain,
+    off_and_slaved,
+)
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms, arms_in_units_of_rms
 from truenewton.statics.layout import Layout
@@ -60,6 +65,8 @@ class TrueStiffness:
         feed-forward of all that act; 0 for those that are off [N/m].
     enabled_alpha
         (n,) true Newton / commanded Newton of the enabled; 1 where there is no calibration.
+    enabled_gain
+        (n,) true displacement / reading of the enabled; 1 where it is not known.
     asymmetry
         |K - K'| / |K + K'| of the whole matrix, before it was made symmetric.
     actuator_asymmetry
@@ -79,6 +86,7 @@ class TrueStiffness:
     forces: Array
     acting_stiffness: Array
     enabled_alpha: Array
+    enabled_gain: Array
     asymmetry: float
     actuator_asymmetry: Array
     imbalance: float
@@ -86,7 +94,7 @@ class TrueStiffness:
 
     def __post_init__(self) -> None:
         freeze(self, "stiffness", "shapes", "forces", "acting_stiffness", "enabled_alpha",
-               "actuator_asymmetry", "rigid_stiffness")  # fmt: skip
+               "enabled_gain", "actuator_asymmetry", "rigid_stiffness")  # fmt: skip
 
     @property
     def commanded(self) -> NDArray[np.bool_]:
@@ -133,7 +141,8 @@ def true_stiffness(
     calibration
         Of the same mirror; None takes alpha = 1, and statics for nothing but symmetry.
     sensor_gain
-        (n,) true displacement / reading, in the order of ``matrix.layout``; 1 unless given.
+        (n,) true displacement / reading, in the order of ``matrix.layout``; unless given, those
+        of the calibration's sensors, and 1 where it has none.
     off, slaved
         IDs.
 
@@ -153,7 +162,10 @@ def true_stiffness(
     on = matrix.layout.enabled
     layout = _some(matrix.layout, on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
-    gain = checked_gain(sensor_gain, on)
+    if sensor_gain is None:
+        gain = matched_gain(layout, calibration)
+    else:
+        gain = checked_gain(sensor_gain, on)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = alpha[:, None] * matrix.used_stiffness / gain
     apart, together = k - k.T, k + k.T
@@ -176,6 +188,7 @@ def true_stiffness(
         forces=forces,
         acting_stiffness=acting_stiffness,
         enabled_alpha=alpha,
+        enabled_gain=gain,
         asymmetry=float(np.linalg.norm(apart) / np.linalg.norm(together)),
         actuator_asymmetry=np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1),
         imbalance=float(np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(0.5 * together)),

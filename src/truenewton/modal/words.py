@@ -67,6 +67,14 @@ def rigid_text(measured: MeasuredStiffness) -> str:
     return f"no shape holds {measured.rigid_assumed} of 3 rigid motions: taken to cost nothing"
 
 
+def sensor_gains_text(base: ModalBase) -> str:
+    """Say between which limits the gains of the sensors lie; nothing where they are not known."""
+    gain = base.stiffness.enabled_gain
+    if (gain == 1.0).all():
+        return ""
+    return f"{gain.min():.4g} .. {gain.max():.4g}, used: modes are in true displacement"
+
+
 def comparison_text(comparison: ModesComparison) -> str:
     """Say how far the modes taken with alpha = 1 lie from the calibrated."""
     c = comparison
@@ -122,6 +130,7 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
         ("rigid motions", f"{'':<12}{rigid} N/m"),
         ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
          + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
+        ("sensor gains", sensor_gains_text(base)),
         ("modes by alpha = 1", comparison_text(findings.comparison)),
         ("turbulence", turbulence_text(base)),
         ("between actuators", fitting_error_text(base)),
@@ -192,6 +201,7 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         "asymmetry": [x.stiffness.asymmetry for x in (findings.before, base)],
         "imbalance": [x.stiffness.imbalance for x in (findings.before, base)],
         "rigid_stiffness": base.stiffness.rigid_stiffness,
+        "sensor_gain": base.stiffness.enabled_gain,
         "uncalibrated_modes": _attributes(
             findings.comparison, "distance", "overlap", "orders", "largest_angle"
         ),

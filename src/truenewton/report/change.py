@@ -16,8 +16,8 @@ from truenewton.errors import CampaignMismatch
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.weights import typical
-from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring, plot_map
-from truenewton.figures.style import ACCENT, FAINT, SIGNED_COLOURS, styled_axes
+from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
+from truenewton.figures.style import ACCENT, FAINT, styled_axes
 from truenewton.report.layers import Layer, alpha_layer
 
 
@@ -73,11 +73,7 @@ class Change:
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas on the map of the actuators; return the axes."""
-        layer = self.layers[0]
-        return plot_map(
-            self.one.layout, layer.values, ax, label=layer.title, colours=SIGNED_COLOURS,
-            limits=layer.limits,
-        )  # fmt: skip
+        return self.layers[0].plot(self.one.layout, ax)
 
     def plot_actuators(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas, ring by ring, and how far chance reaches; return the axes."""

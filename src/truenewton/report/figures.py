@@ -17,7 +17,6 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.figures.maps import plot_map
 from truenewton.figures.style import (
     ACCENT,
     ALARM,
@@ -38,7 +37,14 @@ from truenewton.report.layers import calibration_layers
 from truenewton.rounding import percent
 
 POINTS = 200  # of a cycle over time; more cannot be told apart
-MAPS = ("map-e-stat", "map-leverage", "map-residual")  # written; that of alpha is the paper's
+MAPS = (  # written; that of alpha is the paper's
+    "map-e-stat",
+    "map-leverage",
+    "map-residual",
+    "map-sensor-gain",
+    "map-sensor-dx",
+    "map-sensor-dy",
+)
 
 
 def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
@@ -48,7 +54,7 @@ def figures_of(findings: Findings) -> dict[str, Callable[..., Axes]]:
     if c is not None:
         for layer in calibration_layers(c, evidence):
             name = f"map-{layer.key.replace('_', '-')}"
-            drawn[name] = partial(plot_map, c.layout, layer.values, label=layer.title)
+            drawn[name] = partial(layer.plot, c.layout)
         if budget := error_budget(c):
             drawn["budget"] = partial(plot_budget, budget)
     if evidence is not None:

@@ -5,14 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import leverage
+from truenewton.figures.maps import plot_map
+from truenewton.figures.style import MILLIMETRE, SIGNED_COLOURS
 from truenewton.report.evidence import Evidence
 from truenewton.rounding import significant, with_error
 from truenewton.statics.arms import arms_in_units_of_rms
+from truenewton.statics.layout import Layout
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +77,14 @@ class Layer:
         aside = 0.1 * abs(float(low)) or 1.0
         return float(low) - aside, float(low) + aside
 
+    def plot(self, layout: Layout, ax: Axes | None = None) -> Axes:
+        """Draw it on the map of the actuators; return the axes."""
+        if not self.signed:
+            return plot_map(layout, self.values, ax, label=self.title)
+        return plot_map(
+            layout, self.values, ax, label=self.title, colours=SIGNED_COLOURS, limits=self.limits
+        )
+
 
 def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer, ...]:
     """Return what is known of the actuators of one calibration."""
@@ -103,6 +115,7 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
             Layer("noise", "noise of one reading", "mN", 1e3 * evidence.actuator_noise,
                   "Standard deviation of one reading among repeats of its shape."),
         ]  # fmt: skip
+    layers += _sensor_layers(c)
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
 
@@ -111,6 +124,29 @@ def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:
     return Layer(key, name, "true N / commanded N", calibration.alpha,
                  "True Newton per commanded Newton, with the error from the readings (E_STAT).",
                  calibration.reading_error)  # fmt: skip
+
+
+def _sensor_layers(c: Calibration) -> list[Layer]:
+    """Return what reciprocity finds of the sensors; without values what it was not asked."""
+
+    def known(name: str, unit: float = 1.0) -> tuple[Array, Array]:
+        value, error = c.of_sensors(name) / unit, c.of_sensors(f"{name}_error") / unit
+        return np.where(error > 0.0, value, np.nan), error
+
+    gain, gain_error = known("gain")
+    layers = [
+        Layer("sensor_gain", "sensor gain", "true / reading", gain,
+              "True displacement per reading of the actuator's sensor (GAIN): above 1 the mirror"
+              " moves by more than the sensor says.", gain_error),
+    ]  # fmt: skip
+    for axis in ("x", "y"):
+        offset, error = known(axis, MILLIMETRE)
+        layers.append(
+            Layer(f"sensor_d{axis}", f"actuator less sensor, {axis}", "mm", offset,
+                  f"Place of the actuator less that of its sensor (D{axis.upper()}): positive where"
+                  f" the actuator stands at the larger {axis}.", error, signed=True)
+        )  # fmt: skip
+    return layers
 
 
 def _leverage(c: Calibration) -> Array:

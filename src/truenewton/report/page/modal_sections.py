@@ -15,6 +15,7 @@ from truenewton.modal.words import (
     fitting_error_text,
     measured_text,
     rigid_text,
+    sensor_gains_text,
     static_force_text,
     stiffness_text,
     turbulence_text,
@@ -50,6 +51,8 @@ def _modes(modes: ModalFindings) -> Section:
     if modes.measured is not None:
         texts = filter(None, (measured_text(modes.measured), rigid_text(modes.measured)))
         words.append(f"Measured stiffness: {'; '.join(texts)}.")
+    if gains := sensor_gains_text(modes.after):
+        words.append(f"Gains of the sensors: {gains}.")
     words += [f"Warning: {fault}; {remedy}." for fault, remedy in modes.warnings]
     rows = (
         ("asymmetry", percent(before.asymmetry), percent(after.asymmetry)),
