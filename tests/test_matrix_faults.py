@@ -10,7 +10,10 @@ from balanced import p45_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient
 from truenewton.estimation.matrix_faults import condensed, row_order
+from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.report.investigate import investigate
+from truenewton.report.page.page import page
 
 DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 BAD = 20
@@ -125,3 +128,11 @@ def test_the_order_of_rows_is_that_of_the_largest_product():
     k = random.uniform(0.5, 2.0, (30, 1)) * (root @ root.T)
     order = random.permutation(30)
     assert np.array_equal(k[order][row_order(k[order])], k)
+
+
+@pytest.mark.parametrize("change", [off, sign])
+def test_modes_and_report_do_without_those_left_out(change):
+    matrix, _ = measured(change)
+    findings = find_modes(matrix)
+    assert findings.after.modes.modes.shape == (44, 44)
+    assert "Limited" in page(investigate(matrix))

@@ -289,3 +289,14 @@ def test_the_glass_goes_with_reciprocity_and_its_own_mirror():
 def test_a_population_goes_with_ml_only():
     with pytest.raises(UnknownName, match="population"):
         calibrate(p45_campaign(), "reciprocity", population=True)
+
+
+def test_columns_exchanged_are_said_and_send_cycles_back_to_ml():
+    campaign = p45_campaign()
+    order = np.arange(45)
+    order[[3, 4]] = [4, 3]
+    swapped = Campaign(tuple(replace(c, force=c.force[:, order]) for c in campaign.cycles))
+    made = calibrate(swapped, "auto")
+    assert made.method == "ml"
+    assert made.verdict.level == "not to be used"
+    assert "exchanged columns (actuators 4 and 5)" in made.verdict.faults[0].fault

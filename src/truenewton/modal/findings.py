@@ -16,6 +16,7 @@ from truenewton.errors import NotToBeUsed
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
+from truenewton.estimation.sifted_matrix import as_calibrated
 from truenewton.modal.actuator_roles import indices_of
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
@@ -146,6 +147,7 @@ def find_modes(
         refuse_unusable(calibration, force=force)
     matrix, measured, calibration, reader = _with_alpha(data, calibration, reader)
     refuse_unusable(calibration, force=force)
+    matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
     stiffnesses = [
         true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)

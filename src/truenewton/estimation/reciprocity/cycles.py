@@ -85,6 +85,9 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
     base = cycles_ml.find(sifted)
     if sifted.moments.displacement is None:
         return base
+    if not all(effect.corrected for effect in base.effects):
+        untried = "reciprocity is not tried on data that show what was not taken out of them"
+        return with_warnings(base, (Fault(untried, "mend that first"),))
     try:
         estimate, against = _found(sifted, base, motion, USUAL)
     except (RankDeficient, NotConverged) as error:
@@ -128,6 +131,7 @@ def _found(
         estimate,
         goodness=goodness,
         effects=base.effects,
+        unseen=base.unseen,
         declared_chi2=base.declared_chi2,
         diagnosis=replace(estimate.diagnosis, warnings=said),
         sensors=sensors_of(fitted, ids, keep),

@@ -21,7 +21,7 @@ WORSE = 1.15  # held-out imbalance in terms of that of balance alone
 APART = 6.0  # chi2 per degree of freedom between balance alone and reciprocity alone
 BLOCK = 1.5  # chi2 per degree of freedom of a block, where the noise is known
 FARTHEST = 1.2e-3  # rms offset of the sensors along an axis [m]
-REMEDY = "use ml; check positions, order and gains of the sensors"
+REMEDY = "use ml; or give the mirror (--mirror), and check places and order of the sensors"
 BLOCKS = ("the balance of forces", "rigid motions", "reciprocity")
 
 

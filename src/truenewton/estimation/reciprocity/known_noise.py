@@ -13,6 +13,7 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
 from truenewton.estimation.reciprocity.sight import Places, Sight
 from truenewton.estimation.reciprocity.states import States, Weights, equal_bins
 from truenewton.estimation.reciprocity.unknowns import Values
@@ -60,7 +61,13 @@ class Regressed:
         """Return the states, stiffest first, and the weights of their residuals."""
         n, true = places.n, self.at(values)
         noise = values.alpha[:, None] * self.noise * values.alpha
-        root = np.linalg.cholesky(self.square)
+        try:
+            root = np.linalg.cholesky(self.square)
+        except np.linalg.LinAlgError:
+            raise RankDeficient(
+                "the positions of too few shapes that balance differ",
+                remedy="use ml, whose warnings say what does not balance, or add shapes",
+            ) from None
         basis, triangle = np.linalg.qr(
             scipy.linalg.solve_triangular(root, places.rigid_readings(values), lower=True),
             mode="complete",
