@@ -12,7 +12,7 @@ from small_bench import SmallBench
 
 import truenewton as tn
 from truenewton.bench.simulated.static import START, run_cycles
-from truenewton.errors import TrueNewtonError, TrueNewtonWarning
+from truenewton.errors import RankDeficient, TrueNewtonError, TrueNewtonWarning
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.rounding_steps import hidden_variance, rounding_steps
 from truenewton.estimation.sifted import sift
@@ -405,3 +405,12 @@ def test_alpha_that_does_harm_is_said_before_what_it_comes_from():
     assert verdict.level == "not to be used"
     assert "balance worse with alpha (3.0 % of their force)" in verdict.faults[0].fault
     assert "known to" in verdict.faults[1].fault
+
+
+def test_positions_beyond_the_gap_are_in_another_unit():
+    cycles = campaign_of(5, 1e-3)[0].cycles
+    millimetres = [
+        replace(cycle, gap=68e-6, position=1e3 * np.abs(cycle.force) * 1e-6) for cycle in cycles
+    ]
+    with pytest.raises(RankDeficient, match=r"POSITION reaches .* beyond the GAP of 6.8e-05 m"):
+        tn.calibrate(tn.Campaign(tuple(millimetres)))

@@ -112,8 +112,27 @@ def structural_faults(campaign: Campaign, moments: Moments) -> tuple[Fault, ...]
         f"there are too few shapes: {distinct} for {n} actuators",
         f"apply {n} independent shapes, both signs",
     )
-    faults = (geometry_fault(a), load_fault(campaign), too_few if 3 * distinct < n - 1 else None)
+    few = too_few if 3 * distinct < n - 1 else None
+    faults = (geometry_fault(a), load_fault(campaign), few, gap_fault(campaign, moments))
     return tuple(fault for fault in faults if fault)
+
+
+def gap_fault(campaign: Campaign, moments: Moments) -> Fault | None:
+    """Judge positions by the gap, where it is given: no mirror moves farther than that."""
+    gaps = [cycle.gap for cycle in campaign.cycles if cycle.gap]
+    if moments.displacement is None or not gaps:
+        return None
+    largest = float(np.abs(moments.displacement).max(initial=0.0))
+    if largest <= max(gaps):
+        return None
+    file = max(
+        campaign.cycles,
+        key=lambda cycle: 0.0 if cycle.position is None else float(np.abs(cycle.position[0]).max()),
+    )
+    return Fault(
+        f"POSITION reaches {largest:.2g} m in {file.name}, beyond the GAP of {max(gaps):.2g} m",
+        "check the unit of POSITION, m along +z",
+    )
 
 
 def _distinct_shapes(moments: Moments) -> int:

@@ -202,7 +202,7 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
             raise TooManyOutliers(
                 f"not one of its {lost} rows fits the other files",
                 remedy="compare its LOAD, SHAPE and SIGN with theirs, and the unit, sign and order"
-                " of its FORCE; or leave it out",
+                " of its FORCE and POSITION; or leave it out",
                 path=cycles[k].name,
                 got=1.0,
                 want=MOST,
