@@ -110,14 +110,20 @@ def without_cycle_errors(campaign: tn.Campaign) -> tn.Calibration:
         return tn.calibrate(campaign)
 
 
+def without_the_unseen(campaign: tn.Campaign) -> tn.Calibration:
+    """Calibrate, but do not ask what no data show."""
+    with replaced(cycles_ml, "unseen_errors", lambda _: ()):
+        return without_cycle_errors(campaign)
+
+
 def without_catalogue(campaign: tn.Campaign) -> tn.Calibration:
-    """Calibrate, but look for no effects."""
+    """Calibrate, but look for no effects, nor for what no data show."""
 
     def nothing(fitted: Any, moments: Any, minimum: Any, *_: Any) -> Examined:
         return Examined(fitted, moments, minimum)
 
     with replaced(cycles_ml, "examined", nothing):
-        return without_cycle_errors(campaign)
+        return without_the_unseen(campaign)
 
 
 def iterations_taken(campaign: tn.Campaign) -> int:
@@ -260,7 +266,8 @@ def measure(n: int, repeats: int) -> None:
         **reference,
         **errors,
         "calibrate": lambda: without_catalogue(campaign),
-        "calibrate, effects looked for": lambda: without_cycle_errors(campaign),
+        "calibrate, effects looked for": lambda: without_the_unseen(campaign),
+        "calibrate, all of it": lambda: without_cycle_errors(campaign),
     }
     taken = least(main, repeats)
     beside = {"E_CYCLE": lambda: read_rows(campaign, (CycleErrors(campaign, values).take,))}
@@ -293,8 +300,10 @@ def measure(n: int, repeats: int) -> None:
     )
     calibrated = taken["calibrate"]
     catalogue = taken["calibrate, effects looked for"] - calibrated
+    unseen = taken["calibrate, all of it"] - taken["calibrate, effects looked for"]
     ratios = [
         ("the catalogue of effects / calibrate", catalogue / calibrated, 2),
+        ("what no data can show / calibrate", unseen / calibrated, None),
         ("calibrate / reference", calibrated / whole, 1.5),
         ("E_ALPHA without COVARIANCE / reference", (with_errors - taken[PRODUCT]) / whole, None),
         ("reference with start and errors / reference", with_errors / whole, None),

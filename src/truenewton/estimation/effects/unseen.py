@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import UnseenError
@@ -139,8 +140,11 @@ def _unseen(left: Examined) -> Iterator[UnseenError]:
             continue
         result = scored(fit, derivative)
         along = result.moves[:, :n] @ direction
-        values, vectors = np.linalg.eigh(result.information)
-        open_ = 1.0 / (1.0 + np.maximum(values, 0.0))
-        moved = float(np.sqrt(np.sum((vectors.T @ along) ** 2 * open_)))
+        told = result.information + np.eye(len(along))  # in units of 1 / s^2
+        try:
+            left_open = scipy.linalg.solve(told, along, assume_a="pos")
+        except np.linalg.LinAlgError:  # noise feigns less than nothing
+            left_open = along
+        moved = float(np.sqrt(along @ left_open))
         if moved > max(NEGLIGIBLE, TOLD * float(np.linalg.norm(along))):
             yield UnseenError(effect.name, moved)
