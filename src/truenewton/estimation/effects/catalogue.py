@@ -22,6 +22,7 @@ from truenewton.estimation.effects.readings import (
     Field,
     OnReadings,
     RowFunctions,
+    always,
     of_all,
     of_each,
     on_readings,
@@ -161,7 +162,7 @@ def power_of_force(fit: FittedRows, power: int, *, each: bool) -> Derivative:
         c = at.recorded(some)
         return -c * (c if power == 2 else c * c)
 
-    found = _once(fit, Field(f"power {power}", bent), _always(fit.moments), ONLY)
+    found = _once(fit, Field(f"power {power}", bent), always(fit.moments), ONLY)
     return (of_each if each else of_all)(fit, found, ONLY)
 
 
@@ -171,7 +172,7 @@ def coil_gradient(fit: FittedRows) -> Derivative | None:
     if z is None:
         return None
     field = Field("gradient", lambda at, some: -at.recorded(some) * z[:, some])
-    return of_all(fit, on_readings(fit, _always(fit.moments), field), ONLY)
+    return of_all(fit, on_readings(fit, always(fit.moments), field), ONLY)
 
 
 def bias_gradient(fit: FittedRows) -> Derivative | None:
@@ -250,10 +251,6 @@ def on_balance(fit: FittedRows, change: Array) -> Derivative:
         return problem, replace(moments, known=moments.known + change @ theta)
 
     return Derivative(k, remove, jacobian=jacobian)
-
-
-def _always(moments: Moments) -> RowFunctions:
-    return RowFunctions(moments.weight[None])
 
 
 _WARM = "let the electronics warm up, and take bare and loaded cycles in turn"

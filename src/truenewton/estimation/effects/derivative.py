@@ -193,7 +193,7 @@ def variance_at_least(fit: FittedRows, derivative: Derivative) -> tuple[Array, A
         blocks = [diagonal.reshape(2, -1) for diagonal in diagonals]  # x, then y, of some actuators
         return of_each.score, of_each.whole, np.hstack(blocks).ravel()
     information = derivative.information
-    if isinstance(information, float) or information.ndim == 2:
+    if isinstance(information, float):
         return None
     told = np.einsum("kkn->kn", information).ravel()
     whole = of_each.whole + told

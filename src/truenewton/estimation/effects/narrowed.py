@@ -61,9 +61,6 @@ def of_single(
         trace = left.T @ traces(fit, effect)[chosen]
         return (trace[:, None, None] * each).reshape(-1, n), 0.0
 
-    at = np.arange(some.size)
-    spread = np.zeros((k, some.size, k, some.size))
-    spread[:, at, :, at] = np.moveaxis(information[:, :, some], 2, 0)
     return Derivative(
         k * some.size,
         remove,
@@ -74,7 +71,7 @@ def of_single(
             whole=(np.sum(pulled**2, axis=0) * np.sum(rows**2, axis=0)).ravel(),
         ),
         score=score[:, some].ravel(),
-        information=spread.reshape(k * some.size, -1),
+        information=information[:, :, some],
         feigns=feigns if effect.field.gain else None,
         actuators=some,
     )

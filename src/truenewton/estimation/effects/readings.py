@@ -39,6 +39,11 @@ class RowFunctions:
     within: int = 0
 
 
+def always(moments: Moments) -> RowFunctions:
+    """Return the one that is 1 in all rows."""
+    return RowFunctions(moments.weight[None])
+
+
 def row_functions(moments: Moments, of_groups: Array) -> RowFunctions:
     """Return those by which rows of one group differ, then (K, g) that groups have as a whole."""
     within, whole = moments.within, of_groups * moments.weight

@@ -27,6 +27,7 @@ from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.readings import (
     Field,
     RowFunctions,
+    always,
     of_all,
     of_each,
     on_readings,
@@ -67,8 +68,8 @@ def static_gain(fit: FittedRows) -> Derivative | None:
         fitted = at.fitted(some)
         return np.asarray(0.01 * (moments.of_load @ (share @ fitted) - fitted))
 
-    functions = RowFunctions(moments.weight[None])
-    return of_each(fit, on_readings(fit, functions, Field("elastic", elastic), ONLY), ONLY)
+    field = Field("elastic", elastic)
+    return of_each(fit, on_readings(fit, always(moments), field, ONLY), ONLY)
 
 
 def borne(fit: FittedRows) -> Derivative:
