@@ -4,7 +4,7 @@ PYTHON ?= python3
 # A worker a core; each keeps to one thread of linear algebra (tests/conftest.py).
 PYTEST = .venv-test/bin/python -m pytest -n logical --dist worksteal
 
-.PHONY: demo test test-all test-opticalib browser lint types contracts house sizes format clean
+.PHONY: demo docs test test-all test-opticalib browser lint types contracts house sizes format clean
 
 demo: .venv-demo/ready
 	.venv-demo/bin/truenewton demo --overwrite
@@ -15,6 +15,10 @@ test: .venv-test/ready
 # The statistical studies too, and which lines and branches no test reaches.
 test-all: .venv-test/ready
 	$(PYTEST) --cov
+
+# The site, into docs/_build; what its tutorials show is computed here.
+docs: .venv-docs/ready
+	.venv-docs/bin/python -m sphinx --quiet --fail-on-warning --keep-going --nitpicky docs docs/_build
 
 # Against the published opticalib: 0.7 GB, so it is not part of `make test-all`.
 test-opticalib: .venv-opticalib/ready
@@ -55,10 +59,15 @@ format: .venv-test/ready
 	.venv-test/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .[dev]
 	touch $@
 
+.venv-docs/ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv-docs
+	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .[docs]
+	touch $@
+
 .venv-opticalib/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-opticalib
 	.venv-opticalib/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .[test,opticalib]
 	touch $@
 
 clean:
-	rm -rf .venv-demo .venv-test .venv-opticalib .browser .coverage
+	rm -rf .venv-demo .venv-docs .venv-test .venv-opticalib .browser .coverage docs/_build

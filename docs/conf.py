@@ -1,0 +1,61 @@
+"""The site: `make docs` builds it from these pages, docstrings, and the command line's help."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.metadata import version as installed_version
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+project = "truenewton"
+author = "The truenewton developers"
+copyright = author
+version = release = installed_version("truenewton")
+
+extensions = [
+    "myst_nb",
+    "numpydoc",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.intersphinx",
+    "sphinx_copybutton",
+    "sphinx_design",
+    "sphinx-mathjax-offline",
+    "site_pages",
+]
+exclude_patterns = ["_build"]
+nitpicky = True
+nitpick_ignore_regex = [("py:class", r"numpy\._typing\..*|TypeAliasForwardRef|tuple\[float")]
+
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+
+os.environ["IPYTHONDIR"] = str(Path(__file__).parent / "ipython")
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+nb_execution_mode = "cache"
+nb_execution_in_temp = True
+nb_execution_timeout = 120
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+autodoc_type_aliases = {"Array": "numpy.typing.ArrayLike"}
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+numpydoc_show_class_members = False
+
+# Kept in the repository: the site is built from package registries alone.
+_HOMES = {
+    "astropy": "https://docs.astropy.org/en/stable/",
+    "matplotlib": "https://matplotlib.org/stable/",
+    "numpy": "https://numpy.org/doc/stable/",
+    "python": "https://docs.python.org/3/",
+}
+intersphinx_mapping = {name: (url, f"inventories/{name}.inv") for name, url in _HOMES.items()}
+
+html_theme = "pydata_sphinx_theme"
+html_title = "truenewton"
+html_static_path = []
+html_show_sourcelink = False
+html_theme_options = {"show_prev_next": True, "navigation_with_keys": False}
