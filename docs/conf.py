@@ -33,7 +33,7 @@ myst_heading_anchors = 3
 
 os.environ["IPYTHONDIR"] = str(Path(__file__).parent / "ipython")
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-nb_execution_mode = "cache"
+nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True
@@ -56,6 +56,7 @@ intersphinx_mapping = {name: (url, f"inventories/{name}.inv") for name, url in _
 
 html_theme = "pydata_sphinx_theme"
 html_title = "truenewton"
-html_static_path = []
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_theme_options = {"show_prev_next": True, "navigation_with_keys": False}
