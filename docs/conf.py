@@ -26,6 +26,7 @@ extensions = [
 ]
 exclude_patterns = ["_build"]
 nitpicky = True
+smartquotes = False  # a prime is a transpose
 nitpick_ignore_regex = [("py:class", r"numpy\._typing\..*|TypeAliasForwardRef|tuple\[float")]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
