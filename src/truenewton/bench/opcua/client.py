@@ -16,6 +16,7 @@ from asyncua.client.ua_client import UaClientState
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.sync import ThreadLoop
 
+import truenewton.bench.opcua.decoding  # noqa: F401
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
 from truenewton.bench.opcua.methods import (
