@@ -17,7 +17,7 @@ from asyncua.common.utils import Buffer
 from asyncua.server.binary_server_asyncio import OPCUAProtocol
 from asyncua.server.internal_server import InternalServer
 
-CONNECTIONS = 64
+CONNECTIONS = 256
 BEFORE_SESSION = 10.0  # a client has a session by then [s]
 SILENCE = 600.0  # of a client with a session [s]
 SHORTEST, LONGEST = 32, 65535  # frames; the shortest is a hello without an address [bytes]
@@ -30,7 +30,6 @@ LIMITS = TransportLimits(LONGEST, LONGEST, MESSAGE // 8192, MESSAGE)
 
 def bound(server: InternalServer) -> None:
     """Set the bounds for which asyncua has a name."""
-    server.max_connections = CONNECTIONS
     server.max_pending_messages_per_connection = WAITING
     server.max_pending_activation_seconds = 0.0  # BEFORE_SESSION, here
     server.max_subscriptions = 0  # nothing here changes by itself, and they outlive their client
@@ -43,19 +42,21 @@ class BoundedProtocol(OPCUAProtocol):
         """Begin; where there are too many, who has come least far makes room, the oldest first."""
         if len(self.clients) >= CONNECTIONS:
             last = min(self.clients, key=_standing)
-            if _standing(last) < 2 and last.transport is not None:
-                self.clients.remove(last)
-                last.transport.abort()
+            if _standing(last) == 2 or last.transport is None:
+                transport.close()
+                return
+            self.clients.remove(last)
+            last.transport.abort()
         super().connection_made(transport)
+        assert self.transport is not None
+        self.transport.set_write_buffer_limits(high=UNREAD)
         self._received, self._greeted, self._heard = bytearray(), False, time.monotonic()
-        if self.transport is not None:  # it was not refused
-            self.transport.set_write_buffer_limits(high=UNREAD)
-            self._timer = asyncio.get_running_loop().call_later(BEFORE_SESSION, self._expire)
+        self._timer = asyncio.get_running_loop().call_later(BEFORE_SESSION, self._expire)
 
     def connection_lost(self, ex: BaseException | None) -> None:
         """End."""
         super().connection_lost(ex)
-        if self.transport is not None:
+        if self.transport is not None:  # it was not refused
             self._timer.cancel()
 
     def data_received(self, data: bytes) -> None:
@@ -67,6 +68,7 @@ class BoundedProtocol(OPCUAProtocol):
             kind, size = HEAD.unpack_from(self._received)
             if not (self._may_come(kind) and SHORTEST <= size <= LONGEST):
                 self.transport.abort()
+                return
             if len(self._received) < size:
                 return
             frame = bytes(self._received[:size])
@@ -81,10 +83,12 @@ class BoundedProtocol(OPCUAProtocol):
 
     async def _process_one_msg(self, header: Any, buf: Buffer) -> bool:
         """Process a message; end where it is wrong, as OPC UA demands (part 6, 6.7.2)."""
+        assert self.transport is not None
+        if self.transport.is_closing():  # what waits is not heard
+            return False
         try:
             good: bool = await super()._process_one_msg(header, buf)
         except Exception:
-            assert self.transport is not None
             self.transport.abort()
             return False
         return good
