@@ -96,7 +96,9 @@ def acquire(
                 operator=operator,
                 taker=Taker(bench, plan, log, onlooker or Nobody(), interruption, progress),
                 complete=complete,
-                rest_sums={key: each.total for (key, _), each in complete.items()},
+                rest_sums={
+                    key: each.total for (key, _), each in complete.items() if each.total is not None
+                },
                 clock=SteadyClock(max((each.end for each in complete.values()), default=None)),
             )
             _note_start(run)

@@ -61,7 +61,7 @@ class Reading:
     Raises
     ------
     BenchFault
-        What should be numbers is none.
+        What should be numbers is none, or what should be a standard deviation.
     """
 
     time: datetime.datetime
@@ -83,6 +83,13 @@ class Reading:
                 raise BenchFault(
                     f"the {name} of a reading is no array of numbers", remedy="see to the bench"
                 ) from error
+            if values is not None and name.endswith(("scatter", "error")):
+                wrong = values[~(np.isnan(values) | ((values >= 0) & (values <= LARGEST_FORCE)))]
+                if wrong.size:
+                    raise BenchFault(
+                        f"the {name} of a reading is {wrong[0]:.4g}",
+                        remedy="give standard deviations, NaN where they are unknown",
+                    )
             object.__setattr__(self, name, values)
 
 
