@@ -1,8 +1,9 @@
 """What one connection may take of the server, in bytes, messages and time, and how many there are.
 
-asyncua 2.1 waits for whatever length a frame declares, hears on after an error, forgets answers
-that nobody reads, and keeps connections whose session has ended. Here every connection has its
-bounds, and who leaves them is put out without a word.
+asyncua 2.1 waits for whatever length a frame declares, hears on after an error, piles up answers
+that nobody fetches, and keeps connections whose session has ended. Here every connection has its
+bounds, and who leaves them is put out without a word. Without a session it holds a begun frame and
+what is read at once, 64 and 256 KiB: 80 MiB in all.
 """
 
 from __future__ import annotations
