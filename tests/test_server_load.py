@@ -132,7 +132,9 @@ def test_who_has_no_session_in_time_is_put_out(here, monkeypatch):
     async def come():
         drip = (HELLO[i : i + 1] for i in range(len(HELLO)))
         return await asyncio.gather(
-            visit(port, []), visit(port, [HELLO]), visit(port, drip, pause=0.1)
+            visit(port, [], stay=8.0),
+            visit(port, [HELLO], stay=8.0),
+            visit(port, drip, pause=0.3, stay=8.0),
         )
 
     assert [out for _, _, out in asyncio.run(come())] == [True] * 3
