@@ -13,7 +13,7 @@ from stub_bench import SMALL, GoneBench, StubBench
 import truenewton as tn
 from truenewton.acquisition import taker
 from truenewton.acquisition.benches import chosen_bench, simulated_bench
-from truenewton.acquisition.load_check import judge
+from truenewton.acquisition.load_check import judge, mean_sum
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
 from truenewton.acquisition.run import ASKED, IN_A_ROW
 from truenewton.bench.choice import BenchChoice
@@ -200,6 +200,20 @@ def test_loads_that_noise_hides_are_taken_on_trust():
     loads, known = (tn.Load("bare"), light), {"bare": 1.0}
     assert judge(-2.92, loads, light, known, 1.0, error=1e-5)[0] is False
     assert judge(-2.92, loads, light, known, 1.0, error=1e-4)[0] is None
+
+
+def test_elastic_forces_cancel_in_the_sum_whichever_rows_are_valid():
+    """Those of a shape whose other sign is not valid, or not yet taken, do not count."""
+    sign, shape = np.tile([1, -1], 3), np.repeat([1, 2, 3], 2)
+    elastic = np.random.default_rng(1).standard_normal((4, 8))
+    force, rest = 0.1 + sign[:, None] * elastic[shape], 0.1 * SMALL.layout.nz.sum()
+    for valid, known in (
+        ([1, 1, 1, 1, 1, 1], True), ([1, 1, 1, 0, 1, 0], True), ([0, 1, 1, 0, 1, 1], True),
+        ([1, 0, 1, 0, 0, 1], False), ([0] * 6, False),
+    ):  # fmt: skip
+        total = mean_sum(SMALL.layout, force, shape, sign, np.array(valid))
+        assert total == (pytest.approx(rest, abs=1e-12) if known else None)
+    assert mean_sum(SMALL.layout, force[:5], shape[:5], sign[:5], np.ones(5)) == pytest.approx(rest)
 
 
 def test_a_load_that_is_not_on_is_asked_for_again(tmp_path):

@@ -2,6 +2,7 @@
 
 import ast
 import asyncio
+import datetime
 import logging
 import re
 import threading
@@ -135,6 +136,68 @@ def test_a_server_written_from_the_page_takes_a_campaign(foreign, folder, tmp_pa
         assert np.asarray(cycle.force) == pytest.approx(expected, abs=1e-4)
 
 
+NAN = float("nan")
+NONSENSE = [  # which of the values of Read, and what it is instead
+    (0, ["BenchFault"], "gives Fault as ['BenchFault'], in Read"),
+    (0, ["Interrupted", "stop", ""], "stop"),
+    (1, datetime.datetime(1601, 1, 1), "the time of a reading is 1601-01-01 00:00:00"),
+    (2, [0.1] * 3, "force of shape (3,) for 8 actuators"),
+    (2, [[0.1] * 4] * 2, "gives Force as [[0.1"),
+    (2, ["a"] * 8, "gives Force as ['a'"),
+    (2, [NAN] * 8, "the force of actuator 1 is NaN"),
+    (3, [NAN] * 8, "the position of actuator 1 is NaN"),
+    (4, [float("inf")] * 8, "the force_scatter of a reading is inf"),
+    (5, [-1.0] * 8, "the position_scatter of a reading is -1"),
+    (8, 1, "gives Settled as 1, in Read"),
+    (None, [], "gives 0 values after the fault, in Read"),
+    (None, ua.StatusCode(ua.StatusCodes.BadOutOfMemory), "fails in Read (BadOutOfMemory)"),
+    (None, ZeroDivisionError("x"), "fails in Read (BadUnexpectedError)"),
+    (2, [0.1] * 300_000, "was lost in Read"),  # 2.4 MB, more than a message may have
+]
+
+
+def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
+    foreign, folder, tmp_path, inside
+):
+    """Each shape is tried three times; five that fail end it. The same command then goes on."""
+    address, server, _ = foreign
+    read = server.iserver.aspace[ua.NodeId("Bench.Read", 2)]
+    sound, asked = read.call, iter(range(10**6))
+    kinds = {list: ua.VariantType.Double, int: ua.VariantType.Int32}
+
+    def nonsense(parent, samples):
+        number = next(asked) - 2  # one at rest, one shape
+        answer = sound(parent, samples)
+        if number < 0:
+            return answer
+        place, value, _ = NONSENSE[number % len(NONSENSE)]
+        if isinstance(value, Exception):
+            raise value
+        if place is None:
+            return value
+        text = isinstance(value, list) and isinstance(value[0], str)
+        kind = ua.VariantType.String if text else kinds.get(type(value), ua.VariantType.DateTime)
+        answer[place] = ua.Variant(value, kind)
+        return answer
+
+    files = {name: str(folder / file) for name, file in keys.CLIENT_FILES.items()}
+    plan = small_plan(cycles=1, bench=choice(address, **files), samples=16, settling=0.0)
+    (tmp_path / "plan.toml").write_text(toml_text(plan))
+    command = "acquire", tmp_path / "plan.toml", "-o", tmp_path / "c", "--yes"
+    read.call = nonsense
+    try:
+        code, out, err = inside(*command)
+    finally:
+        read.call = sound
+    assert (code, err.count("\n")) == (2, 1)
+    assert "5 shapes in a row gave no sound reading" in err
+    for _, _, said in NONSENSE:
+        assert said in out + err
+    assert inside(*command)[0] == 0
+    cycles = tn.read(tmp_path / "c").cycles
+    assert [cycle.valid.tolist() for cycle in cycles] == [[True] * 6] * 2
+
+
 def test_what_a_server_gets_wrong_is_one_line_that_names_it(foreign, folder):
     """Last of those that use the server, which it spoils."""
     address, server, loop = foreign
@@ -205,6 +268,8 @@ def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
         ("Status", [[], "yes", "", 1], "gives Ready as 'yes'; it is Boolean"),
         ("Status", [[]], "gives 0 values after the fault; they are Ready, Message, Counter"),
         ("Status", ["", True, "", 1], "gives Fault as ''; it is String[]"),
+        ("Rest", [["hot"]], "gives Fault as ['hot']; it is empty, or kind, fault and remedy"),
+        ("Rest", [["BenchFault", "", "cool it"]], "gives Fault as ['BenchFault', '', 'cool it']"),
         ("Rest", [[], 1], "gives 1 values after the fault; they are none"),
         ("Read", [[], None, [], [], [], [], 1.0, 1, True], "gives Time as None; it is DateTime"),
     ],

@@ -96,7 +96,9 @@ def acquire(
                 operator=operator,
                 taker=Taker(bench, plan, log, onlooker or Nobody(), interruption, progress),
                 complete=complete,
-                rest_sums={key: each.total for (key, _), each in complete.items()},
+                rest_sums={
+                    key: each.total for (key, _), each in complete.items() if each.total is not None
+                },
                 clock=SteadyClock(max((each.end for each in complete.values()), default=None)),
             )
             _note_start(run)
@@ -113,7 +115,7 @@ def _check_agreement(bench: Bench, mirror: Mirror) -> None:
         what = f"is {bench.instrument}, the plan is for {mirror.name}"
     elif not bench.layout.same_as(mirror.layout):
         what = f"has other actuators than {mirror.name}: ID, X, Y, NZ or which are enabled differ"
-    elif not 0 < bench.gap < np.inf:
+    elif not 0 < bench.gap < 1:
         raise BenchFault(f"the bench gives a gap of {bench.gap!r} m", remedy="give its own [m]")
     else:
         gradients_of(bench)  # refused now, not when the first cycle is complete

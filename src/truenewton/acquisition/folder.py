@@ -40,11 +40,12 @@ class Finished:
     end
         Its last instant [us since 1970, UTC].
     total
-        Mean over its shapes of the sum of the forces [N]: the elastic ones cancel.
+        Mean over its shapes of the sum of the forces [N]: the elastic ones cancel; None where no
+        shape is valid with both signs.
     """
 
     end: int
-    total: float
+    total: float | None
 
 
 def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str], shapes: str = "") -> str:
@@ -207,6 +208,8 @@ def finished_cycles(
         remove_journal(folder, load, number)  # of a run which was killed before it could do so
         complete[load.key, number] = Finished(
             end=instant_of(cycle.date) + round(float(cycle.time[-1]) * 1e6),
-            total=mean_sum(cycle.layout, np.asarray(cycle.force), cycle.sign, cycle.valid),
+            total=mean_sum(
+                cycle.layout, np.asarray(cycle.force), cycle.shape, cycle.sign, cycle.valid
+            ),
         )
     return complete

@@ -31,11 +31,21 @@ def sum_at_rest(layout: Layout, force: Array) -> float:
 
 
 def mean_sum(
-    layout: Layout, force: Array, sign: NDArray[np.int64], valid: NDArray[np.bool_]
-) -> float:
-    """Return the sum at rest by (N, n) commanded forces [N] of both signs: elastic ones cancel."""
-    rows = [valid.astype(bool) & (sign == each) for each in (1, -1)]
-    means = [force[each].mean(axis=0) for each in rows if each.any()]
+    layout: Layout,
+    force: Array,
+    shape: NDArray[np.int64],
+    sign: NDArray[np.int64],
+    valid: NDArray[np.bool_],
+) -> float | None:
+    """Return the sum at rest by (N, n) commanded forces [N]; None where no shape has both signs.
+
+    Of shapes that have: there the elastic forces cancel.
+    """
+    plus, minus = (valid.astype(bool) & (sign == each) for each in (1, -1))
+    both = np.isin(shape, np.intersect1d(shape[plus], shape[minus]))
+    if not both.any():
+        return None
+    means = [force[both & each].mean(axis=0) for each in (plus, minus)]
     return sum_at_rest(layout, np.mean(means, axis=0))
 
 

@@ -78,8 +78,9 @@ def _put_on(run: Run, load: Load, number: int) -> Array:
     if load.key not in sums and journal_path(run.folder, load, number).exists():
         with closing(Journal(run.folder, load, number, layout.n)) as journal:
             rows = journal.rows()
-        if len(rows) > 1:
-            sums[load.key] = mean_sum(layout, rows["force"], rows["sign"], rows["valid"])
+        columns = (rows[name] for name in ("force", "shape", "sign", "valid"))
+        if (before := mean_sum(layout, *columns)) is not None:
+            sums[load.key] = before
     rest = Shape(load, number, 0, 1, np.zeros(layout.n))
     for _ in range(ASKED):
         with run.taker.interruption.at_once():

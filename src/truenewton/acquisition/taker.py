@@ -78,7 +78,7 @@ class Taker:
             try:
                 reading = self._command_and_read(shape)
             except BenchFault as error:
-                fault = error.fault
+                fault = error.fault or "a fault without a word"
             else:
                 fault = self._unsound(shape, reading)
                 self._counter = reading.counter

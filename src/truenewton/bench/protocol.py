@@ -10,6 +10,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import BenchFault
+from truenewton.files.content import YEARS
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, Load
 
@@ -61,7 +62,8 @@ class Reading:
     Raises
     ------
     BenchFault
-        What should be numbers is none.
+        What should be numbers is none, or what should be a standard deviation; or no file takes
+        the time.
     """
 
     time: datetime.datetime
@@ -75,6 +77,10 @@ class Reading:
     force_error: Array | None = None
 
     def __post_init__(self) -> None:
+        if getattr(self.time, "year", None) not in YEARS:
+            raise BenchFault(
+                f"the time of a reading is {self.time}", remedy="set the clock of the bench"
+            )
         for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
             value = getattr(self, name)
             try:
@@ -83,6 +89,13 @@ class Reading:
                 raise BenchFault(
                     f"the {name} of a reading is no array of numbers", remedy="see to the bench"
                 ) from error
+            if values is not None and name.endswith(("scatter", "error")):
+                wrong = values[~(np.isnan(values) | ((values >= 0) & (values <= LARGEST_FORCE)))]
+                if wrong.size:
+                    raise BenchFault(
+                        f"the {name} of a reading is {wrong[0]:.4g}",
+                        remedy="give standard deviations, NaN where they are unknown",
+                    )
             object.__setattr__(self, name, values)
 
 

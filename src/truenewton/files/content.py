@@ -19,6 +19,7 @@ from truenewton.files.format import REQUIRED, STORED, Column, FileFormat, Keywor
 from truenewton.files.stored_rows import StoredRows
 from truenewton.linalg import covariance_fault
 
+YEARS = range(1950, 2200)  # of dates: arithmetic with them stays far from its ends
 Record = TypeVar("Record")
 Extension = TypeVar("Extension", "Table", "Image")
 
@@ -173,7 +174,7 @@ class FitsFile:
             return text if text or declared.absent is REQUIRED else declared.absent
         try:
             date = datetime.datetime.fromisoformat(text)
-            if not 1950 <= date.year < 2200:  # arithmetic with dates stays far from its ends
+            if date.year not in YEARS:
                 raise ValueError(text)
         except ValueError:
             self._refuse(f"{what} is '{text}'", "write ISO 8601, as 2026-11-21T09:30:00")

@@ -16,8 +16,10 @@ from asyncua.client.ua_client import UaClientState
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.sync import ThreadLoop
 
+import truenewton.bench.opcua.decoding  # noqa: F401
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
+from truenewton.bench.opcua.limits import MESSAGE
 from truenewton.bench.opcua.methods import (
     METHODS,
     VARIABLES,
@@ -26,13 +28,15 @@ from truenewton.bench.opcua.methods import (
     variants,
 )
 from truenewton.bench.protocol import Reading, Shape, Status
-from truenewton.errors import BenchFault, TrueNewtonError
+from truenewton.errors import BenchFault, Interrupted, TrueNewtonError
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 PAUSE = 0.2  # between two attempts [s]
 Attribute = ua.AttributeIds
-ERRORS = {error.__name__: error for error in TrueNewtonError.__subclasses__()}
+ERRORS = {  # an interruption is nobody's but ours
+    error.__name__: error for error in TrueNewtonError.__subclasses__() if error is not Interrupted
+}
 
 
 class OpcUaBench:
@@ -136,7 +140,7 @@ class OpcUaBench:
         except BenchFault as error:
             raise self._fault(f"{error.fault}, in {method}", error.remedy) from None
         if fault:
-            name, what, remedy = (*fault, "", "")[:3]
+            name, what, remedy = fault
             raise ERRORS.get(name, BenchFault)(what, remedy=remedy)
         return given
 
@@ -207,6 +211,7 @@ class OpcUaBench:
         )
         client.application_uri = keys.CLIENT_URI
         client.session_timeout = 600_000  # [ms]
+        client.max_messagesize = MESSAGE
         client.set_user(self._choice.user)
         client.set_password(self._password)
         client.security_policy = self._new_policy()

@@ -22,11 +22,15 @@ from asyncua.crypto.security_policies import (
     SecurityPolicyFactory,
     SecurityPolicyNone,
 )
-from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
+from asyncua.server.binary_server_asyncio import BinaryServer
 from asyncua.server.internal_server import InternalServer
-from asyncua.ua.uaerrors import BadUserAccessDenied
+from asyncua.server.internal_session import InternalSession
+from asyncua.ua.uaerrors import BadServiceUnsupported, BadTooManySessions, BadUserAccessDenied
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
+
+import truenewton.bench.opcua.decoding  # noqa: F401
+from truenewton.bench.opcua.limits import LIMITS, BoundedProtocol, bound
 
 
 @dataclass(frozen=True, repr=False)
@@ -67,6 +71,8 @@ class ClosedServer(Server):
     ) -> None:
         super().__init__(_InternalServer(user_manager=clients))
         self.iserver.certificate, self.iserver.private_key = certificate, key
+        self.limits = LIMITS
+        bound(self.iserver)
         self.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
         self.set_identity_tokens([ua.UserNameIdentityToken])
         self._door = _TrustedOnly(clients.trusted, certificate, key)
@@ -91,15 +97,34 @@ class _InternalServer(InternalServer):
         """Find no session of another connection."""
         return
 
+    def create_session(self, name: str, *user: User, external: bool = False) -> InternalSession:
+        """Return a session; the only one of its connection, after whose address it is named."""
+        if external and any(one.name == name for one in self._external_sessions.values()):
+            raise BadTooManySessions
+        return super().create_session(name, *user, external=external)
+
+    def register_server(self, server: Any, conf: Any = None) -> None:  # noqa: ARG002
+        """Refuse: asyncua would keep the names of as many servers as anybody tells."""
+        raise BadServiceUnsupported
+
 
 class _BinaryServer(BinaryServer):
-    def _make_protocol(self) -> OPCUAProtocol:
+    def _make_protocol(self) -> _Protocol:
         return _Protocol(
             self.iserver, self._policies, self.clients, self.closing_tasks, self.limits
         )
 
+    async def stop(self) -> None:
+        """End; without waiting for clients that do not fetch their answers."""
+        if self._server is not None:
+            self._server.close()
+        for client in self.clients:
+            if client.transport is not None:
+                client.transport.abort()
+        await super().stop()
 
-class _Protocol(OPCUAProtocol):
+
+class _Protocol(BoundedProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Begin without any security policy, not even that of no security."""
         super().connection_made(transport)

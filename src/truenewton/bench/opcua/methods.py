@@ -51,6 +51,7 @@ ALIKE: dict[ua.VariantType, tuple[type, ...]] = {  # in Python, by the types of 
     Type.Double: (float, int),
     Type.DateTime: (datetime.datetime,),
 }
+LONGEST_TEXT = 1000  # characters; of a longer one the beginning counts
 COLUMNS = ("Id", "X", "Y", "Nz", "Enabled")  # of the layout
 ARRAYS = {Type.Boolean: np.bool_, Type.Int64: np.int64, Type.Double: np.float64}
 
@@ -91,9 +92,12 @@ def received(name: str, value: Any, kind: Any) -> Any:
     if not good:
         want = f"{type_.name}[]" if array else type_.name
         raise BenchFault(f"gives {name} as {value!r:.60}", remedy=f"it is {want}")
+    if type_ is Type.String:
+        values = [one[:LONGEST_TEXT] for one in values]
+        return values if array else values[0]
     if not array:
         return float(value) if type_ is Type.Double else value
-    return np.array(values, dtype=ARRAYS[type_]) if type_ in ARRAYS else values
+    return np.array(values, dtype=ARRAYS[type_])
 
 
 def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any]]:
@@ -107,6 +111,10 @@ def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any
     fault = received("Fault", values[0] if values else None, [Type.String])
     given, declared = values[1:], METHODS[method][1]
     if fault:
+        if len(fault) != 3 or not fault[1]:
+            raise BenchFault(
+                f"gives Fault as {fault!r:.60}", remedy="it is empty, or kind, fault and remedy"
+            )
         return fault, []
     if declared and declared[-1][0] in OPTIONAL and len(given) == len(declared) - 1:
         given.append(None)
