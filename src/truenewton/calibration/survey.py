@@ -22,7 +22,7 @@ from truenewton.estimation.sifted import sift
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, modal_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import with_error
+from truenewton.rounding import counted, with_error
 
 
 def survey(
@@ -57,7 +57,7 @@ def survey(
         "verdict": verdict.values,
     }
     off = f" ({disabled} disabled)" if disabled else ""
-    headline = f"a {what} of {data.instrument}: {data.layout.n} actuators{off}{contents}"
+    headline = f"a {what} of {data.instrument}: {counted(data.layout.n, 'actuator')}{off}{contents}"
     lines.insert(0, headline)
     if refused:
         lines += [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in verdict.faults]
@@ -103,14 +103,14 @@ def _survey_campaign(
         "strange_rows": rejected_values(campaign, sifted.rejected),
     }
     lines = [
-        f", {len(campaign.cycles)} cycle files, {values['shapes']} shapes",
+        f", {counted(campaign.cycles, 'cycle file')}, {counted(len(np.unique(moments.labels[:, 1])), 'shape')}",
         row("weight P", f"{with_error(campaign.weight, campaign.weight_error)} N"),
     ]
     for facts in loads:
         added = f"Q = {with_error(facts['added'], facts['e_added'])} N"
         tilt = f", tilt {facts['tilt']:g} deg" if facts["tilt"] else ""
         invalid = f", {facts['invalid']} not valid" if facts["invalid"] else ""
-        counts = f", {facts['cycles']} cycles, {facts['rows']} rows"
+        counts = f", {counted(facts['cycles'], 'cycle')}, {counted(facts['rows'], 'row')}"
         lines.append(row(f"load {facts['load']}", added + tilt + counts + invalid))
     lines.append(row("largest force", f"{values['largest_force']:.3g} N commanded"))
     if np.isfinite(moments.noise):

@@ -14,6 +14,7 @@ from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.repeats import WEIGHED_NOISE
 from truenewton.records.fault import Fault
+from truenewton.rounding import counted
 
 LOUDER = 1.5  # times FORCERR: a scatter of the repeats that is said
 PLAUSIBLE = (0.2, 5.0)  # alpha in the median
@@ -51,7 +52,8 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
     declared = all(cycle.force_error for cycle in problem.campaign.cycles)
     expected = WEIGHED_NOISE**2 + np.mean(moments.rounding)
     louder = float(np.sqrt(problem.noise.seen.mean() / expected))
-    if declared and problem.noise.source == NoiseSource.REPEATS and louder > LOUDER:
+    known = declared and problem.noise.source == NoiseSource.REPEATS
+    if known and louder > LOUDER and _is_in_newton(problem, minimum):
         noise = 1e3 * moments.noise
         yield Fault(
             f"repeated shapes scatter by {noise:.2g} mN, {louder:.3g} times what FORCERR says",
@@ -60,10 +62,15 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
     anew = int(np.count_nonzero(np.isnan(moments.reference)))
     if anew and any(map(is_displaced, problem.campaign.cycles)):
         yield Fault(
-            f"the zeros of {anew} sensors were set anew between files: these count from each"
-            " file's own mean, and E_STAT knows nothing of motion between files",
+            f"the zeros of {counted(anew, 'sensor')} were set anew between files: these count from"
+            " each file's own mean, and E_STAT knows nothing of motion between files",
             "keep the zeros of the sensors through a campaign",
         )
+
+
+def _is_in_newton(problem: Problem, minimum: Minimum) -> bool:
+    """Tell whether alpha is near 1; else a unit is wrong, and the verdict says so."""
+    return PLAUSIBLE[0] < float(np.median(minimum.values[: problem.n])) < PLAUSIBLE[1]
 
 
 def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Fault]:
@@ -73,8 +80,8 @@ def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> It
     bear about that weight. Alpha rests on the differences between loads alone, unless they tilt.
     """
     campaign, n = problem.campaign, problem.n
-    if not PLAUSIBLE[0] < float(np.median(minimum.values[:n])) < PLAUSIBLE[1]:
-        return  # then a unit is wrong, and it may be that of FORCE
+    if not _is_in_newton(problem, minimum):
+        return  # it may be the unit of FORCE that is wrong
     largest = float(np.abs(minimum.values[:n] * moments.mean).max())
     each, bias = abs(campaign.weight) / n, float(minimum.values[problem.unknowns.bias])
     if each > largest:

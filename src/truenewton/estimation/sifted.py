@@ -27,6 +27,7 @@ from truenewton.estimation.file_labels import (
     mislabelled_files,
     mislabelled_rows,
 )
+from truenewton.estimation.files_apart import files_apart
 from truenewton.estimation.moments import QUARTILE, Moments
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
@@ -89,8 +90,9 @@ def sift(campaign: Campaign) -> Sifted:
     """
     sums = RepeatSums(campaign)
     units = files_in_other_units(campaign, sums.prints)
+    apart = files_apart(campaign, sums.prints)
     suspects = (
-        *units,
+        *(units or apart),
         *copied_files(campaign, sums.prints, in_steps=bool(np.any(sums.step))),
         *mislabelled_files(campaign, sums.moments),
         *frozen_readings(campaign, sums.prints),
@@ -111,9 +113,11 @@ def sift(campaign: Campaign) -> Sifted:
             if refusal is not None and _gross(sums):
                 raise refusal
         except TooManyOutliers as error:
-            suspects += () if units else mislabelled_rows(campaign, range(len(campaign.cycles)))
+            suspects += (
+                () if units or apart else mislabelled_rows(campaign, range(len(campaign.cycles)))
+            )
             raise naming(error, suspects + clipped) from None
-    suspects += mislabelled_rows(campaign, _hit(campaign, rejected))
+    suspects += () if apart else mislabelled_rows(campaign, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
     moments = replace(sums.moments, displacement=sums.displacement())
     moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
@@ -198,9 +202,8 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
         valid = cycles[k].valid.copy()
         valid[[row.row for row in rows if row.cycle == k]] = False
         if not valid.any():
-            lost = int(cycles[k].valid.sum())
             raise TooManyOutliers(
-                f"not one of its {lost} rows fits the other files",
+                "not one of its rows fits the other files",
                 remedy="compare its LOAD, SHAPE and SIGN with theirs, and the unit, sign and order"
                 " of its FORCE and POSITION; or leave it out",
                 path=cycles[k].name,

@@ -49,7 +49,7 @@ from truenewton.recalibration.short_run import (
 )
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
-from truenewton.rounding import percent
+from truenewton.rounding import counted, percent
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import OTHER_UNIT, SAME_TEMPERATURE
 from truenewton.tracking.law import Outlier, Tracking
@@ -205,7 +205,8 @@ def _who_moved(
         stay[worst] = False
         if len(moved) > MOST * len(stay):
             raise RankDeficient(
-                f"more than {len(moved) - 1} actuators no longer agree with {known.name}",
+                f"more than {counted(len(moved) - 1, 'actuator')} no longer agree with"
+                f" {known.name}",
                 remedy="calibrate anew",
                 got=len(moved),
                 want=MOST * len(stay),

@@ -14,6 +14,7 @@ from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import counted
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -82,8 +83,8 @@ class Campaign:
     def __repr__(self) -> str:
         loads = ", ".join(load.name for load in self.loads)
         return (
-            f"<Campaign of {self.instrument}: {self.layout.n} actuators,"
-            f" {len(self.cycles)} cycles under {loads}>"
+            f"<Campaign of {self.instrument}: {counted(self.layout.n, 'actuator')},"
+            f" {counted(self.cycles, 'cycle')} under {loads}>"
         )
 
     @property

@@ -14,6 +14,7 @@ from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.source import Source, check_date
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import (
     LARGEST_FORCE,
@@ -124,7 +125,8 @@ class Cycle:
             want = (rows, n) if name in ("force", "position") else (rows,)
             if value is not None and value.shape != want:
                 raise FormatError(
-                    f"{name.upper()} has shape {value.shape} for {rows} rows and {n} actuators",
+                    f"{name.upper()} has shape {value.shape} for {counted(rows, 'row')} and"
+                    f" {counted(n, 'actuator')}",
                     remedy=f"give it the shape {want}",
                     got=value.shape,
                     want=want,
@@ -143,6 +145,13 @@ class Cycle:
                 self._check_finite(name, largest)
         if not self.largest_force:
             raise FormatError("FORCE is zero throughout", remedy="record the commanded forces")
+        if self.force_error and self.force_error > self.largest_force:
+            raise FormatError(
+                f"FORCERR is {self.force_error:g} N, and no FORCE is beyond {self.largest_force:g}"
+                " N",
+                remedy="check the units of both; leave FORCERR out if it is unknown",
+                got=self.force_error,
+            )
 
     def _check_finite(self, name: str, largest: float) -> None:
         values = getattr(self, name)
@@ -162,7 +171,7 @@ class Cycle:
     def __repr__(self) -> str:
         return (
             f"<Cycle {self.number} of {self.instrument}, load '{self.load.name}':"
-            f" {len(self.time)} rows, {self.layout.n} actuators>"
+            f" {counted(self.time, 'row')}, {counted(self.layout.n, 'actuator')}>"
         )
 
     @property
