@@ -77,7 +77,7 @@ def _survey_campaign(
     """Return facts and lines of a campaign alone, the first the end of the headline."""
     sifted = sift(campaign)
     moments = sifted.moments
-    loads = []
+    loads, shapes = [], len(np.unique(moments.labels[:, 1]))
     for load, weight in zip(campaign.loads, campaign.effective_weights.tolist(), strict=True):
         cycles = [c for c in campaign.cycles if c.load.key == load.key]
         loads.append(
@@ -97,13 +97,13 @@ def _survey_campaign(
         "weight": campaign.weight,
         "e_weight": campaign.weight_error,
         "loads": loads,
-        "shapes": len(np.unique(moments.labels[:, 1])),
+        "shapes": shapes,
         "largest_force": max(cycle.largest_force for cycle in campaign.cycles),
         "noise": moments.noise,
         "strange_rows": rejected_values(campaign, sifted.rejected),
     }
     lines = [
-        f", {counted(campaign.cycles, 'cycle file')}, {counted(len(np.unique(moments.labels[:, 1])), 'shape')}",
+        f", {counted(campaign.cycles, 'cycle file')}, {counted(shapes, 'shape')}",
         row("weight P", f"{with_error(campaign.weight, campaign.weight_error)} N"),
     ]
     for facts in loads:

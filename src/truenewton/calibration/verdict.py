@@ -139,9 +139,9 @@ def warn_of(calibration: Calibration, stacklevel: int = 3) -> None:
 def _grave(c: Calibration) -> Iterator[Fault]:
     """Yield why a calibration is not to be used, causes before what they do."""
     fits = c.goodness is None or not c.goodness.probability < IMPROBABLE
-    grave = OF_FILES if fits else OF_FILES + OF_ROWS
-    yield from effect_warnings(_uncorrected(c, grave))
     unit = unit_fault(c)
+    grave = OF_FILES + OF_ROWS * (not fits) + SILENT * (unit is not None)
+    yield from effect_warnings(_uncorrected(c, grave))
     if unit:
         yield unit
     yield from _harm(c)

@@ -45,5 +45,6 @@ def run(
     shapes = 2 * len(bench.shapes)
     say(
         f"{output}: {bench.mirror.name}, {counted(bench.loads, 'load')} x"
-        f" {counted(cycles, 'cycle')} x {counted(shapes, 'shape')}; truth in {truth_path(output).name}"
+        f" {counted(cycles, 'cycle')} x {counted(shapes, 'shape')};"
+        f" truth in {truth_path(output).name}"
     )

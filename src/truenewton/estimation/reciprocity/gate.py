@@ -63,8 +63,8 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
         )
     if evidence.untried:
         yield Fault(
-            f"errors of reciprocity of {counted(evidence.untried, 'actuator')} were never held against"
-            " a truth: noise in forces may make them too small",
+            f"errors of reciprocity of {counted(evidence.untried, 'actuator')} were never held"
+            " against a truth: noise in forces may make them too small",
             "use ml, or compare two campaigns",
         )
     for name, size in zip(BLOCKS, evidence.blocks, strict=False):
