@@ -23,16 +23,23 @@ if TYPE_CHECKING:
 NO_ERROR = 1e-6  # of the common scale: below, nobody knows a weight so well
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 GRAVITY = 9.81  # [m/s^2]
+FORCE_IN = "correct the unit that the column FORCE declares, or its numbers: N"
+WEIGHTS_IN = f"store WEIGHT and ADDED in N: {-GRAVITY} for a kilogram"
 # What alpha is where a unit is taken for N; units lie ten times apart, alphas of mirrors do not.
 LOOKS = {
-    1e-6: "FORCE looks as if in uN",
-    1e-3: "FORCE looks as if in mN",
-    1e-3 * GRAVITY: "FORCE looks as if in gf (grams)",
-    1 / GRAVITY: "WEIGHT and ADDED look as if in kg",
-    GRAVITY: "FORCE looks as if in kgf (kilograms)",
-    1e3 / GRAVITY: "WEIGHT and ADDED look as if in g",
-    1e3: "FORCE looks as if in kN, or WEIGHT and ADDED as if in mN",
+    1e-6: Fault("FORCE looks as if in uN", FORCE_IN),
+    1e-3: Fault("FORCE looks as if in mN", FORCE_IN),
+    1e-3 * GRAVITY: Fault("FORCE looks as if in gf (grams)", FORCE_IN),
+    1 / GRAVITY: Fault("WEIGHT and ADDED look as if in kg", WEIGHTS_IN),
+    GRAVITY: Fault("FORCE looks as if in kgf (kilograms)", FORCE_IN),
+    1e3 / GRAVITY: Fault("WEIGHT and ADDED look as if in g", WEIGHTS_IN),
+    1e3: Fault(
+        "FORCE looks as if in kN, or WEIGHT and ADDED as if in mN", f"{FORCE_IN}; or {WEIGHTS_IN}"
+    ),
 }
+COUNTS = Fault(
+    "FORCE looks as if in counts of the electronics, or in another unit than N", FORCE_IN
+)
 NEAR = 2.2  # times a unit
 LIKE_OTHERS, MOST = 0.5, 0.9  # relative to the median, of how many: else it is no unit alone
 
@@ -44,15 +51,16 @@ def unit_fault(c: Calibration) -> Fault | None:
     if PLAUSIBLE[0] < abs(median) < PLAUSIBLE[1] or np.mean(alike) < MOST:
         return None
     unit = min(LOOKS, key=lambda one: abs(np.log(one / max(abs(median), 1e-300))))
-    looks = "FORCE looks as if in counts of the electronics, or in another unit than N"
-    if 1 / NEAR < abs(median) / unit < NEAR:
-        looks = LOOKS[unit]
+    looks, remedy = LOOKS[unit] if 1 / NEAR < abs(median) / unit < NEAR else COUNTS
+    # With the weight of the mirror in ADDED as well, the load seems heavier by it.
+    added = min((load.added for load in c.loads), default=0.0)
+    less = (added - c.weight) / added if added < c.weight else 0.0
+    if PLAUSIBLE[0] < abs(median) * less < PLAUSIBLE[1]:
+        looks = "ADDED looks as if the weight of the mirror were in it"
+        remedy = f"store what was added alone, {significant(added - c.weight, 3)} N"
     other = ", and FORCE of the other sign" if median < 0.0 else ""
-    return Fault(
-        f"alpha is about {significant(median)}, near 1 where all is in N: {looks}{other}",
-        "correct the unit that the column FORCE declares, or its numbers; WEIGHT and ADDED are in"
-        f" N, a kilogram {-GRAVITY}",
-    )
+    said = f"alpha is about {significant(median)}, near 1 where all is in N"
+    return Fault(f"{said}: {looks}{other}", remedy)
 
 
 def scale_faults(c: Calibration) -> Iterator[Fault]:

@@ -20,6 +20,7 @@ from truenewton.errors import NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.effects.words import MISFIT, effect_warnings
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.files_apart import STILL
 from truenewton.estimation.identifiability import alike_loads_fault
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
@@ -51,6 +52,8 @@ OF_FILES = (
     "FORCE of the other sign",
     "POSITION of the other sign",
     "POSITION in another unit",
+    "files of two mirrors",
+    STILL.name,
     "asymmetric stiffness",
     UNUSABLE_BEFORE,
 )
@@ -159,7 +162,7 @@ def _grave(c: Calibration) -> Iterator[Fault]:
     if negative > few:
         yield Fault(
             f"alpha is negative for {negative} of {alpha.size} actuators",
-            "turn the sign of FORCE: a force that lifts the mirror, against its weight, is positive"
+            "turn the sign of FORCE, which is positive upwards; or ADDED stands at the wrong load"
             if negative == alpha.size
             else "check the signs and the order of FORCE: z points up",
         )
@@ -179,9 +182,13 @@ def _senseless(c: Calibration) -> Iterator[Fault]:
         alike = alike_loads_fault(weights_along_axis(c)) if weighed else None
         if alike:
             yield alike
+        by_weights = typical(c.systematic_error, c.alpha) > typical(c.reading_error, c.alpha)
         yield Fault(
             f"alpha is known to {percent(error)} typically, so it is not told from 0",
-            "add shapes and cycles, use larger forces, or loads that differ more in weight",
+            "check E_WEIGHT, E_ADDED and E_TILT, standard uncertainties in N and deg; or take loads"
+            " that differ more in weight"
+            if by_weights
+            else "add shapes and cycles, use larger forces, or loads that differ more in weight",
         )
     if c.goodness is not None and c.goodness.reduced > SENSELESS:
         yield Fault(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.file_labels import clusters
 from truenewton.estimation.row_prints import RowPrints, common_labels
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import listed, named, significant
@@ -26,6 +27,7 @@ FEWEST = 8  # labels that all files share: of fewer, two columns may be alike by
 DIFFERS = 0.3  # of a column's size, beyond which it is not what it is in the other files
 CURES = 0.3  # of that distance, which the right column leaves at most
 MOST = 1000  # columns that are put in order
+UNLIKE = 0.02  # of their size two lots of files differ
 UNIT = 2.0  # times as large, or as small, as the others a file is in another unit
 SAID, FILES = 4, 2  # actuators, and files, that are named one by one
 
@@ -49,6 +51,10 @@ class Difference(NamedTuple):
     times: str = ""
 
 
+STILL = FoundEffect(
+    name="POSITION is the same in all rows",
+    remedy="leave the column out where no sensors were read; then COILGRAD, BIASGRAD are not used",
+)
 TURNED = Difference("{} of the other sign", "turn the sign of {} in that file, or leave it out")
 
 
@@ -68,6 +74,8 @@ def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...
     for quantity, rows in (("FORCE", prints.common_rows()), ("POSITION", positions(campaign))):
         if rows is None or rows.shape[1] < FEWEST:
             continue
+        if quantity == "POSITION" and not np.ptp(rows, axis=(0, 1)).any():
+            return (STILL,)
         differences = _from_the_most_typical(rows - rows.mean(axis=1, keepdims=True))
         right = max(dict.fromkeys(differences), key=differences.count)
         for what in dict.fromkeys(chain(*differences)):
@@ -77,6 +85,33 @@ def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...
         _effect(campaign, what, files, quantities)
         for (what, files), quantities in found.items()
         if what != TURNED or _not_by_sign(campaign, quantities)
+    )
+
+
+def unlike_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+    """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do.
+
+    A gain that a file has as a whole does not count.
+    """
+    rows = prints.common_rows()
+    if len(rows) < 3 or rows.shape[1] < FEWEST:
+        return ()
+    flat = (rows - rows.mean(axis=1, keepdims=True)).reshape(len(rows), -1)
+    flat /= np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
+    distance = np.sqrt(np.maximum(1.0 - (flat @ flat.T) ** 2, 0.0))
+    lot = clusters(distance, 2)
+    if lot is None or distance[lot[:, None] != lot].min() < UNLIKE:
+        return ()
+    fewer = lot == np.bincount(lot).argmin()
+    names = np.array([cycle.name for cycle in campaign.cycles])
+    return (
+        FoundEffect(
+            name="files of two mirrors, campaigns or lists of shapes",
+            where=f"{listed(names[fewer], FILES)} against {listed(names[~fewer], FILES)}",
+            size=float(fewer.mean()),
+            remedy="calibrate together what was taken of one mirror with the same shapes, and no"
+            " actuator replaced in between",
+        ),
     )
 
 

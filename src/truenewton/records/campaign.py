@@ -58,9 +58,9 @@ class Campaign:
         seen: dict[tuple[str, int], Cycle] = {}
         for cycle in ordered:
             _agree(ordered[0], cycle, OF_MIRROR, "calibrate files of one campaign only")
-            if not ordered[0].layout.same_as(cycle.layout):
+            if differ := ordered[0].layout.difference(cycle.layout):
                 one = "calibrate files of one campaign only"
-                raise _mismatch(ordered[0], cycle, "the ACTUATORS table", one)
+                raise _mismatch(ordered[0], cycle, f"the ACTUATORS table ({differ})", one)
             of_load = f"correct it, or LOAD: both say '{cycle.load.name}'"
             _agree(first_of_load.setdefault(cycle.load.key, cycle), cycle, OF_LOAD, of_load)
             double = seen.setdefault((cycle.load.key, cycle.number), cycle)

@@ -32,9 +32,18 @@ ARRAYS: dict[str, tuple[type, float | None]] = {
     "shape": (np.int64, None),
     "sign": (np.int64, None),
     "valid": (bool, None),
-    "temperature": (float, 1e4),  # [deg C]
+    "temperature": (float, 150.0),  # [deg C]
     "force": (float, LARGEST_FORCE),
     "position": (float, 1e3),  # [m]
+}
+
+# What to do about a value beyond these.
+UNITS = {
+    "time": "count TIME in seconds from DATE-OBS",
+    "temperature": "declare the unit of TEMPERATURE, deg_C or K; leave the column out where it was"
+    " not measured",
+    "force": "check the unit that FORCE declares",
+    "position": "check the unit that POSITION declares",
 }
 
 
@@ -164,6 +173,8 @@ class Cycle:
             if len(some) > 1:
                 of = f" for actuator {self.layout.id[counted][wrong][0]}"
                 remedy += "; if it is so in all rows, set ENABLED of the actuator to F"
+            if np.isfinite(bad):
+                remedy = f"{UNITS[name]}, or mark the row as not VALID"
             raise FormatError(
                 f"{name.upper()} in row {row + 1} is {bad:g}{of}", remedy=remedy, got=bad
             )

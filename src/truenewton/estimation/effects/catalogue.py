@@ -267,7 +267,8 @@ _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
 
 def _gradient(fit: FittedRows, keyword: str, declared: str) -> str:
     given = any(getattr(cycle, declared) is not None for cycle in fit.problem.campaign.cycles)
-    return f"correct {keyword}" if given else f"give {keyword}, which takes it out"
+    signed = f"correct {keyword}, or the sign of POSITION, which is along +z"
+    return signed if given else f"give {keyword}, which takes it out"
 
 
 def _by_load(fit: FittedRows) -> str:

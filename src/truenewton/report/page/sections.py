@@ -64,9 +64,9 @@ def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Sectio
     farthest = int(np.argmax(after))
     shape = columns_of_shapes(residuals)[0][residuals.kept][farthest]
     caption = (
-        f"Imbalance of {counted(after, 'row')} of {counted(campaign.cycles, 'cycle')} in terms of its"
-        f" noise, by signed shape and cycle: {_rms(after):.2f} rms, where noise alone gives 1, and"
-        f" {after[farthest]:.1f} at most, at shape {shape} of cycle"
+        f"Imbalance of {counted(after, 'row')} of {counted(campaign.cycles, 'cycle')} in terms of"
+        f" its noise, by signed shape and cycle: {_rms(after):.2f} rms, where noise alone gives 1,"
+        f" and {after[farthest]:.1f} at most, at shape {shape} of cycle"
         f" {residuals.cycle[residuals.kept][farthest] + 1}."
         f" {counted(rejected, 'row') if rejected else 'No rows'} rejected"
         + (", marked by crosses." if rejected else ".")
