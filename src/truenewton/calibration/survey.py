@@ -75,9 +75,14 @@ def _survey_campaign(
     campaign: Campaign, method: str, population: bool
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a campaign alone, the first the end of the headline."""
-    sifted = sift(campaign)
-    moments = sifted.moments
-    loads, shapes = [], len(np.unique(moments.labels[:, 1]))
+    sifted, refusal = None, Verdict(Level.NONE)
+    try:
+        sifted = sift(campaign)
+    except TooManyOutliers as error:  # what the files hold is told all the same
+        refusal = Verdict(Level.NONE, refusals(error, None))
+    shapes = len(np.unique(np.concatenate([c.shape[c.valid] for c in campaign.cycles])))
+    noise, rejected = (sifted.moments.noise, sifted.rejected) if sifted else (np.nan, ())
+    loads = []
     for load, weight in zip(campaign.loads, campaign.effective_weights.tolist(), strict=True):
         cycles = [c for c in campaign.cycles if c.load.key == load.key]
         loads.append(
@@ -99,8 +104,8 @@ def _survey_campaign(
         "loads": loads,
         "shapes": shapes,
         "largest_force": max(cycle.largest_force for cycle in campaign.cycles),
-        "noise": moments.noise,
-        "strange_rows": rejected_values(campaign, sifted.rejected),
+        "noise": noise,
+        "strange_rows": rejected_values(campaign, rejected),
     }
     lines = [
         f", {counted(campaign.cycles, 'cycle file')}, {counted(shapes, 'shape')}",
@@ -113,11 +118,12 @@ def _survey_campaign(
         counts = f", {counted(facts['cycles'], 'cycle')}, {counted(facts['rows'], 'row')}"
         lines.append(row(f"load {facts['load']}", added + tilt + counts + invalid))
     lines.append(row("largest force", f"{values['largest_force']:.3g} N commanded"))
-    if np.isfinite(moments.noise):
-        noise = f"{1e3 * moments.noise:.3g} mN, from repeated shapes"
-        lines.append(row("noise of one reading", noise))
-    lines += rejected_lines(campaign, sifted.rejected)
-    diagnosis = diagnose(sifted.sound, moments)
+    if np.isfinite(noise):
+        lines.append(row("noise of one reading", f"{1e3 * noise:.3g} mN, from repeated shapes"))
+    lines += rejected_lines(campaign, rejected)
+    if sifted is None:
+        return values, lines, Diagnosis(), refusal
+    diagnosis = diagnose(sifted.sound, sifted.moments)
     try:
         estimate = find_alpha(sifted, method, population=population)
         verdict = calibration_of(campaign, estimate).verdict
