@@ -70,18 +70,19 @@ def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...
     """
     if len(campaign.cycles) < 2:
         return ()
-    found = dict[tuple[Difference, tuple[int, ...]], list[str]]()
+    found, still = dict[tuple[Difference, tuple[int, ...]], list[str]](), tuple[FoundEffect, ...]()
     for quantity, rows in (("FORCE", prints.common_rows()), ("POSITION", positions(campaign))):
         if rows is None or rows.shape[1] < FEWEST:
             continue
         if quantity == "POSITION" and not np.ptp(rows, axis=(0, 1)).any():
-            return (STILL,)
+            still = (STILL,)
+            continue
         differences = _from_the_most_typical(rows - rows.mean(axis=1, keepdims=True))
         right = max(dict.fromkeys(differences), key=differences.count)
         for what in dict.fromkeys(chain(*differences)):
             files = tuple(k for k, d in enumerate(differences) if (what in d) != (what in right))
             found.setdefault((what, files), []).append(quantity)
-    return tuple(
+    return still + tuple(
         _effect(campaign, what, files, quantities)
         for (what, files), quantities in found.items()
         if what != TURNED or _not_by_sign(campaign, quantities)

@@ -15,7 +15,7 @@ PRINTED = 48  # labels whose rows are looked at
 
 
 def common_labels(codes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
-    """Return some of the labels that all files have, given those of the rows of each."""
+    """Return (m,) some of the labels that all files have, given (N,) those of the rows of each."""
     common = reduce(np.intersect1d, codes)
     return common[np.unique(np.linspace(0, max(len(common) - 1, 0), PRINTED).astype(np.int64))]
 
