@@ -239,6 +239,16 @@ def test_nothing_of_that_is_said_where_it_is_not_so(made):
         assert word not in text
 
 
+@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
+def test_a_short_run_after_a_replacement_says_it_too():
+    earlier = tn.calibrate(Campaign(tuple(quiet())))
+    for name, level in (("POSITION of 11 and 12 exchanged", NOT), ("LOAD 'rign'", LIMITED)):
+        made, _, *words = FAULTS[name]
+        verdict = tn.recalibrate(Campaign(tuple(made())), earlier, [17]).calibration.verdict
+        assert verdict.level in level
+        assert words[0] in verdict.faults[0].fault
+
+
 def test_a_gap_of_a_day_is_no_gap():
     later = [replace(c, date=c.date + datetime.timedelta(days=2 * k))
              for k, c in enumerate(quiet(2))]  # fmt: skip

@@ -123,8 +123,8 @@ def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> It
         return
     yield Fault(
         f"WEIGHT is {campaign.weight:.3g} N, {why}: B comes to {bias:.3g} N",
-        "check WEIGHT and its unit, N (kilograms times -9.81); B is wrong by as much, and alpha too"
-        " where a load is tilted",
+        "check WEIGHT and its unit, N (kilograms times -9.81), and those of FORCE; B is wrong by as"
+        " much, and alpha too where a load is tilted",
     )
 
 

@@ -142,6 +142,7 @@ def recalibrate(
     degrees = len(against.contrasts)
     probability = float(scipy.stats.chi2.sf(against.chi2, degrees)) if degrees else float("nan")
     limits = tuple(_limits(before, data, probability, against.scatter.own))
+    calibration = replace(calibration, effects=(*calibration.effects, *sifted.suspects))
     calibration = _with_faults(calibration, before, limits)
     warn_of(calibration)
     return Recalibration(
@@ -185,7 +186,7 @@ def _who_moved(
             raise RankDeficient(
                 f"all others no longer agree with {known.name}: they have changed by"
                 f" {percent(scatter.own)} each",
-                remedy="calibrate anew, or give the calibration of this unit",
+                remedy="check units and sign of FORCE and ADDED in the run; or calibrate anew",
                 got=scatter.own,
                 want=OTHER_UNIT,
             )
