@@ -655,7 +655,7 @@ NEW = {
     ),
     "a folder for a calibration": (
         lambda folder: ("recalibrate", folder, "--known", folder, "--actuators", "3"),
-        "/c", "Is a directory", "give a file, not a folder",
+        "/c", "is a folder", "give --known the file that `calibrate -o`",
     ),
     "words for IDs": (
         lambda folder: (
