@@ -502,7 +502,7 @@ UNDETERMINED = {
     "collinear": (on_a_line, "actuators are collinear", "check X and Y"),
     "3 shapes": (lambda tiny: with_shapes(tiny, 3), "too few shapes: 3 for 12", "apply 12"),
     "one shape often": (with_one_shape_often, "1 of the 9 elastic directions", "apply 12"),
-    "three actuators": (with_three_actuators, "only 3 actuators take part", "enable four"),
+    "three actuators": (with_three_actuators, "only 3 actuators enabled", "enable four"),
 }
 
 
@@ -655,7 +655,7 @@ NEW = {
     ),
     "a folder for a calibration": (
         lambda folder: ("recalibrate", folder, "--known", folder, "--actuators", "3"),
-        "/c", "Is a directory", "give a file, not a folder",
+        "/c", "is a folder", "give --known the file that `calibrate -o`",
     ),
     "words for IDs": (
         lambda folder: (

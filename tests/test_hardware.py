@@ -39,14 +39,7 @@ TYPE = re.compile(r"(\w+) (\w+)(\[\])?(?: \[[^\]]+\])?( \(optional\))?")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = tmp_path_factory.mktemp("hardware") / "keys"
-    keys.make_keys(path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def foreign(folder):
+def foreign(keys_folder):
     """Serve what was written from the page, in another thread; give address, server, its loop."""
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     started, told = threading.Event(), []
@@ -54,7 +47,7 @@ def foreign(folder):
 
     async def run():
         columns = (getattr(SMALL.layout, name).tolist() for name in ("x", "y", "nz"))
-        server = await electronics(address, folder, SMALL.name, SMALL.gap, *columns)
+        server = await electronics(address, keys_folder, SMALL.name, SMALL.gap, *columns)
         stop = asyncio.Event()
         async with server:
             told.extend([asyncio.get_running_loop(), stop, server])
@@ -111,14 +104,14 @@ def test_the_page_has_the_nodes_of_client_and_server():
         assert told(gives) == [("Fault", "String", True, False), *declared(expected[1])]
 
 
-def test_a_server_written_from_the_page_takes_a_campaign(foreign, folder, tmp_path):
+def test_a_server_written_from_the_page_takes_a_campaign(foreign, keys_folder, tmp_path):
     asked, address = [], foreign[0]
 
     class Person:
         def put_on(self, load):
             asked.append(load.name)
 
-    files = {name: str(folder / file) for name, file in keys.CLIENT_FILES.items()}
+    files = {name: str(keys_folder / file) for name, file in keys.CLIENT_FILES.items()}
     plan = small_plan(bench=choice(address, **files), samples=16, settling=0.0)
     with chosen_bench(plan, tmp_path) as bench:
         assert not isinstance(bench, Operator)  # it has no PutOn
@@ -157,7 +150,7 @@ NONSENSE = [  # which of the values of Read, and what it is instead
 
 
 def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
-    foreign, folder, tmp_path, inside
+    foreign, keys_folder, tmp_path, inside
 ):
     """Each shape is tried three times; five that fail end it. The same command then goes on."""
     address, server, _ = foreign
@@ -180,7 +173,7 @@ def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
         answer[place] = ua.Variant(value, kind)
         return answer
 
-    files = {name: str(folder / file) for name, file in keys.CLIENT_FILES.items()}
+    files = {name: str(keys_folder / file) for name, file in keys.CLIENT_FILES.items()}
     plan = small_plan(cycles=1, bench=choice(address, **files), samples=16, settling=0.0)
     (tmp_path / "plan.toml").write_text(toml_text(plan))
     command = "acquire", tmp_path / "plan.toml", "-o", tmp_path / "c", "--yes"
@@ -198,7 +191,7 @@ def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
     assert [cycle.valid.tolist() for cycle in cycles] == [[True] * 6] * 2
 
 
-def test_what_a_server_gets_wrong_is_one_line_that_names_it(foreign, folder):
+def test_what_a_server_gets_wrong_is_one_line_that_names_it(foreign, keys_folder):
     """Last of those that use the server, which it spoils."""
     address, server, loop = foreign
 
@@ -212,14 +205,14 @@ def test_what_a_server_gets_wrong_is_one_line_that_names_it(foreign, folder):
         server.link_method(status, lambda _: [fine, yes, yes, yes])
         await server.delete_nodes([gap])
 
-    with connect(choice(address), folder) as bench:
+    with connect(choice(address), keys_folder) as bench:
         asyncio.run_coroutine_threadsafe(spoil(), loop).result(20)
         with pytest.raises(BenchFault) as raised:
             bench.status()
         said = f"{address}: gives Ready as 'yes', in Status; it is Boolean"
         assert str(raised.value) == said
     with pytest.raises(BenchFault) as raised:
-        connect(choice(address), folder)
+        connect(choice(address), keys_folder)
     assert str(raised.value) == f"{address}: has no node Bench.Gap; add it (docs/hardware.md)"
 
 
@@ -306,8 +299,8 @@ def test_what_a_bench_does_not_use_is_refused(tmp_path, kind, keys_given, said):
         read_plan(tmp_path / "plan.toml")
 
 
-def test_serve_takes_the_fidelity(inside, folder):
-    code, _, err = inside("serve", "p45", "--fidelity", "dynamic", "-o", folder)
+def test_serve_takes_the_fidelity(inside, keys_folder):
+    code, _, err = inside("serve", "p45", "--fidelity", "dynamic", "-o", keys_folder)
     assert (code, err.count("\n")) == (2, 1)
     assert "there is no fidelity 'dynamic'; choose static, loop" in err
 

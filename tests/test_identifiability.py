@@ -108,7 +108,7 @@ def test_collinear_actuators_are_named(noise):
 
 def test_too_few_actuators_are_named():
     campaign, _ = campaign_of(seed=4, noise=1e-3, disabled=range(3, 14))
-    assert "only 3 actuators take part" in refusal(campaign)
+    assert "only 3 actuators enabled" in refusal(campaign)
 
 
 def test_a_line_and_one_beside_it_are_a_conic_that_leaves_alpha_free():

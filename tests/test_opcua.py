@@ -72,13 +72,6 @@ class RecordingBench:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    path = tmp_path_factory.mktemp("opcua") / "keys"
-    keys.make_keys(path)
-    return path
-
-
-@pytest.fixture(scope="module")
 def strangers(tmp_path_factory):
     """Keys as good as ours, which nobody trusts."""
     path = tmp_path_factory.mktemp("strangers") / "keys"
@@ -102,13 +95,13 @@ def free_port():
 
 
 @contextlib.contextmanager
-def behind(bench, folder, port):
+def behind(bench, keys_folder, port):
     """Serve a bench from another thread while the block lasts; give its address."""
     started, stop, failed = threading.Event(), [], []
 
     async def run():
         stop.extend([asyncio.get_running_loop(), asyncio.Event()])
-        async with serving(bench, folder, port):
+        async with serving(bench, keys_folder, port):
             started.set()
             await stop[1].wait()
 
@@ -140,10 +133,10 @@ def choice(address, **other):
 
 
 @pytest.fixture(scope="module")
-def noted(folder):
+def noted(keys_folder):
     """A recording bench and the address at which it is served."""
     bench = RecordingBench()
-    with behind(bench, folder, free_port()) as address:
+    with behind(bench, keys_folder, free_port()) as address:
         yield bench, address
 
 
@@ -156,18 +149,18 @@ def recorder(noted):
 
 
 @pytest.fixture(scope="module")
-def p45_served(folder):
-    with behind(tn.SimulatedBench(p45(), 3), folder, free_port()) as address:
+def p45_served(keys_folder):
+    with behind(tn.SimulatedBench(p45(), 3), keys_folder, free_port()) as address:
         yield address
 
 
 # -- the same as in process ----------------------------------------------------------------------
 
 
-def test_a_served_bench_gives_what_the_bench_gives_to_the_bit(p45_served, folder):
+def test_a_served_bench_gives_what_the_bench_gives_to_the_bit(p45_served, keys_folder):
     here, loads = tn.SimulatedBench(p45(), 3), static_bench(p45(), 3).loads
     shapes = static_bench(p45(), 3).shapes
-    with connect(choice(p45_served), folder) as there:
+    with connect(choice(p45_served), keys_folder) as there:
         _bench: Bench = there
         _operator: Operator = there
         assert (there.instrument, there.gap) == (here.instrument, here.gap)
@@ -193,10 +186,10 @@ def test_a_served_bench_gives_what_the_bench_gives_to_the_bit(p45_served, folder
         assert there.status() == here.status()
 
 
-def test_what_the_other_end_hears_is_what_was_said(recorder, folder):
+def test_what_the_other_end_hears_is_what_was_said(recorder, keys_folder):
     bench, address = recorder
     position = np.array([1e-6, -2e-6, 5e-324, 0.1, -0.0])
-    with connect(choice(address), folder) as there:
+    with connect(choice(address), keys_folder) as there:
         there.put_on(tn.Load(" Ring", -0.5, 0.01))
         there.command(Shape(tn.Load("ring"), 3, 17, -1, position))
         reading, status = there.read(12), there.status()
@@ -211,10 +204,10 @@ def test_what_the_other_end_hears_is_what_was_said(recorder, folder):
     assert status == Status(False, "a coil is hot", 2**40)
 
 
-def test_our_own_server_has_the_nodes_of_the_page(recorder, folder):
+def test_our_own_server_has_the_nodes_of_the_page(recorder, keys_folder):
     """Every one, with its type, as a browser of OPC UA sees them."""
     _, address = recorder
-    with connect(choice(address), folder) as there:
+    with connect(choice(address), keys_folder) as there:
 
         async def browse():
             client = there._client
@@ -289,7 +282,7 @@ def test_serve_then_a_campaign_over_opc_ua_recovers_alpha(tmp_path):
     ids=["user", "password", "certificate", "signature", "certificate alone", "server"],
 )
 def test_who_lacks_one_of_all_gets_nothing(
-    recorder, folder, strangers, tmp_path, monkeypatch, change, said
+    recorder, keys_folder, strangers, tmp_path, monkeypatch, change, said
 ):
     bench, address = recorder
     wrong = tmp_path / "wrong.txt"
@@ -307,7 +300,7 @@ def test_who_lacks_one_of_all_gets_nothing(
     if said == "cannot be reached":  # a refusal may take its time
         monkeypatch.setattr(OpcUaBench, "_patience", 0.5)
     with pytest.raises(BenchFault, match=said) as fault:
-        OpcUaBench(choice(address, **change), folder)
+        OpcUaBench(choice(address, **change), keys_folder)
     assert str(fault.value).startswith(f"{address}: ")
     assert "\n" not in str(fault.value)
     assert bench.asked == []
@@ -326,14 +319,14 @@ async def nothing_from(client, steps):
         await asyncio.sleep(0.05)
 
 
-def guarded_client(address, folder, mode=ua.MessageSecurityMode.SignAndEncrypt, timeout=10.0):
+def guarded_client(address, keys_folder, mode=ua.MessageSecurityMode.SignAndEncrypt, timeout=10.0):
     """Return a client with the trusted certificate and key, but without user and password."""
     client = Client(address, timeout=timeout)
     client.session_timeout = 60_000
     policy = SecurityPolicyBasic256Sha256(
-        keys.read_certificate(folder / keys.SERVER_CERTIFICATE),
-        keys.read_certificate(folder / keys.CLIENT_CERTIFICATE),
-        keys.read_private_key(folder / keys.CLIENT_KEY),
+        keys.read_certificate(keys_folder / keys.SERVER_CERTIFICATE),
+        keys.read_certificate(keys_folder / keys.CLIENT_CERTIFICATE),
+        keys.read_private_key(keys_folder / keys.CLIENT_KEY),
         mode,
     )
     client.security_policy = policy
@@ -351,11 +344,11 @@ def instrument(client):
     return lambda: client.get_node(ua.NodeId("Bench.Instrument", 2)).read_value()
 
 
-def test_an_anonymous_client_with_a_trusted_certificate_gets_nothing(recorder, folder):
+def test_an_anonymous_client_with_a_trusted_certificate_gets_nothing(recorder, keys_folder):
     bench, address = recorder
 
     async def come():
-        client = guarded_client(address, folder)
+        client = guarded_client(address, keys_folder)
         await client.connect_sessionless()
         await client.create_session()
         steps = [client.activate_session, instrument(client), call(client, "Rest")]
@@ -365,11 +358,11 @@ def test_an_anonymous_client_with_a_trusted_certificate_gets_nothing(recorder, f
     assert bench.asked == []
 
 
-def test_a_channel_that_is_only_signed_is_not_opened(recorder, folder):
+def test_a_channel_that_is_only_signed_is_not_opened(recorder, keys_folder):
     bench, address = recorder
 
     async def come():
-        client = guarded_client(address, folder, ua.MessageSecurityMode.Sign, timeout=0.5)
+        client = guarded_client(address, keys_folder, ua.MessageSecurityMode.Sign, timeout=0.5)
         await nothing_from(client, [client.connect_sessionless, client.get_endpoints])
 
     asyncio.run(come())
@@ -393,14 +386,14 @@ def test_without_security_not_even_the_endpoints_are_told(recorder, channel):
     assert bench.asked == []
 
 
-def test_nobody_takes_over_the_session_of_another(recorder, folder):
+def test_nobody_takes_over_the_session_of_another(recorder, keys_folder):
     """Its number can be guessed; the stranger here even knows it, and has a trusted certificate."""
     bench, address = recorder
-    with connect(choice(address), folder) as there:
+    with connect(choice(address), keys_folder) as there:
         token = there._client.uaclient.session.authentication_token
 
         async def come():
-            client = guarded_client(address, folder)
+            client = guarded_client(address, keys_folder)
             await client.connect_sessionless()
             client.uaclient.session.restore_authentication_token(token)
             client._server_nonce = b"guess"
@@ -414,9 +407,9 @@ def test_nobody_takes_over_the_session_of_another(recorder, folder):
     assert bench.asked == ["rest"]
 
 
-def test_the_user_may_write_nothing(recorder, folder):
+def test_the_user_may_write_nothing(recorder, keys_folder):
     _, address = recorder
-    with connect(choice(address), folder) as there:
+    with connect(choice(address), keys_folder) as there:
         node = there._client.get_node(ua.NodeId("Bench.Gap", 2))
         with pytest.raises(ua.UaError):
             there._thread.post(node.write_value(ua.Variant(1.0, ua.VariantType.Double)))
@@ -427,10 +420,10 @@ def test_the_user_may_write_nothing(recorder, folder):
 # -- servers that go and come, faults ------------------------------------------------------------
 
 
-def test_the_connection_comes_back_with_the_server(folder):
+def test_the_connection_comes_back_with_the_server(keys_folder):
     port, shape = free_port(), Shape(BARE, 1, 1, 1, np.zeros(5))
-    with behind(RecordingBench(), folder, port) as address:
-        there = OpcUaBench(choice(address), folder)
+    with behind(RecordingBench(), keys_folder, port) as address:
+        there = OpcUaBench(choice(address), keys_folder)
         there.put_on(BARE)
         there.command(shape)
     with there:
@@ -441,7 +434,7 @@ def test_the_connection_comes_back_with_the_server(folder):
             assert "\n" not in str(fault.value)
         there._patience = 10.0
         bench = RecordingBench()
-        with behind(bench, folder, port):
+        with behind(bench, keys_folder, port):
             with pytest.raises(BenchFault, match="was lost since the shape was commanded"):
                 there.read(1)
             with pytest.raises(BenchFault, match="knows of no load on the mirror"):
@@ -451,16 +444,16 @@ def test_the_connection_comes_back_with_the_server(folder):
             there.command(shape)
             assert there.read(1).counter == 7
         with (
-            behind(RecordingBench(4), folder, port),
+            behind(RecordingBench(4), keys_folder, port),
             pytest.raises(BenchFault, match="is no longer the server of NOTED with its 5"),
         ):
             there.put_on(BARE)
 
 
-def test_a_connection_that_breaks_comes_back_and_no_row_is_taken_blindly(recorder, folder):
+def test_a_connection_that_breaks_comes_back_and_no_row_is_taken_blindly(recorder, keys_folder):
     _, address = recorder
     shape = Shape(BARE, 1, 1, 1, np.zeros(5))
-    with connect(choice(address), folder) as there:
+    with connect(choice(address), keys_folder) as there:
         there.put_on(BARE)
         there.command(shape)
         there._thread.loop.call_soon_threadsafe(there._client.disconnect_socket)
@@ -470,10 +463,10 @@ def test_a_connection_that_breaks_comes_back_and_no_row_is_taken_blindly(recorde
         assert there.read(1).counter == 7
 
 
-def test_a_bench_that_does_not_answer_is_a_fault(recorder, folder, monkeypatch):
+def test_a_bench_that_does_not_answer_is_a_fault(recorder, keys_folder, monkeypatch):
     bench, address = recorder
     monkeypatch.setattr(OpcUaBench, "_timeout", 1.5)
-    with OpcUaBench(choice(address), folder) as there:
+    with OpcUaBench(choice(address), keys_folder) as there:
         there.put_on(BARE)
         bench.seconds = 2.5
         with pytest.raises(BenchFault, match=r"does not answer Status within 1\.5 s"):
@@ -483,10 +476,10 @@ def test_a_bench_that_does_not_answer_is_a_fault(recorder, folder, monkeypatch):
         there.rest()
 
 
-def test_what_the_bench_raises_comes_out_as_it_is(recorder, p45_served, folder):
+def test_what_the_bench_raises_comes_out_as_it_is(recorder, p45_served, keys_folder):
     bench, address = recorder
     here = tn.SimulatedBench(p45(), 3)
-    with connect(choice(p45_served), folder) as there:
+    with connect(choice(p45_served), keys_folder) as there:
         there.rest()
         for raise_it, kind in (
             (lambda one: one.put_on(tn.Load("anvil")), UnknownName),
@@ -505,7 +498,7 @@ def test_what_the_bench_raises_comes_out_as_it_is(recorder, p45_served, folder):
             there.command(Shape(tn.Load("ring"), 1, 1, 1, np.zeros(45)))
         with pytest.raises(BenchFault, match="not finite"):
             there.command(Shape(BARE, 1, 1, 1, np.full(45, np.nan)))
-    with connect(choice(address), folder) as there:
+    with connect(choice(address), keys_folder) as there:
         bench.fault = ZeroDivisionError("a slip")
         with pytest.raises(BenchFault, match=r"fails in Rest \(BadUnexpectedError\)"):
             there.rest()
@@ -514,17 +507,17 @@ def test_what_the_bench_raises_comes_out_as_it_is(recorder, p45_served, folder):
 # -- keys ----------------------------------------------------------------------------------------
 
 
-def test_keys_are_the_owners_alone_and_made_once(folder):
-    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+def test_keys_are_the_owners_alone_and_made_once(keys_folder):
+    assert stat.S_IMODE(keys_folder.stat().st_mode) == 0o700
     for name in (keys.PASSWORD, keys.SERVER_KEY, keys.CLIENT_KEY):
-        assert stat.S_IMODE((folder / name).stat().st_mode) == 0o600
-    before = keys.read_password(folder / keys.PASSWORD)
+        assert stat.S_IMODE((keys_folder / name).stat().st_mode) == 0o600
+    before = keys.read_password(keys_folder / keys.PASSWORD)
     assert len(before) > 40
-    keys.make_keys(folder)
-    assert keys.read_password(folder / keys.PASSWORD) == before
+    keys.make_keys(keys_folder)
+    assert keys.read_password(keys_folder / keys.PASSWORD) == before
 
 
-def test_keys_that_cannot_be_used_are_refused_in_one_line(tmp_path, folder):
+def test_keys_that_cannot_be_used_are_refused_in_one_line(tmp_path, keys_folder):
     loose = tmp_path / "password.txt"
     loose.write_text("secret\n")
     loose.chmod(0o640)
@@ -541,7 +534,7 @@ def test_keys_that_cannot_be_used_are_refused_in_one_line(tmp_path, folder):
     with pytest.raises(FormatError, match="holds no password"):
         keys.read_password(loose)
     with pytest.raises(BenchFault, match=r"needs bench\.server_certificate"):
-        connect(choice("opc.tcp://127.0.0.1:1", server_certificate=""), folder)
+        connect(choice("opc.tcp://127.0.0.1:1", server_certificate=""), keys_folder)
 
 
 def test_a_certificate_that_has_run_out_is_refused(tmp_path, monkeypatch):
@@ -551,12 +544,12 @@ def test_a_certificate_that_has_run_out_is_refused(tmp_path, monkeypatch):
         keys.read_certificate(tmp_path / "keys" / keys.CLIENT_CERTIFICATE)
 
 
-def test_serve_that_cannot_is_one_line_and_code_2(inside, folder, tmp_path):
+def test_serve_that_cannot_is_one_line_and_code_2(inside, keys_folder, tmp_path):
     with contextlib.closing(socket.socket()) as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        code, out, err = inside("serve", "p45", "--port", port, "-o", folder)
+        code, out, err = inside("serve", "p45", "--port", port, "-o", keys_folder)
     assert (code, out) == (2, "")
     assert (
         err
@@ -571,10 +564,10 @@ def test_serve_that_cannot_is_one_line_and_code_2(inside, folder, tmp_path):
     assert list(empty.iterdir()) == []
 
 
-def test_without_the_extra_its_name_is_told(inside, folder, monkeypatch):
+def test_without_the_extra_its_name_is_told(inside, keys_folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "asyncua", None)
     with pytest.raises(BenchFault, match=r"needs asyncua; install it: pip install 'truenewton\["):
-        connect(choice("opc.tcp://127.0.0.1:1"), folder)
-    code, _, err = inside("serve", "p45", "-o", folder)
+        connect(choice("opc.tcp://127.0.0.1:1"), keys_folder)
+    code, _, err = inside("serve", "p45", "-o", keys_folder)
     assert (code, err.count("\n")) == (2, 1)
     assert "pip install 'truenewton[opcua]'" in err

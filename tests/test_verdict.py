@@ -196,7 +196,7 @@ def with_held_out(c, before, after):
         (lambda c: with_held_out(c, 0.05, 0.03), "limited", "has not seen"),
         (lambda c: with_held_out(c, 0.05, 0.06), "not to be used", "worse with alpha"),
         (lambda c: replace(c, alpha=1e-3 * c.alpha, reading_error=1e-3 * c.reading_error),
-         None, "alpha is about"),
+         "not to be used", "FORCE looks as if in mN"),
     ],
 )  # fmt: skip
 def test_what_makes_a_verdict(clean, change, level, said):

@@ -26,7 +26,8 @@ FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to 
         "is a tracking file", "give it to `recalibrate --known`, or to read_tracking in Python"
     ),
     "CALIBRATION": Fault(
-        "is a calibration file among others", "give it alone, or two of them to `report`"
+        "is a calibration file among others",
+        "give it alone, or two of them to `report`: {} is none",
     ),
 }
 
@@ -73,7 +74,10 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
         if file in matrices[1:]:
             faults += [Fault("is a second stiffness file among others", "give it alone")]
         if faults:
-            raise FormatError(faults[0].fault, remedy=faults[0].remedy, path=file.path)
+            other = next((f.path for f in files if "CALIBRATION" not in f.extensions), "this")
+            raise FormatError(
+                faults[0].fault, remedy=faults[0].remedy.format(other), path=file.path
+            )
     campaign = campaign_from(file for file in files if file not in matrices)
     return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
 

@@ -1,8 +1,9 @@
-"""Numbers as people read them: rounded with their errors, never more digits than are meant."""
+"""Numbers as people read them: rounded with their errors, counted and listed."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence, Sized
 
 
 def with_error(value: float, error: float) -> str:
@@ -54,3 +55,23 @@ def by_chance(probability: float) -> str:
     """Return how often chance alone does that to a mirror, in words."""
     share = f"{probability:.1g}" if probability > 1e-12 else "fewer than 1e-12"
     return f"by chance on {share} of such mirrors"
+
+
+def counted(count: int | Sized, noun: str, plural: str = "") -> str:
+    """Return so many of a noun, as '1 row' or '2 rows'; of what has a length, that many."""
+    number = len(count) if isinstance(count, Sized) else int(count)
+    return f"{number} {noun if number == 1 else plural or f'{noun}s'}"
+
+
+def listed(names: Iterable[object], most: int) -> str:
+    """Return the first names of a list, and how many more there are, as '1, 2 and 3 more'."""
+    every = list(map(str, names))
+    if len(every) > most:
+        every = [*every[:most], f"{len(every) - most} more"]
+    *first, last = every
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def named(noun: str, names: Sequence[object], most: int) -> str:
+    """Return a noun with the names of those that are meant, as 'actuators 3, 5 and 8'."""
+    return f"{noun if len(names) == 1 else f'{noun}s'} {listed(names, most)}"

@@ -25,6 +25,7 @@ from truenewton.files.outputs import file_beside, in_one_line, to_disk
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.known import Mirror
 from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
+from truenewton.rounding import counted
 
 PLAN, SHAPES = "plan.toml", ".shapes.npy"
 OF_SHAPES = f"# {SHAPES}: "  # before their SHA256 in the plan of a folder
@@ -125,7 +126,7 @@ def refuse_other_plan(
         return
     lines = list(difflib.unified_diff(begun, wanted, n=0, lineterm=""))
     changed = [line for line in lines[2:] if not line.startswith("@@") and line[1:].strip()]
-    more = f" and {len(changed) - SHOWN} lines more" if len(changed) > SHOWN else ""
+    more = f" and {counted(len(changed) - SHOWN, 'line')} more" if len(changed) > SHOWN else ""
     raise CampaignMismatch(
         f"was begun with another plan: {', '.join(changed[:SHOWN])}{more}",
         remedy=f"take the plan back ({PLAN} in the folder has it), or give another folder",

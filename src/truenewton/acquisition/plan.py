@@ -18,7 +18,7 @@ from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.known import Mirror
-from truenewton.records.file import cycle_name
+from truenewton.records.file import SUFFIXES, cycle_name
 from truenewton.statics.load import Load, check_load
 
 POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "limits.displacement",
@@ -210,6 +210,12 @@ def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
     ------
     UnreadableFile, FormatError, LimitExceeded
     """
+    if Path(path).is_dir() or os.fspath(path).endswith(SUFFIXES):
+        raise FormatError(
+            "is a folder" if Path(path).is_dir() else "is named as FITS files are",
+            remedy="give the plan, a TOML file; `truenewton plan --new` prints one to start from",
+            path=path,
+        )
     return filled(CampaignPlan, read_toml(path), path)
 
 

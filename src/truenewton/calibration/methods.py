@@ -32,6 +32,7 @@ from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import counted
 
 Imbalances = tuple[stiffness_svd.Imbalance, ...]
 
@@ -61,8 +62,9 @@ def _svd_of_cycles(sifted: Sifted, _: Known) -> Estimate:
     others = [fault for fault in judged.diagnosis.warnings if fault not in of_effects]
     warnings = (*found.diagnosis.warnings, *effect_warnings(effects), *others)
     if judged.rejected:
-        rows = f"{len(judged.rejected)} rows do not fit, and svd takes them all"
-        warnings += (Fault(rows, "use ml, which leaves them out, or mark them as not VALID"),)
+        out = counted(judged.rejected, "row")
+        rows = f"svd takes all rows, {out} among them that ml leaves out"
+        warnings += (Fault(rows, "use ml, or mark as not VALID those that do not belong"),)
     diagnosis = replace(found.diagnosis, warnings=warnings)
     fit = judged.goodness  # of `ml`: told where no alpha balances the data
     goodness = fit if fit is not None and fit.probability < FITS else None

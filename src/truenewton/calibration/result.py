@@ -25,6 +25,7 @@ from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
 from truenewton.records.source import Source
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
@@ -152,8 +153,8 @@ class Calibration:
     def __repr__(self) -> str:
         on = self.layout.enabled
         return (
-            f"<Calibration of {self.instrument}: {np.count_nonzero(on)} actuators, alpha"
-            f" {self.alpha[on].min():.3g} .. {self.alpha[on].max():.3g}, typical error"
+            f"<Calibration of {self.instrument}: {counted(int(np.count_nonzero(on)), 'actuator')},"
+            f" alpha {self.alpha[on].min():.3g} .. {self.alpha[on].max():.3g}, typical error"
             f" {np.median(self.error[on]):.2g}, method {self.method}, scale {self.scale}>"
         )
 

@@ -22,7 +22,7 @@ from truenewton.estimation.sifted import sift
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, modal_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import with_error
+from truenewton.rounding import counted, with_error
 
 
 def survey(
@@ -57,7 +57,7 @@ def survey(
         "verdict": verdict.values,
     }
     off = f" ({disabled} disabled)" if disabled else ""
-    headline = f"a {what} of {data.instrument}: {data.layout.n} actuators{off}{contents}"
+    headline = f"a {what} of {data.instrument}: {counted(data.layout.n, 'actuator')}{off}{contents}"
     lines.insert(0, headline)
     if refused:
         lines += [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in verdict.faults]
@@ -75,8 +75,13 @@ def _survey_campaign(
     campaign: Campaign, method: str, population: bool
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a campaign alone, the first the end of the headline."""
-    sifted = sift(campaign)
-    moments = sifted.moments
+    sifted, refusal = None, Verdict(Level.NONE)
+    try:
+        sifted = sift(campaign)
+    except TooManyOutliers as error:  # what the files hold is told all the same
+        refusal = Verdict(Level.NONE, refusals(error, None))
+    shapes = len(np.unique(np.concatenate([c.shape[c.valid] for c in campaign.cycles])))
+    noise, rejected = (sifted.moments.noise, sifted.rejected) if sifted else (np.nan, ())
     loads = []
     for load, weight in zip(campaign.loads, campaign.effective_weights.tolist(), strict=True):
         cycles = [c for c in campaign.cycles if c.load.key == load.key]
@@ -97,27 +102,28 @@ def _survey_campaign(
         "weight": campaign.weight,
         "e_weight": campaign.weight_error,
         "loads": loads,
-        "shapes": len(np.unique(moments.labels[:, 1])),
+        "shapes": shapes,
         "largest_force": max(cycle.largest_force for cycle in campaign.cycles),
-        "noise": moments.noise,
-        "strange_rows": rejected_values(campaign, sifted.rejected),
+        "noise": noise,
+        "strange_rows": rejected_values(campaign, rejected),
     }
     lines = [
-        f", {len(campaign.cycles)} cycle files, {values['shapes']} shapes",
+        f", {counted(campaign.cycles, 'cycle file')}, {counted(shapes, 'shape')}",
         row("weight P", f"{with_error(campaign.weight, campaign.weight_error)} N"),
     ]
     for facts in loads:
         added = f"Q = {with_error(facts['added'], facts['e_added'])} N"
         tilt = f", tilt {facts['tilt']:g} deg" if facts["tilt"] else ""
         invalid = f", {facts['invalid']} not valid" if facts["invalid"] else ""
-        counts = f", {facts['cycles']} cycles, {facts['rows']} rows"
+        counts = f", {counted(facts['cycles'], 'cycle')}, {counted(facts['rows'], 'row')}"
         lines.append(row(f"load {facts['load']}", added + tilt + counts + invalid))
     lines.append(row("largest force", f"{values['largest_force']:.3g} N commanded"))
-    if np.isfinite(moments.noise):
-        noise = f"{1e3 * moments.noise:.3g} mN, from repeated shapes"
-        lines.append(row("noise of one reading", noise))
-    lines += rejected_lines(campaign, sifted.rejected)
-    diagnosis = diagnose(sifted.sound, moments)
+    if np.isfinite(noise):
+        lines.append(row("noise of one reading", f"{1e3 * noise:.3g} mN, from repeated shapes"))
+    lines += rejected_lines(campaign, rejected)
+    if sifted is None:
+        return values, lines, Diagnosis(), refusal
+    diagnosis = diagnose(sifted.sound, sifted.moments)
     try:
         estimate = find_alpha(sifted, method, population=population)
         verdict = calibration_of(campaign, estimate).verdict

@@ -15,17 +15,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array
+from truenewton.calibration.scale_faults import scale_faults, unit_fault, weights_along_axis
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
-from truenewton.estimation.diagnosis import ErrorKind, FoundEffect, RejectedRow
+from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.effects.words import MISFIT, effect_warnings
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.fit_warnings import PLAUSIBLE
-from truenewton.estimation.identifiability import ALIKE, alike_loads_fault
-from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
+from truenewton.estimation.files_apart import STILL
+from truenewton.estimation.identifiability import alike_loads_fault
+from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, with_error
-from truenewton.statics.arms import effective_weight
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
@@ -40,9 +39,7 @@ UNKNOWN = 1 / 3
 # times the noise it is the data that are not what they say: with a mN of noise, 0.1 N per reading.
 SENSELESS = 1e4
 UNEVEN = 2.0  # times as much imbalance in modes that the fit has not seen: said
-NO_ERROR = 1e-6  # of the common scale: below, nobody knows a weight so well
 SIGMAS = 3.0  # within which alpha is 0
-WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 UNUSABLE_BEFORE = "earlier calibration that is not to be used"
 # Effects in which the files are not what they say: the user alone can settle them.
 OF_FILES = (
@@ -50,8 +47,13 @@ OF_FILES = (
     "FORCE in another unit",
     "the file's load is another",
     "exchanged columns",
-    "another order of FORCE",
+    "another order of ",
     "order of FORCE is not that of POSITION",
+    "FORCE of the other sign",
+    "POSITION of the other sign",
+    "POSITION in another unit",
+    "files of two mirrors",
+    STILL.name,
     "asymmetric stiffness",
     UNUSABLE_BEFORE,
 )
@@ -140,8 +142,11 @@ def warn_of(calibration: Calibration, stacklevel: int = 3) -> None:
 def _grave(c: Calibration) -> Iterator[Fault]:
     """Yield why a calibration is not to be used, causes before what they do."""
     fits = c.goodness is None or not c.goodness.probability < IMPROBABLE
-    grave = OF_FILES if fits else OF_FILES + OF_ROWS
+    unit = unit_fault(c)
+    grave = OF_FILES + OF_ROWS * (not fits) + SILENT * (unit is not None)
     yield from effect_warnings(_uncorrected(c, grave))
+    if unit:
+        yield unit
     yield from _harm(c)
     alpha = c.alpha[c.layout.enabled]
     few = max(2, FEW * alpha.size)
@@ -157,8 +162,9 @@ def _grave(c: Calibration) -> Iterator[Fault]:
     if negative > few:
         yield Fault(
             f"alpha is negative for {negative} of {alpha.size} actuators",
-            "check the signs and the order of FORCE, and the signs of WEIGHT and ADDED: z points"
-            " up",
+            "turn the sign of FORCE, which is positive upwards; or ADDED stands at the wrong load"
+            if negative == alpha.size
+            else "check the signs and the order of FORCE: z points up",
         )
     yield from senseless
 
@@ -166,19 +172,23 @@ def _grave(c: Calibration) -> Iterator[Fault]:
 def _senseless(c: Calibration) -> Iterator[Fault]:
     """Yield what no alpha can be believed with, whatever its cause."""
     weighed = c.scale == Scale.WEIGHTS
-    if weighed and (not c.loads or np.ptp(_weights(c)) == 0.0):
+    if weighed and (not c.loads or np.ptp(weights_along_axis(c)) == 0.0):
         yield Fault(
             "no load differs from another, so nothing fixes the common scale",
             "add cycles under a load of another known weight",
         )
     error = typical(c.error, c.alpha)
     if error > UNKNOWN:
-        alike = alike_loads_fault(_weights(c)) if weighed else None
+        alike = alike_loads_fault(weights_along_axis(c)) if weighed else None
         if alike:
             yield alike
+        by_weights = typical(c.systematic_error, c.alpha) > typical(c.reading_error, c.alpha)
         yield Fault(
             f"alpha is known to {percent(error)} typically, so it is not told from 0",
-            "add shapes and cycles, use larger forces, or loads that differ more in weight",
+            "check E_WEIGHT, E_ADDED and E_TILT, standard uncertainties in N and deg; or take loads"
+            " that differ more in weight"
+            if by_weights
+            else "add shapes and cycles, use larger forces, or loads that differ more in weight",
         )
     if c.goodness is not None and c.goodness.reduced > SENSELESS:
         yield Fault(
@@ -208,12 +218,6 @@ def _harm(c: Calibration) -> Iterator[Fault]:
 def _limits(c: Calibration) -> Iterator[Fault]:
     """Yield what limits a calibration that can be used, what the bench did first."""
     yield from effect_warnings(_uncorrected(c))
-    median = float(np.nanmedian(c.alpha))
-    if median > 0 and not PLAUSIBLE[0] < median < PLAUSIBLE[1]:
-        yield Fault(
-            f"alpha is about {median:.2g}",
-            "check the units of FORCE, WEIGHT and ADDED: they are Newton",
-        )
     if c.imbalances:
         fitted, *unseen = (line.after for line in c.imbalances)
         if max(unseen) > UNEVEN * fitted:
@@ -231,12 +235,14 @@ def _limits(c: Calibration) -> Iterator[Fault]:
         yield Fault(
             f"the shapes are out of balance by {np.sqrt(fit.reduced):.2g} times what their noise"
             " explains",
-            "look for a drift, and give POSITION with COILGRAD and BIASGRAD",
+            "take method ml, which looks for what the bench does beside the model"
+            if c.method == "svd"
+            else "look for what differs between files: a drift, a label, what touches the glass",
         )
     if c.rejected > MANY * (c.rejected + c.shapes_used):
         part = percent(c.rejected / (c.rejected + c.shapes_used))
         yield Fault(f"{part} of the rows do not fit", "find out what happened during the run")
-    yield from _scale_faults(c)
+    yield from scale_faults(c)
     yield from _row_faults(c)
     named = {effect.where for effect in c.effects}
     for k in _off_family(c):
@@ -255,33 +261,6 @@ def _limits(c: Calibration) -> Iterator[Fault]:
             )
 
 
-def _scale_faults(c: Calibration) -> Iterator[Fault]:
-    """Yield that the weights limit the common scale, or are given without their errors."""
-    if c.scale == Scale.MEAN_ONE:
-        return
-    weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
-    if c.scale == Scale.WEIGHTS:
-        alike = alike_loads_fault(_weights(c))
-        if alike and typical(c.error, c.alpha) > ALIKE:
-            yield alike
-        exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
-        if exact or weights < NO_ERROR:
-            which = f" (E_ADDED of {' and '.join(exact)} is 0)" if exact else ""
-            yield Fault(
-                f"the weights are given without errors{which}, so the common scale seems known"
-                " without any",
-                "give E_WEIGHT, E_ADDED and E_TILT, the standard uncertainties of the weighing",
-            )
-    if weights > 2.0 * readings:
-        fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
-        yield Fault(fault, remedy or "better known weights would help, more cycles would not")
-
-
-def _weights(c: Calibration) -> Array:
-    """Return (L,) weights of mirror and load along the axis [N]."""
-    return effective_weight(c.weight, [q.added for q in c.loads], [q.tilt for q in c.loads])
-
-
 def _row_faults(c: Calibration) -> Iterator[Fault]:
     """Yield that rows were left out, and the farthest of them."""
     if not c.rejected:
@@ -298,26 +277,6 @@ def _row_faults(c: Calibration) -> Iterator[Fault]:
             "look at the residuals; an actuator that stands out again and again is worth a look"
         )
     yield Fault(f"{rows} left out{farthest}", remedy)
-
-
-def scale_limit(c: Calibration) -> Fault | None:
-    """Return what limits the common scale and what would help; None where the weights do not."""
-    if not c.scale_errors or c.scale_errors[0].source == READINGS:
-        return None
-    total, largest = scale_total(c.scale_errors), c.scale_errors[0]
-    share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
-    fault = f"the common scale is known to {percent(total)}, {share} from the {largest.source}"
-    remedies = []
-    heaviest = max(c.loads, key=lambda load: load.added_error)
-    if largest.source.kind in WEIGHED and heaviest.added_error:
-        better = np.sqrt(total**2 - 0.99 * largest.relative**2)
-        finer = 1e3 * heaviest.added_error / 10
-        remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")
-    if not any(load.tilt for load in c.loads):
-        tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
-        if tilted < total:
-            remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
-    return Fault(fault, "; ".join(remedies))
 
 
 def rejected_sentence(row: RejectedRow, file: str) -> str:

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.verdict import Verdict, rejected_sentence, scale_limit
+from truenewton.calibration.scale_faults import scale_limit
+from truenewton.calibration.verdict import Verdict, rejected_sentence
 from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.weights import scale_budget, typical
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.rounding import percent, to_digits, with_error
+from truenewton.rounding import counted, percent, to_digits, with_error
 
 NOISE_FROM = {
     NoiseSource.REPEATS: "from repeated shapes",
@@ -61,7 +62,7 @@ def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Itera
     for row in rows[:5]:
         yield f"  left out: {rejected_sentence(row, campaign.cycles[row.cycle].name)}"
     if len(rows) > 5:
-        yield f"  and {len(rows) - 5} rows more"
+        yield f"  and {counted(len(rows) - 5, 'row')} more"
 
 
 def imbalance_lines(imbalances: Sequence[Imbalance]) -> Iterator[str]:
@@ -125,10 +126,14 @@ def headline(calibration: Calibration) -> str:
     """Return what was calibrated, from how much."""
     c, on = calibration, calibration.layout.enabled
     return (
-        f"{c.instrument}, {c.date:%Y-%m-%d}: {on.sum()} actuators"
+        f"{c.instrument}, {c.date:%Y-%m-%d}: {counted(int(on.sum()), 'actuator')}"
         + (f" ({(~on).sum()} disabled)" if not on.all() else "")
-        + f", {c.shapes_used} {f'rows under {len(c.loads)} loads' if c.loads else 'elastic modes'}"
-        + (f", {c.invalid} rows not valid left out" if c.invalid else "")
+        + (
+            f", {counted(c.shapes_used, 'row')} under {counted(c.loads, 'load')}"
+            if c.loads
+            else f", {counted(c.shapes_used, 'elastic mode')}"
+        )
+        + (f", {counted(c.invalid, 'row')} not valid left out" if c.invalid else "")
     )
 
 

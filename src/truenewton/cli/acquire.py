@@ -32,6 +32,7 @@ def run(
     from truenewton.bench.protocol import Operator
     from truenewton.bench.simulated.truth import truth_path
     from truenewton.files.outputs import refuse_existing
+    from truenewton.rounding import counted
 
     wanted, beside = read_plan(plan), plan.parent
     simulated, complete = wanted.bench.kind == "simulated", is_complete(output, wanted)
@@ -51,8 +52,8 @@ def run(
     if simulated:
         simulated_bench(wanted, beside).write_truth(output, overwrite=True)
     already = " already" if complete else ""
-    loads, cycles = len(wanted.loads), wanted.cycles
-    say(f"{output}: complete{already}, {loads} loads x {cycles} cycles")
+    loads, cycles = counted(wanted.loads, "load"), counted(wanted.cycles, "cycle")
+    say(f"{output}: complete{already}, {loads} x {cycles}")
 
 
 class Terminal:

@@ -32,7 +32,7 @@ def run(
         summary_lines,
         summary_values,
     )
-    from truenewton.cli.terminal import print_result
+    from truenewton.cli.terminal import about, print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.mirrors.file import mirror_from
     from truenewton.mirrors.shell.puck_motion import motion_for
@@ -42,8 +42,9 @@ def run(
     refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     motion = motion_for(mirror_from(mirror), data.layout) if mirror else None
-    calibration = calibrate(data, method, population=population, motion=motion)
-    refuse_unusable(calibration, force=force)
+    with about(paths):
+        calibration = calibrate(data, method, population=population, motion=motion)
+        refuse_unusable(calibration, force=force)
     if output is not None:
         calibration.write(output, overwrite=overwrite)
     lines = [*summary_lines(calibration), *imbalance_lines(calibration.imbalances)]

@@ -16,7 +16,7 @@ def run(
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
     from truenewton.calibration.figures import write_figures
-    from truenewton.cli.terminal import busy, say
+    from truenewton.cli.terminal import about, busy, say
     from truenewton.errors import RankDeficient
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read
@@ -24,7 +24,7 @@ def run(
     from truenewton.report.investigate import investigate
 
     refuse_existing(output, overwrite=overwrite)
-    with busy("drawing"):
+    with busy("drawing"), about(paths):
         findings = investigate(read(*paths))
         if findings.calibration is None:
             fault, remedy = findings.faults[0]

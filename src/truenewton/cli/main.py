@@ -71,7 +71,8 @@ def main() -> None:
     except TrueNewtonError as error:
         code = _refuse(str(error))
     except CommandLineError as error:
-        code = _refuse(f"{error.format_message().rstrip('.')}; see 'truenewton --help'")
+        command = " ".join(["truenewton", *(word for word in sys.argv[1:2] if word in COMMANDS)])
+        code = _refuse(f"{error.format_message().rstrip('.')}; see '{command} --help'")
     except (typer.Abort, KeyboardInterrupt):
         code = _refuse("interrupted; nothing was left half-written")
     except BrokenPipeError:

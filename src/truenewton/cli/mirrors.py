@@ -49,12 +49,12 @@ def run(
     if source:
         text = (inspect.getdoc(source) or "").split("Parameters\n")[0]
         lines += ["", *(f"  {line}".rstrip() for line in text.split("\n")[2:])]
-    print_result(lines, values=numbers if json else None)
-    if plot:
-        path = output or Path(f"{known.name.lower()}.png")
+    path = (output or Path(f"{known.name.lower()}.png")) if plot else None
+    if path:
         write_figure(plot_layout(known.layout), path, overwrite=overwrite)
-        if not json:
-            say(path)
+    print_result(lines, values=numbers if json else None)
+    if path and not json:
+        say(path)
 
 
 def _row(mirror: Mirror) -> tuple[str, ...]:

@@ -46,7 +46,8 @@ def run(
     json: bool = options.JSON,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
-    from truenewton.cli.terminal import busy, print_result
+    from truenewton.cli.terminal import about, busy, print_result
+    from truenewton.errors import OutputFailed
     from truenewton.figures.writing import write_drawn
     from truenewton.files.outputs import refuse_existing, together
     from truenewton.modal.dissipation import Budget
@@ -59,13 +60,13 @@ def run(
     from truenewton.records.file import SUFFIXES
 
     if output is not None and not output.name.endswith(SUFFIXES):
-        raise typer.BadParameter("let -o end in .fits")
+        raise OutputFailed("is no name for a modal base", remedy="let -o end in .fits", path=output)
     atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     floating = options.ids(off, "--off") if off else ()
     following = options.ids(slaved, "--slaved") if slaved else ()
     more: list[Path] = []
-    with busy("finding modes"):
+    with busy("finding modes"), about(paths):
         modes = find_modes(
             read_data(*paths),
             None if calibration is None else read_calibration(calibration),

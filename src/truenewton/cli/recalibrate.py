@@ -24,7 +24,7 @@ def run(
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
     from truenewton.calibration.verdict import refuse_unusable
-    from truenewton.cli.terminal import print_result
+    from truenewton.cli.terminal import about, print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
@@ -38,8 +38,9 @@ def run(
     data = read_data(*paths)
     if not isinstance(data, Campaign):
         raise FormatError("holds no cycles", remedy="give the run after the change", path=paths[0])
-    made = recalibrate(data, known, ids, force=force)
-    refuse_unusable(made.calibration, force=force)
+    with about(paths):
+        made = recalibrate(data, known, ids, force=force)
+        refuse_unusable(made.calibration, force=force)
     if output is not None:
         made.calibration.write(output, overwrite=overwrite)
     print_result(lines(made), output, values=values(made) if json else None)

@@ -23,6 +23,7 @@ def run(
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
     from truenewton.cli.terminal import busy, print_result
+    from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read, read_calibrations
     from truenewton.report.change import Change, change
@@ -31,7 +32,9 @@ def run(
     from truenewton.report.verdict import verdict, verdict_on_change
 
     if output.suffix.lower() not in (".html", ".htm"):
-        raise typer.BadParameter("the page is HTML: let -o end in .html (a browser prints it)")
+        raise OutputFailed(
+            "is no name for a page", remedy="let -o end in .html (a browser prints it)", path=output
+        )
     refuse_existing(output, overwrite=overwrite)
     with busy("looking into it"):
         pair = read_calibrations(*paths) if len(paths) == 2 else ()

@@ -29,6 +29,7 @@ def run(
     from truenewton.files.outputs import refuse_existing, together
     from truenewton.mirrors.file import mirror_from
     from truenewton.records.file import write_campaign
+    from truenewton.rounding import counted
 
     refuse_existing(output, truth_path(output), overwrite=overwrite)
     if fidelity not in FIDELITIES:
@@ -43,6 +44,7 @@ def run(
         write_truth(bench.truth, truth_path(output), overwrite=overwrite)
     shapes = 2 * len(bench.shapes)
     say(
-        f"{output}: {bench.mirror.name}, {len(bench.loads)} loads x {cycles} cycles x {shapes}"
-        f" shapes; truth in {truth_path(output).name}"
+        f"{output}: {bench.mirror.name}, {counted(bench.loads, 'load')} x"
+        f" {counted(cycles, 'cycle')} x {counted(shapes, 'shape')};"
+        f" truth in {truth_path(output).name}"
     )

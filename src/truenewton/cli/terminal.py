@@ -10,7 +10,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from truenewton.errors import printable
+from truenewton.errors import (
+    NotConverged,
+    NotToBeUsed,
+    RankDeficient,
+    TooManyOutliers,
+    located,
+    printable,
+)
 
 Item = TypeVar("Item")
 
@@ -19,6 +26,15 @@ def say(*lines: object) -> None:
     """Print lines, whatever the names in them hold; the only place that prints to people."""
     for line in lines:
         print(printable(str(line)), flush=True)
+
+
+@contextlib.contextmanager
+def about(paths: Sequence[Path]) -> Iterator[None]:
+    """Let a refusal of data name the path that was given, if there is but one and it names none."""
+    try:
+        yield
+    except (RankDeficient, TooManyOutliers, NotConverged, NotToBeUsed) as error:
+        raise located(error, paths[0]) if len(paths) == 1 else error from None
 
 
 def _plain(value: Any) -> Any:

@@ -26,6 +26,7 @@ files, in the order in which data pass through them:
     moments          repeats put together: number, mean, scatter
     file_labels      files whose load, SIGN or SHAPE is not what they say
     row_prints       prints of some rows
+    files_apart      columns of a file that are not those of the others, told by them
     copied_files     files that are copies of others, told by them
     still_readings   readings that freeze, or end at a limit
     rounding_steps   forces in steps, and the noise that these add

@@ -18,6 +18,7 @@ from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.moments import Moments
 from truenewton.linalg import asymmetry
 from truenewton.records.campaign import Campaign
+from truenewton.rounding import named
 
 CONTRADICTS = 0.2  # asymmetry of the stiffness in terms of its size
 CURES = 0.5  # of it, which the better order leaves at most
@@ -48,11 +49,7 @@ def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[FoundEffec
     ids = campaign.layout.id[campaign.layout.enabled][moved].tolist()
     percent = f"asymmetry of the stiffness {100 * before:.0f} %, in the best order"
     percent += f" {100 * after:.0f} %"
-    which = (
-        f"{moved.size} of {len(order)} columns"
-        if not few
-        else (f"actuators {', '.join(map(str, ids[:-1]))} and {ids[-1]}")
-    )
+    which = f"{moved.size} of {len(order)} columns" if not few else named("actuator", ids, FEW)
     return (
         FoundEffect(
             name="exchanged columns of FORCE or POSITION" if few else

@@ -9,7 +9,7 @@ stand clearly apart, a file in the cluster of another load has the wrong name.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 import scipy.optimize
@@ -20,6 +20,7 @@ from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign
+from truenewton.rounding import listed
 from truenewton.statics.arms import enabled_arms
 
 OTHER_UNIT = 20.0  # times as large the readings of a file are
@@ -28,6 +29,9 @@ PLAUSIBLE = 5.0  # alpha, or its inverse: beyond, what lies apart is not the wei
 MOVED = 0.3  # of the distance from its own label, within which a row fits that of another
 SHARE = 0.3  # of the rows of a file that fit other labels
 ALIKE = 0.8  # of these that moved the same way
+SAME = 1e-6  # of a weight, by which loads of one name differ at most
+SAID = 3  # files that are named
+INDISTINCT = 1.5  # times as far as files of one load lie apart
 
 
 def files_in_other_units(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
@@ -61,33 +65,64 @@ def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[FoundEffect
     rest = rest_by_file(moments, moments.within)
     if rest is None:
         return ()
-    count, said = len(campaign.loads), np.array(campaign.load_index)
-    cluster = clusters(np.linalg.norm(rest[:, None] - rest, axis=2), count)
-    if cluster is None:
-        return ()
-    together = np.zeros((count, count), dtype=np.int64)
+    distance, said = np.linalg.norm(rest[:, None] - rest, axis=2), np.array(campaign.load_index)
+    for count in range(len(campaign.loads), 1, -1):  # fewer where one load stands under two names
+        cluster = clusters(distance, count)
+        if cluster is not None:
+            true = _load_of_clusters(cluster, said)
+            return tuple(_mislabelled(campaign, rest, distance, true))
+    return ()
+
+
+def _load_of_clusters(cluster: NDArray[np.int64], said: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return (files,) the load of each file, that of most files of its cluster."""
+    together = np.zeros((cluster.max() + 1, said.max() + 1), dtype=np.int64)
     np.add.at(together, (cluster, said), 1)
-    true = scipy.optimize.linear_sum_assignment(-together)[1][cluster]
-    wrong = np.flatnonzero(true != said)
-    if not wrong.size:
-        return ()
-    means = np.array([rest[true == load].mean(axis=0) for load in range(count)])
-    total = means @ enabled_arms(campaign.layout)[0]
-    first, second = np.triu_indices(count, 1)
-    weights = campaign.effective_weights
-    alpha = np.abs((weights[first] - weights[second]) / (total[first] - total[second]))
-    if not ((alpha > 1.0 / PLAUSIBLE) & (alpha < PLAUSIBLE)).all():
-        return ()
-    return tuple(
-        FoundEffect(
-            name="the file's load is another",
-            where=f"{campaign.cycles[k].name}, at rest as under {campaign.loads[true[k]].name}",
-            size=float(np.sqrt(np.mean((means[true[k]] - means[said[k]]) ** 2))),
-            unit="N",
-            remedy="correct LOAD of the file, or leave it out",
+    return np.asarray(scipy.optimize.linear_sum_assignment(-together)[1][cluster])
+
+
+def _mislabelled(
+    campaign: Campaign, rest: Array, distance: Array, true: NDArray[np.int64]
+) -> Iterator[FoundEffect]:
+    """Name files whose load is another than they say, if the weights agree with that."""
+    said, weights = np.array(campaign.load_index), campaign.effective_weights
+    there = np.unique(true)
+    total = rest @ enabled_arms(campaign.layout)[0]
+    means = {load: rest[true == load].mean(axis=0) for load in there.tolist()}
+    sums = np.array([total[true == load].mean() for load in there])
+    first, second = np.triu_indices(len(there), 1)
+    alpha = (weights[there[first]] - weights[there[second]]) / (sums[second] - sums[first])
+    if not ((np.abs(alpha) > 1.0 / PLAUSIBLE) & (np.abs(alpha) < PLAUSIBLE)).all():
+        return
+    same = (true[:, None] == true) & (said[:, None] == said) & ~np.eye(len(said), dtype=bool)
+    usual = float(np.median(distance[same])) if same.any() else np.inf
+    scatter = float(np.abs(total[:, None] - total)[same].max()) if same.any() else 0.0
+    named = dict[tuple[int, int], list[int]]()
+    for k in np.flatnonzero(true != said).tolist():
+        own, other = int(said[k]), int(true[k])
+        differ = abs(float(weights[own] - weights[other]))
+        if own in means or differ > SAME * abs(weights[other]):
+            # A load that differs little from the other lies with it: so it may be what it says.
+            off = max(abs(float(total[k] - sums[there == other].item())), scatter)
+            if own not in means and np.abs(alpha).max() * off > CLEAR * differ:
+                continue
+            yield FoundEffect(
+                name="the file's load is another",
+                where=f"{campaign.cycles[k].name}, at rest as under {campaign.loads[other].name}",
+                size=float(np.sqrt(np.mean((means[other] - rest[k]) ** 2))),
+                unit="N",
+                remedy="correct LOAD of the file, or leave it out",
+            )
+        elif np.median(distance[k][(true == other) & (said == other)]) < INDISTINCT * usual:
+            named.setdefault((own, other), []).append(k)
+    for (own, other), files in named.items():
+        names = listed([campaign.cycles[k].name for k in files], SAID)
+        one, two = (f"'{campaign.loads[load].name}'" for load in (own, other))
+        yield FoundEffect(
+            name="one load under two names",
+            where=f"{one} in {names} is as {two} at rest",
+            remedy=f"let LOAD say {two} there, or {one} elsewhere, unless loads were two",
         )
-        for k in wrong.tolist()
-    )
 
 
 def rest_by_file(moments: Moments, within: WithinGroups) -> Array | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 import scipy.stats
@@ -13,10 +14,14 @@ from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.repeats import WEIGHED_NOISE
+from truenewton.records.campaign import mean_temperature
 from truenewton.records.fault import Fault
+from truenewton.rounding import counted, listed
 
 LOUDER = 1.5  # times FORCERR: a scatter of the repeats that is said
 PLAUSIBLE = (0.2, 5.0)  # alpha in the median
+LONG_AFTER, SAID = 30.0, 2  # days without a file, in one campaign; files that are named
+WARM = 50.0  # [deg C]
 FARTHER = 3.0  # times the weight: bias magnets that hold so much hold another weight
 
 
@@ -46,12 +51,15 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
             f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
             "check ADDED, TILT and their errors",
         )
+    yield from _date_warnings(problem)
+    yield from _warm_warnings(problem)
     yield from _weight_warnings(problem, moments, minimum)
     yield from _rounding_warnings(problem, moments)
     declared = all(cycle.force_error for cycle in problem.campaign.cycles)
     expected = WEIGHED_NOISE**2 + np.mean(moments.rounding)
     louder = float(np.sqrt(problem.noise.seen.mean() / expected))
-    if declared and problem.noise.source == NoiseSource.REPEATS and louder > LOUDER:
+    known = declared and problem.noise.source == NoiseSource.REPEATS
+    if known and louder > LOUDER and _is_in_newton(problem, minimum):
         noise = 1e3 * moments.noise
         yield Fault(
             f"repeated shapes scatter by {noise:.2g} mN, {louder:.3g} times what FORCERR says",
@@ -60,10 +68,40 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
     anew = int(np.count_nonzero(np.isnan(moments.reference)))
     if anew and any(map(is_displaced, problem.campaign.cycles)):
         yield Fault(
-            f"the zeros of {anew} sensors were set anew between files: these count from each"
-            " file's own mean, and E_STAT knows nothing of motion between files",
+            f"the zeros of {counted(anew, 'sensor')} were set anew between files: these count from"
+            " each file's own mean, and E_STAT knows nothing of motion between files",
             "keep the zeros of the sensors through a campaign",
         )
+
+
+def _date_warnings(problem: Problem) -> Iterator[Fault]:
+    """Warn of files that were taken long before or after the others, if it is true."""
+    files = sorted(problem.campaign.cycles, key=lambda cycle: cycle.date)
+    days = [(b.date - a.date).total_seconds() / 86400 for a, b in pairwise(files)]
+    if max(days, default=0.0) < LONG_AFTER:
+        return
+    cut = int(np.argmax(days)) + 1
+    lot = min(files[cut:], files[:cut], key=len)
+    yield Fault(
+        f"by DATE-OBS {max(days):.0f} days lie between"
+        f" {listed([cycle.name for cycle in lot], SAID)} and the other files",
+        "correct DATE-OBS, by which drifts are found; or calibrate what was taken together",
+    )
+
+
+def _warm_warnings(problem: Problem) -> Iterator[Fault]:
+    """Warn of a temperature at which nobody works at a bench."""
+    warm = mean_temperature(problem.campaign.cycles)
+    if warm > WARM:
+        yield Fault(
+            f"TEMPERATURE is {warm:.3g} deg C in the mean",
+            "check its unit: 68 is 20 deg C in Fahrenheit",
+        )
+
+
+def _is_in_newton(problem: Problem, minimum: Minimum) -> bool:
+    """Tell whether alpha is near 1; else a unit is wrong, and the verdict says so."""
+    return PLAUSIBLE[0] < float(np.median(minimum.values[: problem.n])) < PLAUSIBLE[1]
 
 
 def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Fault]:
@@ -73,8 +111,8 @@ def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> It
     bear about that weight. Alpha rests on the differences between loads alone, unless they tilt.
     """
     campaign, n = problem.campaign, problem.n
-    if not PLAUSIBLE[0] < float(np.median(minimum.values[:n])) < PLAUSIBLE[1]:
-        return  # then a unit is wrong, and it may be that of FORCE
+    if not _is_in_newton(problem, minimum):
+        return  # it may be the unit of FORCE that is wrong
     largest = float(np.abs(minimum.values[:n] * moments.mean).max())
     each, bias = abs(campaign.weight) / n, float(minimum.values[problem.unknowns.bias])
     if each > largest:
@@ -85,8 +123,8 @@ def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> It
         return
     yield Fault(
         f"WEIGHT is {campaign.weight:.3g} N, {why}: B comes to {bias:.3g} N",
-        "check WEIGHT and its unit, N (kilograms times -9.81); B is wrong by as much, and alpha too"
-        " where a load is tilted",
+        "check WEIGHT and its unit, N (kilograms times -9.81), and those of FORCE; B is wrong by as"
+        " much, and alpha too where a load is tilted",
     )
 
 

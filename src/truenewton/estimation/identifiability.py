@@ -26,6 +26,7 @@ from truenewton.estimation.imbalance import imbalance_covariance
 from truenewton.estimation.moments import Moments
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
+from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
 
@@ -176,7 +177,9 @@ def geometry_fault(a: Array) -> Fault | None:
     """Name what no shape could mend in (3, n) arms: too few, or all on one line or conic."""
     n = a.shape[1]
     if n < 4:
-        return Fault(f"only {n} actuators take part", "three hold the mirror; enable four at least")
+        return Fault(
+            f"only {counted(n, 'actuator')} enabled", "three hold the mirror; enable four at least"
+        )
     x, y = a[1], a[2]
     values = np.linalg.svd(np.stack([x - x.mean(), y - y.mean()]), compute_uv=False)
     if values[1] <= 1e-6 * values[0]:

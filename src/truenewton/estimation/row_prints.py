@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,12 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 
 PRINTED = 48  # labels whose rows are looked at
+
+
+def common_labels(codes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    """Return (m,) some of the labels that all files have, given (N,) those of the rows of each."""
+    common = reduce(np.intersect1d, codes)
+    return common[np.unique(np.linspace(0, max(len(common) - 1, 0), PRINTED).astype(np.int64))]
 
 
 class RowPrints:
@@ -28,6 +36,8 @@ class RowPrints:
         By file (n,) how many rows after each other repeat the reading before, bit by bit.
     limit, at_limit
         By file (n,) the largest magnitude of a reading [N], and how many of the rows have it.
+    readings
+        (n,) those of each row [N], by file and label.
     of_first
         (n,) readings of the rows of one file [N].
     """
@@ -43,6 +53,15 @@ class RowPrints:
         self.limit: dict[int, Array] = {}
         self.at_limit: dict[int, NDArray[np.int64]] = {}
         self.of_first: list[Array] = []
+        self.readings: dict[tuple[int, int], NDArray[np.float32]] = {}
+
+    def common_rows(self) -> Array:
+        """Return (files, m, n) readings under the labels that all files have [N]."""
+        files = range(1 + max(file for file, _ in self.taken))
+        codes = [np.array([code for of, code in self.taken if of == file]) for file in files]
+        chosen = common_labels(codes).tolist()
+        rows = [[self.readings[file, code] for code in chosen] for file in files]
+        return np.array(rows, dtype=np.float64)
 
     def rows(self, file: int) -> int:
         """Return how many rows of a file were looked at."""
@@ -55,6 +74,7 @@ class RowPrints:
             if key in self.taken:
                 continue
             readings = force[row]
+            self.readings[key] = readings.astype(np.float32)
             self.taken[key] = hashlib.sha1(readings.tobytes(), usedforsecurity=False).digest()
             if file not in self._before:
                 self._run[file], self.longest[file] = np.zeros((2, len(readings)), np.int64)

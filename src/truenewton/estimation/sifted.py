@@ -27,10 +27,12 @@ from truenewton.estimation.file_labels import (
     mislabelled_files,
     mislabelled_rows,
 )
+from truenewton.estimation.files_apart import files_apart, unlike_files
 from truenewton.estimation.moments import QUARTILE, Moments
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.repeats import RepeatSums
+from truenewton.estimation.row_prints import RowPrints
 from truenewton.estimation.still_readings import clipped_readings, frozen_readings
 from truenewton.estimation.structure import Structure, pooled_where_it_fits
 from truenewton.records.campaign import Campaign
@@ -88,14 +90,16 @@ def sift(campaign: Campaign) -> Sifted:
         A cycle would lose all its rows.
     """
     sums = RepeatSums(campaign)
-    units = files_in_other_units(campaign, sums.prints)
+    prints = sums.prints
+    units = files_in_other_units(campaign, prints)
+    apart = files_apart(campaign, prints)
     suspects = (
-        *units,
-        *copied_files(campaign, sums.prints, in_steps=bool(np.any(sums.step))),
+        *(units or apart),
+        *copied_files(campaign, prints, in_steps=bool(np.any(sums.step))),
         *mislabelled_files(campaign, sums.moments),
-        *frozen_readings(campaign, sums.prints),
+        *frozen_readings(campaign, prints),
     )
-    clipped = clipped_readings(campaign, sums.prints)
+    clipped = clipped_readings(campaign, prints)
     refusal: TooManyOutliers | None = None
     try:
         sums, sound, rejected = _left_out(sums, campaign, accidents=True)
@@ -111,14 +115,24 @@ def sift(campaign: Campaign) -> Sifted:
             if refusal is not None and _gross(sums):
                 raise refusal
         except TooManyOutliers as error:
-            suspects += () if units else mislabelled_rows(campaign, range(len(campaign.cycles)))
+            every = range(len(campaign.cycles))
+            suspects += () if units or apart else _relabelled(campaign, prints, every)
             raise naming(error, suspects + clipped) from None
-    suspects += mislabelled_rows(campaign, _hit(campaign, rejected))
+    suspects += () if apart else _relabelled(campaign, prints, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
     moments = replace(sums.moments, displacement=sums.displacement())
     moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
     samples = tuple(sums.samples)
     return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects, clipped)
+
+
+def _relabelled(
+    campaign: Campaign, prints: RowPrints, files: Sequence[int]
+) -> tuple[FoundEffect, ...]:
+    """Say why rows of some files lie far from their repeats: their labels, or the files' origin."""
+    if not files:
+        return ()
+    return mislabelled_rows(campaign, files) or unlike_files(campaign, prints)
 
 
 def _hit(campaign: Campaign, rejected: list[RejectedRow]) -> list[int]:
@@ -198,9 +212,8 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
         valid = cycles[k].valid.copy()
         valid[[row.row for row in rows if row.cycle == k]] = False
         if not valid.any():
-            lost = int(cycles[k].valid.sum())
             raise TooManyOutliers(
-                f"not one of its {lost} rows fits the other files",
+                "not one of its rows fits the other files",
                 remedy="compare its LOAD, SHAPE and SIGN with theirs, and the unit, sign and order"
                 " of its FORCE and POSITION; or leave it out",
                 path=cycles[k].name,

@@ -23,6 +23,7 @@ from truenewton.estimation.matrix_faults import (
 )
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms
 
 FEWEST = 20  # actuators among which one can be told not to fit
@@ -217,9 +218,7 @@ def _warnings(
 
 
 def _named(ids: NDArray[np.int64], some: Sequence[BadActuator]) -> str:
-    names = ", ".join(str(ids[each.index]) for each in some[:20])
-    more = f" and {len(some) - 20} more" if len(some) > 20 else ""
-    return f"actuator{'s' if len(some) > 1 else ''} {names}{more}"
+    return named("actuator", [ids[each.index] for each in some], 20)
 
 
 def _effect(ids: NDArray[np.int64], each: BadActuator) -> FoundEffect:

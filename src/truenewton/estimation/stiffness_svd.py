@@ -25,6 +25,7 @@ from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import counted
 from truenewton.statics.arms import comparable_arms, enabled_arms
 
 # Softer modes mix with the rigid motions through the bias magnets' gradient [N/m].
@@ -102,7 +103,8 @@ def refuse_few_modes(count: int, n: int) -> None:
     """Raise RankDeficient where so many elastic modes cannot hold alpha of n actuators."""
     if count * 3 < n + 1:
         raise RankDeficient(
-            f"only {count} modes are stiffer than {SOFTEST:g} N/m, for {n} actuators",
+            f"only {counted(count, 'mode')} stiffer than {SOFTEST:g} N/m, for"
+            f" {counted(n, 'actuator')}",
             remedy="measure a stiffness matrix of full rank, in N/m",
             got=count,
             want=n - 3,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign
+from truenewton.rounding import named
 
 FEWEST = 3  # rows
 SHARE = 0.1  # of the rows of a file, one after the other
@@ -73,13 +74,10 @@ def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect
         largest = max(largest, float(limit[here].max(initial=0.0)))
     if not clipped.any() or _few_valued(prints):
         return ()
-    named = ids[clipped]
-    which = ", ".join(map(str, named[:SAID].tolist()))
-    which += f" and {named.size - SAID} more" if named.size > SAID else ""
     return (
         _effect(
             "readings cut off at a limit",
-            f"actuator{'s' if named.size > 1 else ''} {which}, at {largest:.4g} N",
+            f"{named('actuator', ids[clipped].tolist(), SAID)}, at {largest:.4g} N",
             float(clipped.mean()),
             "use smaller shapes, or mark the rows that reach the limit as not VALID",
         ),

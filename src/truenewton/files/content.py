@@ -18,6 +18,7 @@ from truenewton.errors import FormatError, TrueNewtonError, located
 from truenewton.files.format import REQUIRED, STORED, Column, FileFormat, Keyword, TableFormat
 from truenewton.files.stored_rows import StoredRows
 from truenewton.linalg import covariance_fault
+from truenewton.rounding import counted
 
 YEARS = range(1950, 2200)  # of dates: arithmetic with them stays far from its ends
 Record = TypeVar("Record")
@@ -150,7 +151,7 @@ class FitsFile:
         if values.shape != want:
             size = math.prod(values.shape[1:]) if rows else 0
             self._refuse(
-                f"{what} has {size} values a row instead of {width or 1}",
+                f"{what} has {counted(size, 'value')} a row instead of {width or 1}",
                 "store one for each actuator" if width else "store one",
                 got=values.shape,
                 want=want,

@@ -13,6 +13,7 @@ from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.rounding import counted
 
 Filled = TypeVar("Filled")
 NAMES = {float: "a number", int: "an integer", str: "text", bool: "true or false"}
@@ -88,7 +89,7 @@ def _value(kind: Any, value: Any, path: object, where: str) -> Any:
     if get_origin(kind) is tuple:
         inner = get_args(kind)
         if not isinstance(value, list) or (inner[-1] is not ... and len(value) != len(inner)):
-            raise _wrong(where, "a list" if inner[-1] is ... else f"{len(inner)} values", value,
+            raise _wrong(where, "a list" if inner[-1] is ... else counted(inner, "value"), value,
                          path)  # fmt: skip
         return tuple(_value(inner[0], part, path, where) for part in value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
 FEWEST = 4  # actuators that leave a motion that bends the glass
@@ -37,7 +38,7 @@ def off_and_slaved(
     commanded = int(np.count_nonzero(~(floats | follows)))
     if commanded < FEWEST:
         raise RankDeficient(
-            f"{commanded} of {layout.n} actuators are left to command",
+            f"only {counted(commanded, 'actuator')} of {layout.n} left to command",
             remedy=f"leave {FEWEST} at least",
             got=commanded,
             want=FEWEST,

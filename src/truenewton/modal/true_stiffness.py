@@ -37,6 +37,7 @@ from truenewton.modal.actuator_roles import (
     off_and_slaved,
 )
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import counted
 from truenewton.statics.arms import arms, arms_in_units_of_rms
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import StiffnessModes, stiffness_modes
@@ -213,7 +214,8 @@ def _following(
             held = scipy.linalg.cho_factor(k[np.ix_(floats, floats)])
         except np.linalg.LinAlgError:
             raise RankDeficient(
-                f"the {np.count_nonzero(floats)} actuators that are off are not held by the others",
+                f"{counted(int(np.count_nonzero(floats)), 'actuator')} switched off, not held by"
+                " the others",
                 remedy="turn fewer off, or measure their stiffness better",
                 got=int(np.count_nonzero(floats)),
             ) from None

@@ -14,7 +14,7 @@ from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import ModalBase
-from truenewton.rounding import percent, significant
+from truenewton.rounding import counted, percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns
 NUMBERS = 8  # of modes, in the table
@@ -53,10 +53,10 @@ def measured_text(measured: MeasuredStiffness) -> str:
     """Say of how many shapes and rows a stiffness is, and how well it is known."""
     m = measured
     return (
-        f"{m.shapes} shapes, {m.rows} rows"
+        f"{counted(m.shapes, 'shape')}, {counted(m.rows, 'row')}"
         + (f"; repeats to {percent(m.relative_error)}" if math.isfinite(m.relative_error) else "")
         + (f", chi2/DOF {m.misfit:.3g}" if math.isfinite(m.misfit) else "")
-        + (f"; {len(m.rejected)} rows left out" if m.rejected else "")
+        + (f"; {counted(m.rejected, 'row')} left out" if m.rejected else "")
     )
 
 

@@ -12,6 +12,7 @@ from truenewton.acquisition.plan import CampaignPlan
 from truenewton.errors import LimitExceeded
 from truenewton.planning.forces import Prepared, within_limits
 from truenewton.planning.outlook import duration, predicted, with_added
+from truenewton.rounding import counted
 from truenewton.statics.load import Load
 
 MOST_CYCLES = 999
@@ -92,7 +93,7 @@ def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing
 
 def _more_cycles(plan: CampaignPlan) -> Ladder:
     for cycles in range(plan.cycles + 1, MOST_CYCLES + 1):
-        yield f"{cycles} cycles", replace(plan, cycles=cycles)
+        yield counted(cycles, "cycle"), replace(plan, cycles=cycles)
 
 
 def _heavier(plan: CampaignPlan) -> Ladder:

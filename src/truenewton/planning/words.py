@@ -12,7 +12,7 @@ from truenewton.calibration.words import warning_lines
 from truenewton.estimation.weights import scale_budget
 from truenewton.planning.outlook import Curve, Outlook, typical_errors
 from truenewton.planning.target import Way
-from truenewton.rounding import percent
+from truenewton.rounding import counted, percent
 
 
 def lines(outlook: Outlook) -> Iterator[str]:
@@ -23,8 +23,9 @@ def lines(outlook: Outlook) -> Iterator[str]:
     typical_error, from_readings, from_weights = typical_errors(prediction)
     names = ", ".join(load.name for load in plan.loads)
     yield (
-        f"{ready.mirror.name}, predicted: {len(prediction.alpha)} actuators, {plan.cycles} cycles"
-        f" of {shapes} shapes and their negatives under {len(plan.loads)} loads ({names})"
+        f"{ready.mirror.name}, predicted: {len(prediction.alpha)} actuators,"
+        f" {counted(plan.cycles, 'cycle')}"
+        f" of {shapes} shapes and their negatives under {counted(plan.loads, 'load')} ({names})"
     )
     ids = prediction.layout.id[prediction.layout.enabled]
     rows = []

@@ -49,7 +49,7 @@ from truenewton.recalibration.short_run import (
 )
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
-from truenewton.rounding import percent
+from truenewton.rounding import counted, percent
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import OTHER_UNIT, SAME_TEMPERATURE
 from truenewton.tracking.law import Outlier, Tracking
@@ -142,6 +142,7 @@ def recalibrate(
     degrees = len(against.contrasts)
     probability = float(scipy.stats.chi2.sf(against.chi2, degrees)) if degrees else float("nan")
     limits = tuple(_limits(before, data, probability, against.scatter.own))
+    calibration = replace(calibration, effects=(*calibration.effects, *sifted.suspects))
     calibration = _with_faults(calibration, before, limits)
     warn_of(calibration)
     return Recalibration(
@@ -185,7 +186,7 @@ def _who_moved(
             raise RankDeficient(
                 f"all others no longer agree with {known.name}: they have changed by"
                 f" {percent(scatter.own)} each",
-                remedy="calibrate anew, or give the calibration of this unit",
+                remedy="check units and sign of FORCE and ADDED in the run; or calibrate anew",
                 got=scatter.own,
                 want=OTHER_UNIT,
             )
@@ -205,7 +206,8 @@ def _who_moved(
         stay[worst] = False
         if len(moved) > MOST * len(stay):
             raise RankDeficient(
-                f"more than {len(moved) - 1} actuators no longer agree with {known.name}",
+                f"more than {counted(len(moved) - 1, 'actuator')} no longer agree with"
+                f" {known.name}",
                 remedy="calibrate anew",
                 got=len(moved),
                 want=MOST * len(stay),

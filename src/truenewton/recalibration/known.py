@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import scipy.linalg
@@ -145,12 +146,14 @@ def known_from(
 
 
 def _read(path: str | os.PathLike[str]) -> Calibration | Tracking:
+    remedy = "give --known the file that `calibrate -o` or `track -o` wrote"
+    if Path(path).is_dir():
+        raise FormatError("is a folder", remedy=remedy, path=os.fspath(path))
     file = read_fits(path)
     if "TRACKING" in file.extensions:
         return tracking_from(file)
     if "CALIBRATION" in file.extensions:
         return calibration_from(file)
-    remedy = "give --known the calibration from before"
     raise FormatError("is no calibration", remedy=remedy, path=os.fspath(path))
 
 

@@ -14,6 +14,7 @@ from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import counted
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -57,9 +58,9 @@ class Campaign:
         seen: dict[tuple[str, int], Cycle] = {}
         for cycle in ordered:
             _agree(ordered[0], cycle, OF_MIRROR, "calibrate files of one campaign only")
-            if not ordered[0].layout.same_as(cycle.layout):
+            if differ := ordered[0].layout.difference(cycle.layout):
                 one = "calibrate files of one campaign only"
-                raise _mismatch(ordered[0], cycle, "the ACTUATORS table", one)
+                raise _mismatch(ordered[0], cycle, f"the ACTUATORS table ({differ})", one)
             of_load = f"correct it, or LOAD: both say '{cycle.load.name}'"
             _agree(first_of_load.setdefault(cycle.load.key, cycle), cycle, OF_LOAD, of_load)
             double = seen.setdefault((cycle.load.key, cycle.number), cycle)
@@ -82,8 +83,8 @@ class Campaign:
     def __repr__(self) -> str:
         loads = ", ".join(load.name for load in self.loads)
         return (
-            f"<Campaign of {self.instrument}: {self.layout.n} actuators,"
-            f" {len(self.cycles)} cycles under {loads}>"
+            f"<Campaign of {self.instrument}: {counted(self.layout.n, 'actuator')},"
+            f" {counted(self.cycles, 'cycle')} under {loads}>"
         )
 
     @property

@@ -14,6 +14,7 @@ from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.source import Source, check_date
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import (
     LARGEST_FORCE,
@@ -31,9 +32,18 @@ ARRAYS: dict[str, tuple[type, float | None]] = {
     "shape": (np.int64, None),
     "sign": (np.int64, None),
     "valid": (bool, None),
-    "temperature": (float, 1e4),  # [deg C]
+    "temperature": (float, 150.0),  # [deg C]
     "force": (float, LARGEST_FORCE),
     "position": (float, 1e3),  # [m]
+}
+
+# What to do about a value beyond these.
+UNITS = {
+    "time": "count TIME in seconds from DATE-OBS",
+    "temperature": "declare the unit of TEMPERATURE, deg_C or K; leave the column out where it was"
+    " not measured",
+    "force": "check the unit that FORCE declares",
+    "position": "check the unit that POSITION declares",
 }
 
 
@@ -124,7 +134,8 @@ class Cycle:
             want = (rows, n) if name in ("force", "position") else (rows,)
             if value is not None and value.shape != want:
                 raise FormatError(
-                    f"{name.upper()} has shape {value.shape} for {rows} rows and {n} actuators",
+                    f"{name.upper()} has shape {value.shape} for {counted(rows, 'row')} and"
+                    f" {counted(n, 'actuator')}",
                     remedy=f"give it the shape {want}",
                     got=value.shape,
                     want=want,
@@ -143,6 +154,13 @@ class Cycle:
                 self._check_finite(name, largest)
         if not self.largest_force:
             raise FormatError("FORCE is zero throughout", remedy="record the commanded forces")
+        if self.force_error and self.force_error > self.largest_force:
+            raise FormatError(
+                f"FORCERR is {self.force_error:g} N, and no FORCE is beyond {self.largest_force:g}"
+                " N",
+                remedy="check the units of both; leave FORCERR out if it is unknown",
+                got=self.force_error,
+            )
 
     def _check_finite(self, name: str, largest: float) -> None:
         values = getattr(self, name)
@@ -155,6 +173,8 @@ class Cycle:
             if len(some) > 1:
                 of = f" for actuator {self.layout.id[counted][wrong][0]}"
                 remedy += "; if it is so in all rows, set ENABLED of the actuator to F"
+            if np.isfinite(bad):
+                remedy = f"{UNITS[name]}, or mark the row as not VALID"
             raise FormatError(
                 f"{name.upper()} in row {row + 1} is {bad:g}{of}", remedy=remedy, got=bad
             )
@@ -162,7 +182,7 @@ class Cycle:
     def __repr__(self) -> str:
         return (
             f"<Cycle {self.number} of {self.instrument}, load '{self.load.name}':"
-            f" {len(self.time)} rows, {self.layout.n} actuators>"
+            f" {counted(self.time, 'row')}, {counted(self.layout.n, 'actuator')}>"
         )
 
     @property

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import Level, Verdict
@@ -15,7 +14,7 @@ from truenewton.estimation.weights import scale_total, typical
 from truenewton.records.fault import Fault
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
-from truenewton.rounding import percent, significant, to_digits, with_error
+from truenewton.rounding import named, percent, significant, to_digits, with_error
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def verdict_on_change(change: Change) -> Headline:
         sentence = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
         advice.append(
             Fault(
-                f"changed: {_names(ids[changed])}",
+                f"changed: {named('actuator', ids[changed].tolist(), 8)}",
                 "calibrate anew before use, unless the change is known, as after a replacement",
             )
         )
@@ -114,14 +113,8 @@ def _actuators(c: Calibration) -> str:
         return f"all {on.size} actuators of {c.instrument}"
     return (
         f"{on.sum()} of the {on.size} actuators of {c.instrument}"
-        f" ({_names(c.layout.id[~on])} disabled)"
+        f" ({named('actuator', c.layout.id[~on].tolist(), 8)} disabled)"
     )
-
-
-def _names(ids: NDArray[np.int64]) -> str:
-    shown = ", ".join(map(str, ids[:8]))
-    more = f" and {ids.size - 8} more" if ids.size > 8 else ""
-    return f"actuator{'s' if ids.size > 1 else ''} {shown}{more}"
 
 
 def _numbers(c: Calibration) -> tuple[tuple[str, str, str], ...]:

@@ -117,7 +117,19 @@ class Layout:
 
     def same_as(self, other: Layout) -> bool:
         """Tell whether the actuators are the same and the same ones are enabled."""
-        return self.same_actuators_as(other) and np.array_equal(self.enabled, other.enabled)
+        return not self.difference(other)
+
+    def difference(self, other: Layout) -> str:
+        """Return in words the first difference between two layouts; '' where there is none."""
+        if self.n != other.n:
+            return f"{other.n} and {self.n} actuators"
+        for name, apart in (("id", 0.0), ("x", 1e-9), ("y", 1e-9), ("nz", 1e-9), ("enabled", 0.0)):
+            one, two = getattr(self, name), getattr(other, name)
+            differ = np.flatnonzero(~np.isclose(one, two, rtol=0.0, atol=apart))
+            if differ.size:
+                k = differ[0]
+                return f"{name.upper()} in row {k + 1}: {two[k]:.6g} and {one[k]:.6g}"
+        return ""
 
     def same_actuators_as(self, other: Layout) -> bool:
         """Tell whether the actuators are: same order, positions to 1e-9 m (docs/files.md)."""

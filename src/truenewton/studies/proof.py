@@ -21,6 +21,7 @@ from truenewton.estimation.systems import system_c, system_e
 from truenewton.mirrors.known import Mirror
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
+from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms, external_load
 from truenewton.statics.load import Load
 
@@ -96,7 +97,7 @@ def prove(mirror: Mirror, seed: int) -> list[Proof]:
     n = a.shape[1]
     if n < FEWEST:
         raise GeometryError(
-            f"only {n} actuators take part",
+            f"only {counted(n, 'actuator')} enabled",
             remedy="enable five at least: three hold the mirror, and two patterns are needed",
         )
     if np.linalg.cond(a[:, -3:] / np.abs(a).max(axis=1)[:, None]) > 1e8:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, spread, spread_square
 from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
+from truenewton.rounding import counted
 from truenewton.tracking.days import (
     OTHER_UNIT,
     SAME_TEMPERATURE,
@@ -223,13 +224,13 @@ def _limits_of(
         yield f"actuators not enabled on every day are left out: {np.count_nonzero(~on)}"
     if not scatter.degrees:
         yield (
-            f"{len(days)} days leave nothing over beside the {1 + effects} unknowns of each line:"
-            " what scatter there is from day to day is not told, and none is assumed"
+            f"{counted(days, 'day')} leave nothing over beside the {1 + effects} unknowns of each"
+            " line: what scatter there is from day to day is not told, and none is assumed"
         )
     elif scatter.degrees < FEW:
         yield (
-            f"scatter common to all actuators rests on {scatter.degrees} degree"
-            f"{'s' * (scatter.degrees > 1)} of freedom: errors are widened for it; more days would"
+            f"scatter common to all actuators rests on {counted(scatter.degrees, 'degree')}"
+            f" of freedom: errors are widened for it; more days would"
             " tell it better"
         )
 

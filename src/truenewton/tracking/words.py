@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.words import row
-from truenewton.rounding import by_chance, with_error
+from truenewton.rounding import by_chance, counted, with_error
 from truenewton.tracking.law import Tracking
 from truenewton.tracking.validity import Validity
 
@@ -77,7 +77,7 @@ def _table(t: Tracking) -> Iterator[str]:
         drift = with_error(100 * d / a, 100 * ed / a) if "drift" in t.effects else "-"
         yield f"  {name!s:<10}{with_error(a, ea):<20}{coefficient:<20}{drift}"
     if shown < t.layout.n:
-        yield f"  and {t.layout.n - shown} actuators more"
+        yield f"  and {counted(t.layout.n - shown, 'actuator')} more"
 
 
 def _validity_lines(v: Validity) -> Iterator[str]:

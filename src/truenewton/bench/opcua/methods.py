@@ -13,6 +13,7 @@ import numpy as np
 from asyncua import ua
 
 from truenewton.errors import BenchFault
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
 Type = ua.VariantType
@@ -120,7 +121,7 @@ def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any
         given.append(None)
     if len(given) != len(declared):
         raise BenchFault(
-            f"gives {len(given)} values after the fault",
+            f"gives {counted(given, 'value')} after the fault",
             remedy=f"they are {', '.join(name for name, _ in declared) or 'none'}",
         )
     each = zip(given, declared, strict=True)
@@ -147,7 +148,7 @@ def mirror_of(
     for name, column in zip(COLUMNS, columns, strict=True):
         if len(column) != size or not size:
             raise BenchFault(
-                f"gives {len(column)} values of {name} for {size} actuators",
+                f"gives {counted(column, 'value')} of {name} for {counted(size, 'actuator')}",
                 remedy="one for each actuator",
             )
     gradients = given.get("Gradients", np.full(2, np.nan))

@@ -48,7 +48,7 @@ class Effect:
     of
         What its parameters belong to: '' (all together), 'file', 'load', 'actuator', 'axis'.
     remedy
-        What the user can do about it.
+        What the user can do about it, or a function of the fit that says so.
     corrected
         Whether it is taken out of the data of a fit where that cures them; else it is said.
     """
@@ -56,7 +56,7 @@ class Effect:
     name: str
     unit: str
     derivative: Callable[[FittedRows], Derivative | None]
-    remedy: str
+    remedy: str | Callable[[FittedRows], str]
     of: str = ""
     corrected: Callable[[FittedRows], bool] = lambda _: True
 
@@ -64,6 +64,10 @@ class Effect:
     def within(self) -> bool:
         """Whether rows of one group differ by it."""
         return "hour" in self.name or "file" in self.name
+
+    def remedy_of(self, fit: FittedRows) -> str:
+        """Return what the user can do, given what the files hold already."""
+        return self.remedy if isinstance(self.remedy, str) else self.remedy(fit)
 
 
 def _hour(within: WithinGroups) -> slice:
@@ -258,8 +262,24 @@ _ZERO = "take bare and loaded cycles in turn, so that the zeros of both come to 
 _COIL = "use smaller shapes, at half of which it is {} as large, or have the coil drivers looked at"
 _QUADRATIC, _CUBIC = _COIL.format("half"), _COIL.format("a quarter")
 _DRIVER = "look at its coil, driver and cable"
-_POSITION = "record POSITION, and give COILGRAD and BIASGRAD"
 _TOUCH = "look for a cable, dust or the ring's edge at the mirror"
+
+
+def _gradient(fit: FittedRows, keyword: str, declared: str) -> str:
+    given = any(getattr(cycle, declared) is not None for cycle in fit.problem.campaign.cycles)
+    signed = f"correct {keyword}, or the sign of POSITION, which is along +z"
+    return signed if given else f"give {keyword}, which takes it out"
+
+
+def _by_load(fit: FittedRows) -> str:
+    missing = []
+    if fit.moments.displacement is None:
+        missing.append("POSITION, which tells whether shapes differ between loads")
+    if any(cycle.temperature is None for cycle in fit.problem.campaign.cycles):
+        missing.append("TEMPERATURE")
+    what = f"record {', and '.join(missing)}" if missing else "look for what warms the coils"
+    return f"{what}: what warms coils changes the bias magnets too, and the scale with them"
+
 
 GAIN_BY_LOAD = "gain by load"
 ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
@@ -279,9 +299,7 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("gain by file", "", partial(gain_by_file, single=False), _WARM, "file"),
     Effect("gain of single actuators by file", "", partial(gain_by_file, single=True), _DRIVER,
            "actuator"),
-    Effect(GAIN_BY_LOAD, "", gain_by_load, "record POSITION, which tells whether shapes differ"
-           " between loads, and TEMPERATURE: what warms coils changes the bias magnets too, and the"
-           " scale with them", "load",
+    Effect(GAIN_BY_LOAD, "", gain_by_load, _by_load, "load",
            lambda fit: fit.moments.displacement is not None),
     Effect("weight of a load", "N", weight_of_load, "weigh mirror and loads anew", "load",
            lambda _: False),
@@ -295,8 +313,10 @@ CATALOGUE: tuple[Effect, ...] = (
     Effect("cubic coil", "1/N2", partial(power_of_force, power=3, each=False), _CUBIC),
     Effect("cubic coil of each", "1/N2", partial(power_of_force, power=3, each=True), _CUBIC,
            "actuator"),
-    Effect("coil gradient", "1/m", coil_gradient, _POSITION),
-    Effect("bias gradient", "N/m", bias_gradient, _POSITION),
+    Effect("coil gradient", "1/m", coil_gradient,
+           partial(_gradient, keyword="COILGRAD", declared="coil_gradient")),
+    Effect("bias gradient", "N/m", bias_gradient,
+           partial(_gradient, keyword="BIASGRAD", declared="bias_gradient")),
     Effect("contact in one sign", "N, N m", partial(contact, by_load=False), _TOUCH, "axis"),
     Effect("contact in one sign by load", "N, N m", partial(contact, by_load=True), _TOUCH, "load"),
     POSITIONS,

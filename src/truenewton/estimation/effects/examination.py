@@ -307,5 +307,5 @@ def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> F
         size=float(theta[worst]),
         unit=effect.unit,
         corrected=corrected is not None and effect.corrected(fit),
-        remedy=effect.remedy,
+        remedy=effect.remedy_of(fit),
     )

@@ -28,6 +28,7 @@ from truenewton.estimation.identifiability import centred_means
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.structure import FITS
+from truenewton.rounding import named
 from truenewton.statics.arms import arms_in_units_of_rms
 
 ABOVE = 2.0  # times its noise the weakest elastic shape must stand
@@ -73,11 +74,10 @@ def _named(
 ) -> FoundEffect:
     layout, few = problem.campaign.layout, moved.size <= FEW
     ids = layout.id[layout.enabled][moved].tolist()
-    where = f"actuators {', '.join(map(str, ids[:-1]))} and {ids[-1]}"
     far = np.hypot(*(problem.a[1:, order[moved]] - problem.a[1:, moved]))
     return FoundEffect(
         name="exchanged columns" if few else "another order of FORCE",
-        where=where if few else f"{moved.size} of {problem.n} columns",
+        where=named("actuator", ids, FEW) if few else f"{moved.size} of {problem.n} columns",
         probability=_fit(problem, moments)[0],
         size=float(far.max()),
         unit="m",

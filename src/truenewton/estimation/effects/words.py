@@ -63,5 +63,6 @@ def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iter
         name=str(ErrorKind.BETWEEN_LOADS.value),
         size=float(np.ptp(load_temperatures(campaign))),
         unit="K",
-        remedy="keep the temperature, or take bare and loaded cycles in turn",
+        remedy="keep the temperature, or take bare and loaded cycles in turn; if it was kept, check"
+        " TEMPERATURE and its unit",
     )

@@ -13,7 +13,7 @@ from truenewton.arrays import Array
 from truenewton.estimation.reciprocity.iteration import Fit
 from truenewton.estimation.reciprocity.unknowns import Kind
 from truenewton.records.fault import Fault
-from truenewton.rounding import percent
+from truenewton.rounding import counted, percent
 
 # Of simulated stiffnesses of P45 these keep those whose alpha is better with reciprocity than by
 # balance alone (docs/reciprocity.md).
@@ -58,11 +58,13 @@ class Evidence:
 def refusals(evidence: Evidence) -> Iterator[Fault]:
     """Yield why reciprocity is not to be believed."""
     if evidence.odd:
-        yield Fault(f"{len(evidence.odd)} actuators or more do not obey reciprocity", REMEDY)
+        yield Fault(
+            f"reciprocity does not hold for {counted(evidence.odd, 'actuator')} or more", REMEDY
+        )
     if evidence.untried:
         yield Fault(
-            f"errors of reciprocity of {evidence.untried} actuators have not been held against a"
-            " truth yet: noise in forces may make them too small",
+            f"errors of reciprocity of {counted(evidence.untried, 'actuator')} were never held"
+            " against a truth: noise in forces may make them too small",
             "use ml, or compare two campaigns",
         )
     for name, size in zip(BLOCKS, evidence.blocks, strict=False):

@@ -18,7 +18,7 @@ from truenewton.report.evidence import Evidence, ModeResiduals, RowResiduals
 from truenewton.report.figures import columns_of_shapes
 from truenewton.report.investigate import Findings
 from truenewton.report.page.section import Section, TextTable
-from truenewton.rounding import percent, significant
+from truenewton.rounding import counted, percent, significant
 
 NO_DATA = "This page was made from a calibration file, which does not hold them: give the cycles."
 MOST_REJECTED = 50  # rows listed
@@ -64,11 +64,11 @@ def _rows(campaign: Campaign, c: Calibration, residuals: RowResiduals) -> Sectio
     farthest = int(np.argmax(after))
     shape = columns_of_shapes(residuals)[0][residuals.kept][farthest]
     caption = (
-        f"Imbalance of {after.size} rows of {len(campaign.cycles)} cycles in terms of its noise, by"
-        f" signed shape and cycle: {_rms(after):.2f} rms, where noise alone gives 1, and"
-        f" {after[farthest]:.1f} at most, at shape {shape} of cycle"
+        f"Imbalance of {counted(after, 'row')} of {counted(campaign.cycles, 'cycle')} in terms of"
+        f" its noise, by signed shape and cycle: {_rms(after):.2f} rms, where noise alone gives 1,"
+        f" and {after[farthest]:.1f} at most, at shape {shape} of cycle"
         f" {residuals.cycle[residuals.kept][farthest] + 1}."
-        f" {rejected or 'No'} row{'' if rejected == 1 else 's'} rejected"
+        f" {counted(rejected, 'row') if rejected else 'No rows'} rejected"
         + (", marked by crosses." if rejected else ".")
     )
     listed = rejected_values(campaign, c.rejected_rows)
@@ -161,7 +161,7 @@ def times(findings: Findings) -> Section:
     head = ("cycle", "load", "its number", "file", "start (UTC)", "minutes", "rows", "rejected",
             "temperature (°C)")  # fmt: skip
     starts = [cycle.date for cycle in data.cycles]
-    caption = f"{len(rows)} cycles, started between {min(starts):%Y-%m-%d %H:%M} and"
+    caption = f"{counted(rows, 'cycle')}, started between {min(starts):%Y-%m-%d %H:%M} and"
     caption += f" {max(starts):%Y-%m-%d %H:%M} UTC"
     caption += f", at {min(warm):.2f} to {max(warm):.2f} °C." if warm else "."
     tables = (TextTable("Cycles", head, tuple(rows)),)

@@ -1,0 +1,110 @@
+"""What is wrong with the common scale: its unit, the weights, and the errors of these."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import ErrorKind
+from truenewton.estimation.estimate import Scale
+from truenewton.estimation.fit_warnings import PLAUSIBLE
+from truenewton.estimation.identifiability import ALIKE, alike_loads_fault
+from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
+from truenewton.records.fault import Fault
+from truenewton.rounding import percent, significant
+from truenewton.statics.arms import effective_weight
+
+if TYPE_CHECKING:
+    from truenewton.calibration.result import Calibration
+
+NO_ERROR = 1e-6  # of the common scale: below, nobody knows a weight so well
+WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
+GRAVITY = 9.81  # [m/s^2]
+FORCE_IN = "correct the unit that the column FORCE declares, or its numbers: N"
+WEIGHTS_IN = f"store WEIGHT and ADDED in N: {-GRAVITY} for a kilogram"
+# What alpha is where a unit is taken for N; units lie ten times apart, alphas of mirrors do not.
+LOOKS = {
+    1e-6: Fault("FORCE looks as if in uN", FORCE_IN),
+    1e-3: Fault("FORCE looks as if in mN", FORCE_IN),
+    1e-3 * GRAVITY: Fault("FORCE looks as if in gf (grams)", FORCE_IN),
+    1 / GRAVITY: Fault("WEIGHT and ADDED look as if in kg", WEIGHTS_IN),
+    GRAVITY: Fault("FORCE looks as if in kgf (kilograms)", FORCE_IN),
+    1e3 / GRAVITY: Fault("WEIGHT and ADDED look as if in g", WEIGHTS_IN),
+    1e3: Fault(
+        "FORCE looks as if in kN, or WEIGHT and ADDED as if in mN", f"{FORCE_IN}; or {WEIGHTS_IN}"
+    ),
+}
+COUNTS = Fault(
+    "FORCE looks as if in counts of the electronics, or in another unit than N", FORCE_IN
+)
+NEAR = 2.2  # times a unit
+LIKE_OTHERS, MOST = 0.5, 0.9  # relative to the median, of how many: else it is no unit alone
+
+
+def unit_fault(c: Calibration) -> Fault | None:
+    """Return that alpha is so far from 1 that a unit must be wrong, and which one it may be."""
+    median = float(np.nanmedian(c.alpha))
+    alike = np.abs(c.alpha[c.layout.enabled] / median - 1.0) < LIKE_OTHERS
+    if PLAUSIBLE[0] < abs(median) < PLAUSIBLE[1] or np.mean(alike) < MOST:
+        return None
+    unit = min(LOOKS, key=lambda one: abs(np.log(one / max(abs(median), 1e-300))))
+    looks, remedy = LOOKS[unit] if 1 / NEAR < abs(median) / unit < NEAR else COUNTS
+    # With the weight of the mirror in ADDED as well, the load seems heavier by it.
+    added = min((load.added for load in c.loads), default=0.0)
+    less = (added - c.weight) / added if added < c.weight else 0.0
+    if PLAUSIBLE[0] < abs(median) * less < PLAUSIBLE[1]:
+        looks = "ADDED looks as if the weight of the mirror were in it"
+        remedy = f"store what was added alone, {significant(added - c.weight, 3)} N"
+    other = ", and FORCE of the other sign" if median < 0.0 else ""
+    said = f"alpha is about {significant(median)}, near 1 where all is in N"
+    return Fault(f"{said}: {looks}{other}", remedy)
+
+
+def scale_faults(c: Calibration) -> Iterator[Fault]:
+    """Yield that the weights limit the common scale, or are given without their errors."""
+    if c.scale == Scale.MEAN_ONE:
+        return
+    weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
+    if c.scale == Scale.WEIGHTS:
+        alike = alike_loads_fault(weights_along_axis(c))
+        if alike and typical(c.error, c.alpha) > ALIKE:
+            yield alike
+        exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
+        if exact or weights < NO_ERROR:
+            which = f" (E_ADDED of {' and '.join(exact)} is 0)" if exact else ""
+            yield Fault(
+                f"the weights are given without errors{which}, so the common scale seems known"
+                " without any",
+                "give E_WEIGHT, E_ADDED and E_TILT, the standard uncertainties of the weighing",
+            )
+    if weights > 2.0 * readings:
+        fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
+        yield Fault(fault, remedy or "better known weights would help, more cycles would not")
+
+
+def weights_along_axis(c: Calibration) -> Array:
+    """Return (L,) weights of mirror and load along the axis [N]."""
+    return effective_weight(c.weight, [q.added for q in c.loads], [q.tilt for q in c.loads])
+
+
+def scale_limit(c: Calibration) -> Fault | None:
+    """Return what limits the common scale and what would help; None where the weights do not."""
+    if not c.scale_errors or c.scale_errors[0].source == READINGS:
+        return None
+    total, largest = scale_total(c.scale_errors), c.scale_errors[0]
+    share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
+    fault = f"the common scale is known to {percent(total)}, {share} from the {largest.source}"
+    remedies = []
+    heaviest = max(c.loads, key=lambda load: load.added_error)
+    if largest.source.kind in WEIGHED and heaviest.added_error:
+        better = np.sqrt(total**2 - 0.99 * largest.relative**2)
+        finer = 1e3 * heaviest.added_error / 10
+        remedies.append(f"weigh it to {finer:.2g} mN and it falls to {percent(better)}")
+    if not any(load.tilt for load in c.loads):
+        tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
+        if tilted < total:
+            remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
+    return Fault(fault, "; ".join(remedies))

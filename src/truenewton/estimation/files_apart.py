@@ -1,0 +1,208 @@
+"""Columns of a file that are not those of the others: exchanged, of other sign, in another unit.
+
+A shape costs the same forces in every file, whatever hangs on the mirror, and moves the sensors by
+as much. So some rows of each file, under the same labels (SHAPE times SIGN) in all and their mean
+taken off, are alike but for noise; and a column that is not like its own in the other files, but
+like another one, or like its own turned round, says what happened to that file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.file_labels import clusters
+from truenewton.estimation.row_prints import RowPrints, common_labels
+from truenewton.records.campaign import Campaign
+from truenewton.rounding import listed, named, significant
+
+FEWEST = 8  # labels that all files share: of fewer, two columns may be alike by chance
+DIFFERS = 0.3  # of a column's size, beyond which it is not what it is in the other files
+CURES = 0.3  # of that distance, which the right column leaves at most
+MOST = 1000  # columns that are put in order
+UNLIKE = 0.02  # of their size two lots of files differ
+UNIT = 2.0  # times as large, or as small, as the others a file is in another unit
+SAID, FILES = 4, 2  # actuators, and files, that are named one by one
+
+
+class Difference(NamedTuple):
+    """How columns of a file differ from those of another one.
+
+    Attributes
+    ----------
+    name, remedy
+        What it is, the column still to be named; what to do.
+    actuators
+        Which of those that take part; none where it is all of them.
+    times
+        How much larger the file is.
+    """
+
+    name: str
+    remedy: str
+    actuators: tuple[int, ...] = ()
+    times: str = ""
+
+
+STILL = FoundEffect(
+    name="POSITION is the same in all rows",
+    remedy="leave the column out where no sensors were read; then COILGRAD, BIASGRAD are not used",
+)
+TURNED = Difference("{} of the other sign", "turn the sign of {} in that file, or leave it out")
+
+
+def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+    """Name files whose FORCE or POSITION stands for other actuators, signs or units than elsewhere.
+
+    What most files say is taken for right; of two files, or two halves, nobody can tell.
+
+    Parameters
+    ----------
+    campaign, prints
+        The files; some of their rows.
+    """
+    if len(campaign.cycles) < 2:
+        return ()
+    found, still = dict[tuple[Difference, tuple[int, ...]], list[str]](), tuple[FoundEffect, ...]()
+    for quantity, rows in (("FORCE", prints.common_rows()), ("POSITION", positions(campaign))):
+        if rows is None or rows.shape[1] < FEWEST:
+            continue
+        if quantity == "POSITION" and not np.ptp(rows, axis=(0, 1)).any():
+            still = (STILL,)
+            continue
+        differences = _from_the_most_typical(rows - rows.mean(axis=1, keepdims=True))
+        right = max(dict.fromkeys(differences), key=differences.count)
+        for what in dict.fromkeys(chain(*differences)):
+            files = tuple(k for k, d in enumerate(differences) if (what in d) != (what in right))
+            found.setdefault((what, files), []).append(quantity)
+    return still + tuple(
+        _effect(campaign, what, files, quantities)
+        for (what, files), quantities in found.items()
+        if what != TURNED or _not_by_sign(campaign, quantities)
+    )
+
+
+def unlike_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+    """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do.
+
+    A gain that a file has as a whole does not count.
+    """
+    rows = prints.common_rows()
+    if len(rows) < 3 or rows.shape[1] < FEWEST:
+        return ()
+    flat = (rows - rows.mean(axis=1, keepdims=True)).reshape(len(rows), -1)
+    flat /= np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
+    distance = np.sqrt(np.maximum(1.0 - (flat @ flat.T) ** 2, 0.0))
+    lot = clusters(distance, 2)
+    if lot is None or distance[lot[:, None] != lot].min() < UNLIKE:
+        return ()
+    fewer = lot == np.bincount(lot).argmin()
+    names = np.array([cycle.name for cycle in campaign.cycles])
+    return (
+        FoundEffect(
+            name="files of two mirrors, campaigns or lists of shapes",
+            where=f"{listed(names[fewer], FILES)} against {listed(names[~fewer], FILES)}",
+            size=float(fewer.mean()),
+            remedy="calibrate together what was taken of one mirror with the same shapes, and no"
+            " actuator replaced in between",
+        ),
+    )
+
+
+def positions(campaign: Campaign) -> Array | None:
+    """Return (files, m, n) readings of sensors under labels that all files have [m], or None."""
+    codes = [(c.shape * c.sign)[c.valid] for c in campaign.cycles]
+    chosen, readings = common_labels(codes), []
+    for cycle, of in zip(campaign.cycles, codes, strict=True):
+        if cycle.position is None:
+            return None
+        first = np.array([np.argmax(of == label) for label in chosen], dtype=np.int64)
+        readings.append(cycle.used(cycle.position, first))
+    return np.stack(readings)
+
+
+def _not_by_sign(campaign: Campaign, quantities: list[str]) -> bool:
+    """Tell whether it is not SIGN that is reversed, which turns both FORCE and POSITION."""
+    return len(quantities) == 1 and campaign.cycles[0].position is not None
+
+
+def _from_the_most_typical(rows: Array) -> list[tuple[Difference, ...]]:
+    """Return how each of (files, m, n) rows differs from the file that is most like the others."""
+    flat = rows.reshape(len(rows), -1)
+    square = np.sum(flat**2, axis=1)
+    distance = square[:, None] + square - 2.0 * flat @ flat.T
+    typical = rows[np.median(distance, axis=1).argmin()]
+    return [tuple(_differences(file, typical)) for file in rows]
+
+
+def _differences(rows: Array, typical: Array) -> Iterator[Difference]:
+    """Yield how (m, n) rows differ from those under the same labels in another file."""
+    own, size = _square(rows - typical), _square(typical)
+    odd = np.flatnonzero(own > DIFFERS**2 * np.maximum(size, _square(rows)))
+    if not odd.size:
+        return
+    times = float(np.sum(rows * typical) / max(np.sum(size), 1e-300))
+    left = _square(rows - times * typical).sum()
+    if left < CURES**2 * min(own.sum(), _square(rows).sum()):  # the file as a whole
+        if not 1.0 / UNIT < abs(times) < UNIT:
+            remedy = "correct the unit of {} in that file"
+            yield Difference("{} in another unit", remedy, times=significant(abs(times)))
+        elif times < 0.0:
+            yield TURNED
+        return
+    moved = _moved(rows, typical, odd) if odd.size <= MOST else np.empty(0, dtype=np.int64)
+    if moved.size:
+        what = "exchanged columns of {}" if moved.size <= SAID else "another order of {}"
+        remedy = "put the columns of {} in that file in the order of ACTUATORS, or leave it out"
+        yield Difference(what, remedy, tuple(moved.tolist()))
+    turned = odd[_square(rows + typical)[odd] < CURES**2 * own[odd]]
+    if turned.size:
+        remedy = "look at its plug; turn the sign of {} of the actuator in that file"
+        yield Difference(TURNED.name, remedy, tuple(turned.tolist()))
+
+
+def _moved(rows: Array, typical: Array, odd: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return which of some columns are those of others among them."""
+    one, other = rows[:, odd], typical[:, odd]
+    apart = _square(one)[:, None] + _square(other) - 2.0 * one.T @ other
+    order = scipy.optimize.linear_sum_assignment(np.maximum(apart, 0.0))[1]
+    itself = np.arange(len(odd))
+    cured = (order != itself) & (apart[itself, order] < CURES**2 * apart[itself, itself])
+    while not cured[order[cured]].all():  # what comes from a column that did not move is no order
+        cured &= cured[order]
+    return np.asarray(odd[cured])
+
+
+def _square(values: Array) -> Array:
+    return np.asarray(np.einsum("ij,ij->j", values, values))
+
+
+def _effect(
+    campaign: Campaign, what: Difference, files: tuple[int, ...], quantities: list[str]
+) -> FoundEffect:
+    cycles, column = campaign.cycles, " and ".join(quantities)
+    where = listed([cycles[k].name for k in files], FILES)
+    if 2 * len(files) >= len(cycles):
+        others = [cycle.name for k, cycle in enumerate(cycles) if k not in files]
+        where += f", or in {listed(others, FILES)}"
+    if what.times:
+        where += f", {what.times} times the others"
+    if what.actuators:
+        ids = campaign.layout.id[campaign.layout.enabled]
+        which = f"{len(what.actuators)} of {len(ids)} actuators"
+        if len(what.actuators) <= SAID:
+            which = named("actuator", ids[list(what.actuators)].tolist(), SAID)
+        where = f"{which} in {where}"
+    return FoundEffect(
+        name=what.name.format(column),
+        where=where,
+        size=len(files) / len(cycles),
+        remedy=what.remedy.format(column),
+    )
