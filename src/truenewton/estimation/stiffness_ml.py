@@ -37,7 +37,7 @@ NOT_BY_COLUMNS = Fault(
     "trust smooth patterns of alpha the least; cycles under known weights would hold them",
 )
 # Variance in terms of the information's, above which noise feigns what holds alpha.
-FEIGNED = 1.4
+FEIGNED = 1.27
 
 
 def mode_data(modes: Array, variance: float) -> DataSet:
