@@ -53,6 +53,7 @@ OF_FILES = (
     "another order of FORCE",
     "order of FORCE is not that of POSITION",
     "asymmetric stiffness",
+    "coordinates in another order than STIFFNESS",
     UNUSABLE_BEFORE,
 )
 # Labels of rows say which of them repeat, which the balance of each does not ask: where the rest

@@ -35,6 +35,7 @@ SMALL = 0.02  # rms step in terms of the rms error at which alpha has settled
 SAME = 0.03  # change of the noise at which it has
 WIDE = 0.1  # spread of a population to begin with
 CLEAR = 0.1  # part of a column's variance that may be a disturbance where its noise is judged
+DROWNED = 1e-6  # noise in terms of a typical element, beside which any disturbance is large
 HOPELESS = 30.0  # in log likelihood: so much less likely a law is given up
 LEAST = 0.01  # part of a variance that a fit leaves at least
 
@@ -186,7 +187,7 @@ def _alternate(
         roots = np.log(np.diagonal(terms.root, axis1=1, axis2=2)).sum() + 1.5 * np.log(weight).sum()
         cost = float(roots) + noise.cost(distance) - 0.5 * float(np.linalg.slogdet(inverse)[1])
         left = _left(terms, inverse, feigned)
-        noise, weight = _noise(c, alpha, terms, left, variance * weight)
+        noise, weight = _noise(c, alpha, terms, left)
         if np.isfinite(spread):
             log = np.log(positive(alpha))
             cost += 0.5 * float(log @ prior @ log) + (n - smooth.shape[1]) * float(np.log(spread))
@@ -214,6 +215,7 @@ def _rough_noise(c: Columns, alpha: Array, proportional: float) -> ColumnNoise:
     """
     rho, law = ((c.a * alpha) @ c.stiffness).T, ColumnNoise(1.0, proportional)
     s = _covariances(c.a * alpha, law.of_elements(c.size))
+    s += c.disturbance / (DROWNED**2 * np.mean(c.size**2))
     distance = np.einsum("mk,mk->m", rho, np.linalg.solve(s, rho[:, :, None])[:, :, 0])
     return ColumnNoise(float(np.median(distance)) / 2.37, proportional)  # median of chi^2 of 3
 
@@ -343,31 +345,25 @@ def _inverse(terms: _Terms, prior: Array, feigned: Array) -> Array:
     )
 
 
-def _noise(
-    c: Columns, alpha: Array, terms: _Terms, left: Array, variance: Array
-) -> tuple[ColumnNoise, Array]:
+def _noise(c: Columns, alpha: Array, terms: _Terms, left: Array) -> tuple[ColumnNoise, Array]:
     """Return the likeliest noise, and (m,) weights, after putting back what the fit took away.
 
     What is left of most of a column is nearly all or nearly nothing: that combination of its three
     equations into which alpha of its own actuator goes.
     """
-    values, vectors = np.linalg.eigh(left)
-    turn = vectors[:, :, ::-1].transpose(0, 2, 1)
-    residual = np.einsum("mkl,ml->mk", turn, terms.residual) / np.sqrt(values[:, ::-1])
+    disturbed = np.linalg.solve(terms.root, c.disturbance)
+    disturbed = np.linalg.solve(terms.root, disturbed.transpose(0, 2, 1))
+    shares, directions = np.linalg.eigh(disturbed)
+    some = directions * (shares <= CLEAR)[:, None]
+    clear = some @ some.transpose(0, 2, 1)
+    values, vectors = (each[..., ::-1] for each in np.linalg.eigh(clear @ left @ clear))
+    told = values >= 0.5 * LEAST
+    turn = (vectors * told[:, None]).transpose(0, 2, 1)
+    residual = np.einsum("mkl,ml->mk", turn, terms.residual) / np.sqrt(np.maximum(values, LEAST))
     turn = turn @ np.linalg.inv(terms.root)
     scaled, square = c.a * alpha, c.size**2
     equal, proportional = (
-        turn @ _covariances(scaled, law) @ turn.transpose(0, 2, 1)
+        turn @ _covariances(scaled, law) @ turn.transpose(0, 2, 1) + np.eye(3) * ~told[:, None]
         for law in (np.ones_like(square), square / square.mean())
     )
-    clear = np.trace(c.disturbance, axis1=1, axis2=2) <= CLEAR * np.trace(
-        _covariances(scaled, variance), axis1=1, axis2=2
-    )
-    if np.count_nonzero(clear) < 0.2 * len(clear):
-        clear = np.ones(len(clear), dtype=bool)
-    noise, some = likeliest_noise(
-        residual[clear], values[clear, ::-1], (equal[clear], proportional[clear])
-    )
-    weight = np.ones(len(clear))
-    weight[clear] = some
-    return noise, weight
+    return likeliest_noise(residual, values * told, (equal, proportional))
