@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, spread, spread_square
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName
+from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.effects.words import effect_warnings
@@ -169,8 +169,11 @@ def calibrate(
     if isinstance(data, Campaign):
         made = calibration_of(data, METHODS[method].of_cycles(sift(data), known))
     elif isinstance(data, StiffnessMatrix):
-        sifted = sift_matrix(data)
-        found = METHODS[method].of_stiffness(sifted, known)
+        try:
+            sifted = sift_matrix(data)
+            found = METHODS[method].of_stiffness(sifted, known)
+        except (RankDeficient, NotConverged) as error:
+            raise located(error, data.source and Path(data.source.file).name) from None
         made = _from_stiffness(sifted.matrix, *found)
     else:
         raise TypeError(

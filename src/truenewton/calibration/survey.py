@@ -19,7 +19,7 @@ from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import sift
-from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, modal_stiffness
+from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, elastic_count, modal_stiffness
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, with_error
@@ -142,13 +142,13 @@ def _survey_stiffness(
         "softest": softest,
         "median": median,
         "stiffest": stiffest,
-        "used_modes": int(np.count_nonzero(modes > SOFTEST)),
+        "used_modes": elastic_count(modes),
         "asymmetry": asymmetry(matrix),
     }
     lines = [
         "",
         row("singular values", f"{softest:.3g} .. {stiffest:.3g} N/m, median {median:.3g}"),
-        row("elastic modes", f"{values['used_modes']} stiffer than {SOFTEST:g} N/m"),
+        row("elastic modes", f"{values['used_modes']} stiffer than {SOFTEST:g} of the stiffest"),
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
     try:

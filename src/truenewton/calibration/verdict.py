@@ -55,6 +55,7 @@ OF_FILES = (
     "files of two mirrors",
     STILL.name,
     "asymmetric stiffness",
+    "coordinates in another order than STIFFNESS",
     UNUSABLE_BEFORE,
 )
 # Labels of rows say which of them repeat, which the balance of each does not ask: where the rest

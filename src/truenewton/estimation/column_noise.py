@@ -44,7 +44,12 @@ class ColumnNoise:
     @property
     def lost(self) -> float:
         """Variance of a fit weighted by t in terms of what its weights alone let expect."""
-        return 1.0 if np.isinf(self.freedom) else (self.freedom + 5.0) / (self.freedom + 3.0)
+        return 1.0 if np.isinf(self.freedom) else (self.freedom + 4.0) / (self.freedom + 2.0)
+
+    def cost(self, distance: Array) -> float:
+        """Return minus log likelihood of (m,) squared distances of 3-vectors, parameters paid."""
+        parameters = (0.0 < self.proportional < 1.0) + np.isfinite(self.freedom)
+        return WORTH * float(parameters) + _cost(distance, self.freedom, 3.0)
 
     def __str__(self) -> str:
         if self.proportional < 0.02:
@@ -57,7 +62,7 @@ class ColumnNoise:
 
 
 def likeliest_noise(
-    residual: Array, square: Array, laws: tuple[Array, Array]
+    residual: Array, left: Array, laws: tuple[Array, Array]
 ) -> tuple[ColumnNoise, Array]:
     """Return the likeliest noise and the weight of each column.
 
@@ -67,52 +72,43 @@ def likeliest_noise(
     Parameters
     ----------
     residual
-        (m, 3) imbalance, what the fit took away put back.
-    square
-        (m, 3, 3) expected square of the imbalance at the true alpha: that at the fitted one, and
-        the covariance of what the fit took away. A column that balances by chance is not taken for
-        a good one, as it would be if its residual were merely put in terms of its leverage.
+        (m, 3) combinations of the imbalance of each column, what the fit took away put back.
+    left
+        (m, 3) part of each that the fit had left, descending: its degrees of freedom, as what was
+        put back is said by other columns. Each counts as conditional on those before it.
     laws
         (m, 3, 3) covariance of a residual if the noise were equal in all elements, and if in
         proportion, for variance 1.
     """
-    m = len(residual)
+    freedoms = left.sum(axis=1)
 
     def at(share: float) -> tuple[float, Array]:
-        s = (1.0 - share) * laws[0] + share * laws[1]
-        solved = np.linalg.solve(s, residual[:, :, None])[:, :, 0]
-        return 0.5 * float(np.linalg.slogdet(s)[1].sum()), np.einsum("mk,mk->m", residual, solved)
+        factor = np.linalg.cholesky((1.0 - share) * laws[0] + share * laws[1])
+        solved = np.linalg.solve(factor, residual[:, :, None])[:, :, 0]
+        size = np.log(np.diagonal(factor, axis1=1, axis2=2))
+        return float(np.sum(left * size)), np.sum(left * solved**2, axis=1)
 
-    def normal(share: float) -> float:
+    def normal(share: float) -> tuple[float, ColumnNoise]:
         determinant, distance = at(share)
-        typical = max(float(distance.mean()) / 3.0, 1e-300)
-        return determinant + 1.5 * m * (float(np.log(typical)) + 1.0)
+        variance = max(float(distance.sum() / freedoms.sum()), 1e-300)
+        cost = determinant + 0.5 * float(freedoms.sum() * (np.log(variance) + 1.0))
+        return cost, ColumnNoise(variance, share)
 
-    def student(share: float) -> tuple[float, float, float]:
+    def student(share: float) -> tuple[float, ColumnNoise]:
         determinant, distance = at(share)
-        value, freedom, variance = _student(distance)
-        return determinant + value, freedom, variance
+        value, freedom, variance = _student(distance, freedoms)
+        return determinant + value + WORTH, ColumnNoise(variance, share, freedom)
 
-    best = (np.inf, ColumnNoise(1.0, 0.0))
-    for by_sensor in (False, True):
-        cost = (lambda share: student(share)[0]) if by_sensor else normal
-        for share, worth in ((0.0, 0.0), (1.0, 0.0), (_likeliest_share(cost), WORTH)):
-            total = cost(share) + worth + by_sensor * WORTH
-            if total < best[0]:
-                if by_sensor:
-                    _, freedom, variance = student(share)
-                else:
-                    freedom, variance = np.inf, float(at(share)[1].mean() / 3.0)
-                best = (total, ColumnNoise(variance, share, freedom))
-    noise = best[1]
+    found = []
+    for law in (normal, student):
+        found += [law(0.0), law(1.0)]
+        value, noise = law(_likeliest_share(lambda share, law=law: law(share)[0]))
+        found.append((value + WORTH, noise))
+    noise = min(found, key=lambda each: each[0])[1]
     if np.isinf(noise.freedom):
-        return noise, np.ones(m)
-    share = noise.proportional
-    s = (1.0 - share) * laws[0] + share * laws[1]
-    distance = np.einsum("mkl,mlk->m", np.linalg.inv(s), square)
-    _, freedom, variance = _student(distance)
-    noise = ColumnNoise(variance, share, freedom)
-    return noise, (freedom + 3.0) / (freedom + distance / max(variance, 1e-300))
+        return noise, np.ones(len(residual))
+    distance = at(noise.proportional)[1] / noise.variance
+    return noise, (noise.freedom + freedoms) / (noise.freedom + distance)
 
 
 def _likeliest_share(cost: Callable[[float], float]) -> float:
@@ -126,17 +122,24 @@ def _likeliest_share(cost: Callable[[float], float]) -> float:
     return float(scipy.special.expit(found.x))
 
 
-def _student(distance: Array) -> tuple[float, float, float]:
-    """Return minus log likelihood, freedom and variance of (m,) squared distances of 3-vectors."""
-    m, scale = len(distance), max(float(np.median(distance)), 1e-300)
+def _cost(distance: Array, freedom: float, dimensions: Array | float) -> float:
+    """Return minus log likelihood of squared distances of t, but for what is the same for all."""
+    if np.isinf(freedom):
+        return 0.5 * float(distance.sum())
+    half, gamma = 0.5 * (freedom + dimensions), scipy.special.gammaln
+    size = half - 0.5 * freedom
+    each = size * np.log(0.5 * freedom) - (gamma(half) - gamma(0.5 * freedom))
+    return float(np.sum(each + half * np.log1p(distance / freedom)))
+
+
+def _student(distance: Array, dimensions: Array) -> tuple[float, float, float]:
+    """Return minus log likelihood, freedom and variance of (m,) squared distances."""
+    scale, total = max(float(np.median(distance)), 1e-300), 0.5 * float(dimensions.sum())
 
     def cost(x: Array) -> float:
-        freedom, variance = np.exp(x[0]), scale * np.exp(x[1])
-        gamma = scipy.special.gammaln
-        return float(
-            1.5 * m * np.log(variance * freedom / 2.0)
-            - m * (gamma(0.5 * freedom + 1.5) - gamma(0.5 * freedom))
-            + (0.5 * freedom + 1.5) * np.log1p(distance / (freedom * variance)).sum()
+        variance = scale * np.exp(x[1])
+        return total * float(np.log(variance)) + _cost(
+            distance / variance, np.exp(x[0]), dimensions
         )
 
     found = scipy.optimize.minimize(

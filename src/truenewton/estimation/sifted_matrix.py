@@ -21,6 +21,7 @@ from truenewton.estimation.matrix_faults import (
     pair_ratios,
     typical_spacing,
 )
+from truenewton.estimation.matrix_order import order_effects
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
@@ -67,6 +68,10 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         Rows are in another order or of another sign, or more than a few push unseen.
     """
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    disorder = tuple(order_effects(matrix, named=True))
+    if disorder:  # whoever stands where is then no matter of single actuators
+        n = len(k)
+        return SiftedMatrix(matrix, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
     ids = matrix.layout.id[matrix.layout.enabled]
     off = np.asarray(~(k.any(axis=0) & k.any(axis=1)), dtype=np.bool_)
     bad: tuple[BadActuator, ...] = ()
@@ -108,7 +113,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         start,
         disturbance,
         (*unsure, *_warnings(ids, out, bad, pushing=bool(doubt[off].any()))),
-        tuple(_effect(ids, each) for each in (*bad, *out)),
+        (*(_effect(ids, each) for each in (*bad, *out)), *order_effects(sifted, named=False)),
     )
 
 
@@ -199,7 +204,7 @@ def _warnings(
 ) -> Iterator[Fault]:
     if off:
         yield Fault(
-            f"{_named(ids, off)} left out: zero in row or column of STIFFNESS"
+            f"{_named(ids, off)}, disabled? Left out: zero in row or column of STIFFNESS"
             + (", but the columns around do not balance, as if it pushed" if pushing else ""),
             "measure the stiffness with it switched off"
             if pushing

@@ -13,7 +13,7 @@ Singular vectors mix columns and lose that.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -24,6 +24,7 @@ from truenewton.estimation.column_noise import ColumnNoise, likeliest_noise
 from truenewton.estimation.population import (
     likeliest_spread,
     on_logarithms,
+    positive,
     pull,
     smooth_patterns,
 )
@@ -34,6 +35,9 @@ SMALL = 0.02  # rms step in terms of the rms error at which alpha has settled
 SAME = 0.03  # change of the noise at which it has
 WIDE = 0.1  # spread of a population to begin with
 CLEAR = 0.1  # part of a column's variance that may be a disturbance where its noise is judged
+DROWNED = 1e-6  # noise in terms of a typical element, beside which any disturbance is large
+HOPELESS = 30.0  # in log likelihood: so much less likely a law is given up
+LEAST = 0.01  # part of a variance that a fit leaves at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +95,9 @@ class ColumnFit:
 
 @dataclass(frozen=True, eq=False)
 class _Terms:
-    """At one point: residuals of unit covariance, S^1/2, the design, M and gradient, and D.
+    """At one point: residuals of unit covariance, S^1/2, the design, M and gradient.
 
-    (m, 3), (m, 3, 3), (m, 3, n + 9), (n + 9, n + 9), (n + 9,) and (n, n).
+    (m, 3), (m, 3, 3), (m, 3, n + 9), (n + 9, n + 9) and (n + 9,).
     """
 
     residual: Array
@@ -101,7 +105,18 @@ class _Terms:
     design: Array
     m: Array
     gradient: Array
-    feigned: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """Alpha, b, noise and spread that belong together; (m,) weights of columns, and their cost."""
+
+    alpha: Array
+    b: Array
+    noise: ColumnNoise
+    spread: float
+    weight: Array | float = 1.0
+    cost: float = np.inf
 
 
 def fit_columns(columns: Columns, *, population: bool = False) -> ColumnFit:
@@ -122,57 +137,87 @@ def fit_columns(columns: Columns, *, population: bool = False) -> ColumnFit:
     RankDeficient
         What is taken for noise would hold some of alpha alone: the columns have another fault.
     """
-    k, start = columns.size, columns.start
-    n, m = k.shape
-    alpha, b, spread = start / start.mean(), np.zeros((3, 3)), WIDE if population else np.inf
-    noise, weight = _rough_noise(columns), np.ones(m)
-    smooth = smooth_patterns(columns.a)
-    for round_index in range(ROUNDS):
-        variance = noise.of_elements(k) / weight
-        prior = on_logarithms(smooth, spread)
-        if round_index == 0:
-            alpha, b, terms, inverse = _settle(columns, alpha, b, variance, prior, start)
-        else:
-            alpha, b, terms, inverse = _settle(columns, alpha, b, variance, prior)
-        before, before_spread = noise, spread
-        noise, weight = _noise(columns, alpha, terms, inverse, variance * weight)
-        if population:
-            found = likeliest_spread(smooth, alpha, inverse[:n, :n], spread)
-            spread = max(found, spread / 3.0)  # the noise is not known yet
-        if (
-            round_index
-            and _same(noise, before)
-            and abs(np.log(spread / before_spread)) < SAME * (2.0)
-        ):
-            break
-    variance = noise.of_elements(k) / weight * noise.lost
-    prior = on_logarithms(smooth, spread)
-    alpha, b, terms, inverse = _settle(columns, alpha, b, variance, prior)
+    n, alpha = len(columns.start), columns.start / columns.start.mean()
+    smooth, spread = smooth_patterns(columns.a), WIDE if population else np.inf
+    rough = _rough_noise(columns, alpha, 0.0)
+    best = _alternate(
+        columns, smooth, _Point(alpha, np.zeros((3, 3)), rough, spread), columns.start
+    )
+    # The law by which columns are weighted is judged too well by what is then left of them.
+    other = _rough_noise(columns, best.alpha, float(best.noise.proportional < 0.5))
+    try:
+        again = _alternate(columns, smooth, replace(best, noise=other), worst=best.cost + HOPELESS)
+        best = min(best, again, key=lambda each: each.cost)
+    except (NotConverged, RankDeficient):
+        pass
+    noise, prior = best.noise, on_logarithms(smooth, best.spread)
+    variance = noise.of_elements(columns.size) / best.weight * noise.lost
+    alpha, _, terms, inverse, feigned = _settle(columns, best.alpha, best.b, variance, prior)
+    left = _left(terms, inverse, feigned)
+    feigned = _feigned(columns, alpha, terms.root, variance, left)
+    inverse = _inverse(terms, pull(prior, alpha)[1], feigned)
     held = np.eye(n) - np.outer(alpha, np.full(n, 1.0 / n))
     inverse = held @ inverse[:n, :n] @ held.T
-    covariance = inverse + inverse @ terms.feigned @ inverse
+    covariance = inverse + inverse @ feigned @ inverse
     share = float(np.trace(covariance) / np.trace(inverse))
-    return ColumnFit(alpha, covariance, noise, spread, _eigenvalues(columns, terms), share)
+    eigenvalues = _eigenvalues(columns, terms, feigned)
+    return ColumnFit(alpha, covariance, noise, best.spread, eigenvalues, share)
 
 
-def _eigenvalues(c: Columns, terms: _Terms) -> Array:
+def _alternate(
+    c: Columns,
+    smooth: Array,
+    at: _Point,
+    held: Array | None = None,
+    worst: float = np.inf,
+) -> _Point:
+    """Find alpha, noise and spread in turn until they belong together.
+
+    With alpha held in the covariances for the first time. The cost is minus log likelihood, alpha
+    and b integrated out, and what parameters of the noise must bring; no further beyond the worst.
+    """
+    n, weight = len(at.alpha), np.ones(c.size.shape[1])
+    alpha, b, noise, spread = at.alpha, at.b, at.noise, at.spread
+    for _ in range(ROUNDS):
+        variance, prior = noise.of_elements(c.size) / weight, on_logarithms(smooth, spread)
+        alpha, b, terms, inverse, feigned = _settle(c, alpha, b, variance, prior, held)
+        known = held is None
+        held, before, before_spread = None, noise, spread
+        distance = np.sum(terms.residual**2, axis=1) / weight
+        roots = np.log(np.diagonal(terms.root, axis1=1, axis2=2)).sum() + 1.5 * np.log(weight).sum()
+        cost = float(roots) + noise.cost(distance) - 0.5 * float(np.linalg.slogdet(inverse)[1])
+        left = _left(terms, inverse, feigned)
+        noise, weight = _noise(c, alpha, terms, left)
+        if np.isfinite(spread):
+            log = np.log(positive(alpha))
+            cost += 0.5 * float(log @ prior @ log) + (n - smooth.shape[1]) * float(np.log(spread))
+            found = likeliest_spread(smooth, alpha, inverse[:n, :n], spread)
+            spread = max(found, spread / 3.0)  # the noise is not known yet
+        if cost > worst:
+            break
+        if known and _same(noise, before) and abs(np.log(spread / before_spread)) < SAME * (2.0):
+            break
+    return _Point(alpha, b, noise, spread, weight, cost)
+
+
+def _eigenvalues(c: Columns, terms: _Terms, feigned: Array) -> Array:
     """Return (n,) ascending eigenvalues of the balance of the columns as they are, D being 1."""
     n, m = c.stiffness.shape
     rows = (np.linalg.inv(terms.root) @ c.a) * c.stiffness.T[:, None, :]
-    flat = rows.reshape(3 * m, n) / np.sqrt(np.diag(terms.feigned))
+    flat = rows.reshape(3 * m, n) / np.sqrt(np.diag(feigned))
     return np.asarray(np.maximum(np.linalg.eigvalsh(flat.T @ flat), 0.0))
 
 
-def _rough_noise(c: Columns) -> ColumnNoise:
+def _rough_noise(c: Columns, alpha: Array, proportional: float) -> ColumnNoise:
     """Return a first noise, from what alpha to begin with leaves out of balance: rather too large.
 
     Too small a noise would have alpha scatter until its own variance explains the imbalance.
     """
-    rho = ((c.a * c.start) @ c.stiffness).T
-    square = c.size**2
-    s = _covariances(c.a * c.start, np.ones_like(square))
+    rho, law = ((c.a * alpha) @ c.stiffness).T, ColumnNoise(1.0, proportional)
+    s = _covariances(c.a * alpha, law.of_elements(c.size))
+    s += c.disturbance / (DROWNED**2 * np.mean(c.size**2))
     distance = np.einsum("mk,mk->m", rho, np.linalg.solve(s, rho[:, :, None])[:, :, 0])
-    return ColumnNoise(float(np.median(distance)) / 2.37, 0.0)  # the median of chi^2 of 3
+    return ColumnNoise(float(np.median(distance)) / 2.37, proportional)  # median of chi^2 of 3
 
 
 def _same(noise: ColumnNoise, before: ColumnNoise) -> bool:
@@ -186,7 +231,7 @@ def _same(noise: ColumnNoise, before: ColumnNoise) -> bool:
 def _terms(
     c: Columns, alpha: Array, b: Array, variance: Array, held: Array | None = None
 ) -> _Terms:
-    """Return the terms; with alpha held in S, those of weighted least squares, nothing feigned."""
+    """Return the terms; with alpha held in S, those of weighted least squares."""
     n, m = c.stiffness.shape
     rho = ((c.a * alpha) @ c.stiffness + b @ c.sensor_arms).T
     s = _covariances(c.a * (alpha if held is None else held), variance) + c.disturbance
@@ -194,21 +239,50 @@ def _terms(
     inverse_root = np.linalg.inv(root)
     residual = np.einsum("mkl,ml->mk", inverse_root, rho)
     white = inverse_root @ c.a
-    noisy = (variance * alpha[:, None]).T  # (m, n)
     fitted = c.stiffness.T
     if held is None:
-        fitted = fitted - noisy * np.einsum("mki,mk->mi", white, residual)
+        fitted = fitted - (variance * alpha[:, None]).T * np.einsum("mki,mk->mi", white, residual)
     design = np.empty((m, 3, n + 9))
     np.multiply(white, fitted[:, None, :], out=design[:, :, :n])
     design[:, :, n:] = np.einsum("mkl,jm->mklj", inverse_root, c.sensor_arms).reshape(m, 3, 9)
     flat = design.reshape(3 * m, n + 9)
-    # D = (A' S^-1 A) o (diag v - v alpha A' S^-1 A alpha v), summed over columns.
-    feigned = np.diag(np.einsum("mki,mki,mi->i", white, white, variance.T))
-    for k in range(3):
-        cross = (white[:, k : k + 1] * white * noisy[:, None, :]).reshape(3 * m, n)
-        feigned -= cross.T @ cross
     m_matrix = np.asarray(flat.T @ flat)
-    return _Terms(residual, np.asarray(root), design, m_matrix, flat.T @ residual.ravel(), feigned)
+    return _Terms(residual, np.asarray(root), design, m_matrix, flat.T @ residual.ravel())
+
+
+def _feigned(
+    c: Columns, alpha: Array, root: Array, variance: Array, left: Array | None = None
+) -> Array:
+    """Return what noise adds to M in the mean: all of it, or that which the fit leaves of it.
+
+    D = (A' S^-1/2 L S^-1/2 A) o (diag v - v alpha A' S^-1 A alpha v), summed over columns. With
+    L = 1 this is E[M] less the information I. But the fit of all other unknowns takes away its part
+    of what noise feigns of a pattern, in M as in the gradient. To second order (M - D)^-1 has the
+    mean I^-1, and errors of alpha the covariance I^-1 (I + D) I^-1, where L, (m, 3, 3), is what the
+    fit leaves of the variance of each column.
+    """
+    m, n = len(root), len(alpha)
+    white = np.linalg.inv(root) @ c.a
+    noisy = white * (variance * alpha[:, None]).T[:, None, :]
+    some = white if left is None else np.linalg.cholesky(left).transpose(0, 2, 1) @ white
+    out = np.diag(np.einsum("mki,mki,mi->i", some, some, variance.T))
+    for k in range(3):
+        cross = (some[:, k : k + 1] * noisy).reshape(3 * m, n)
+        out -= cross.T @ cross
+    return np.asarray(out)
+
+
+def _left(terms: _Terms, inverse: Array, feigned: Array) -> Array:
+    """Return the (m, 3, 3) part of each column's unit covariance that the fit leaves.
+
+    1 - X H^-1 X' with the true design X. Noise in that which is at hand makes X H^-1 X' larger, and
+    alpha less sure than H^-1, by as much again: in the sum over columns, by the trace of H^-1 D.
+    """
+    n, (m, _, u) = len(feigned), terms.design.shape
+    inverse = inverse - 2.0 * inverse[:, :n] @ feigned @ inverse[:n]
+    reached = (terms.design.reshape(3 * m, u) @ inverse).reshape(m, 3, u)
+    values, vectors = np.linalg.eigh(np.eye(3) - reached @ terms.design.transpose(0, 2, 1))
+    return np.asarray((vectors * np.maximum(values, LEAST)[:, None]) @ vectors.transpose(0, 2, 1))
 
 
 def _covariances(scaled_arms: Array, variance: Array) -> Array:
@@ -224,13 +298,15 @@ def _settle(
     variance: Array,
     prior: Array,
     held: Array | None = None,
-) -> tuple[Array, Array, _Terms, Array]:
-    """Return alpha of mean 1, b, the terms there and the (n + 9, n + 9) inverse of H and prior."""
-    n = len(alpha)
-    for _ in range(STEPS):
+) -> tuple[Array, Array, _Terms, Array, Array]:
+    """Return alpha of mean 1, b, the terms there, (n + 9, n + 9) inverse of H and prior, and D."""
+    n, feigned = len(alpha), np.zeros((len(alpha), len(alpha)))
+    for step_index in range(STEPS):
         terms = _terms(c, alpha, b, variance, held)
+        if held is None and not step_index:  # alpha hardly moves it
+            feigned = _feigned(c, alpha, terms.root, variance)
         pulled, information = pull(prior, alpha)
-        inverse = _inverse(terms, information, feigned=held is None)
+        inverse = _inverse(terms, information, feigned)
         gradient = terms.gradient.copy()
         gradient[:n] += pulled
         step = inverse @ gradient
@@ -241,15 +317,15 @@ def _settle(
         if not np.isfinite(alpha).all() or np.abs(alpha).max() > 1e3:
             break
         if size < SMALL:
-            return alpha, b, terms, inverse
+            return alpha, b, terms, inverse, feigned
     raise NotConverged(
         "alpha of the stiffness matrix does not settle",
         remedy="check unit, X, Y, NZ and the order of rows and columns in STIFFNESS",
     )
 
 
-def _inverse(terms: _Terms, prior: Array, *, feigned: bool) -> Array:
-    """Return the inverse of H = M - D and prior; the factor common to all alpha is held.
+def _inverse(terms: _Terms, prior: Array, feigned: Array) -> Array:
+    """Return the inverse of M - D and prior; the factor common to all alpha is held.
 
     Raises
     ------
@@ -257,9 +333,7 @@ def _inverse(terms: _Terms, prior: Array, *, feigned: bool) -> Array:
     """
     n = len(prior)
     matrix = terms.m.copy()
-    matrix[:n, :n] += prior + np.trace(terms.m[:n, :n]) / n**2
-    if feigned:
-        matrix[:n, :n] -= terms.feigned
+    matrix[:n, :n] += prior - feigned + np.trace(terms.m[:n, :n]) / n**2
     try:
         factor = scipy.linalg.cho_factor(matrix, lower=True)
         return np.asarray(scipy.linalg.cho_solve(factor, np.eye(n + 9)))
@@ -271,30 +345,25 @@ def _inverse(terms: _Terms, prior: Array, *, feigned: bool) -> Array:
     )
 
 
-def _noise(
-    c: Columns, alpha: Array, terms: _Terms, inverse: Array, variance: Array
-) -> tuple[ColumnNoise, Array]:
-    """Return the likeliest noise, and (m,) weights, after putting back what the fit took away."""
-    m, _, u = terms.design.shape
-    reached = (terms.design.reshape(3 * m, u) @ inverse).reshape(m, 3, u)
-    taken = np.einsum("mku,mlu->mkl", reached, terms.design)
-    left = np.eye(3) - taken
-    values, vectors = np.linalg.eigh(left)
-    values = np.maximum(values, 0.02)
-    turned = np.einsum("mlk,ml->mk", vectors, terms.residual) / np.sqrt(values)
-    residual = np.einsum("mkl,ml->mk", terms.root @ vectors, turned)
-    expected = terms.residual[:, :, None] * terms.residual[:, None] + taken
-    expected = terms.root @ expected @ terms.root.transpose(0, 2, 1)
+def _noise(c: Columns, alpha: Array, terms: _Terms, left: Array) -> tuple[ColumnNoise, Array]:
+    """Return the likeliest noise, and (m,) weights, after putting back what the fit took away.
+
+    What is left of most of a column is nearly all or nearly nothing: that combination of its three
+    equations into which alpha of its own actuator goes.
+    """
+    disturbed = np.linalg.solve(terms.root, c.disturbance)
+    disturbed = np.linalg.solve(terms.root, disturbed.transpose(0, 2, 1))
+    shares, directions = np.linalg.eigh(disturbed)
+    some = directions * (shares <= CLEAR)[:, None]
+    clear = some @ some.transpose(0, 2, 1)
+    values, vectors = (each[..., ::-1] for each in np.linalg.eigh(clear @ left @ clear))
+    told = values >= 0.5 * LEAST
+    turn = (vectors * told[:, None]).transpose(0, 2, 1)
+    residual = np.einsum("mkl,ml->mk", turn, terms.residual) / np.sqrt(np.maximum(values, LEAST))
+    turn = turn @ np.linalg.inv(terms.root)
     scaled, square = c.a * alpha, c.size**2
-    laws = [_covariances(scaled, law) for law in (np.ones_like(square), square / square.mean())]
-    clear = np.trace(c.disturbance, axis1=1, axis2=2) <= CLEAR * np.trace(
-        _covariances(scaled, variance), axis1=1, axis2=2
+    equal, proportional = (
+        turn @ _covariances(scaled, law) @ turn.transpose(0, 2, 1) + np.eye(3) * ~told[:, None]
+        for law in (np.ones_like(square), square / square.mean())
     )
-    if np.count_nonzero(clear) < 0.2 * m:
-        clear = np.ones(m, dtype=bool)
-    noise, some = likeliest_noise(
-        residual[clear], expected[clear], (laws[0][clear], laws[1][clear])
-    )
-    weight = np.ones(m)
-    weight[clear] = some
-    return noise, weight
+    return likeliest_noise(residual, values * told, (equal, proportional))

@@ -20,9 +20,9 @@ from truenewton.estimation.population import (
 from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.stiffness_columns import Columns, fit_columns
 from truenewton.estimation.stiffness_svd import (
-    SOFTEST,
     ElasticFit,
     balance_modes,
+    elastic_count,
     elastic_modes_of,
     mode_covariance,
     refuse_few_modes,
@@ -37,7 +37,7 @@ NOT_BY_COLUMNS = Fault(
     "trust smooth patterns of alpha the least; cycles under known weights would hold them",
 )
 # Variance in terms of the information's, above which noise feigns what holds alpha.
-FEIGNED = 1.4
+FEIGNED = 1.27
 
 
 def mode_data(modes: Array, variance: float) -> DataSet:
@@ -59,7 +59,7 @@ def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
     """
     n = columns.a.shape[1]
     values = singular_values_and_vectors(columns.stiffness)[1]
-    refuse_few_modes(int(np.count_nonzero(values > SOFTEST)), n)
+    refuse_few_modes(elastic_count(values), n)
     try:
         fit = fit_columns(columns, population=population)
     except (RankDeficient, NotConverged):

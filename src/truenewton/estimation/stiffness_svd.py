@@ -15,10 +15,11 @@ import scipy.linalg
 
 from truenewton import linalg
 from truenewton.arrays import Array
-from truenewton.errors import RankDeficient
+from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis, FoundEffect
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import geometry_fault, refuse
+from truenewton.estimation.matrix_order import DISORDERED
 from truenewton.estimation.sifted_matrix import SiftedMatrix
 from truenewton.estimation.stiffness_columns import Columns
 from truenewton.estimation.systems import balance_rows
@@ -28,8 +29,11 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
 from truenewton.statics.arms import comparable_arms, enabled_arms
 
-# Softer modes mix with the rigid motions through the bias magnets' gradient [N/m].
-SOFTEST = 1e3
+# Of the stiffest: softer modes mix with the rigid motions through the bias magnets' gradient.
+SOFTEST = 1e-4
+# Own stiffness of a mirror's actuators, typically and at the least and most, in N/m.
+USUAL, SOFT, STIFF = 2e6, 2e4, 2e9
+UNITS = {-1: "N/mm", -2: "N/um", -3: "N/nm"}  # by powers of a thousand
 # Asymmetry that no gains explain: a third of scatter in alpha makes a quarter, another order one.
 DISORDER = 0.5
 
@@ -78,9 +82,17 @@ def elastic_modes(matrix: StiffnessMatrix) -> Array:
 
 
 def elastic_modes_of(k: Array) -> Array:
-    """Return the same of an (n, n) stiffness [N/m]."""
+    """Return the same of an (n, n) stiffness."""
     left, values, _ = singular_values_and_vectors(k)
-    return np.asarray(left[:, values > SOFTEST].T)
+    return np.asarray(left[:, : elastic_count(values)].T)
+
+
+def elastic_count(values: Array) -> int:
+    """Return how many of (n,) descending singular values are those of elastic modes.
+
+    Noise may lift rigid motions above the limit: three are never elastic.
+    """
+    return min(int(np.count_nonzero(values > SOFTEST * values[0])), len(values) - 3)
 
 
 def columns_of(sifted: SiftedMatrix) -> Columns:
@@ -103,9 +115,9 @@ def refuse_few_modes(count: int, n: int) -> None:
     """Raise RankDeficient where so many elastic modes cannot hold alpha of n actuators."""
     if count * 3 < n + 1:
         raise RankDeficient(
-            f"only {counted(count, 'mode')} stiffer than {SOFTEST:g} N/m, for"
-            f" {counted(n, 'actuator')}",
-            remedy="measure a stiffness matrix of full rank, in N/m",
+            f"only {counted(count, 'mode')} of STIFFNESS stiffer than {SOFTEST:g} of the stiffest,"
+            f" for {counted(n, 'actuator')}",
+            remedy="measure a stiffness matrix of full rank",
             got=count,
             want=n - 3,
         )
@@ -200,9 +212,16 @@ def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
     """
     matrix = sifted.matrix
     refuse([geometry_fault(enabled_arms(matrix.layout))])
-    fitted = fit(columns_of(sifted))
+    try:
+        fitted = fit(columns_of(sifted))
+    except (RankDeficient, NotConverged) as error:
+        for effect in sifted.effects:  # the reason, where alpha cannot even be found
+            if effect.name.startswith(DISORDERED):
+                raise error.changed(fault=effect.name, remedy=effect.remedy) from None
+        raise
     n, singular_values = len(fitted.alpha), fitted.singular_values
-    warnings = (*sifted.warnings, *_orientation_warnings(matrix), *fitted.warnings)
+    of_file = (*_unit_warnings(matrix), *_orientation_warnings(matrix))
+    warnings = (*sifted.warnings, *of_file, *fitted.warnings)
     return Estimate(
         method=fitted.method,
         scale=Scale.MEAN_ONE,
@@ -234,6 +253,19 @@ def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
         )
 
 
+def _unit_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
+    """Warn of a matrix in another unit than N/m, which alpha does not ask."""
+    own = float(np.median(np.abs(np.diag(matrix.used_stiffness))))
+    if not SOFT < own < STIFF:
+        power = round(np.log10(max(own, 1e-300) / USUAL) / 3.0)
+        unit = UNITS.get(power, "counts, or no N/m at least")
+        yield Fault(
+            f"STIFFNESS looks like {unit}: {own:.2g} is typical of its diagonal, {USUAL:.0e} N/m of"
+            " mirrors",
+            "store it in N/m; relative alpha is the same, stiffness of modes is not",
+        )
+
+
 def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
     """Warn of a transposed matrix: a rigid displacement must cost little force.
 
@@ -262,7 +294,7 @@ def imbalances(sifted: SiftedMatrix, fit: ElasticMethod) -> tuple[Imbalance, ...
     """
     columns = columns_of(sifted)
     left, values, right = singular_values_and_vectors(columns.stiffness)
-    elastic = np.count_nonzero(values > SOFTEST)
+    elastic = elastic_count(values)
     every, even, odd = (slice(start, elastic, step) for start, step in ((0, 1), (0, 2), (1, 2)))
     ones = np.ones(columns.a.shape[1])
 

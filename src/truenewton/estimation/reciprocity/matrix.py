@@ -23,7 +23,7 @@ from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
-from truenewton.estimation.stiffness_svd import SOFTEST, Imbalance, rms_imbalance
+from truenewton.estimation.stiffness_svd import Imbalance, elastic_count, rms_imbalance
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -96,8 +96,7 @@ def modes_of(
     motion = None if motion is None else motion[np.ix_(on, on)]
     places = kept_places(places_of(matrix.layout, motion), keep, stiffness)
     forces, values, readings = singular_values_and_vectors(condensed(stiffness, keep)[0])
-    # Noise may lift rigid motions above it.
-    some = (values > SOFTEST) & (np.arange(len(values)) < len(values) - 3)
+    some = slice(elastic_count(values))
     return Modes(
         places,
         comparable_arms(matrix.layout)[:, keep],
