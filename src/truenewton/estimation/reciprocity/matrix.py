@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
 from truenewton.estimation.reciprocity.condensation import condensed, kept, kept_places
 from truenewton.estimation.reciprocity.gate import (
@@ -23,7 +23,13 @@ from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
-from truenewton.estimation.stiffness_svd import SOFTEST, Imbalance, rms_imbalance
+from truenewton.estimation.stiffness_ml import NOT_BY_COLUMNS
+from truenewton.estimation.stiffness_svd import (
+    SOFTEST,
+    Imbalance,
+    orientation_warnings,
+    rms_imbalance,
+)
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -224,8 +230,13 @@ def find(
         reading_covariance=covariance,
         sensors=sensors_of(joint, ids, keep),
     )
-    estimate = with_warnings(estimate, tuple(left_free(ids[~keep])))
-    return estimate, found.imbalances, tuple(refusals(replace(found.evidence, odd=odd)))
+    said = [fault for fault in base.diagnosis.warnings if fault != NOT_BY_COLUMNS]
+    said += left_free(ids[~keep])
+    diagnosis = replace(base.diagnosis, warnings=tuple(said))
+    estimate = replace(estimate, diagnosis=diagnosis)
+    transposed = any(orientation_warnings(matrix))
+    evidence = replace(found.evidence, odd=odd, transposed=transposed)
+    return estimate, found.imbalances, tuple(refusals(evidence))
 
 
 def refused(error: RankDeficient | NotConverged) -> tuple[Fault, ...]:
