@@ -81,10 +81,14 @@ def gate(seeds):
             refused = bool([*refusals(found.evidence)])
             rows.append((joint, alone, found.evidence.apart, not refused))
         joint, alone, apart, accepted = np.array(rows).T
+        middle = [
+            np.median(x[~np.isnan(x)]) if not np.isnan(x).all() else np.nan
+            for x in (joint, alone, apart)
+        ]
         good, accepted = (joint < alone) | (np.isfinite(joint) & np.isnan(alone)), accepted > 0
         print(
-            f"{name:<18}{np.nanmedian(joint):.2e}   {np.nanmedian(alone):.2e}   "
-            f"{np.nanmedian(apart):5.1f}   {good.sum():4d}  {accepted.sum():8d}  "
+            f"{name:<18}{middle[0]:.2e}   {middle[1]:.2e}   "
+            f"{middle[2]:5.1f}   {good.sum():4d}  {accepted.sum():8d}  "
             f"{(accepted & ~good).sum():7d}  {(good & ~accepted).sum():7d}"
         )
 

@@ -27,6 +27,9 @@ from truenewton.linalg import mirrored
 STEPS = 40
 SETTLED = 0.02  # rms step of alpha over its rms error
 LONGEST = 0.3  # step of any log alpha or log g
+# Spreads of log g and of offsets [m] below which they are none: where data do not hold them, each
+# step would find them smaller.
+SMALLEST_GAIN, SMALLEST_OFFSET = 1e-6, 1e-8
 
 # What makes states and weights at a place of the unknowns, told of leverages once they are known.
 StatesAt = Callable[[Places, Values, Sight], tuple[States, Weights]]
@@ -209,7 +212,10 @@ def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
     sum v^2 over the number of unknowns less what the prior, not the data, says of them.
     """
     n = len(values.log_alpha)
-    for names, spread in (((Kind.GAIN,), "gain_spread"), (OFFSETS, "offset_spread")):
+    for names, spread, least in (
+        ((Kind.GAIN,), "gain_spread", SMALLEST_GAIN),
+        (OFFSETS, "offset_spread", SMALLEST_OFFSET),
+    ):
         size = getattr(asked, spread)
         if not size or np.isinf(size):
             continue
@@ -220,6 +226,6 @@ def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
             held += (
                 n - float(np.trace(covariance[k * n : (k + 1) * n, k * n : (k + 1) * n])) / size**2
             )
-        found = float(np.sqrt(total / max(held, 1.0)))
+        found = max(float(np.sqrt(total / max(held, 1.0))), least)
         asked = replace(asked, **{spread: found})  # type: ignore[arg-type]
     return asked
