@@ -75,7 +75,13 @@ def _by_balance(
     sifted: SiftedMatrix, method: stiffness_svd.ElasticMethod
 ) -> tuple[Estimate, Imbalances]:
     """Return the estimate of a method that balances forces, and how well it does."""
-    estimate = stiffness_svd.find(sifted, method)
+    return _with_imbalances(sifted, method, stiffness_svd.find(sifted, method))
+
+
+def _with_imbalances(
+    sifted: SiftedMatrix, method: stiffness_svd.ElasticMethod, estimate: Estimate
+) -> tuple[Estimate, Imbalances]:
+    """Return an estimate, which says so where halves give no alpha, and how modes balance."""
     try:
         return estimate, stiffness_svd.imbalances(sifted, method)
     except (RankDeficient, NotConverged) as error:
@@ -87,16 +93,17 @@ def _reciprocal(
     sifted: SiftedMatrix, known: Known, *, where_it_holds: bool = False
 ) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity; of `ml`, with the reason, only where that is allowed."""
-    base, imbalances = _by_balance(sifted, stiffness_ml.column_fit)
+    base = stiffness_svd.find(sifted, stiffness_ml.column_fit)
     try:
         estimate, of_modes, against = reciprocity_of_matrix.find(sifted.matrix, base, known.motion)
     except (RankDeficient, NotConverged) as error:
         if not where_it_holds:
             raise
-        return with_warnings(base, reciprocity_of_matrix.refused(error)), imbalances
-    if against and where_it_holds:
-        return with_warnings(base, against), imbalances
-    return with_warnings(estimate, against), of_modes
+        against = reciprocity_of_matrix.refused(error)
+    else:
+        if not (against and where_it_holds):
+            return with_warnings(estimate, against), of_modes
+    return _with_imbalances(sifted, stiffness_ml.column_fit, with_warnings(base, against))
 
 
 METHODS = {

@@ -220,7 +220,7 @@ def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
                 raise error.changed(fault=effect.name, remedy=effect.remedy) from None
         raise
     n, singular_values = len(fitted.alpha), fitted.singular_values
-    of_file = (*_unit_warnings(matrix), *_orientation_warnings(matrix))
+    of_file = (*_unit_warnings(matrix), *orientation_warnings(matrix))
     warnings = (*sifted.warnings, *of_file, *fitted.warnings)
     return Estimate(
         method=fitted.method,
@@ -266,7 +266,7 @@ def _unit_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
         )
 
 
-def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
+def orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
     """Warn of a transposed matrix: a rigid displacement must cost little force.
 
     K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and

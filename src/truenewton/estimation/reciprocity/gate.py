@@ -39,6 +39,8 @@ class Evidence:
         chi2 per degree of freedom between alpha by balance alone and by reciprocity alone.
     odd
         Actuators that are not like the others; more than may be left free.
+    transposed
+        Whether rows and columns look exchanged.
     untried
         Number of actuators, where nobody has held errors of so many against the truth.
     gain_spread, offset_spread
@@ -50,6 +52,7 @@ class Evidence:
     by_balance: float = float("nan")
     apart: float = float("nan")
     odd: tuple[int, ...] = ()
+    transposed: bool = False
     untried: int = 0
     gain_spread: float = float("nan")
     offset_spread: float = float("nan")
@@ -58,8 +61,12 @@ class Evidence:
 def refusals(evidence: Evidence) -> Iterator[Fault]:
     """Yield why reciprocity is not to be believed."""
     if evidence.odd:
+        many = counted(len(evidence.odd), "actuator")
+        yield Fault(f"reciprocity does not hold for {many} or more", REMEDY)
+    if evidence.transposed:
         yield Fault(
-            f"reciprocity does not hold for {counted(evidence.odd, 'actuator')} or more", REMEDY
+            "reciprocity takes alpha for sensor gains where STIFFNESS is transposed, as it looks",
+            "store [i, j], the force of actuator i per displacement of sensor j",
         )
     if evidence.untried:
         yield Fault(
