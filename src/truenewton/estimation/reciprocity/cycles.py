@@ -24,7 +24,12 @@ from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.problem import Problem, load_data, problem_of
+from truenewton.estimation.problem import (
+    Problem,
+    load_data,
+    problem_of,
+    with_share_in_balance,
+)
 from truenewton.estimation.reciprocity.condensation import (
     condensed_regression,
     kept,
@@ -118,6 +123,7 @@ def _found(
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(campaign), **temperature_errors(campaign, force)}
     problem = problem_of(campaign, noise, errors)
+    shared = with_share_in_balance(problem, sifted, base.values[: problem.n])
     minimum = _with_weights(problem, moments, (fitted, keep), base, excess)
     estimate = cycles_ml.estimate_of(METHOD, problem, moments, minimum, base.rejected, 0)
     effects = tuple(replace(effect, corrected=False) for effect in base.effects)  # by `ml` alone
@@ -142,6 +148,7 @@ def _found(
             Evidence(
                 fitted.reduced,
                 odd=odd,
+                disturbed=bool(np.any(shared.disturbance)),
                 untried=problem.n if problem.n > ONE_EACH else 0,
                 offset_spread=_offset_spread(fitted),
             )

@@ -39,6 +39,8 @@ class Evidence:
         chi2 per degree of freedom between alpha by balance alone and by reciprocity alone.
     odd
         Actuators that are not like the others; more than may be left free.
+    disturbed
+        Whether something pushes many actuators at once, from reading to reading.
     untried
         Number of actuators, where nobody has held errors of so many against the truth.
     gain_spread, offset_spread
@@ -50,6 +52,7 @@ class Evidence:
     by_balance: float = float("nan")
     apart: float = float("nan")
     odd: tuple[int, ...] = ()
+    disturbed: bool = False
     untried: int = 0
     gain_spread: float = float("nan")
     offset_spread: float = float("nan")
@@ -59,6 +62,12 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
     """Yield why reciprocity is not to be believed."""
     if evidence.odd:
         yield Fault(f"{len(evidence.odd)} actuators or more do not obey reciprocity", REMEDY)
+    if evidence.disturbed:
+        yield Fault(
+            "noise of the readings is common to many actuators, which reciprocity takes for that of"
+            " each",
+            "use ml, and look for what pushes the mirror",
+        )
     if evidence.untried:
         yield Fault(
             f"errors of reciprocity of {evidence.untried} actuators have not been held against a"
