@@ -129,6 +129,7 @@ def headline(calibration: Calibration) -> str:
         + (f" ({(~on).sum()} disabled)" if not on.all() else "")
         + f", {c.shapes_used} {f'rows under {len(c.loads)} loads' if c.loads else 'elastic modes'}"
         + (f", {c.invalid} rows not valid left out" if c.invalid else "")
+        + (", by reciprocity" if c.sensors else "")
     )
 
 
@@ -154,8 +155,9 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
     if c.sensors:
         gains = float(np.nanstd([sensor.gain for sensor in c.sensors]))
         off = float(np.sqrt(np.nanmean([[s.x**2, s.y**2] for s in c.sensors])))
-        value = f"gains within {percent(gains)}, {1e3 * off:.2g} mm off"
-        yield "sensors", value, "rms, along each axis; each in the table SENSORS"
+        value = f"gains scatter by {percent(gains)}"
+        note = f"{1e3 * off:.2g} mm off their magnets, rms along each axis; each in table SENSORS"
+        yield "sensors", value, note
     if np.isfinite(c.noise):
         source = c.goodness.against if c.goodness is not None else NoiseSource.REPEATS
         yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", NOISE_FROM[source]

@@ -35,7 +35,7 @@ from truenewton.estimation.reciprocity.condensation import (
     kept,
     kept_places,
 )
-from truenewton.estimation.reciprocity.gate import Evidence, left_free, refusals
+from truenewton.estimation.reciprocity.gate import Evidence, doubts, instead, left_free, refusals
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.known_noise import ONE_EACH, Regressed
 from truenewton.estimation.reciprocity.regression import regressed
@@ -70,7 +70,7 @@ def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> E
     RankDeficient, TooManyOutliers, NotConverged
     """
     estimate, against = _found(sifted, cycles_ml.find(sifted), motion, asked)
-    return with_warnings(estimate, against)
+    return with_warnings(estimate, doubts(against))
 
 
 def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate:
@@ -91,13 +91,13 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
     if sifted.moments.displacement is None:
         return base
     if base.effects:
-        untried = f"reciprocity is not tried on data that show {base.effects[0].name}"
-        return with_warnings(base, (Fault(untried, "mend that first"),))
+        untried = f"the data show {base.effects[0].name}, which ml alone takes out"
+        return with_warnings(base, instead([Fault(untried, "mend that first")]))
     try:
         estimate, against = _found(sifted, base, motion, USUAL)
     except (RankDeficient, NotConverged) as error:
-        against = (Fault(f"{METHOD}: {error.fault}", str(error.remedy)),)
-    return with_warnings(base, against) if against else estimate
+        against = (Fault(error.fault, str(error.remedy)),)
+    return with_warnings(base, instead(against)) if against else estimate
 
 
 def _found(

@@ -212,8 +212,3 @@ def find(
     )
     estimate = with_warnings(estimate, tuple(left_free(ids[~keep])))
     return estimate, found.imbalances, tuple(refusals(replace(found.evidence, odd=odd)))
-
-
-def refused(error: RankDeficient | NotConverged) -> tuple[Fault, ...]:
-    """Return what speaks against reciprocity where it gives no alpha."""
-    return (Fault(f"reciprocity gives no alpha: {error.fault}", str(error.remedy)),)
