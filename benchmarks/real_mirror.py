@@ -76,7 +76,8 @@ def main():
         for line in made.imbalances:
             print(f"    imbalance, {line.modes:<32}{line.before:.4f} -> {line.after:.4f}")
         correlation = np.corrcoef(apart, efficiency)[0, 1]
-        print(f"    correlation with log magnet efficiency {correlation:.3f}")
+        slope = np.polyfit(efficiency, apart, 1)[0]
+        print(f"    with log magnet efficiency: correlation {correlation:.3f}, slope {slope:.2f}")
     largest = shuffled_correlation(apart, efficiency, matrix.layout)
     print(f"    largest of 1000 permutations within rings {largest:.3f}")
     of_sensors(made)
@@ -116,7 +117,7 @@ def draw_alpha(made, apart, efficiency, path):
     right.set_xlabel("log magnet efficiency, smooth part taken out (%)", fontsize=8)
     right.set_ylabel(r"$\alpha$, smooth part taken out (%)", fontsize=8)
     right.tick_params(labelsize=7)
-    figure.savefig(path, dpi=200)
+    figure.savefig(path, dpi=150)
 
 
 def draw_sensors(made, path):
@@ -130,13 +131,13 @@ def draw_sensors(made, path):
         layout.x, layout.y, 30 * x, 30 * y, angles="xy", scale_units="xy", scale=1.0, color=ACCENT,
         width=2.2e-3, headwidth=3.5, headlength=4.0,
     )  # fmt: skip
-    right.quiver([0.0], [0.0], [0.03], [0.0], angles="xy", scale_units="xy", scale=1.0, color=INK,
-                 width=3e-3)  # fmt: skip
-    right.annotate("1 mm", (0.015, -0.008), ha="center", va="top", fontsize=7)
+    right.quiver([0.35], [-0.43], [0.03], [0.0], angles="xy", scale_units="xy", scale=1.0,
+                 color=INK, width=3e-3)  # fmt: skip
+    right.annotate("1 mm", (0.365, -0.44), ha="center", va="top", fontsize=7)
     right.set_title("from the magnet to its sensor", fontsize=8)
     right.set_aspect("equal")
     right.set_axis_off()
-    figure.savefig(path, dpi=200)
+    figure.savefig(path, dpi=150)
 
 
 if __name__ == "__main__":
