@@ -3,6 +3,7 @@
     python benchmarks/faults.py [--seeds 24] [--noise 1e-3 5e-5] [--only NAME ...] [--cycles 4]
     python benchmarks/faults.py --only clean --seeds 1000      how often a word is false
     python benchmarks/faults.py --mirror 336 --cycles 2        336 actuators on rings
+    python benchmarks/faults.py --method ml auto glass         methods on the same campaigns
     python benchmarks/faults.py --list
 
 The bench (`faulty`) is this benchmark's own. Alpha, noise and where a fault strikes differ from
@@ -22,6 +23,10 @@ corrected (the right file or actuators with it); a verdict, and what is said fir
     SILENT    nothing of that, and in most seeds not a word
     WRONG     nothing of that, and other words
     FALSE     nothing is wrong, and something was said in 1 % of the seeds or more
+
+Several methods have a line each, with the seeds in which the answer is by reciprocity / those in
+which the verdict is sound; 'glass' is 'auto' with what the sensors see of the mirror, as of
+`calibrate --mirror`.
 """
 
 from __future__ import annotations
@@ -33,21 +38,24 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 from faulty import files, forces, gains, readings
-from faulty.bench import Day, bench_of
+from faulty.bench import Bench, Day, bench_of
 from faulty.fault import FAULTS, ORDERS, Fault
 
 import truenewton as tn
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
+from truenewton.mirrors.shell.puck_motion import puck_motion
 
 # In the order of the modules that list them.
 SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]
 ALL = sorted(FAULTS, key=lambda fault: SECTIONS.index(fault.happens.__module__))
 
+METHODS = ("ml", "svd", "reciprocity", "auto", "glass")
 TWO_SIGMA = 1.959964
 COVERED, SAID, FALSE = 0.90, 0.95, 0.01
 IMPROBABLE = 1e-3  # of a fit
@@ -87,6 +95,9 @@ class Trial:
         What was said; what must stand in the right word, as the actuators that are struck.
     probability, rejected
         Of chi2; share of rows left out.
+    reciprocal, sound
+        Whether the answer is by reciprocity; whether the verdict is 'sound', apart from the
+        weights without errors.
     """
 
     error: Array
@@ -95,6 +106,8 @@ class Trial:
     where: tuple[str, ...]
     probability: float = float("nan")
     rejected: float = float("nan")
+    reciprocal: bool = False
+    sound: bool = False
 
 
 def happening(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -> Day:
@@ -104,10 +117,19 @@ def happening(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -
     return day
 
 
-def trial(day: Day) -> Trial:
+@cache
+def motion_of(bench: Bench) -> Array:
+    """Return what the sensors of a bench see."""
+    return puck_motion(bench.glass)
+
+
+def trial(day: Day, method: str = "ml") -> Trial:
     """Calibrate the campaign of a day and hold the answer against its truth."""
+    how = {"method": method}
+    if method == "glass":
+        how = {"method": "auto", "motion": motion_of(day.bench)}
     try:
-        answer = tn.calibrate(day.campaign())
+        answer = tn.calibrate(day.campaign(), **how)
     except TrueNewtonError as error:
         nothing, refusal = np.full(day.n, np.nan), f"refused, {type(error).__name__}: {error.fault}"
         return Trial(nothing, nothing, (Word(refusal),), day.where)
@@ -119,6 +141,8 @@ def trial(day: Day) -> Trial:
         where=day.where,
         probability=answer.goodness.probability,
         rejected=answer.rejected / (answer.rejected + answer.shapes_used),
+        reciprocal=answer.method == "reciprocity",
+        sound=all("without errors" in fault for fault, _ in answer.verdict.faults),
     )
 
 
@@ -190,6 +214,8 @@ def summary(fault: Fault, trials: Sequence[Trial]) -> dict[str, float | str]:
         "corr.": sum(any(w.corrected for w in words) for words in right),
         "verdict": judgement(fault, covers, *shares),
         "words": commonest([t.words for t in trials]),
+        "sound": sum(t.sound for t in trials),
+        "reciprocal": sum(t.reciprocal for t in trials),
     }
 
 
@@ -232,6 +258,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", metavar="NAME", help="faults whose name begins so")
     parser.add_argument("--mirror", choices=("p45", "336"), default="p45")
     parser.add_argument("--cycles", type=int, default=4, help="under each load")
+    parser.add_argument("--method", nargs="+", default=["ml"], choices=METHODS)
     parser.add_argument("--list", action="store_true", help="print the names")
     options = parser.parse_args()
     warnings.simplefilter("ignore", TrueNewtonWarning)  # what is said is counted instead
@@ -242,14 +269,24 @@ def main() -> None:
     seeds = range(options.first, options.first + options.seeds)
     print(f"{options.mirror}, {options.cycles} cycles a load, {options.seeds} seeds")
     print_heads()
-    verdicts: Counter[str] = Counter()
+    verdicts: dict[str, Counter[str]] = {method: Counter() for method in options.method}
     for fault in chosen:
         for noise in options.noise if fault.noise is None else [fault.noise]:
-            days = (happening(fault, options.mirror, s, noise, options.cycles) for s in seeds)
-            figures = summary(fault, [trial(day) for day in days])
-            print_line(fault.name, noise, figures)
-            verdicts[str(figures["verdict"])] += 1
-    print(", ".join(f"{count} {what}" for what, count in verdicts.most_common()))
+            trials: dict[str, list[Trial]] = {method: [] for method in options.method}
+            for seed in seeds:
+                day = happening(fault, options.mirror, seed, noise, options.cycles)
+                for method, found in trials.items():
+                    found.append(trial(day, method))
+            for method, found in trials.items():
+                figures = summary(fault, found)
+                name = fault.name
+                if len(trials) > 1:
+                    name = f"{name[:39]} {method} {figures['reciprocal']}/{figures['sound']}"
+                print_line(name, noise, figures)
+                verdicts[method][str(figures["verdict"])] += 1
+    for method, count in verdicts.items():
+        sums = ", ".join(f"{number} {what}" for what, number in count.most_common())
+        print(sums if len(verdicts) == 1 else f"{method}: {sums}")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 """What the calibration buys: modes, dissipation and the number of modes.
 
     python benchmarks/modes.py [--seeds 20]             # P45 in closed loop, beside the truth
+    python benchmarks/modes.py --sensors                # what gains and places of the sensors do
     python benchmarks/modes.py --real FOLDER            # the measured LBT672 matrix, beside figures
                                                         # computed elsewhere
 
-The second holds the published set-up: stiffness symmetrised as measured, modes by magnitude, 452 mm
+The last holds the published set-up: stiffness symmetrised as measured, modes by magnitude, 452 mm
 of the mirror on 4.11 m of the pupil, L0 = 40 m, no static force, 0.508 N/W^1/2; its turbulence has
 piston in it. Below, what is right: alpha known, no piston.
 """
@@ -21,16 +22,23 @@ from modal_truth import score_modes
 
 import truenewton as tn
 from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
+from truenewton.estimation.reciprocity.sight import places_of, sight
+from truenewton.estimation.reciprocity.unknowns import at_nominal
+from truenewton.mirrors.shell.puck_motion import motion_for
+from truenewton.modal.comparison import compare_modes
 from truenewton.modal.dissipation import Dissipation, dissipation
 from truenewton.modal.findings import find_modes
 from truenewton.modal.modal_base import modal_base
 from truenewton.modal.pupil import Pupil, seen_turbulence
-from truenewton.modal.true_stiffness import true_stiffness
+from truenewton.modal.true_stiffness import TrueStiffness, true_stiffness
 from truenewton.modal.turbulence import Atmosphere, structure_function
 from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import arms
+from truenewton.statics.modes import stiffness_modes
 
 WAYS = ("alpha = 1, symmetric", "singular vectors", "calibrated")
 PUPIL, EFFICIENCY = Pupil(radius=0.452, diameter=8.22), 0.508
+OFFSET = 5e-4  # of a sensor off its magnet along an axis [m]
 NUMBERS = (100, 200, 400, 600, 650)
 # seeing: force rms [mN], worst actuator [mN], residual surface [nm] for these numbers; power [W]
 PUBLISHED = {
@@ -55,6 +63,41 @@ def known(seeds: int) -> None:
     row("distance, over that of calibrated modes", degrees / degrees[:, 2:])
     row("error of the number of modes within a power", [s.power_number for s in scores])
     row("error of the number of modes within a force", [s.force_number for s in scores])
+
+
+def of_sensors(seeds: int) -> None:
+    """Print how far modes lie from the truth by what is known of the sensors, off by 0.5 mm."""
+    mirror = tn.mirrors.p45()
+    places, motion = places_of(mirror.layout), motion_for(mirror, mirror.layout)
+    scores: dict[str, list[list[float]]] = {}
+    for seed in range(seeds):
+        bench = static_bench(mirror, seed)
+        offset = OFFSET * np.random.default_rng([seed, 5]).standard_normal((2, places.n))
+        for name, far in (("at their magnets", 0.0 * offset), ("0.5 mm off", offset)):
+            values = replace(at_nominal(places.n), offset=far)
+            back = np.linalg.inv(sight(places, values, slopes=bool(far.any())).motion).T
+            campaign = Campaign(
+                tuple(replace(c, position=c.position @ back) for c in run_cycles(bench, 2))
+            )
+            for glass, known_motion in (("", None), (", glass known", motion)):
+                made = tn.calibrate(campaign, "reciprocity", motion=known_motion)
+                found = find_modes(campaign, made).measured.matrix
+                here = replace(made, sensors=tuple(replace(s, x=0.0, y=0.0) for s in made.sensors))
+                ways = [true_stiffness(found, c) for c in (replace(made, sensors=()), here, made)]
+                scores.setdefault(name + glass, []).append(
+                    [off_the_truth(way, bench.truth.stiffness) for way in ways]
+                )
+    print(f"P45, 2 cycles x 2 loads, {seeds} seeds: distance from the true modes [deg]")
+    print(f"{'sensors':<46}" + "".join(f"{n:<24}" for n in ("not used", "gains", "and places")))
+    for name, rows in scores.items():
+        row(name, rows)
+
+
+def off_the_truth(found: TrueStiffness, truth: np.ndarray) -> float:
+    """Return the distance of modes from those of (n, n) the true stiffness [deg]."""
+    true = stiffness_modes(0.5 * (truth + truth.T), arms(found.layout).T)
+    compared_modes = compare_modes(true.modes, found.modes.modes, true.stiffness)
+    return float(np.degrees(compared_modes.distance))
 
 
 def row(what: str, threes: object) -> None:
@@ -124,6 +167,10 @@ if __name__ == "__main__":
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--sensors", action="store_true")
     parser.add_argument("--real")
     asked = parser.parse_args()
-    real(asked.real) if asked.real else known(asked.seeds)
+    if asked.real:
+        real(asked.real)
+    else:
+        (of_sensors if asked.sensors else known)(asked.seeds)

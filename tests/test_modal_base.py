@@ -249,6 +249,47 @@ def test_the_command_uses_the_gains_of_the_sensors(p45, inside, tmp_path):
     assert with_gains["asymmetry"][1] < 0.7 * without["asymmetry"][1]
 
 
+def test_what_sensors_see_counts_once_in_files_written_and_read_again(p45, tmp_path):
+    bench, _, found = p45
+    random, gain = np.random.default_rng(2), bench.truth.sensor_gain
+    places = 5e-4 * random.standard_normal((45, 2))
+    sensors = tuple(
+        Sensor(k + 1, g, 1e-3, x, 1e-5, y, 1e-5, "fitted")
+        for k, (g, (x, y)) in enumerate(zip(gain, places, strict=True))
+    )
+    calibration = replace(found.calibration, sensors=sensors)
+    once = find_modes(found.measured.matrix, calibration)
+    _, _, commanded, *_ = write_modes(once, tmp_path / "m.fits")
+    matrix = tn.read(commanded)
+    assert (found.measured.matrix.displaced, matrix.displaced) == ("read", "true")
+    again = find_modes(matrix, calibration)
+    stiffness = once.after.stiffness.stiffness
+    np.testing.assert_allclose(
+        again.after.stiffness.stiffness, stiffness, atol=1e-9 * np.abs(stiffness).max()
+    )
+    assert (again.after.stiffness.enabled_gain == 1.0).all()
+    twice = find_modes(replace(matrix, displaced="read"), calibration)
+    assert np.abs(twice.after.stiffness.stiffness - stiffness).max() > 1e-3 * stiffness.max()
+    # What the sensors read of a mode: of a tilt exactly what they see where they are.
+    with fits.open(tmp_path / "m.fits") as hdus:
+        reading, modes = hdus["READING"].data, hdus["MODES"].data
+    np.testing.assert_allclose(once.after.stiffness.seen @ reading, modes, atol=1e-12)
+    layout = found.measured.matrix.layout
+    tilts = np.stack([layout.x, layout.y], axis=1)
+    seen = (tilts - places) / gain[:, None]
+    by_modes = np.linalg.lstsq(modes[:, :3], tilts, rcond=None)[0]
+    np.testing.assert_allclose(reading[:, :3] @ by_modes, seen, atol=1e-9)
+
+
+def test_a_stiffness_file_says_whose_displacements_it_takes(p45, tmp_path):
+    matrix = p45[2].measured.matrix
+    with pytest.raises(FormatError, match="DISPLACE is 'ture'"):
+        replace(matrix, displaced="ture")
+    tn.write_stiffness(matrix, tmp_path / "s.fits")
+    fits.delval(tmp_path / "s.fits", "DISPLACE")  # as in files written before
+    assert tn.read(tmp_path / "s.fits").displaced == "read"
+
+
 def test_alpha_of_another_mirror_is_warned_of(p45, inside, tmp_path):
     _, _, found = p45
     tn.write_stiffness(found.measured.matrix, tmp_path / "s.fits")

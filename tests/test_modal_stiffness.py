@@ -18,6 +18,8 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.estimation import repeats
 from truenewton.estimation.diagnosis import Sensor
+from truenewton.estimation.reciprocity.sight import places_of, sight
+from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.files import stored_rows
@@ -321,6 +323,29 @@ def with_gains(calibration, gain, state="fitted"):
     ids = calibration.layout.id.tolist()
     sensors = (Sensor(i, g, 1e-3, 0, 0, 0, 0, state) for i, g in zip(ids, gain, strict=True))
     return replace(calibration, sensors=tuple(sensors)[::-1])
+
+
+def test_places_of_the_sensors_that_the_calibration_knows_are_used_by_id():
+    k, matrix, gain, calibration = known()
+    offset = 5e-4 * np.random.default_rng(3).standard_normal((2, 45))
+    values = Values(np.zeros(45), np.log(gain), offset)
+    seen = sight(places_of(matrix.layout), values, slopes=True).motion * gain
+    sensors = tuple(
+        Sensor(i, g, 1e-3, x, 1e-5, y, 1e-5, "fitted")
+        for i, g, x, y in zip(matrix.layout.id.tolist(), gain, *offset, strict=True)
+    )[::-1]
+    moved = replace(matrix, stiffness=k @ seen / calibration.alpha[:, None])
+    found = true_stiffness(moved, replace(calibration, sensors=sensors))
+    assert found.stiffness == pytest.approx(k, abs=1e-9 * np.abs(k).max())
+    assert np.array_equal(found.enabled_offset, offset)
+    assert found.seen == pytest.approx(seen)
+    by_gains = true_stiffness(moved, with_gains(calibration, gain))
+    modes = by_gains.modes.modes, found.modes.modes
+    assert compare_modes(*modes, found.modes.stiffness).distance > np.radians(0.5)
+    kept = np.arange(45) != 6
+    some = replace(moved, layout=replace(matrix.layout, enabled=kept))
+    less = true_stiffness(some, replace(calibration, sensors=sensors))
+    assert np.array_equal(less.enabled_offset, offset[:, kept])
 
 
 def test_gains_that_the_calibration_knows_are_used_by_id():

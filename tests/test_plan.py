@@ -10,20 +10,31 @@ import numpy as np
 import pytest
 from acquisition_plans import write_shapes
 from balanced import arms_of, campaign_of, noisy, three_loads
+from joint_bound import BruteForce
 
 import truenewton as tn
-from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan, template
-from truenewton.acquisition.shapes import shapes_and_forces
+from truenewton.acquisition.plan import (
+    AssumedSensors,
+    CampaignPlan,
+    PlannedShapes,
+    read_plan,
+    template,
+)
+from truenewton.acquisition.shapes import model_glass, shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient
 from truenewton.estimation.prediction import predict
+from truenewton.estimation.reciprocity.sight import places_of
+from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import READINGS, tilt_as_load, typical
 from truenewton.mirrors.known import p45
+from truenewton.mirrors.shell.puck_motion import motion_for, puck_motion
 from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain
-from truenewton.planning.outlook import duration, outlook, predicted
+from truenewton.planning.outlook import duration, outlook, predicted, with_sensors
 from truenewton.planning.target import ways_to
+from truenewton.planning.words import lines
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
@@ -107,6 +118,66 @@ def test_a_planned_day_at_the_simulated_bench_gives_what_was_predicted(ready):
     assert typical(calibration.error, calibration.alpha) == pytest.approx(found.typical, rel=0.01)
     each = (calibration.error / calibration.alpha) / (found.error / found.alpha)
     assert each == pytest.approx(1.0, rel=0.02)
+
+
+@pytest.mark.parametrize("sensors", [AssumedSensors(gain=0.0, offset=0.0), AssumedSensors()])
+def test_of_reciprocity_the_bound_is_predicted(ready, sensors):
+    """Relative alpha, all of K unknown; within 3 %: of K the parts that magnets change are left."""
+    plan = replace(PLAN, force_noise=1e-3, sensors=sensors)
+    found = with_sensors(ready.changed(plan), [plan.cycles]).planned
+    n, glass = 45, model_glass(p45())
+    places = places_of(p45().layout, puck_motion(glass))
+    stiffness = glass.stiffness / 0.9
+    square = 2 * 2 * plan.cycles * ready.shapes.T @ ready.shapes
+    rows = 1e-6 * np.eye(n) + sensors.noise**2 * stiffness @ stiffness.T
+    brute = BruteForce(places, stiffness, np.linalg.inv(np.linalg.cholesky(rows)),
+                       np.linalg.cholesky(square), slopes=bool(sensors.offset))  # fmt: skip
+    asked = Asked(sensors.gain, sensors.offset)
+    step = {Kind.ALPHA: 1e-4, Kind.GAIN: 1e-4, Kind.X: 1e-6, Kind.Y: 1e-6}
+    steps = np.repeat([step[kind] for kind in asked.kinds], n)
+    known = brute.information(at_nominal(n), list(asked.kinds), steps)
+    known += np.diag(asked.information(n))
+    known[:n, :n] += np.trace(known[:n, :n]) / n**2
+    mean = np.eye(n) - 1.0 / n
+    bound, relative = (
+        np.sqrt(np.diag(mean @ covariance @ mean))
+        for covariance in (np.linalg.inv(known)[:n, :n], found.reading_covariance / 0.9**2)
+    )
+    assert relative == pytest.approx(bound, rel=0.03)
+
+
+def test_reciprocity_states_and_scatters_as_was_predicted(ready):
+    plan = replace(PLAN, force_noise=1e-3, sensors=AssumedSensors(offset=0.0))
+    said = with_sensors(ready.changed(plan), [plan.cycles])
+    found = said.planned
+    mean, motion = np.eye(45) - 1.0 / 45, motion_for(p45(), p45().layout)
+    stated, gains, squares = [], [], []
+    for seed in range(8):
+        bench = static_bench(p45(), seed, loads=LOADS, force_noise=1e-3)
+        bench = replace(bench, shapes=ready.shapes)
+        campaign = Campaign(tuple(run_cycles(bench, plan.cycles)))
+        made = tn.calibrate(campaign, "reciprocity", motion=motion)
+        stated.append(made.reading_error / made.alpha)
+        gains.append([sensor.gain_error for sensor in made.sensors])
+        squares.append((mean @ np.log(made.alpha / bench.truth.alpha)) ** 2)
+    error = found.reading_error / found.alpha
+    assert np.mean(stated) == pytest.approx(np.mean(error), rel=0.03)
+    assert np.mean(gains) == pytest.approx(np.mean(said.gain_error), rel=0.03)
+    relative = np.diag(mean @ found.reading_covariance @ mean) / found.alpha**2
+    # 8 x 44 numbers, but of few patterns that are weak.
+    assert np.sqrt(np.mean(squares) / np.mean(relative)) == pytest.approx(1.0, abs=0.12)
+    # The weights limit the scale as ever.
+    assert found.systematic_error == pytest.approx(predicted(ready).systematic_error)
+
+
+def test_without_all_motions_there_is_no_reciprocity(ready):
+    few = prepared(replace(PLAN, shapes=PlannedShapes(count=30)))
+    found = outlook(few)
+    assert found.reciprocity.planned is None
+    assert found.reciprocity.why_not == "no shape holds 15 of 45 motions of the mirror"
+    assert f"  by reciprocity          cannot be had: {found.reciprocity.why_not}" in [
+        *lines(found)
+    ]
 
 
 def test_two_loads_know_the_scale_as_well_as_their_difference(ready):
@@ -343,6 +414,11 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
     found = predicted(prepared(PLAN))
     assert values["typical_error"] == pytest.approx(found.typical)
     assert values["actuators"]["e_alpha"] == pytest.approx(found.error)
+    reciprocity = values["reciprocity"]
+    assert reciprocity["cycles"]["cycles"] == [1, 2, 4, 8, 16, 32, 64]
+    assert reciprocity["cycles"]["e_stat"][2] == reciprocity["typical_e_stat"]
+    assert reciprocity["typical_e_stat"] < 0.75 * values["typical_e_stat"]
+    assert len(reciprocity["actuators"]["e_gain"]) == 45
     assert values["largest_force"] < 0.6
     assert values["curves"]["cycles"]["cycles"] == [1, 2, 4, 8, 16, 32, 64]
     assert values["curves"]["added_factor"]["added_factor"][:4] == [0.25, 0.5, 1, 2]

@@ -1,5 +1,6 @@
 """Reciprocity against a likelihood written out with all of K, and against statistics."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from simulated_matrices import measured as with_noise
 import truenewton as tn
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.words import summary_lines
-from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
+from truenewton.errors import CampaignMismatch, RankDeficient, TrueNewtonWarning, UnknownName
 from truenewton.estimation.reciprocity import cycles
 from truenewton.estimation.reciprocity.binned_noise import shares
 from truenewton.estimation.reciprocity.condensation import (
@@ -32,7 +33,9 @@ from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import motion_for, puck_motion
 from truenewton.records.campaign import Campaign
+from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.report.investigate import investigate
 from truenewton.statics.layout import rings
 
 ALL = Asked(1.0, 1.0)  # asked for: alpha, gains and offsets
@@ -321,7 +324,7 @@ def test_noise_of_a_condensed_stiffness_is_that_of_its_elements():
 
 def test_the_glass_goes_with_reciprocity_and_its_own_mirror():
     with pytest.raises(UnknownName, match="ml does not ask"):
-        calibrate(p45_campaign(), motion=np.eye(45))
+        calibrate(p45_campaign(), "ml", motion=np.eye(45))
     with pytest.raises(CampaignMismatch, match="actuators of P45"):
         motion_for(p45_bench().mirror, rings([0.06, 0.1], [5, 9]))
 
@@ -329,6 +332,65 @@ def test_the_glass_goes_with_reciprocity_and_its_own_mirror():
 def test_a_population_goes_with_ml_only():
     with pytest.raises(UnknownName, match="population"):
         calibrate(p45_campaign(), "reciprocity", population=True)
+
+
+def test_a_drift_that_ml_takes_out_does_not_come_back():
+    """All alphas fall by 1 % from one load to the other: 1 % or more of the common scale."""
+    campaign = p45_campaign()
+    hours = [
+        (cycle.date - campaign.cycles[0].date).total_seconds() / 3600 for cycle in campaign.cycles
+    ]
+    slower = [1.0 + 0.01 * hour / max(hours) for hour in hours]
+    drifting = Campaign(
+        tuple(replace(c, force=c.force * s) for c, s in zip(campaign.cycles, slower, strict=True))
+    )
+    by_balance, auto = calibrate(drifting), calibrate(drifting, "auto")
+    assert by_balance.effects[0].corrected
+    assert auto.method == "ml"
+    np.testing.assert_array_equal(auto.alpha, by_balance.alpha)
+    said = f"alpha is by ml, not by reciprocity: the data show {by_balance.effects[0].name}"
+    assert any(fault.startswith(said) for fault, _ in auto.verdict.faults)
+    with pytest.warns(TrueNewtonWarning, match="limited: the data show: gain by"):
+        forced = calibrate(drifting, "reciprocity")
+    assert not any(effect.corrected for effect in forced.effects)
+
+
+def test_noise_that_many_actuators_share_is_left_to_ml():
+    campaign, random = p45_campaign(), np.random.default_rng(1)
+    noise = 1e-3 * campaign.layout.nz
+    shared = Campaign(
+        tuple(
+            replace(c, force=c.force + np.outer(random.standard_normal(len(c.force)), noise))
+            for c in campaign.cycles
+        )
+    )
+    made = calibrate(shared, "auto")
+    assert made.method == "ml"
+    assert any("common to many actuators" in fault for fault, _ in made.verdict.faults)
+
+
+def test_with_the_glass_reciprocity_is_taken_where_it_holds_from_every_door(inside, tmp_path):
+    campaign, motion = p45_campaign(), puck_motion(p45_bench().glass)
+    made = calibrate(campaign, motion=motion)
+    assert made.method == "reciprocity"
+    assert calibrate(campaign).method == "ml"
+    np.testing.assert_array_equal(
+        investigate(campaign, motion=motion).calibration.alpha, made.alpha
+    )
+    write_campaign(campaign.cycles, tmp_path / "day")
+    asked = (tmp_path / "day", "--mirror", "p45")
+    out = inside("calibrate", *asked, "--json")[1]
+    assert json.loads(out)["method"] == "reciprocity"
+    verdict = json.loads(out)["verdict"]
+    assert json.loads(inside("info", *asked, "--json")[1])["verdict"] == verdict
+    page = tmp_path / "page.html"
+    assert inside("report", *asked, "-o", page)[0] == 0
+    text = page.read_text()
+    assert "--mirror p45" in text
+    assert "Sensor gains" in text or "sensor gain" in text
+    code, _, err = inside("info", *asked, "--method", "ml")
+    assert code == 2
+    assert "ml does not ask what the sensors see" in err
 
 
 def test_columns_exchanged_are_said_and_send_cycles_back_to_ml():

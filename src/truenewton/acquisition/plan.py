@@ -24,7 +24,8 @@ from truenewton.statics.load import Load, check_load
 POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "limits.displacement",
             "limits.saturation")  # fmt: skip
 NOT_NEGATIVE = ("settling", "pause", "limits.gap", "shapes.count", "bench.seed",
-                "bench.force_noise", "drift.alpha", "drift.zero", "drift.remounting")  # fmt: skip
+                "bench.force_noise", "drift.alpha", "drift.zero", "drift.remounting",
+                "sensors.noise", "sensors.gain", "sensors.offset")  # fmt: skip
 MOST_CYCLES, MOST_TURNS = 999, 3
 LEAST, MOST = 1e-12, 1e9  # of any number of a plan: squares of both stay numbers
 
@@ -98,6 +99,25 @@ class AssumedDrift:
 
 
 @dataclass(frozen=True)
+class AssumedSensors:
+    """What the prediction of reciprocity reckons with.
+
+    Attributes
+    ----------
+    noise
+        Standard deviation of one position reading [m]; 3 nm a sample, of 2048 [paper].
+    gain
+        Of true displacement / reading over the sensors, relative; 0 where it is known.
+    offset
+        Of how far the sensors sit off their magnets along an axis [m]; 0 where they do not.
+    """
+
+    noise: float = 6.6e-11
+    gain: float = 4e-3
+    offset: float = 5e-4
+
+
+@dataclass(frozen=True)
 class CampaignPlan:
     """A day at the bench.
 
@@ -125,6 +145,8 @@ class CampaignPlan:
         load before the next is put on; 2, bare-ring-bare; 3, bare-ring-bare-ring; 0, what pays.
     drift
         What the choice of turns reckons with; for the prediction only.
+    sensors
+        What the prediction of reciprocity reckons with.
     """
 
     mirror: str
@@ -139,6 +161,7 @@ class CampaignPlan:
     bench: BenchChoice = BenchChoice()
     turns: int = 1
     drift: AssumedDrift = AssumedDrift()
+    sensors: AssumedSensors = AssumedSensors()
 
     def __post_init__(self) -> None:
         for name, low, high in (

@@ -23,6 +23,7 @@ from truenewton.estimation.estimate import Estimate, with_warnings
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
+from truenewton.estimation.reciprocity.gate import doubts, instead
 from truenewton.estimation.row_readers import RowReader, read_rows
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
@@ -99,11 +100,11 @@ def _reciprocal(
     except (RankDeficient, NotConverged) as error:
         if not where_it_holds:
             raise
-        against = reciprocity_of_matrix.refused(error)
+        against = (Fault(error.fault, error.remedy),)
     else:
         if not (against and where_it_holds):
-            return with_warnings(estimate, against), of_modes
-    return _with_imbalances(sifted, stiffness_ml.column_fit, with_warnings(base, against))
+            return with_warnings(estimate, doubts(against)), of_modes
+    return _with_imbalances(sifted, stiffness_ml.column_fit, with_warnings(base, instead(against)))
 
 
 METHODS = {
@@ -128,7 +129,7 @@ METHODS = {
 
 def calibrate(
     data: Campaign | StiffnessMatrix,
-    method: str = "ml",
+    method: str | None = None,
     *,
     population: bool = False,
     motion: Array | None = None,
@@ -141,7 +142,8 @@ def calibrate(
         A campaign under two loads at least, or a measured stiffness matrix (relative alpha).
     method
         'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which makes use of what the
-        sensors read; 'auto', reciprocity where it holds, else 'ml'.
+        sensors read; 'auto', reciprocity where it holds, else 'ml'. Unless given, 'auto' with
+        ``motion``, else 'ml' (docs/decisions/0021).
     population
         Take the actuators for samples of one normal population, whose spread the data give: pulls
         what the data hardly hold toward the mean. With 'ml' only; the result names it.
@@ -165,14 +167,7 @@ def calibrate(
     TrueNewtonWarning
         The verdict is 'not to be used', or the data show what was not taken out of them.
     """
-    refuse_method(data, method, population=population)
-    if motion is not None and method in ("ml", "svd"):
-        raise UnknownName(
-            f"{method} does not ask what the sensors see of the glass",
-            remedy="leave the mirror out, or use reciprocity or auto",
-            got=method,
-        )
-    known = Known(population, motion)
+    method, known = asked(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
         made = calibration_of(data, METHODS[method].of_cycles(sift(data), known))
     elif isinstance(data, StiffnessMatrix):
@@ -190,8 +185,20 @@ def calibrate(
     return made
 
 
-def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: bool) -> None:
-    """Raise UnknownName where there is no such method, or it takes no such data."""
+def asked(
+    data: Campaign | StiffnessMatrix,
+    method: str | None,
+    *,
+    population: bool,
+    motion: Array | None,
+) -> tuple[str, Known]:
+    """Return the method that is asked for, as of `calibrate`, and what it is told.
+
+    ``motion`` is (n, n). Raises UnknownName where there is no such method, or it takes no such
+    data.
+    """
+    if method is None:
+        method = "ml" if motion is None or population else "auto"
     if method not in METHODS:
         raise UnknownName(
             f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method
@@ -202,11 +209,18 @@ def refuse_method(data: Campaign | StiffnessMatrix, method: str, *, population: 
         raise UnknownName(
             "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
         )
+    if motion is not None and method in ("ml", "svd"):
+        raise UnknownName(
+            f"{method} does not ask what the sensors see of the glass",
+            remedy="leave the mirror out, or use reciprocity or auto",
+            got=method,
+        )
+    return method, Known(population, motion)
 
 
-def find_alpha(sifted: Sifted, method: str = "ml", *, population: bool = False) -> Estimate:
+def find_alpha(sifted: Sifted, method: str, known: Known) -> Estimate:
     """Find alpha of a campaign that was sifted, as `calibrate` does; 'ml' reads no row."""
-    return METHODS[method].of_cycles(sifted, Known(population))
+    return METHODS[method].of_cycles(sifted, known)
 
 
 def refusals(error: TrueNewtonError, sifted: Sifted | None) -> tuple[Fault, ...]:

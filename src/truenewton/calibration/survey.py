@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from truenewton.arrays import Array
 from truenewton.calibration.methods import (
+    Known,
+    asked,
     calibrate,
     calibration_of,
     find_alpha,
     refusals,
-    refuse_method,
 )
 from truenewton.calibration.verdict import Level, Verdict
 from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
@@ -26,7 +28,11 @@ from truenewton.rounding import counted, with_error
 
 
 def survey(
-    data: Campaign | StiffnessMatrix, method: str = "ml", *, population: bool = False
+    data: Campaign | StiffnessMatrix,
+    method: str | None = None,
+    *,
+    population: bool = False,
+    motion: Array | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
     """Return what data hold, for scripts and for people.
 
@@ -34,16 +40,16 @@ def survey(
     ----------
     data
         A campaign or a stiffness matrix.
-    method, population
-        As in `calibrate`.
+    method, population, motion
+        As in `calibrate`; (n, n).
     """
-    refuse_method(data, method, population=population)
+    method, known = asked(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
         holds, what = "campaign", "campaign"
-        facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data, method, population)
+        facts, (contents, *lines), diagnosis, verdict = _survey_campaign(data, method, known)
     else:
         holds, what = "stiffness", "stiffness matrix"
-        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data, method, population)
+        facts, (contents, *lines), diagnosis, verdict = _survey_stiffness(data, method, known)
     refused = verdict.level == Level.NONE
     disabled = int(np.count_nonzero(~data.layout.enabled))
     values = {
@@ -72,7 +78,7 @@ def survey(
 
 
 def _survey_campaign(
-    campaign: Campaign, method: str, population: bool
+    campaign: Campaign, method: str, known: Known
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a campaign alone, the first the end of the headline."""
     sifted, refusal = None, Verdict(Level.NONE)
@@ -125,7 +131,7 @@ def _survey_campaign(
         return values, lines, Diagnosis(), refusal
     diagnosis = diagnose(sifted.sound, sifted.moments)
     try:
-        estimate = find_alpha(sifted, method, population=population)
+        estimate = find_alpha(sifted, method, known)
         verdict = calibration_of(campaign, estimate).verdict
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         verdict = Verdict(Level.NONE, refusals(error, sifted))
@@ -133,7 +139,7 @@ def _survey_campaign(
 
 
 def _survey_stiffness(
-    matrix: StiffnessMatrix, method: str, population: bool
+    matrix: StiffnessMatrix, method: str, known: Known
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a stiffness matrix alone, the first the end of the headline."""
     modes = modal_stiffness(matrix)
@@ -152,7 +158,7 @@ def _survey_stiffness(
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
     try:
-        made = calibrate(matrix, method, population=population)
+        made = calibrate(matrix, method, **known._asdict())
     except (RankDeficient, NotConverged) as error:
         refusal = Verdict(Level.NONE, refusals(error, None))
         return values, lines, Diagnosis(), refusal

@@ -134,6 +134,7 @@ def headline(calibration: Calibration) -> str:
             else f", {counted(c.shapes_used, 'elastic mode')}"
         )
         + (f", {counted(c.invalid, 'row')} not valid left out" if c.invalid else "")
+        + (", by reciprocity" if c.sensors else "")
     )
 
 
@@ -159,8 +160,9 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
     if c.sensors:
         gains = float(np.nanstd([sensor.gain for sensor in c.sensors]))
         off = float(np.sqrt(np.nanmean([[s.x**2, s.y**2] for s in c.sensors])))
-        value = f"gains within {percent(gains)}, {1e3 * off:.2g} mm off"
-        yield "sensors", value, "rms, along each axis; each in the table SENSORS"
+        value = f"gains scatter by {percent(gains)}"
+        note = f"{1e3 * off:.2g} mm off their magnets, rms along each axis; each in table SENSORS"
+        yield "sensors", value, note
     if np.isfinite(c.noise):
         source = c.goodness.against if c.goodness is not None else NoiseSource.REPEATS
         yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", NOISE_FROM[source]

@@ -16,7 +16,7 @@ def run(
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Calibration file to write (FITS)."
     ),
-    method: str = options.METHOD,
+    method: str | None = options.METHOD,
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
     force: bool = options.FORCE,
@@ -34,14 +34,12 @@ def run(
     )
     from truenewton.cli.terminal import about, print_result
     from truenewton.files.outputs import refuse_existing
-    from truenewton.mirrors.file import mirror_from
-    from truenewton.mirrors.shell.puck_motion import motion_for
     from truenewton.reading import read_data
     from truenewton.records.campaign import Campaign
 
     refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
-    motion = motion_for(mirror_from(mirror), data.layout) if mirror else None
+    motion = options.motion_of(mirror, data)
     with about(paths):
         calibration = calibrate(data, method, population=population, motion=motion)
         refuse_unusable(calibration, force=force)

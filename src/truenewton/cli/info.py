@@ -9,8 +9,9 @@ from truenewton.cli import options
 
 def run(
     paths: list[Path] = options.PATHS,
-    method: str = options.METHOD,
+    method: str | None = options.METHOD,
     population: bool = options.POPULATION,
+    mirror: str | None = options.GLASS,
     json: bool = options.JSON,
 ) -> None:
     """Say what files hold, and whether alpha can be had from them."""
@@ -26,5 +27,7 @@ def run(
         headline = f"a calibration, method {data.method}, scale {data.scale}"
         lines = [headline, *summary_lines(data)]
     else:
-        values, lines = survey(data, method, population=population)
+        values, lines = survey(
+            data, method, population=population, motion=options.motion_of(mirror, data)
+        )
     print_result(lines, values=values if json else None)

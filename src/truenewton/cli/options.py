@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import typer
 
+if TYPE_CHECKING:
+    from truenewton.arrays import Array
+    from truenewton.records.campaign import Campaign
+    from truenewton.records.stiffness_matrix import StiffnessMatrix
+
 METHOD = typer.Option(
-    "ml", help="ml, maximum likelihood; svd, the paper's; reciprocity; auto, reciprocity or ml."
+    None,
+    help="ml, maximum likelihood; svd, the paper's; reciprocity; auto, reciprocity where it holds,"
+    " else ml. ml unless given; with --mirror auto.",
 )
 POPULATION = typer.Option(
     False, "--population", help="Take alpha for samples of one normal population (ml)."
@@ -24,6 +33,21 @@ OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exis
 PATHS = typer.Argument(
     ..., metavar="PATH...", help="Cycle files or their folder, a stiffness file, or a calibration."
 )
+
+
+def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix) -> Array | None:
+    """Return (n, n) what sensors see of the glass of data, None without --mirror.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError, CampaignMismatch
+    """
+    if mirror is None:
+        return None
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.shell.puck_motion import motion_for
+
+    return motion_for(mirror_from(mirror), data.layout)
 
 
 def ids(text: str, option: str) -> list[int]:

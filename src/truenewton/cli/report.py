@@ -17,17 +17,19 @@ def run(
         help="Cycle files or their folder, a stiffness file, a calibration, or two to compare.",
     ),
     output: Path = typer.Option(..., "-o", "--output", help="Page to write (HTML)."),
-    method: str = options.METHOD,
+    method: str | None = options.METHOD,
     population: bool = options.POPULATION,
+    mirror: str | None = options.GLASS,
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
+    from truenewton.calibration.result import Calibration
     from truenewton.cli.terminal import busy, print_result
     from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read, read_calibrations
     from truenewton.report.change import Change, change
-    from truenewton.report.investigate import investigate
+    from truenewton.report.investigate import Findings, investigate
     from truenewton.report.page.page import write_report
     from truenewton.report.verdict import verdict, verdict_on_change
 
@@ -38,12 +40,16 @@ def run(
     refuse_existing(output, overwrite=overwrite)
     with busy("looking into it"):
         pair = read_calibrations(*paths) if len(paths) == 2 else ()
-        findings = (
-            change(*pair) if pair else investigate(read(*paths), method, population=population)
-        )
+        if pair:
+            findings: Findings | Change = change(*pair)
+        else:
+            data = read(*paths)
+            known = None if isinstance(data, Calibration) else options.motion_of(mirror, data)
+            findings = investigate(data, method, population=population, motion=known)
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
-    words += ["--method", method] if method != "ml" else []
+    words += ["--method", method] if method else []
     words += ["--population"] if population else []
+    words += ["--mirror", mirror] if mirror else []
     write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
     judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)
     print_result(judged.lines(), output)

@@ -16,6 +16,7 @@ from truenewton.estimation.cycles_ml import patterns_near_noise
 from truenewton.estimation.diagnosis import Diagnosis, ScaleError
 from truenewton.estimation.identifiability import in_words, load_fault, refuse, structural_faults
 from truenewton.estimation.likelihood import expected
+from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import Problem, problem_of
@@ -103,33 +104,68 @@ def predict(
     RankDeficient
         The shapes or the actuators cannot fix alpha, whatever the noise.
     """
+    known = known_beforehand(campaign, moments, alpha)
+    of_loads, *elastic = known.problem.data(moments)
+    data = [replace(of_loads, sums=repeated(of_loads.sums, cycles)), *elastic]
+    minimum = expected(known.problem.a, data, known.problem.prior, known.values)
+    return stated(known, minimum, patterns_near_noise(minimum, of_loads.sums.shapes))
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What there is before a reading is taken.
+
+    Attributes
+    ----------
+    problem
+        The problem; the common scale is held where it is free.
+    values
+        (u,) unknowns for which the forces balance.
+    free
+        Why the common scale is free, if it is.
+    """
+
+    problem: Problem
+    values: Array
+    free: Fault | None
+
+
+def known_beforehand(campaign: Campaign, moments: Moments, alpha: Array | None) -> Known:
+    """Pose the problem of a campaign without noise, (n,) alpha known, as for `predict`.
+
+    Raises
+    ------
+    RankDeficient
+    """
     free = load_fault(campaign)
     refuse(fault for fault in structural_faults(campaign, moments) if fault != free)
     problem = problem_of(campaign, reading_noise(campaign, moments))
-    n = problem.n
-    alpha = np.ones(n) if alpha is None else alpha
+    alpha = np.ones(problem.n) if alpha is None else alpha
     values = _true_values(problem, moments, alpha)
     if free:
         problem = with_patterns_held(problem, alpha[:, None] / np.linalg.norm(alpha))
-    of_loads, *elastic = problem.data(moments)
-    data = [replace(of_loads, sums=_repeated(of_loads.sums, cycles)), *elastic]
-    minimum = expected(problem.a, data, problem.prior, values)
+    return Known(problem, values, free)
+
+
+def stated(known: Known, minimum: Minimum, undetermined: int = 0) -> Prediction:
+    """Return what an estimate from such a minimum will state."""
+    problem, n = known.problem, known.problem.n
+    layout, alpha = problem.campaign.layout, known.values[:n]
     reading_covariance, changes = minimum.reading_covariance[:n, :n], minimum.changes[:n]
-    undetermined = patterns_near_noise(minimum, of_loads.sums.shapes)
-    warnings = (free, _undetermined_warning(undetermined, n))
+    warnings = (known.free, _undetermined_warning(undetermined, n))
     value, vector = largest_eigenvalue(reading_covariance)
     return Prediction(
-        layout=campaign.layout,
+        layout=layout,
         alpha=alpha,
         reading_covariance=reading_covariance,
         systematic_covariance=changes @ changes.T,
         scale_errors=()
-        if free
+        if known.free
         else scale_errors(alpha, reading_covariance, changes.T, problem.errors),
         diagnosis=Diagnosis(
             undetermined=undetermined,
             warnings=tuple(warning for warning in warnings if warning),
-            weakest=in_words(vector, campaign.layout),
+            weakest=in_words(vector, layout),
             weakest_share=value / float(np.trace(reading_covariance)),
         ),
     )
@@ -148,7 +184,7 @@ def _true_values(problem: Problem, moments: Moments, alpha: Array) -> Array:
     return values
 
 
-def _repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
+def repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
     """Return the sums over the same shapes, each read so many times."""
     names = ("weight", "force", "square", "known", "known_force", "known_square")
     return replace(sums, **{name: cycles * getattr(sums, name) for name in names})

@@ -1,4 +1,4 @@
-"""Who is commanded, off or slaved; alpha and sensor gains, matched to the actuators of a mirror."""
+"""Who is commanded, off or slaved; alpha and sensors, matched to the actuators of a mirror."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
+from truenewton.estimation.reciprocity.sight import places_of, sight
+from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
@@ -99,18 +101,37 @@ def matched_alpha(layout: Layout, instrument: str, calibration: Calibration | No
     return np.asarray(calibration.alpha[at])
 
 
-def matched_gain(layout: Layout, calibration: Calibration | None) -> Array:
-    """Return (n,) true displacement / reading of the actuators of a mirror; 1 where not known.
+def matched_sensors(layout: Layout, calibration: Calibration | None) -> tuple[Array, Array]:
+    """Return what a calibration knows of the sensors of a mirror; 1 and 0 where nothing.
+
+    Returns
+    -------
+    gain
+        (n,) true displacement / reading.
+    offset
+        (2, n) x and y of magnet less sensor [m].
 
     Raises
     ------
     FormatError
     """
-    gain = np.ones(layout.n)
+    gain, offset = np.ones(layout.n), np.zeros((2, layout.n))
     if calibration is not None:
-        theirs = calibration.of_sensors("gain")[indices_of(calibration.layout, layout.id)]
+        at = indices_of(calibration.layout, layout.id)
+        theirs = calibration.of_sensors("gain")[at]
         gain = np.where(np.isnan(theirs), 1.0, theirs)
-    return checked_gain(gain, np.ones(layout.n, dtype=bool))
+        offset = np.nan_to_num([calibration.of_sensors(axis)[at] for axis in "xy"])
+    return checked_gain(gain, np.ones(layout.n, dtype=bool)), offset
+
+
+def seen_motion(layout: Layout, gain: Array, offset: Array) -> Array:
+    """Return (n, n) true displacements at the magnets for the readings of (n,) enabled sensors.
+
+    ``gain`` and ``offset`` as of `matched_sensors`. Between the actuators the glass bends as a
+    plate (`sight`).
+    """
+    values = Values(np.zeros(layout.n), np.log(gain), offset)
+    return sight(places_of(layout), values, slopes=bool(offset.any())).motion * gain
 
 
 def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -48,6 +48,13 @@ def _over_actuators(quantity: str, cost: int = 0) -> Callable[[_Written], Array]
     return values
 
 
+def _readings(written: _Written) -> Array:
+    """Return (N, m) what the sensors read of each mode."""
+    base = written.base
+    moved = base.stiffness.shapes @ base.costs[0].modes
+    return base.on_all_actuators(np.asarray(np.linalg.solve(base.stiffness.seen, moved)))
+
+
 def _states(base: ModalBase) -> NDArray[np.str_]:
     """Return (N,) what the optics make of each actuator."""
     followers = np.where(base.stiffness.acts, "slaved", "off")
@@ -113,6 +120,7 @@ MODES = FileFormat(
     (
         replace(ACTUATORS, columns=(*ACTUATORS.columns, STATE), of="base"),
         ImageFormat("MODES", _over_actuators("shapes")),
+        ImageFormat("READING", _readings),
         ImageFormat("FORCE", _over_actuators("forces"), "N/m"),
         ImageFormat("COMMANDED", _over_actuators("feed_forward_commanded"), "N/m"),
         TableFormat(
@@ -172,7 +180,11 @@ def write_modes(
     )
     acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     matrix = StiffnessMatrix(
-        base.matrix.instrument, base.matrix.date, replace(base.layout, enabled=acts), true
+        base.matrix.instrument,
+        base.matrix.date,
+        replace(base.layout, enabled=acts),
+        true,
+        displaced="true",
     )
     written = _Written(findings, base, base.costs[0], limits or Budget(), true, commanded)
     with files_together(paths, overwrite=overwrite) as folder:

@@ -3,8 +3,9 @@
 Of a measured stiffness K_c, where true force = alpha x commanded and true displacement = gain x
 reading,
 
-    K = diag(alpha) K_c diag(1/gain)
+    K = diag(alpha) K_c diag(1/gain) H^-1
 
+with H from the places of the sensors to those of the magnets, 1 where they are not known to differ.
 Maxwell and Betti make it symmetric. Forces of a free shell balance and its rigid motions bend
 nothing, so rigid motions R (the rows of the arms) and the rest Q have nothing to do with each other
 but for uneven bias magnets:
@@ -33,8 +34,9 @@ from truenewton.estimation.sifted_matrix import as_calibrated
 from truenewton.modal.actuator_roles import (
     checked_gain,
     matched_alpha,
-    matched_gain,
+    matched_sensors,
     off_and_slaved,
+    seen_motion,
 )
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
@@ -68,6 +70,10 @@ class TrueStiffness:
         (n,) true Newton / commanded Newton of the enabled; 1 where there is no calibration.
     enabled_gain
         (n,) true displacement / reading of the enabled; 1 where it is not known.
+    enabled_offset
+        (2, n) x and y of their magnets less their sensors; 0 where it is not known [m].
+    seen
+        (n, n) true displacements of the enabled for what their sensors read: H diag(gain).
     asymmetry
         |K - K'| / |K + K'| of the whole matrix, before it was made symmetric.
     actuator_asymmetry
@@ -88,6 +94,8 @@ class TrueStiffness:
     acting_stiffness: Array
     enabled_alpha: Array
     enabled_gain: Array
+    enabled_offset: Array
+    seen: Array
     asymmetry: float
     actuator_asymmetry: Array
     imbalance: float
@@ -95,7 +103,8 @@ class TrueStiffness:
 
     def __post_init__(self) -> None:
         freeze(self, "stiffness", "shapes", "forces", "acting_stiffness", "enabled_alpha",
-               "enabled_gain", "actuator_asymmetry", "rigid_stiffness")  # fmt: skip
+               "enabled_gain", "enabled_offset", "seen", "actuator_asymmetry",
+               "rigid_stiffness")  # fmt: skip
 
     @property
     def commanded(self) -> NDArray[np.bool_]:
@@ -142,8 +151,9 @@ def true_stiffness(
     calibration
         Of the same mirror; None takes alpha = 1, and statics for nothing but symmetry.
     sensor_gain
-        (n,) true displacement / reading, in the order of ``matrix.layout``; unless given, those
-        of the calibration's sensors, and 1 where it has none.
+        (n,) true displacement / reading, in the order of ``matrix.layout``; unless given, what the
+        calibration knows of gains and places of the sensors counts, if the matrix does not hold it
+        already (`StiffnessMatrix.displaced`).
     off, slaved
         IDs.
 
@@ -163,12 +173,13 @@ def true_stiffness(
     on = matrix.layout.enabled
     layout = _some(matrix.layout, on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
-    if sensor_gain is None:
-        gain = matched_gain(layout, calibration)
-    else:
-        gain = checked_gain(sensor_gain, on)
+    of_sensors = None if matrix.displaced == "true" else calibration
+    gain, offset = matched_sensors(layout, of_sensors)
+    if sensor_gain is not None:
+        gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
+    seen = seen_motion(layout, gain, offset)
     floats, follows = off_and_slaved(layout, off, slaved)
-    k = alpha[:, None] * matrix.used_stiffness / gain
+    k = np.linalg.solve(seen.T, (alpha[:, None] * matrix.used_stiffness).T).T
     apart, together = k - k.T, k + k.T
     symmetric = 0.5 * together
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
@@ -190,6 +201,8 @@ def true_stiffness(
         acting_stiffness=acting_stiffness,
         enabled_alpha=alpha,
         enabled_gain=gain,
+        enabled_offset=offset,
+        seen=seen,
         asymmetry=float(np.linalg.norm(apart) / np.linalg.norm(together)),
         actuator_asymmetry=np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1),
         imbalance=float(np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(0.5 * together)),

@@ -68,11 +68,12 @@ def rigid_text(measured: MeasuredStiffness) -> str:
 
 
 def sensor_gains_text(base: ModalBase) -> str:
-    """Say between which limits the gains of the sensors lie; nothing where they are not known."""
-    gain = base.stiffness.enabled_gain
-    if (gain == 1.0).all():
+    """Say between which limits gains and places of the sensors lie; nothing where not known."""
+    gain, offset = base.stiffness.enabled_gain, base.stiffness.enabled_offset
+    if (gain == 1.0).all() and not offset.any():
         return ""
-    return f"{gain.min():.4g} .. {gain.max():.4g}, used: modes are in true displacement"
+    far = f"{1e3 * np.hypot(*offset).max():.2g} mm off their magnets at most, " * bool(offset.any())
+    return f"{gain.min():.4g} .. {gain.max():.4g}, {far}used: modes are in true displacement"
 
 
 def comparison_text(comparison: ModesComparison) -> str:
@@ -202,6 +203,7 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         "imbalance": [x.stiffness.imbalance for x in (findings.before, base)],
         "rigid_stiffness": base.stiffness.rigid_stiffness,
         "sensor_gain": base.stiffness.enabled_gain,
+        "sensor_offset": base.stiffness.enabled_offset,
         "uncalibrated_modes": _attributes(
             findings.comparison, "distance", "overlap", "orders", "largest_angle"
         ),

@@ -31,13 +31,19 @@ def plot_outlook(outlook: Outlook, target: float | None = None) -> Axes:
         panels: list[Axes] = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
         first, *second = panels
         _panel(first, outlook.against_cycles.values, outlook.against_cycles, plan.cycles, target)
+        better = outlook.reciprocity.against_cycles
+        if better.values.size:
+            first.plot(
+                better.values, 100 * better.reading_error, "-.", color=INK, linewidth=0.8,
+                label="from the readings, by reciprocity",
+            )  # fmt: skip
         first.set_xlabel("cycles")
         first.set_ylabel(r"typical error of $\alpha$, 1σ (%)")
         for ax in second:
             _panel(ax, heaviest * by_weight.values, by_weight, heaviest, target)
             ax.set_xlabel("added weight (N)")
         figure.legend(
-            *first.get_legend_handles_labels(), frameon=False, fontsize=6.5, ncols=3,
+            *first.get_legend_handles_labels(), frameon=False, fontsize=6.5, ncols=2,
             loc="outside upper center", handlelength=1.8, columnspacing=1.2,
         )  # fmt: skip
     return first

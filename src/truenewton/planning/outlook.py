@@ -13,14 +13,21 @@ import numpy as np
 from truenewton.acquisition.drift import OrderCost, order_costs
 from truenewton.acquisition.mountings import mountings
 from truenewton.acquisition.plan import CampaignPlan, read_plan
-from truenewton.acquisition.shapes import expected_alpha
+from truenewton.acquisition.shapes import expected_alpha, model_glass
 from truenewton.arrays import Array
-from truenewton.errors import TrueNewtonError, located
+from truenewton.errors import RankDeficient, TrueNewtonError, located
+from truenewton.estimation.moments import Moments
 from truenewton.estimation.prediction import Prediction, predict
+from truenewton.estimation.reciprocity.prediction import informed, sensor_errors
+from truenewton.estimation.reciprocity.prediction import predict as predict_with_sensors
+from truenewton.estimation.reciprocity.sight import places_of
+from truenewton.estimation.reciprocity.unknowns import Asked, Kind
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import typical
+from truenewton.mirrors.shell.puck_motion import puck_motion
 from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain, within_limits
 from truenewton.planning.third_load import ThirdLoad, third_load
+from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 
 
@@ -36,16 +43,16 @@ def predicted(ready: Prepared) -> Prediction:
 
 def _predicted_for(ready: Prepared, cycles: Sequence[int]) -> list[Prediction]:
     """Predict for several numbers of cycles."""
-    campaign = noiseless(ready)
-    # As planned, shapes repeat over loads and signs.
-    moments = replace(campaign_moments(campaign), pooled=True)
-    alpha = np.full(moments.mean.shape[1], expected_alpha(ready.mirror))
+    campaign, moments, alpha = _beforehand(ready)
     return [predict(campaign, moments, r, alpha) for r in cycles]
 
 
-def duration(plan: CampaignPlan, shapes: int) -> float:
-    """Return how long a plan takes [s]: so many shapes, both signs, and the changes of load."""
-    return mountings(plan, shapes)[-1].end
+def _beforehand(ready: Prepared) -> tuple[Campaign, Moments, Array]:
+    """Return the campaign without noise, its moments, and alpha of the enabled actuators."""
+    campaign = noiseless(ready)
+    # As planned, shapes repeat over loads and signs.
+    moments = replace(campaign_moments(campaign), pooled=True)
+    return campaign, moments, np.full(moments.mean.shape[1], expected_alpha(ready.mirror))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +74,65 @@ class Curve:
 
 
 @dataclass(frozen=True, eq=False)
+class WithSensors:
+    """What `reciprocity` will give besides, the glass of the mirror known.
+
+    Attributes
+    ----------
+    planned
+        Of alpha; None where it cannot be had.
+    gain_error, offset_error
+        (n,) of the sensor gains, relative, and of the offsets, rms of both axes [m]; 0 where they
+        are known.
+    against_cycles
+        Of alpha.
+    why_not
+        Why it cannot be had.
+    """
+
+    planned: Prediction | None
+    gain_error: Array
+    offset_error: Array
+    against_cycles: Curve
+    why_not: str = ""
+
+
+def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
+    """Predict what `reciprocity --mirror` will state, for so many cycles among them those planned.
+
+    Raises
+    ------
+    RankDeficient
+        The balance alone cannot give alpha either.
+    """
+    plan, layout = ready.plan, ready.mirror.layout
+    repeats = 2 * len(plan.loads)
+    glass = model_glass(ready.mirror)
+    try:
+        said = informed(
+            replace(places_of(layout), motion=puck_motion(glass)),
+            Asked(plan.sensors.gain, plan.sensors.offset),
+            *(np.sqrt(repeats) * each[:, layout.enabled] for each in (ready.shapes, ready.force)),
+            force_noise=plan.force_noise,
+            position_noise=plan.sensors.noise,
+        )
+    except RankDeficient as error:
+        return WithSensors(None, np.empty(0), np.empty(0), _curve([], []), error.fault)
+    campaign, moments, alpha = _beforehand(ready)
+    made = [predict_with_sensors(campaign, moments, said, r, alpha) for r in cycles]
+    curve = _curve(list(map(float, cycles)), made)
+    errors, nothing = sensor_errors(said, plan.cycles), np.zeros(len(alpha))
+    gain, x, y = (errors.get(kind, nothing) for kind in (Kind.GAIN, Kind.X, Kind.Y))
+    planned = made[cycles.index(plan.cycles)]
+    return WithSensors(planned, gain, np.asarray(np.hypot(x, y) / np.sqrt(2)), curve)
+
+
+def duration(plan: CampaignPlan, shapes: int) -> float:
+    """Return how long a plan takes [s]: so many shapes, both signs, and the changes of load."""
+    return mountings(plan, shapes)[-1].end
+
+
+@dataclass(frozen=True, eq=False)
 class Outlook:
     """All that is predicted of a plan.
 
@@ -84,6 +150,8 @@ class Outlook:
         What each number of turns costs, one first; none where the scale is free.
     third_load
         What a third load would show; None where there are three, or no scale.
+    reciprocity
+        What reciprocity will give.
     """
 
     ready: Prepared
@@ -95,6 +163,7 @@ class Outlook:
     warnings: tuple[Fault, ...]
     orders: tuple[OrderCost, ...]
     third_load: ThirdLoad | None
+    reciprocity: WithSensors
 
 
 def read_outlook(path: str | os.PathLike[str]) -> Outlook:
@@ -130,25 +199,25 @@ def outlook(ready: Prepared) -> Outlook:
                 "plan a smaller shapes.force",
             ),
         )
+    cycles = _cycles_around(ready.plan.cycles)
     return Outlook(
         ready,
         prediction,
         asked,
         duration(ready.plan, len(ready.shapes)),
-        _curve(*_by_cycles(ready)),
+        _curve(list(map(float, cycles)), _predicted_for(ready, cycles)),
         _curve(*_by_weight(ready)),
         warnings,
         order_costs(ready.plan, ready.mirror, len(ready.shapes)),
         third_load(ready),
+        with_sensors(ready, cycles),
     )
 
 
-def _by_cycles(ready: Prepared) -> tuple[list[float], list[Prediction]]:
-    """Predict for cycles in powers of two, and those of the plan."""
-    planned = ready.plan.cycles
+def _cycles_around(planned: int) -> list[int]:
+    """Return cycles in powers of two, and those of the plan."""
     most = max(64, 4 * planned)
-    cycles = sorted({2**k for k in range(10) if 2**k <= most} | {planned})
-    return list(map(float, cycles)), _predicted_for(ready, cycles)
+    return sorted({2**k for k in range(10) if 2**k <= most} | {planned})
 
 
 def _by_weight(ready: Prepared) -> tuple[list[float], list[Prediction]]:

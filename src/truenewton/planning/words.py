@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from truenewton.acquisition.drift import OrderCost, turns_that_pay, without_remounting
 from truenewton.acquisition.mountings import mountings, reading_time
 from truenewton.calibration.words import warning_lines
@@ -60,11 +62,41 @@ def lines(outlook: Outlook) -> Iterator[str]:
     ]  # fmt: skip
     for name, value, note in rows:
         yield f"  {name:<24}{value:<26}{note}".rstrip()
+    yield from _reciprocity_lines(outlook)
     yield from _order_lines(outlook)
     yield "  typical errors of alpha against"
     yield from _table("cycles", outlook.against_cycles)
+    if outlook.reciprocity.planned is not None:
+        error = outlook.reciprocity.against_cycles.reading_error.tolist()
+        yield f"      {'by reciprocity':<20}" + "".join(f"{percent(e):>9}" for e in error)
     yield from _table("added weights, times", outlook.against_weight)
     yield from warning_lines(outlook.warnings)
+
+
+def _reciprocity_lines(outlook: Outlook) -> Iterator[str]:
+    """Yield what reciprocity will give besides, or why it cannot be had."""
+    found, plan = outlook.reciprocity, outlook.ready.plan
+    if found.planned is None:
+        yield f"  {'by reciprocity':<24}cannot be had: {found.why_not}"
+        return
+    yield f"  by reciprocity (calibrate --method reciprocity --mirror {plan.mirror})"
+    error, from_readings, _ = typical_errors(found.planned)
+    sensors, rows = plan.sensors, []
+    if not found.planned.scale_is_free:
+        rows.append(("error of alpha", percent(error), "E_ALPHA, typical"))
+    rows.append(
+        ("reading noise", percent(from_readings),
+         f"E_STAT, positions read to {1e9 * sensors.noise:.2g} nm")
+    )  # fmt: skip
+    if sensors.gain:
+        note = f"E_GAIN, typical; gains within {percent(sensors.gain)}"
+        rows.append(("sensor gains", percent(float(np.median(found.gain_error))), note))
+    if sensors.offset:
+        note = f"E_DX, E_DY; sensors within {1e3 * sensors.offset:.2g} mm of their magnets"
+        typical_offset = f"{1e3 * float(np.median(found.offset_error)):.2g} mm"
+        rows.append(("sensor offsets", typical_offset, note))
+    for name, value, note in rows:
+        yield f"    {name:<22}{value:<26}{note}"
 
 
 def _order_lines(outlook: Outlook) -> Iterator[str]:
@@ -178,6 +210,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
             "e_stat": prediction.reading_error,
             "e_syst": prediction.systematic_error,
         },
+        "reciprocity": _reciprocity_values(outlook),
         "weakest": prediction.diagnosis.weakest,
         "undetermined": prediction.diagnosis.undetermined,
         "duration": outlook.duration,
@@ -203,3 +236,27 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
         "target": target,
         "ways": [{k: v for k, v in vars(way).items() if k != "plan"} for way in ways],
     }  # fmt: skip
+
+
+def _reciprocity_values(outlook: Outlook) -> dict[str, Any]:
+    """Return the figures of reciprocity; none, and why, where it cannot be had."""
+    found = outlook.reciprocity
+    if found.planned is None:
+        return {"why_not": found.why_not}
+    typical_error, from_readings, from_weights = typical_errors(found.planned)
+    return {
+        "typical_error": typical_error,
+        "typical_e_stat": from_readings,
+        "typical_e_syst": from_weights,
+        "actuators": {
+            "e_alpha": found.planned.error,
+            "e_stat": found.planned.reading_error,
+            "e_gain": found.gain_error,
+            "e_offset": found.offset_error,
+        },
+        "cycles": {
+            "cycles": found.against_cycles.values,
+            "error": found.against_cycles.error,
+            "e_stat": found.against_cycles.reading_error,
+        },
+    }

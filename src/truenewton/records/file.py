@@ -68,7 +68,11 @@ CYCLE = FileFormat(
     ),
 )
 STIFFNESS = FileFormat(
-    (INSTRUMENT, Keyword("DATE-OBS", "date", "UTC", kind="date")),
+    (
+        INSTRUMENT,
+        Keyword("DATE-OBS", "date", "UTC", kind="date"),
+        Keyword("DISPLACE", "displaced", "displacements: read or true", kind="str", absent="read"),
+    ),
     (ACTUATORS, ImageFormat("STIFFNESS", "stiffness", "N/m")),
 )
 SOURCES = TableFormat(

@@ -12,6 +12,8 @@ from truenewton.errors import FormatError
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
 
+DISPLACED = ("read", "true")
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StiffnessMatrix:
@@ -27,6 +29,9 @@ class StiffnessMatrix:
         (n, n), commanded force of actuator i per unit displacement of sensor j [N/m].
     source
         The file, or None.
+    displaced
+        'read' where displacements are those that the sensors read, 'true' where what is known of
+        the sensors is in them already.
     """
 
     instrument: str
@@ -34,9 +39,17 @@ class StiffnessMatrix:
     layout: Layout
     stiffness: Array
     source: Source | None = None
+    displaced: str = "read"
 
     def __post_init__(self) -> None:
         check_date(self.date)
+        if self.displaced not in DISPLACED:
+            raise FormatError(
+                f"DISPLACE is '{self.displaced}'",
+                remedy=f"give {' or '.join(map(repr, DISPLACED))}, or leave it out",
+                got=self.displaced,
+                want=DISPLACED,
+            )
         freeze(self, "stiffness")
         n = self.layout.n
         if self.stiffness.shape != (n, n):

@@ -8,12 +8,13 @@ from typing import TypeVar
 
 from matplotlib.axes import Axes
 
+from truenewton.arrays import Array
 from truenewton.calibration.methods import (
+    asked,
     calibrate,
     calibration_of,
     find_alpha,
     refusals,
-    refuse_method,
 )
 from truenewton.calibration.result import Calibration
 from truenewton.errors import (
@@ -103,7 +104,11 @@ class Findings:
 
 
 def investigate(
-    data: Campaign | StiffnessMatrix | Calibration, method: str = "ml", *, population: bool = False
+    data: Campaign | StiffnessMatrix | Calibration,
+    method: str | None = None,
+    *,
+    population: bool = False,
+    motion: Array | None = None,
 ) -> Findings:
     """Calibrate data and gather the evidence; data that do not suffice are diagnosed instead.
 
@@ -111,8 +116,8 @@ def investigate(
     ----------
     data
         What is to be reported on; a finished calibration is taken as it is.
-    method, population
-        As in `calibrate`.
+    method, population, motion
+        As in `calibrate`; (n, n).
 
     Raises
     ------
@@ -121,16 +126,16 @@ def investigate(
     """
     if isinstance(data, Calibration):
         return Findings(data, data)
-    refuse_method(data, method, population=population)
+    method, known = asked(data, method, population=population, motion=motion)
     sifted: Sifted | None = None
     try:
         if isinstance(data, StiffnessMatrix):
-            calibration = calibrate(data, method, population=population)
+            calibration = calibrate(data, method, **known._asdict())
             evidence = stiffness_evidence(data, calibration)
             modes, no_modes = _modes(data, lambda: find_modes(data, calibration, force=True))
             return Findings(data, calibration, evidence, modes=modes, no_modes=no_modes)
         sifted = sift(data)
-        estimate = find_alpha(sifted, method, population=population)
+        estimate = find_alpha(sifted, method, known)
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
         return Findings(data, None, faults=refusals(error, sifted))
     return _findings_of(sifted, estimate)

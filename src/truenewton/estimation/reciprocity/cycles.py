@@ -21,16 +21,21 @@ from truenewton.estimation.diagnosis import Goodness, NoiseSource
 from truenewton.estimation.effects.words import effect_warnings
 from truenewton.estimation.estimate import Estimate, with_warnings
 from truenewton.estimation.likelihood import minimise
-from truenewton.estimation.minimum import Minimum, Prior
+from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.problem import Problem, load_data, problem_of
+from truenewton.estimation.problem import (
+    Problem,
+    load_data,
+    problem_of,
+    with_share_in_balance,
+)
 from truenewton.estimation.reciprocity.condensation import (
     condensed_regression,
     kept,
     kept_places,
 )
-from truenewton.estimation.reciprocity.gate import Evidence, left_free, refusals
+from truenewton.estimation.reciprocity.gate import Evidence, doubts, instead, left_free, refusals
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.known_noise import ONE_EACH, Regressed
 from truenewton.estimation.reciprocity.regression import regressed
@@ -65,7 +70,7 @@ def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> E
     RankDeficient, TooManyOutliers, NotConverged
     """
     estimate, against = _found(sifted, cycles_ml.find(sifted), motion, asked)
-    return with_warnings(estimate, against)
+    return with_warnings(estimate, doubts(against))
 
 
 def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate:
@@ -85,14 +90,14 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
     base = cycles_ml.find(sifted)
     if sifted.moments.displacement is None:
         return base
-    if not all(effect.corrected for effect in base.effects):
-        untried = "reciprocity is not tried on data that show what was not taken out of them"
-        return with_warnings(base, (Fault(untried, "mend that first"),))
+    if base.effects:
+        untried = f"the data show {base.effects[0].name}, which ml alone takes out"
+        return with_warnings(base, instead([Fault(untried, "mend that first")]))
     try:
         estimate, against = _found(sifted, base, motion, USUAL)
     except (RankDeficient, NotConverged) as error:
-        against = (Fault(f"{METHOD}: {error.fault}", str(error.remedy)),)
-    return with_warnings(base, against) if against else estimate
+        against = (Fault(error.fault, str(error.remedy)),)
+    return with_warnings(base, instead(against)) if against else estimate
 
 
 def _found(
@@ -118,9 +123,11 @@ def _found(
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(campaign), **temperature_errors(campaign, force)}
     problem = problem_of(campaign, noise, errors)
+    shared = with_share_in_balance(problem, sifted, base.values[: problem.n])
     minimum = _with_weights(problem, moments, (fitted, keep), base, excess)
     estimate = cycles_ml.estimate_of(METHOD, problem, moments, minimum, base.rejected, 0)
-    said = (*estimate.diagnosis.warnings, *effect_warnings(base.effects))
+    effects = tuple(replace(effect, corrected=False) for effect in base.effects)  # by `ml` alone
+    said = (*estimate.diagnosis.warnings, *effect_warnings(effects))
     if excess > 1.0:
         remedy = "give the mirror, so that what its sensors see is known" if motion is None else ""
         fault = f"reciprocity fits badly: E_STAT is {np.sqrt(excess):.2g} times larger for it"
@@ -130,7 +137,7 @@ def _found(
     estimate = replace(
         estimate,
         goodness=goodness,
-        effects=base.effects,
+        effects=effects,
         unseen=base.unseen,
         declared_chi2=base.declared_chi2,
         diagnosis=replace(estimate.diagnosis, warnings=said),
@@ -141,6 +148,7 @@ def _found(
             Evidence(
                 fitted.reduced,
                 odd=odd,
+                disturbed=bool(np.any(shared.disturbance)),
                 untried=problem.n if problem.n > ONE_EACH else 0,
                 offset_spread=_offset_spread(fitted),
             )
@@ -188,13 +196,13 @@ def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:
     return Goodness(chi2, round(freedom), NoiseSource.REPEATS, float(probability))
 
 
-def _alpha_information(fitted: Fit) -> Array:
-    """Return the (n, n) information on log alpha, gains and offsets unknown too."""
-    n, whole = len(fitted.values.log_alpha), fitted.information
-    if fitted.asked.kinds == (Kind.ALPHA,):
+def alpha_information(whole: Array, asked: Asked) -> Array:
+    """Return the (n, n) information on log alpha, gains and offsets unknown too, of all (u, u)."""
+    if asked.kinds == (Kind.ALPHA,):
         return whole
+    n = len(whole) // len(asked.kinds)
     rest, cross = whole[n:, n:].copy(), whole[n:, :n]
-    if np.isinf(fitted.asked.gain_spread):  # what holds their free scale does not reach alpha
+    if np.isinf(asked.gain_spread):  # what holds their free scale does not reach alpha
         rest[:n, :n] += np.trace(rest[:n, :n]) / n**2
     taken = cross.T @ scipy.linalg.solve(rest, cross, assume_a="pos")
     return np.asarray(whole[:n, :n] - 0.5 * (taken + taken.T))
@@ -213,12 +221,7 @@ def _with_weights(
     """
     fitted, keep = kept_fit
     unknowns, n = problem.unknowns, problem.n
-    share = moments.of_load * moments.weight[:, None]
-    weight = share.sum(axis=0)
-    mean, known = (share.T @ values / weight[:, None] for values in (moments.mean, moments.known))
-    sums = shape_sums(mean, weight, known, np.eye(len(weight)))
-    data = replace(load_data(problem.campaign, moments, problem.noise.in_balance, problem.errors),
-                   sums=sums)  # fmt: skip
+    data = mean_forces(problem, moments)
     scale = np.exp(np.mean(np.log(np.maximum(base.values[:n][keep], SMALLEST))))
     start = np.zeros(unknowns.total)
     start[: unknowns.count] = base.values
@@ -226,7 +229,18 @@ def _with_weights(
     free = np.where(keep, np.inf, np.diag(base.reading_covariance)[:n])
     information = np.diag(1.0 / free)
     root = start[:n][keep]
-    information[np.ix_(keep, keep)] += _alpha_information(fitted) / np.outer(root, root) / excess
+    relative = alpha_information(fitted.information, fitted.asked)
+    information[np.ix_(keep, keep)] += relative / np.outer(root, root) / excess
     own = problem.prior
     prior = Prior(np.concatenate([start[:n], own.mean[n:]]), information, own.measured, own.held)
     return minimise(problem.a, [data], prior, start)
+
+
+def mean_forces(problem: Problem, moments: Moments) -> DataSet:
+    """Return the mean force under each load, as a shape of its own."""
+    share = moments.of_load * moments.weight[:, None]
+    weight = share.sum(axis=0)
+    mean, known = (share.T @ values / weight[:, None] for values in (moments.mean, moments.known))
+    sums = shape_sums(mean, weight, known, np.eye(len(weight)))
+    data = load_data(problem.campaign, moments, problem.noise.in_balance, problem.errors)
+    return replace(data, sums=sums)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +21,8 @@ WORSE = 1.15  # held-out imbalance in terms of that of balance alone
 APART = 6.0  # chi2 per degree of freedom between balance alone and reciprocity alone
 BLOCK = 1.5  # chi2 per degree of freedom of a block, where the noise is known
 FARTHEST = 1.2e-3  # rms offset of the sensors along an axis [m]
-REMEDY = "use ml; or give the mirror (--mirror), and check places and order of the sensors"
-BLOCKS = ("the balance of forces", "rigid motions", "reciprocity")
+REMEDY = "give the mirror (--mirror) if not given, and check places and order of the sensors"
+BLOCKS = ("balance", "rigid motions", "reciprocity")
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,8 @@ class Evidence:
         Actuators that are not like the others; more than may be left free.
     transposed
         Whether rows and columns look exchanged.
+    disturbed
+        Whether something pushes many actuators at once, from reading to reading.
     untried
         Number of actuators, where nobody has held errors of so many against the truth.
     gain_spread, offset_spread
@@ -53,6 +55,7 @@ class Evidence:
     apart: float = float("nan")
     odd: tuple[int, ...] = ()
     transposed: bool = False
+    disturbed: bool = False
     untried: int = 0
     gain_spread: float = float("nan")
     offset_spread: float = float("nan")
@@ -62,29 +65,32 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
     """Yield why reciprocity is not to be believed."""
     if evidence.odd:
         many = counted(len(evidence.odd), "actuator")
-        yield Fault(f"reciprocity does not hold for {many} or more", REMEDY)
+        yield Fault(f"it does not hold for {many} or more", REMEDY)
     if evidence.transposed:
         yield Fault(
-            "reciprocity takes alpha for sensor gains where STIFFNESS is transposed, as it looks",
+            "STIFFNESS looks transposed, and then it takes alpha for sensor gains",
             "store [i, j], the force of actuator i per displacement of sensor j",
+        )
+    if evidence.disturbed:
+        yield Fault(
+            "noise of the readings is common to many actuators, and it takes that of each for"
+            " independent",
+            "look for what pushes the mirror",
         )
     if evidence.untried:
         yield Fault(
-            f"errors of reciprocity of {counted(evidence.untried, 'actuator')} were never held"
-            " against a truth: noise in forces may make them too small",
-            "use ml, or compare two campaigns",
+            f"its errors were never held against a truth of"
+            f" {counted(evidence.untried, 'actuator')}: noise in forces may make them too small",
+            "compare two campaigns",
         )
     for name, size in zip(BLOCKS, evidence.blocks, strict=False):
         if size > BLOCK:
-            yield Fault(
-                f"reciprocity does not fit: {name} is off by {np.sqrt(size):.2g} times the noise",
-                REMEDY,
-            )
+            yield Fault(f"its fit leaves {np.sqrt(size):.2g} times the noise of {name}", REMEDY)
     if evidence.held_out > WORSE * evidence.by_balance:
         yield Fault(
-            f"with reciprocity modes that the fit has not seen balance worse"
-            f" ({percent(evidence.held_out)} of their force) than by balance alone"
-            f" ({percent(evidence.by_balance)})",
+            f"modes that its fit has not seen are out of balance by"
+            f" {percent(evidence.held_out)} of their force, by balance alone by"
+            f" {percent(evidence.by_balance)}",
             REMEDY,
         )
     if evidence.apart > APART:
@@ -98,6 +104,20 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
             f"the sensors would have to be {1e3 * evidence.offset_spread:.2g} mm off their magnets",
             REMEDY,
         )
+
+
+def doubts(against: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Say of an answer by reciprocity what speaks against it."""
+    return tuple(
+        Fault(f"reciprocity is in doubt: {fault}", f"use ml; {remedy}") for fault, remedy in against
+    )
+
+
+def instead(against: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Say of an answer by `ml` why it is not by reciprocity."""
+    return tuple(
+        Fault(f"alpha is by ml, not by reciprocity: {fault}", remedy) for fault, remedy in against
+    )
 
 
 def left_free(ids: NDArray[np.int64]) -> Iterator[Fault]:

@@ -236,8 +236,3 @@ def find(
     transposed = any(orientation_warnings(matrix))
     evidence = replace(found.evidence, odd=odd, transposed=transposed)
     return estimate, found.imbalances, tuple(refusals(evidence))
-
-
-def refused(error: RankDeficient | NotConverged) -> tuple[Fault, ...]:
-    """Return what speaks against reciprocity where it gives no alpha."""
-    return (Fault(f"reciprocity gives no alpha: {error.fault}", str(error.remedy)),)

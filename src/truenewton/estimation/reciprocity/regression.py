@@ -53,6 +53,20 @@ def regressed(
     force = root * (moments.mean - moments.of_load @ rest)
     z = root * (moments.displacement - moments.of_load @ (share.T @ moments.displacement))
     square = z.T @ z
+    refuse_unheld(square)
+    stiffness = np.linalg.solve(square, z.T @ force).T
+    spare = moments.groups - len(moments.loads) - n
+    noise, freedom = np.diag(variance), float(max(moments.repeats, 1) * n)
+    if spare >= SPARE * n:
+        noise = _noise(force - z @ stiffness.T, stiffness, variance, spare)
+        freedom = float(spare * n)
+    mean = (of_load.sum(axis=0) / of_load.sum()) @ rest
+    return Regressed(stiffness, square, noise, freedom, bias_gradient, coil_gradient * mean)
+
+
+def refuse_unheld(square: Array) -> None:
+    """Raise RankDeficient where (n, n) S_zz lacks motions of the mirror."""
+    n = len(square)
     amplitude = np.sqrt(np.maximum(np.linalg.eigvalsh(square), 0.0))
     missing = int(np.count_nonzero(amplitude <= UNHELD * amplitude[-1]))
     if missing:
@@ -62,14 +76,6 @@ def regressed(
             got=n - missing,
             want=n,
         )
-    stiffness = np.linalg.solve(square, z.T @ force).T
-    spare = moments.groups - len(moments.loads) - n
-    noise, freedom = np.diag(variance), float(max(moments.repeats, 1) * n)
-    if spare >= SPARE * n:
-        noise = _noise(force - z @ stiffness.T, stiffness, variance, spare)
-        freedom = float(spare * n)
-    mean = (of_load.sum(axis=0) / of_load.sum()) @ rest
-    return Regressed(stiffness, square, noise, freedom, bias_gradient, coil_gradient * mean)
 
 
 def _noise(left: Array, stiffness: Array, variance: Array, spare: int) -> Array:
