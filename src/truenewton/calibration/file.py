@@ -120,14 +120,14 @@ CALIBRATION = FileFormat(
             (
                 Column("KIND", "source.kind.name", kind="str"),
                 Column("NAME", "source.name", kind="str", absent=""),
-                Column("RELATIVE", "relative"),
+                Column("RELATIVE", "relative", finite=True),
             ),
             of="scale_errors",
             optional=True,
         ),
         TableFormat(
             "UNSEEN",
-            (Column("WHAT", "name", kind="str"), Column("RELATIVE", "relative")),
+            (Column("WHAT", "name", kind="str"), Column("RELATIVE", "relative", finite=True)),
             of="unseen",
             optional=True,
         ),

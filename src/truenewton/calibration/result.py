@@ -26,7 +26,7 @@ from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
 from truenewton.records.source import Source
 from truenewton.statics.layout import Layout
-from truenewton.statics.load import Load
+from truenewton.statics.load import Load, check_load
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -144,6 +144,13 @@ class Calibration:
                              ("COVARIANCE", np.diag(self.covariance))):  # fmt: skip
             if (errors < 0).any() or np.isinf(errors).any():
                 raise FormatError(f"{name} is negative or infinite", remedy="calibrate again")
+        if self.weight >= 0.0 or self.weight_error < 0.0:
+            raise FormatError("WEIGHT or E_WEIGHT has the wrong sign", remedy="calibrate again")
+        for load in self.loads:
+            check_load(load)
+        known = (self.torque_y, self.torque_x, self.bias_force) if self.loads else ()
+        if not all(np.isfinite(each).all() for each in known):
+            raise FormatError("BIAS, MY or MX is no number", remedy="calibrate again")
         alpha = np.abs(self.alpha[on])
         sane = alpha.min() > 1 / LARGEST_ALPHA and alpha.max() < LARGEST_ALPHA
         if not (sane and np.isfinite(self.error[on]).all()):

@@ -80,6 +80,8 @@ def likeliest_noise(
 
     def at(share: float) -> tuple[float, Array]:
         s = (1.0 - share) * laws[0] + share * laws[1]
+        # A column with one element alone is noisy in one direction, by proportion.
+        s = s + ROUNDING * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         solved = np.linalg.solve(s, residual[:, :, None])[:, :, 0]
         return 0.5 * float(np.linalg.slogdet(s)[1].sum()), np.einsum("mk,mk->m", residual, solved)
 

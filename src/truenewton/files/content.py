@@ -110,6 +110,8 @@ class FitsFile:
                         name = f"{extension.of}.{column.attribute}".lstrip(".")
                         what = f"{column.name} of {extension.name}"
                         read = self._column(extension.name, column)
+                        if column.finite and not np.isfinite(read).all():
+                            self._refuse(f"{what} holds NaN or inf", "make the file again")
                         put(name, self._bounded(read, what, largest))
             elif not callable(extension.attribute):
                 put(extension.attribute, self.pixels(extension.name, extension.unit))
