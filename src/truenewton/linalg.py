@@ -142,9 +142,9 @@ def inverse_of_positive(matrix: Array) -> Array:
     numpy.linalg.LinAlgError
         It is not positive definite.
     """
-    size = np.sqrt(np.diag(matrix))
-    if not (size > 0.0).all():  # a root of less than nothing is NaN
+    if not (np.diag(matrix) > 0.0).all():
         raise np.linalg.LinAlgError("an element of the diagonal is not positive")
+    size = np.sqrt(np.diag(matrix))
     factor = scipy.linalg.cho_factor(matrix / size / size[:, None], lower=True)
     return np.asarray(scipy.linalg.cho_solve(factor, np.diag(1.0 / size)) / size[:, None])
 

@@ -28,7 +28,7 @@ from truenewton.statics.arms import effective_weight
 
 HOUR = 3600.0
 SAME = 1e-12  # relative difference of weights that is rounding
-ROUNDING = 1e-12
+ROUNDING = 1e-9  # of the errors of weights, which is left to readings
 PAYS = 0.99  # of the error without: so much less must be left for someone to mount a load again
 
 
