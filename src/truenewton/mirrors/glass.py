@@ -177,8 +177,8 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
         raise GeometryError(
             f"a glass {shell.thickness:.6g} m thick, bending stiffness {stiffness:.6g} N m and"
             f" Poisson ratio {nu:.6g}",
-            remedy=f"give a positive thickness, {THINNEST:g} m to the outer radius, a positive Young's"
-            " modulus, and a ratio in (-1, 0.5)",
+            remedy=f"give a positive thickness, {THINNEST:g} m to the outer radius, a positive"
+            " Young's modulus, and a ratio in (-1, 0.5)",
         )
     if not abs(curvature) > b:
         raise GeometryError(
