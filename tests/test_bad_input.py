@@ -228,6 +228,10 @@ FILE_FAULTS = {
         ),
         "FORCE in row 8 is inf",
     ),
+    "FORCE is next to nothing": (
+        cells(M, "FORCE", slice(None), 1e-300),
+        "FORCE is below 1e-09 N throughout",
+    ),
     "SIGN is 2": (cells(M, "SIGN", 4, 2), "SIGN in row 5 is 2"),
     "SIGN is 0": (cells(M, "SIGN", 4, 0), "SIGN in row 5 is 0"),
     "SHAPE is 0": (cells(M, "SHAPE", 4, 0), "SHAPE in row 5 is 0"),
@@ -436,6 +440,10 @@ STIFFNESS_FAULTS = {
     "zero": (
         lambda hdus: setattr(hdus["STIFFNESS"], "data", np.zeros((12, 12))),
         "STIFFNESS is zero throughout",
+    ),
+    "next to nothing": (
+        lambda hdus: setattr(hdus["STIFFNESS"], "data", np.full((12, 12), 1e-300)),
+        "or next to it",
     ),
     "NaN": (lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), np.nan), "STIFFNESS holds NaN"),
     "inf": (lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), np.inf), "STIFFNESS holds"),

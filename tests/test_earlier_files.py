@@ -103,6 +103,30 @@ def test_a_law_without_numbers_is_refused(inside, written, tmp_path, column, val
     refused(inside, written, tmp_path, "tracking", change, f"{column} holds no usable", "track")
 
 
+@pytest.mark.parametrize(
+    ("table", "column", "value", "said"),
+    [
+        ("LOADS", "TILT", np.inf, "TILT is inf deg"),
+        ("LOADS", "ADDED", -np.inf, "ADDED is -inf N"),
+        ("LOADS", "E_ADDED", np.nan, "E_ADDED is nan"),
+        ("LOADS", "MY", np.nan, "BIAS, MY or MX is no number"),
+        ("BUDGET", "RELATIVE", np.nan, "RELATIVE of BUDGET holds NaN or inf"),
+        ("CALIBRATION", "E_CYCLE", 1e200, "E_CYCLE of CALIBRATION is 1e+200"),
+        (0, "WEIGHT", 0.0, "WEIGHT or E_WEIGHT has the wrong sign"),
+        (0, "NOISE", 1e300, "NOISE is 1e+300"),
+    ],
+)
+def test_what_no_calibration_can_hold_is_refused(inside, written, tmp_path, table, column, value,
+                                                 said):  # fmt: skip
+    def change(hdus):
+        if table == 0:
+            hdus[0].header[column] = value
+        else:
+            hdus[table].data[column][0] = value
+
+    refused(inside, written, tmp_path, "calibration", change, said)
+
+
 def without_temperature(hdus):
     del hdus[0].header["TEMPERAT"]
 

@@ -120,7 +120,7 @@ def covariance_fault(matrix: Array, unit: Array | None = None) -> str:
     if (np.abs(matrix) > LARGEST_VARIANCE).any() or (unit < 0).any():
         return "holds absurd or negative variances"
     size = np.sqrt(unit[known])
-    one = np.where(size > 0, 1 / np.where(size > 0, size, 1), 1 / SMALLEST_DEVIATION)
+    one = 1 / np.maximum(size, SMALLEST_DEVIATION)
     scaled = matrix[np.ix_(known, known)] * one[:, None] * one
     if (np.abs(scaled - scaled.T) > ROUNDING).any():
         return "is not symmetric"
@@ -129,6 +129,24 @@ def covariance_fault(matrix: Array, unit: Array | None = None) -> str:
     except np.linalg.LinAlgError:
         return "is not positive semi-definite"
     return ""
+
+
+def inverse_of_positive(matrix: Array) -> Array:
+    """Return the inverse of an (n, n) symmetric positive definite matrix, whatever its units.
+
+    Each row is taken in terms of the root of its diagonal first (van der Sluis, Numer. Math. 14,
+    14, 1969: no other scale does much better).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        It is not positive definite.
+    """
+    if not (np.diag(matrix) > 0.0).all():
+        raise np.linalg.LinAlgError("an element of the diagonal is not positive")
+    size = np.sqrt(np.diag(matrix))
+    factor = scipy.linalg.cho_factor(matrix / size / size[:, None], lower=True)
+    return np.asarray(scipy.linalg.cho_solve(factor, np.diag(1.0 / size)) / size[:, None])
 
 
 @dataclass(frozen=True, eq=False)

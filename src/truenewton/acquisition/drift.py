@@ -28,6 +28,7 @@ from truenewton.statics.arms import effective_weight
 
 HOUR = 3600.0
 SAME = 1e-12  # relative difference of weights that is rounding
+ROUNDING = 1e-9  # of the errors of weights, which is left to readings
 PAYS = 0.99  # of the error without: so much less must be left for someone to mount a load again
 
 
@@ -69,7 +70,9 @@ def scale_balance(plan: CampaignPlan, mirror: Mirror, shapes: int) -> ScaleBalan
     alpha = expected_alpha(mirror)
     noise = alpha * plan.force_noise * np.linalg.norm(nz) / np.sqrt(2 * shapes * plan.cycles)
     errors = _weight_changes(plan, mirror)
-    covariance = errors @ errors.T + noise**2 * np.eye(len(held))
+    covariance = errors @ errors.T
+    # Of readings far better than the weights no less than rounding leaves, or it has no inverse.
+    covariance += max(noise**2, ROUNDING * np.trace(covariance)) * np.eye(len(held))
     design = np.column_stack([held, np.ones_like(held)])
     inverse = np.linalg.inv(covariance)
     response = -np.linalg.solve(design.T @ inverse @ design, design.T @ inverse)[0]

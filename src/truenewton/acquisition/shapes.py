@@ -14,6 +14,7 @@ from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass
+from truenewton.records.cycle import LARGEST_DISPLACEMENT
 from truenewton.records.file import stiffness_from
 from truenewton.statics.layout import Layout
 from truenewton.statics.modes import scaled_modes, stiffness_modes
@@ -69,8 +70,10 @@ def shapes_and_forces(
                 f"SHAPES is {image.shape}", remedy=f"give shapes x {on.size} actuators", path=path
             )
         chosen = image[: plan.shapes.count or None, on]
-        if not np.isfinite(chosen).all():
-            raise FormatError("SHAPES holds NaN or inf", remedy="correct it", path=path)
+        if not (np.abs(chosen) <= LARGEST_DISPLACEMENT).all():
+            raise FormatError(
+                "SHAPES holds NaN, inf or absurd values", remedy="correct it", path=path
+            )
         stiffness = model_glass(mirror).stiffness / expected_alpha(mirror)
     shapes, force = np.zeros((2, len(chosen), on.size))
     shapes[:, on], force[:, on] = chosen, chosen @ stiffness.T

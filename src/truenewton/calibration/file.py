@@ -120,14 +120,14 @@ CALIBRATION = FileFormat(
             (
                 Column("KIND", "source.kind.name", kind="str"),
                 Column("NAME", "source.name", kind="str", absent=""),
-                Column("RELATIVE", "relative"),
+                Column("RELATIVE", "relative", finite=True),
             ),
             of="scale_errors",
             optional=True,
         ),
         TableFormat(
             "UNSEEN",
-            (Column("WHAT", "name", kind="str"), Column("RELATIVE", "relative")),
+            (Column("WHAT", "name", kind="str"), Column("RELATIVE", "relative", finite=True)),
             of="unseen",
             optional=True,
         ),
@@ -160,6 +160,9 @@ CALIBRATION = FileFormat(
 )
 
 
+LARGEST = 1e30  # of any number in it
+
+
 def calibration_from(file: FitsFile) -> Calibration:
     """Return the calibration that a file holds.
 
@@ -168,7 +171,7 @@ def calibration_from(file: FitsFile) -> Calibration:
     FormatError
         The file breaks the contract of a calibration file.
     """
-    values = file.values(CALIBRATION)
+    values = file.values(CALIBRATION, LARGEST)
     values["layout"]["enabled"] = file.enabled(values["alpha"], "calibrate again")
     count = Unknowns(values["alpha"].size, values["torque_y"].size).count
     file.require_covariances(count, "n + 1 + 2 L", "calibrate again")

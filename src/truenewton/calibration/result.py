@@ -20,6 +20,7 @@ from truenewton.estimation.diagnosis import (
     Sensor,
     UnseenError,
 )
+from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.fits import write_fits
@@ -27,7 +28,7 @@ from truenewton.files.format import quantities
 from truenewton.records.source import Source
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
-from truenewton.statics.load import Load
+from truenewton.statics.load import Load, check_load
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -145,6 +146,19 @@ class Calibration:
                              ("COVARIANCE", np.diag(self.covariance))):  # fmt: skip
             if (errors < 0).any() or np.isinf(errors).any():
                 raise FormatError(f"{name} is negative or infinite", remedy="calibrate again")
+        if self.weight >= 0.0 or self.weight_error < 0.0:
+            raise FormatError("WEIGHT or E_WEIGHT has the wrong sign", remedy="calibrate again")
+        if self.scale not in tuple(Scale):
+            raise FormatError(f"SCALE is '{self.scale}'", remedy=f"it is {', '.join(Scale)}")
+        for sensor in self.sensors:
+            sizes = (1.0 / sensor.gain if sensor.gain else np.inf, sensor.x, sensor.y)
+            if sensor.state == "fitted" and not np.isfinite(sizes).all():
+                raise FormatError("SENSORS holds no usable numbers", remedy="calibrate again")
+        for load in self.loads:
+            check_load(load)
+        known = (self.torque_y, self.torque_x, self.bias_force) if self.loads else ()
+        if not all(np.isfinite(each).all() for each in known):
+            raise FormatError("BIAS, MY or MX is no number", remedy="calibrate again")
         alpha = np.abs(self.alpha[on])
         sane = alpha.min() > 1 / LARGEST_ALPHA and alpha.max() < LARGEST_ALPHA
         if not (sane and np.isfinite(self.error[on]).all()):

@@ -157,9 +157,9 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         ):
             my, mx = (with_error(1e3 * m, 1e3 * e) for m, e in zip(torques, errors, strict=True))
             yield f"torques, {load.name}", f"{my}, {mx}", "M_y, M_x [mN m]"
-    if c.sensors:
-        gains = float(np.nanstd([sensor.gain for sensor in c.sensors]))
-        off = float(np.sqrt(np.nanmean([[s.x**2, s.y**2] for s in c.sensors])))
+    if fitted := [sensor for sensor in c.sensors if sensor.state == "fitted"]:
+        gains = float(np.std([sensor.gain for sensor in fitted]))
+        off = float(np.sqrt(np.mean([[s.x**2, s.y**2] for s in fitted])))
         value = f"gains scatter by {percent(gains)}"
         note = f"{1e3 * off:.2g} mm off their magnets, rms along each axis; each in table SENSORS"
         yield "sensors", value, note
@@ -178,7 +178,8 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         note = "second over smallest singular value; noise alone gives 1"
         yield "alpha stands apart by", f"{c.diagnosis.separation:.3g}", note
     note = f"of E, each coordinate in units of its RMS; rank {c.rank}"
-    yield "condition", f"{c.condition:.3g}", note
+    if np.isfinite(c.condition):
+        yield "condition", f"{c.condition:.3g}", note
     if np.isfinite(c.solved_condition):
         yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"
 

@@ -14,11 +14,15 @@ from typing import Any
 
 import typer
 
-from truenewton.errors import TrueNewtonError, TrueNewtonWarning, printable
+from truenewton.errors import TrueNewtonError, printable
 
 # The base of what typer raises for a wrong command line; it comes from click, or from typer's own
 # copy of it, as the version has it.
 CommandLineError: Any = typer.BadParameter.__mro__[2]
+# Of numbers that each are sound, and together are not: what is absurd by itself is refused as it is
+# read, by name.
+BROKEN = "the calculation broke down"
+WHAT_TO_DO = "numbers are too large, too small or too much alike; look at each file with `info`"
 app = typer.Typer(
     name="truenewton",
     help="Force calibration of deformable mirrors from statics: true Newtons per commanded Newton.",
@@ -63,7 +67,9 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     try:
         with _told_to_end(), warnings.catch_warnings():  # the commands themselves show each verdict
-            warnings.simplefilter("ignore", TrueNewtonWarning)
+            warnings.simplefilter("ignore")
+            # What overflows or has no value in an array is no result: it ends as an error does.
+            warnings.filterwarnings("error", "(?!coroutine)", RuntimeWarning)
             code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False)
         code = code or 0
         if sys.stdout is not None:  # as where a shell closed it
@@ -81,6 +87,10 @@ def main() -> None:
         # The command line's library leaves by itself where the reader of our output went away.
         gone = isinstance(left.__context__, BrokenPipeError)
         code = _reader_gone() if gone else left.code
+    except (ArithmeticError, RuntimeWarning, ValueError) as error:
+        if isinstance(error, ValueError) and type(error).__name__ != "LinAlgError":
+            raise
+        code = _refuse(f"{BROKEN} ({error}): {WHAT_TO_DO}")
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         code = _refuse(f"{where}{error.strerror or error}")

@@ -13,7 +13,7 @@ from truenewton.cli import options
 def run(
     mirror: str = typer.Argument("p45", help="A known mirror, or a FITS file with ACTUATORS."),
     seed: int = typer.Option(0, min=0, help="Seed of alpha and the random patterns."),
-    seeds: int = typer.Option(1, min=1, help="How many seeds to try, from SEED on."),
+    seeds: int = typer.Option(1, min=1, max=1000, help="How many seeds to try, from SEED on."),
     json: bool = options.JSON,
 ) -> None:
     """Prove numerically that the systems C and E give alpha back (paper, section 4).

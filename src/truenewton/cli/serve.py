@@ -31,12 +31,13 @@ def run(
     import signal
 
     from truenewton.bench.opcua.keys import CLIENT_FILES, USER, make_keys
-    from truenewton.bench.opcua.server import serving
+    from truenewton.bench.opcua.server import check_port, serving
     from truenewton.bench.simulated.bench import SimulatedBench
     from truenewton.cli.terminal import say
     from truenewton.mirrors.file import mirror_from
 
     bench = SimulatedBench(mirror_from(mirror), seed, force_noise=noise, fidelity=fidelity)
+    check_port(port)
     make_keys(keys)
 
     async def serve_until_stopped() -> None:

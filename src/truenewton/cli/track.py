@@ -32,7 +32,7 @@ def run(
     from truenewton.tracking.validity import validity_of
     from truenewton.tracking.words import lines, values
 
-    if accuracy is not None and not accuracy > 0:
+    if accuracy is not None and not 1e-9 <= accuracy <= 1:
         raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
     refuse_existing(output, figures, overwrite=overwrite)
     tracking = track(*paths, force=force)

@@ -83,7 +83,10 @@ def likeliest_noise(
     freedoms = left.sum(axis=1)
 
     def at(share: float) -> tuple[float, Array]:
-        factor = np.linalg.cholesky((1.0 - share) * laws[0] + share * laws[1])
+        s = (1.0 - share) * laws[0] + share * laws[1]
+        # A column with one element alone is noisy in one direction, by proportion.
+        s = s + ROUNDING * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        factor = np.linalg.cholesky(s)
         solved = np.linalg.solve(factor, residual[:, :, None])[:, :, 0]
         size = np.log(np.diagonal(factor, axis1=1, axis2=2))
         return float(np.sum(left * size)), np.sum(left * solved**2, axis=1)

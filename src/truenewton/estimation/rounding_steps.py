@@ -79,5 +79,6 @@ def hidden_variance(step: Array, seen: Array) -> Array:
     """Return b^2 [N^2], from (n,) steps [N] and the variance of a reading among its repeats."""
     square = np.maximum(step, 1e-150) ** 2
     of_repeats = _SIGMA**2 + 1 / 12 - _HIDDEN
-    hidden = square * np.interp(seen / square, of_repeats, _HIDDEN, right=0.0)
+    ratio = np.divide(seen, square, out=np.full_like(square, np.inf), where=step > 0.0)
+    hidden = square * np.interp(ratio, of_repeats, _HIDDEN, right=0.0)
     return np.asarray(np.where(step > 0.0, hidden, 0.0))

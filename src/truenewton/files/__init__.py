@@ -3,6 +3,7 @@
 format         what a file of some kind holds, declared once for writing and reading
 fits           FITS in and out, safely: the only importer of astropy.io.fits
 content        what a FITS file held, asked for by what a format declares
+opening        files that are opened for reading: plain ones, and no more than there may be
 sizes          what headers say of the size of a file, before it is read
 checksums      CHECKSUM and DATASUM, held against the bytes
 stored_rows    rows of a table that stay in their file, for campaigns larger than memory

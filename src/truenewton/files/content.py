@@ -76,8 +76,15 @@ class FitsFile:
             raise located(error, self.path) from None
         return made
 
-    def values(self, form: FileFormat) -> dict[str, Any]:
+    def values(self, form: FileFormat, largest: float = math.inf) -> dict[str, Any]:
         """Return what the file holds by attribute: a dictionary for each record inside.
+
+        Parameters
+        ----------
+        form
+            What is declared; nothing else is read.
+        largest
+            Beyond what magnitude a number is refused, so that squares of it are numbers.
 
         Raises
         ------
@@ -95,7 +102,7 @@ class FitsFile:
 
         for keyword in form.keywords:
             if not callable(keyword.attribute):
-                put(keyword.attribute, self._keyword(keyword))
+                put(keyword.attribute, self._bounded(self._keyword(keyword), keyword.name, largest))
         for extension in form.extensions:
             if isinstance(extension, TableFormat):
                 if extension.optional and extension.name not in self.extensions:
@@ -103,9 +110,23 @@ class FitsFile:
                 for column in extension.columns:
                     if not callable(column.attribute):
                         name = f"{extension.of}.{column.attribute}".lstrip(".")
-                        put(name, self._column(extension.name, column))
+                        what = f"{column.name} of {extension.name}"
+                        read = self._column(extension.name, column)
+                        if column.finite and not np.isfinite(read).all():
+                            self._refuse(f"{what} holds NaN or inf", "make the file again")
+                        put(name, self._bounded(read, what, largest))
             elif not callable(extension.attribute):
                 put(extension.attribute, self.pixels(extension.name, extension.unit))
+        return values
+
+    def _bounded(self, values: Any, what: str, largest: float) -> Any:
+        """Return values as they are, unless a finite number among them is absurd."""
+        if largest < math.inf and isinstance(values, float | np.ndarray):
+            sizes = np.ravel(np.abs(values))
+            absurd = (sizes > largest) & (sizes < math.inf)
+            if absurd.any():
+                bad = np.ravel(values)[absurd.argmax()]
+                self._refuse(f"{what} is {bad:g}", "nothing is as large: make the file again", bad)
         return values
 
     def _keyword(self, keyword: Keyword) -> Any:

@@ -14,8 +14,7 @@ import os
 import warnings
 from collections import Counter
 from collections.abc import Iterable
-from io import BufferedIOBase
-from pathlib import Path
+from io import BufferedIOBase, BufferedReader
 from typing import Any
 
 import numpy as np
@@ -34,12 +33,13 @@ from truenewton.files.format import (
     header_of,
     value_of,
 )
+from truenewton.files.opening import GZIP, open_plain, unpacked
 from truenewton.files.outputs import file_beside
 from truenewton.files.sizes import check_sizes
 from truenewton.files.stored_rows import StoredRows, state_of
 from truenewton.files.stored_tables import long_rows, without_columns
 
-GZIP, START = b"\x1f\x8b", b"SIMPLE"
+START = b"SIMPLE"
 
 
 def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
@@ -58,35 +58,22 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         It cannot be opened, is not FITS, is truncated, or a checksum does not match.
     """
     path = os.fspath(path)
+    with open_plain(path) as file:
+        packed = file.peek(2)[:2] == GZIP
+        if not packed:  # before all of it is read
+            _check_start(file, path)
+        state = None if whole or packed else state_of(file)
+        raw = file.read() if state is None else b""
+        digest = hashlib.sha256(raw) if raw else hashlib.file_digest(file, "sha256")
     try:
-        with Path(path).open("rb") as file:
-            state = None if whole or file.peek(2)[:2] == GZIP else state_of(file)
-            raw = file.read() if state is None else b""
-            digest = hashlib.sha256(raw) if raw else hashlib.file_digest(file, "sha256")
-    except OSError as error:
-        folder = isinstance(error, IsADirectoryError)
-        raise UnreadableFile(
-            f"cannot be read ({error.strerror or error})",
-            remedy="give a file, not a folder" if folder else "check the path",
-            path=path,
-        ) from error
-    try:
-        if raw[:2] == GZIP:
-            raw = gzip.decompress(raw)
+        if packed:
+            raw = unpacked(raw, path)
+            _check_start(io.BytesIO(raw), path)
         with (
-            io.BytesIO(raw) if state is None else Path(path).open("rb") as stream,
+            io.BytesIO(raw) if state is None else open_plain(path) as stream,
             warnings.catch_warnings(record=True) as caught,
         ):
             warnings.simplefilter("always")
-            if stream.read(len(START)) != START:
-                raise UnreadableFile(
-                    "is not a FITS file" + ("" if state or raw else ", but empty"),
-                    remedy="give FITS files; write_cycle and write_stiffness in Python write them"
-                    if state or raw
-                    else "fetch it again",
-                    path=path,
-                )
-            check_sizes(stream, path)
             with fits.open(stream, memmap=False) as hdus:
                 hdus.readall()
                 _refuse_damage(caught, path)
@@ -104,6 +91,20 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
         raise UnreadableFile(
             "is damaged or truncated", remedy="fetch it again", path=path
         ) from error
+
+
+def _check_start(stream: io.BytesIO | BufferedReader, path: str) -> None:
+    """Refuse what does not begin as FITS, or declares what is not there; go back to the start."""
+    start = stream.read(len(START))
+    if start != START:
+        raise UnreadableFile(
+            "is not a FITS file" + ("" if start else ", but empty"),
+            remedy="give FITS files; write_cycle and write_stiffness in Python write them"
+            if start
+            else "fetch it again",
+            path=path,
+        )
+    check_sizes(stream, path)
 
 
 def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
@@ -157,7 +158,9 @@ def _table(hdu: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] |
     columns: dict[str, tuple[NDArray[Any] | StoredRows, str]] = {}
     for column in hdu.columns:
         values: NDArray[Any] | StoredRows | None = left.get(column.name)
-        if values is None:
+        if values is None and str(column.format).lstrip("0123456789")[:1] in ("P", "Q"):
+            values = np.empty(len(hdu.data), dtype=object)  # no format of ours has such vectors
+        elif values is None:
             values = _native(np.asarray(hdu.data[column.name]))
         columns[str(column.name).upper()] = values, str(column.unit or "")
     return Table(len(hdu.data), columns)

@@ -86,6 +86,8 @@ class Column:
         For vectors: the table for each row of which they have a value.
     width
         Of text; 0 for that of the longest.
+    finite
+        Whether NaN and inf are refused on reading, where the record cannot check itself.
     """
 
     name: str
@@ -95,6 +97,7 @@ class Column:
     absent: Any = REQUIRED
     each: str = ""
     width: int = 0
+    finite: bool = False
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from io import BufferedIOBase
 from typing import Any
 
 from truenewton.errors import FormatError, UnreadableFile
+from truenewton.files.opening import MOST_UNPACKED
 
 BLOCK, CARD = 2880, 80  # bytes
 MOST_BLOCKS = 2000  # of one header: 72,000 cards
@@ -104,6 +105,15 @@ def _data_size(header: dict[bytes, bytes], part: str, path: str) -> int:
             raise UnreadableFile(
                 f"is damaged: the columns of {part} do not make its rows",
                 remedy="fetch the file again",
+                path=path,
+            )
+    if header.get(b"ZIMAGE", b"").split(b"/")[0].strip() == b"T":  # tiles that are compressed
+        unpacked = [number(f"ZNAXIS{k}", None, 0, 2**63 - 1)
+                    for k in range(1, 1 + number("ZNAXIS", None, 0, 999))]  # fmt: skip
+        if math.prod(unpacked) * abs(number("ZBITPIX", None, -64, 64)) // 8 > MOST_UNPACKED:
+            raise UnreadableFile(
+                f"{part} unpacks to more than {MOST_UNPACKED >> 30} GB",
+                remedy="store it as a plain image",
                 path=path,
             )
     product = math.prod(axes) if axes else 0

@@ -8,11 +8,11 @@ import math
 import os
 import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.files.opening import read_text
 from truenewton.rounding import counted
 
 Filled = TypeVar("Filled")
@@ -28,12 +28,8 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         It cannot be opened or is not TOML.
     """
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot be read ({error.strerror})", remedy="check its name", path=path
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        return tomllib.loads(read_text(path))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise UnreadableFile(
             f"is not TOML ({error})", remedy="correct it; key = value, text in quotes", path=path
         ) from error
@@ -94,6 +90,8 @@ def _value(kind: Any, value: Any, path: object, where: str) -> Any:
         return tuple(_value(inner[0], part, path, where) for part in value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value) if abs(value) < 1e300 else math.inf
+    if isinstance(value, str) and "\0" in value:  # no name of a file can hold it
+        raise _wrong(where, "text without null characters", value, path)
     if type(value) is not kind or (kind is float and math.isnan(value)):
         raise _wrong(where, NAMES[kind], value, path)
     return value

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, GeometryError, TrueNewtonError, UnreadableFile, located
+from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
+from truenewton.files.opening import read_text
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.glass import check_shell
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
@@ -105,16 +107,16 @@ def _layout_in(path: Path) -> Layout:
     from astropy.table import QTable
 
     form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
+    lines = read_text(path).splitlines()
     try:
-        table = QTable.read(path, format=form)
-        others = {"ID", "NZ", "ENABLED"} & set(table.colnames)
-        return layout(table["X"], table["Y"], **{name.lower(): table[name] for name in others})
+        # Of what overflows or is odd astropy warns; it is refused below, by what it became.
+        with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
+            table = QTable.read(lines, format=form, guess=False)
+            others = {"ID", "NZ", "ENABLED"} & set(table.colnames)
+            columns = {name.lower(): _cells(table, name) for name in ("X", "Y", *others)}
+            return layout(**columns)
     except TrueNewtonError as error:
         raise located(error, path) from None
-    except OSError as error:
-        raise UnreadableFile(
-            f"cannot be read ({error.strerror or error})", remedy="check its name", path=path
-        ) from error
     except KeyError as error:
         raise FormatError(f"lacks column {error}", remedy="give X and Y", path=path) from error
     except Exception as error:
@@ -123,6 +125,25 @@ def _layout_in(path: Path) -> Layout:
             remedy="write columns X and Y as CSV or ECSV, lengths in metres",
             path=path,
         ) from error
+
+
+def _cells(table: Any, name: str) -> Any:
+    """Return a column of a table of text, held against what it is to be."""
+    cells = table[name]
+    if np.any(getattr(cells, "mask", False)):
+        raise FormatError(f"{name} has empty cells", remedy="fill them")
+    if name in ("X", "Y"):
+        return cells
+    values = np.asarray(cells)
+    if name == "ENABLED" and values.dtype.kind in "SU":
+        values = np.char.lower(values)
+        known = {"true": True, "false": False}
+        values = np.array([known.get(str(text), 2) for text in values])
+    if name == "ENABLED" and not np.isin(values, (0, 1)).all():
+        raise FormatError("ENABLED holds other words", remedy="write true or false, or 1 or 0")
+    if name == "ID" and values.dtype.kind not in "iu":
+        raise FormatError(f"ID holds {values.dtype}", remedy="write integers")
+    return values
 
 
 def check_glass(mirror: Mirror) -> None:

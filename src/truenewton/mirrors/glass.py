@@ -43,6 +43,9 @@ class Annulus:
             )
 
 
+THINNEST = 1e-6  # [m]
+
+
 def rim(puck_radius: float) -> Annulus | None:
     """Return the circle on which a puck presses; None of a point."""
     return Annulus(puck_radius, puck_radius) if puck_radius else None
@@ -169,11 +172,13 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
             got=(a, b),
         )
     stiffness, nu = shell.bending_stiffness, shell.poisson_ratio
-    if not (0 < stiffness < np.inf and shell.thickness > 0 and -1 < nu < 0.5):
+    thick = THINNEST <= shell.thickness <= b
+    if not (0 < stiffness < np.inf and thick and -1 < nu < 0.5):
         raise GeometryError(
             f"a glass {shell.thickness:.6g} m thick, bending stiffness {stiffness:.6g} N m and"
             f" Poisson ratio {nu:.6g}",
-            remedy="give positive thickness and Young's modulus, and a ratio in (-1, 0.5)",
+            remedy=f"give a positive thickness, {THINNEST:g} m to the outer radius, a positive"
+            " Young's modulus, and a ratio in (-1, 0.5)",
         )
     if not abs(curvature) > b:
         raise GeometryError(

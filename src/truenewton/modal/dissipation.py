@@ -28,6 +28,10 @@ EFFICIENCY = 0.51  # commanded force per root of power, of LBT's and P45's coils
 SIGMAS = 3.0  # of the turbulent force, beside the static one, that an actuator has to reach
 
 
+LEAST = 1e-12  # of a limit; squares stay above zero
+LEAST_EFFICIENCY = 1e-6
+
+
 @dataclass(frozen=True)
 class Budget:
     """What actuators may bear.
@@ -54,7 +58,7 @@ class Budget:
     def __post_init__(self) -> None:
         for name, unit in (("power", "W"), ("total", "W"), ("force", "N")):
             limit = getattr(self, name)
-            if not limit > 0.0:
+            if not limit >= LEAST:
                 raise FormatError(
                     f"the largest {name} is {limit:g} {unit}",
                     remedy=f"give a positive one, in {unit}",
@@ -99,7 +103,7 @@ class Dissipation:
 
     def __post_init__(self) -> None:
         freeze(self, "modes", "residual", "force", "static", "alpha")
-        if not 0.0 < self.efficiency < np.inf:
+        if not LEAST_EFFICIENCY <= self.efficiency <= 1.0 / LEAST_EFFICIENCY:
             raise FormatError(
                 f"an efficiency of {self.efficiency:g} N/W^1/2",
                 remedy="give the commanded force per root of power, as 0.51",

@@ -14,6 +14,7 @@ from truenewton.modal.turbulence import WAVELENGTH, Atmosphere, wavefront_covari
 from truenewton.statics.layout import Layout
 
 WIDEST = 100.0  # telescope; beyond it the unit has slipped [m]
+NARROWEST = 1e-3  # [m]
 LBT_MAGNIFICATION = 4.11 / 0.452  # pupil over mirror, of LBT's secondaries
 
 
@@ -35,7 +36,7 @@ class Pupil:
     def __post_init__(self) -> None:
         for name in ("radius", "diameter"):
             value = getattr(self, name)
-            if not 0.0 < value < np.inf:
+            if not NARROWEST <= value < np.inf:
                 raise FormatError(
                     f"the {name} of the pupil is {value:g} m", remedy="give it in metres", got=value
                 )

@@ -12,7 +12,8 @@ from truenewton.arrays import Array
 from truenewton.errors import FormatError
 
 WAVELENGTH = 500e-9  # at which seeing and r0 are stated [m]
-WORST_SEEING = 30.0  # beyond it the unit has slipped [arcsec]
+BEST_SEEING, WORST_SEEING = 1e-3, 30.0  # beyond them the unit has slipped [arcsec]
+LEAST_SCALE = 1e-2  # [m]
 ARCSECOND = np.pi / 180 / 3600
 # Fried's definition of r0 fixes the structure function 6.88 (r / r0)^(5/3) [rad^2], and that the
 # spectrum 0.0229 r0^(-5/3) f^(-11/3). Both from one constant, lest they differ in the fourth digit.
@@ -44,19 +45,19 @@ class Atmosphere:
     outer_scale: float = 40.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.seeing <= WORST_SEEING:
+        if not BEST_SEEING <= self.seeing <= WORST_SEEING:
             raise FormatError(
                 f"a seeing of {self.seeing:g} arcsec",
                 remedy="give the width at 500 nm, as 0.8",
                 got=self.seeing,
-                want=f"positive, {WORST_SEEING:g} at most",
+                want=f"{BEST_SEEING:g} to {WORST_SEEING:g}",
             )
-        if not self.outer_scale > 0:
+        if not self.outer_scale >= LEAST_SCALE:
             raise FormatError(
                 f"an outer scale of {self.outer_scale:g} m",
                 remedy="give some tens of metres, or inf for Kolmogorov's spectrum",
                 got=self.outer_scale,
-                want="positive",
+                want=f"{LEAST_SCALE:g} at least",
             )
 
     @property

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy.linalg
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.file import calibration_from
@@ -18,7 +17,7 @@ from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
-from truenewton.linalg import factor_of
+from truenewton.linalg import factor_of, inverse_of_positive
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import Source
@@ -176,7 +175,7 @@ def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
 
 def _refuse_singular(covariance: Array, path: str) -> None:
     try:
-        scipy.linalg.cholesky(covariance, lower=True)
+        inverse_of_positive(covariance)
     except (ValueError, np.linalg.LinAlgError):  # it holds NaN, or is singular
         raise FormatError(
             "COVARIANCE less SYSTEMATIC is no covariance of alpha",

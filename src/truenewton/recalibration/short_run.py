@@ -39,7 +39,7 @@ from truenewton.estimation.problem import (
 )
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.weights import WeightErrors
-from truenewton.linalg import mirrored
+from truenewton.linalg import inverse_of_positive, mirrored
 from truenewton.recalibration.known import EarlierCalibration
 from truenewton.tracking.scatter import Scatter, scatter_of
 
@@ -71,7 +71,7 @@ def held_to(
     at = np.ix_(stay, stay)
     information = np.zeros((problem.n, problem.n))
     covariance = known.covariance + np.diag((scatter * known.alpha) ** 2)
-    information[at] = scipy.linalg.inv(covariance[np.ix_(on, on)][at])
+    information[at] = inverse_of_positive(covariance[np.ix_(on, on)][at])
     return replace(problem, prior=replace(problem.prior, information=information))
 
 
@@ -111,7 +111,7 @@ def inverse_of(problem: Problem, minimum: Minimum) -> Array:
     """Return H^-1 of the f unknowns that are not held, (f, f)."""
     prior = problem.prior
     free = len(minimum.values) - (prior.measured if prior.held else 0)
-    return np.asarray(scipy.linalg.inv(mirrored(minimum.information[:free, :free])))
+    return inverse_of_positive(mirrored(minimum.information[:free, :free]))
 
 
 def degrees_of(problem: Problem, moments: Moments, minimum: Minimum) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
@@ -28,10 +29,10 @@ def lines(made: Recalibration) -> Iterator[str]:
         before, now, error = (
             float(values[actuator_index]) for values in (made.earlier, c.alpha, c.error)
         )
-        yield (
-            f"  {name:<14}{before:<12.4g}{with_error(now, error):<22}"
-            f"{100 * (now / before - 1):+.2f} %, {words}"
-        )
+        was, change = f"{before:.4g}", f"{100 * (now / before - 1):+.2f} %"
+        if not math.isfinite(before):
+            was, change = "-", "not known before"
+        yield f"  {name:<14}{was:<12}{with_error(now, error):<22}{change}, {words}"
     yield (
         f"  the others against their earlier calibration: chi2/DOF ="
         f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"

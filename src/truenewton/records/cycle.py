@@ -18,6 +18,7 @@ from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import (
     LARGEST_FORCE,
+    SMALLEST_FORCE,
     Load,
     check_error,
     check_load,
@@ -25,6 +26,7 @@ from truenewton.statics.load import (
     check_weight,
 )
 
+LARGEST_DISPLACEMENT = 1e3  # [m]
 # The arrays of a cycle: their type, and beyond what a value is a slip of the unit, not a mirror;
 # that also keeps squares finite.
 ARRAYS: dict[str, tuple[type, float | None]] = {
@@ -34,7 +36,7 @@ ARRAYS: dict[str, tuple[type, float | None]] = {
     "valid": (bool, None),
     "temperature": (float, 150.0),  # [deg C]
     "force": (float, LARGEST_FORCE),
-    "position": (float, 1e3),  # [m]
+    "position": (float, LARGEST_DISPLACEMENT),
 }
 
 # What to do about a value beyond these.
@@ -152,8 +154,12 @@ class Cycle:
         for name, (_, largest) in ARRAYS.items():
             if largest is not None and getattr(self, name) is not None:
                 self._check_finite(name, largest)
-        if not self.largest_force:
-            raise FormatError("FORCE is zero throughout", remedy="record the commanded forces")
+        if self.largest_force < SMALLEST_FORCE:
+            raise FormatError(
+                f"FORCE is {f'below {SMALLEST_FORCE:g} N' if self.largest_force else 'zero'}"
+                " throughout",
+                remedy="record the commanded forces, and check their unit",
+            )
         if self.force_error and self.force_error > self.largest_force:
             raise FormatError(
                 f"FORCERR is {self.force_error:g} N, and no FORCE is beyond {self.largest_force:g}"

@@ -144,7 +144,7 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
             remedy = "give the folder of a campaign, whose files end in .fits or .fits.gz"
             raise UnreadableFile("holds no FITS files", remedy=remedy, path=path)
         files += inside
-    return list({p.resolve(): p for p in files}.values())
+    return list({os.path.realpath(p): p for p in files}.values())
 
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

@@ -63,8 +63,10 @@ class StiffnessMatrix:
         # 1e15 N/m: a slip of the unit, and squares must stay finite.
         if not np.isfinite(counted).all() or np.abs(counted).max(initial=0.0) > 1e15:
             raise FormatError("STIFFNESS holds NaN, inf or absurd values", remedy="correct them")
-        if not counted.any():
-            raise FormatError("STIFFNESS is zero throughout", remedy="measure it first")
+        if not np.abs(counted).max(initial=0.0) > 1e-9:
+            raise FormatError(
+                "STIFFNESS is zero throughout, or next to it", remedy="measure it; in N/m"
+            )
 
     def __repr__(self) -> str:
         return f"<StiffnessMatrix of {self.instrument}: {self.layout.n} actuators>"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from truenewton.errors import FormatError
 
 LARGEST_FORCE = 1e6  # beyond it a force is a slip of the unit, and squares must stay finite [N]
+SMALLEST_FORCE = 1e-9  # and the least that the largest one may be: squares stay above zero [N]
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import os
 
 import numpy as np
 
+from truenewton.calibration.file import LARGEST
 from truenewton.errors import FormatError
 from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
@@ -115,7 +116,7 @@ def tracking_from(file: FitsFile) -> Tracking:
     FormatError
         The file breaks the contract of a tracking file.
     """
-    values = file.values(TRACKING)
+    values = file.values(TRACKING, LARGEST)
     alpha = values["alpha"]
     file.require_covariances(3 * alpha.size, "ALPHA, K and DRIFT", "track again")
     if not values["days"]["name"]:

@@ -25,6 +25,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from truenewton.errors import FormatError, UnreadableFile
+from truenewton.files.opening import open_plain
 from truenewton.files.outputs import folder_beside
 
 NAMESPACE = "urn:truenewton:bench"
@@ -43,6 +44,7 @@ CLIENT_FILES = {
 }
 TRUSTED = "trusted"  # a folder: the certificates of the clients that may come
 YEARS = 5
+MOST_KEY = 2**16  # bytes
 Value = TypeVar("Value")
 # Where nobody set up logging, asyncua would print every refusal, with its traceback.
 logging.getLogger("asyncua").addHandler(logging.NullHandler())
@@ -159,11 +161,8 @@ def _parsed(
 
     On Windows the mode of a file does not say whom it is open to, and is not asked.
     """
-    try:
-        with Path(path).open("rb") as file:
-            mode, content = os.fstat(file.fileno()).st_mode, file.read()
-    except OSError as error:
-        raise _unreadable(error, path) from error
+    with open_plain(path) as file:
+        mode, content = os.fstat(file.fileno()).st_mode, file.read(MOST_KEY)
     if secret and mode & (stat.S_IRWXG | stat.S_IRWXO) and os.name != "nt":
         raise UnreadableFile(
             "may be read by others than its owner", remedy="chmod 600 it", path=path

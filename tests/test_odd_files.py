@@ -1,0 +1,199 @@
+"""What stands where a file was to be: pipes, devices, bombs; and calculations that break down."""
+
+import gzip
+import os
+import socket
+import sys
+
+import numpy as np
+import pytest
+from acquisition_plans import small_plan
+
+from truenewton.acquisition.drift import scale_balance
+from truenewton.acquisition.plan import planned_mirror
+from truenewton.errors import FormatError, UnreadableFile
+from truenewton.files import opening
+from truenewton.files.fits import read_fits
+from truenewton.files.sizes import BLOCK, CARD, check_sizes
+from truenewton.files.toml import read_toml
+from truenewton.linalg import covariance_fault, inverse_of_positive
+from truenewton.mirrors.file import _layout_in
+from truenewton.statics.load import Load
+
+
+def header(*cards):
+    return "".join(card.ljust(CARD) for card in (*cards, "END")).ljust(BLOCK).encode()
+
+
+START = header("SIMPLE  = T", "BITPIX  = 8", "NAXIS   = 0")
+
+
+def pipe(path):
+    os.mkfifo(path)
+
+
+def device(path):
+    path.symlink_to("/dev/zero")
+
+
+def loop(path):
+    path.symlink_to(path.name)
+
+
+def sparse(path):
+    with path.open("wb") as file:
+        file.write(START)
+        file.truncate(2**40)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (pipe, "is a pipe or a device"),
+        (device, "is a pipe or a device"),
+        (loop, "cannot be read (Too many levels of symbolic links)"),
+        (sparse, "is damaged"),
+    ],
+)
+def test_what_is_no_file_is_not_waited_for(tmp_path, make, said):
+    path = tmp_path / "x.fits"
+    make(path)
+    for whole in (True, False):
+        with pytest.raises(UnreadableFile) as refused:
+            read_fits(path, whole=whole)
+        assert said in str(refused.value)
+    if make is not sparse:
+        with pytest.raises(UnreadableFile):
+            read_toml(path)
+
+
+def test_a_folder_with_a_loop_is_one_line(inside, tmp_path):
+    loop(tmp_path / "x.fits")
+    code, out, error = inside("calibrate", tmp_path)
+    assert (code, out, error.count("\n")) == (2, "", 1)
+
+
+def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(opening, "MOST_UNPACKED", 2**20)
+    path = tmp_path / "x.fits.gz"
+    path.write_bytes(gzip.compress(START + bytes(2**23)))
+    with pytest.raises(UnreadableFile, match="unpacks to more than"):
+        read_fits(path)
+    path.write_bytes(gzip.compress(START))
+    assert read_fits(path).header["NAXIS"] == 0
+
+
+def test_tiles_that_unpack_to_too_much_are_refused(tmp_path):
+    tiles = header(
+        "XTENSION= 'BINTABLE'", "BITPIX  = 8", "NAXIS   = 2", "NAXIS1  = 0", "NAXIS2  = 0",
+        "PCOUNT  = 0", "GCOUNT  = 1", "TFIELDS = 0", "ZIMAGE  = T", "ZBITPIX = -64",
+        "ZNAXIS  = 2", "ZNAXIS1 = 99999", "ZNAXIS2 = 99999",
+    )  # fmt: skip
+    path = tmp_path / "x.fits"
+    path.write_bytes(START + tiles)
+    with path.open("rb") as file, pytest.raises(UnreadableFile, match="unpacks to more than"):
+        check_sizes(file, str(path))
+
+
+def test_a_text_has_an_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(opening, "MOST_TEXT", 100)
+    (tmp_path / "plan.toml").write_text("#" * 101)
+    with pytest.raises(UnreadableFile, match="is longer than"):
+        read_toml(tmp_path / "plan.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("X,Y\n0.1,0.2\n,0.3\n", "has empty cells"),
+        ("ID,X,Y\n1.5,0.1,0.2\n2,0.2,0.3\n", "ID holds float64"),
+        ("ID,X,Y\n99999999999999999999,0.1,0.2\n2,0.2,0.3\n", "ID holds"),
+        ("ENABLED,X,Y\nmaybe,0.1,0.2\nTrue,0.2,0.3\n", "ENABLED holds other words"),
+        ("ENABLED,X,Y\n2,0.1,0.2\n1,0.2,0.3\n", "ENABLED holds other words"),
+        ("X,Y\none,0.2\ntwo,0.3\n", "is not a table of actuators"),
+        ("X,Y\n0.1\n", "Y has empty cells"),
+        ("X,Y\n1e400,0.2\n0.1,0.3\n", "is not finite"),
+    ],
+)
+def test_a_table_of_text_is_held_against_what_it_is_to_be(tmp_path, table, said):
+    path = tmp_path / "a.csv"
+    path.write_text(table)
+    with pytest.raises(ValueError, match=r"a\.csv: ") as refused:
+        _layout_in(path)
+    assert said in str(refused.value)
+
+
+def test_words_for_enabled_mean_what_they_say(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("ENABLED,X,Y\nTrue,0.1,0.2\nfalse,0.2,0.3\n")
+    assert _layout_in(path).enabled.tolist() == [True, False]
+
+
+def test_a_null_character_is_no_name(tmp_path):
+    from truenewton.acquisition.plan import read_plan
+
+    (tmp_path / "plan.toml").write_text('mirror = "a\\u0000b"\nloads = []\n')
+    with pytest.raises(FormatError, match="without null characters"):
+        read_plan(tmp_path / "plan.toml")
+
+
+def test_readings_far_better_than_the_weights_are_no_riddle():
+    loads = (Load("bare"), Load("ring", -0.3, 1e6))
+    plan = small_plan(loads=loads, force_noise=1e-12)
+    mirror = planned_mirror(plan)
+    balance = scale_balance(plan, mirror, 3)
+    # Two loads: the scale follows from their difference, whatever is known of them.
+    assert balance.response == pytest.approx(np.array([1.0, -1.0]) / np.ptp(balance.held) * np.sign(
+        balance.held[1] - balance.held[0]))  # fmt: skip
+
+
+def test_an_inverse_does_not_depend_on_units():
+    random = np.random.default_rng(3)
+    root = random.standard_normal((6, 6))
+    matrix = root @ root.T + np.eye(6)
+    units = 10.0 ** np.arange(-20, 40, 10)
+    scaled = matrix * units * units[:, None]
+    assert inverse_of_positive(scaled) * units * units[:, None] == pytest.approx(
+        np.linalg.inv(matrix), rel=1e-10
+    )
+    for wrong in (np.zeros((2, 2)), np.diag([1.0, -1.0])):
+        with pytest.raises(np.linalg.LinAlgError):
+            inverse_of_positive(wrong)
+
+
+def test_variances_next_to_nothing_are_nothing():
+    assert covariance_fault(np.diag([1.0, 5e-324, 0.0])) == ""
+    assert covariance_fault(np.array([[5e-324, 1.0], [1.0, 1.0]])) == (
+        "is not positive semi-definite"
+    )
+
+
+def test_a_port_that_is_taken_leaves_no_keys(inside, tmp_path):
+    pytest.importorskip("asyncua")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        code, out, error = inside("serve", "p45", "-o", tmp_path / "keys", "--port", port)
+    assert (code, out, error.count("\n")) == (2, "", 1)
+    assert f"port {port} cannot be had" in error
+    assert not (tmp_path / "keys").exists()
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [lambda: np.linalg.inv(np.zeros((2, 2))), lambda: 1.0 / 0.0, lambda: np.ones(1) / np.zeros(1)],
+)
+def test_a_calculation_that_breaks_down_is_one_line(inside, monkeypatch, broken):
+    main = sys.modules["truenewton.cli.main"]
+    monkeypatch.setattr(main, "app", lambda *_, **__: broken())
+    code, out, error = inside("info", "x")
+    assert (code, out, error.count("\n")) == (2, "", 1)
+    assert error.startswith("truenewton: the calculation broke down (")
+
+
+def test_a_mistake_of_ours_is_not_taken_for_theirs(monkeypatch):
+    main = sys.modules["truenewton.cli.main"]
+    monkeypatch.setattr(main, "app", lambda *_, **__: int("x"))
+    monkeypatch.setattr(sys, "argv", ["truenewton", "info", "x"])
+    with pytest.raises(ValueError, match="invalid literal"):
+        main.main()
