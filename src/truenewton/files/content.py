@@ -19,6 +19,8 @@ from truenewton.files.format import REQUIRED, STORED, Column, FileFormat, Keywor
 from truenewton.files.stored_rows import StoredRows
 from truenewton.linalg import covariance_fault
 
+PRIMARY = "PRIMARY"  # name of the image of a file that is but one
+
 Record = TypeVar("Record")
 Extension = TypeVar("Extension", "Table", "Image")
 
@@ -57,8 +59,8 @@ class FitsFile:
     header
         The primary header.
     extensions
-        Tables and images by upper-case EXTNAME; or what is wrong with one, raised when it is asked
-        for.
+        Tables and images by upper-case EXTNAME, that of the primary HDU as PRIMARY; or what is
+        wrong with one, raised when it is asked for.
     """
 
     path: str

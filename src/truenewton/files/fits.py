@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
 from truenewton.files.checksums import verify_checksums
-from truenewton.files.content import FitsFile, Image, Table
+from truenewton.files.content import PRIMARY, FitsFile, Image, Table
 from truenewton.files.format import (
     Attribute,
     FileFormat,
@@ -120,6 +120,8 @@ def _extensions(
 ) -> dict[str, Table | Image | TrueNewtonError]:
     """Copy everything out of open HDUs; what is wrong with an extension waits until asked for."""
     extensions: dict[str, Table | Image | TrueNewtonError] = {}
+    if hdus[0].data is not None and hdus[0].is_image:
+        extensions[PRIMARY] = Image(_native(hdus[0].data), str(hdus[0].header.get("BUNIT", "")))
     for hdu in hdus[1:]:
         name = str(hdu.name).upper()
         if name in extensions:
