@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse.csgraph
 from numpy.typing import ArrayLike, NDArray
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, taking_units
 from truenewton.errors import FormatError, TrueNewtonError, located
 from truenewton.foreign.given import Given, Surface, date_of, read_given
 from truenewton.foreign.positions import Positions, in_unit
@@ -45,6 +45,7 @@ class Imported:
         return "\n".join(self.lines)
 
 
+@taking_units(curvature="m")
 def stiffness_from(
     matrix: PathLike | ArrayLike,
     coordinates: PathLike | ArrayLike | Layout | None = None,
