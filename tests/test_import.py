@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -10,10 +11,16 @@ import pytest
 import scipy.io
 from astropy.io import fits
 from astropy.table import QTable
-from foreign_files import N, R, measured, numbers_of, supervisor_folder
+from foreign_files import TRACK, N, R, measured, numbers_of, supervisor_folder
 
 import truenewton as tn
-from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.errors import (
+    CampaignMismatch,
+    FormatError,
+    OutputExists,
+    TrueNewtonError,
+    UnreadableFile,
+)
 from truenewton.foreign.supervisor import supervisor_order
 from truenewton.statics.layout import ring_of
 
@@ -388,3 +395,37 @@ def test_a_slightly_wrong_numbering_is_doubted():
         order[some] = some[::-1]
     made = tn.stiffness_from(CASE.k, XY[:, order])
     assert "LOW, check numbering" in text(made)
+
+
+def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
+    """What the supervisor reads: its checks, its singular vectors, and the forces are true."""
+    rows = supervisor_folder(tmp_path / "meas", positions="rings")
+    imported = tn.stiffness_from(tmp_path / "meas")
+    calibration = tn.calibrate(imported.matrix)
+    told = tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "20261122_101500")
+    new = {name: fits.getdata(tmp_path / "20261122_101500" / f"{name}.fits")
+           for name in ("ff_matrix", "ff_list", "ff_f_svec", "ff_p_svec", "ff_sval")}  # fmt: skip
+    old = fits.getdata(tmp_path / "meas" / "ff_matrix.fits")
+    assert new["ff_list"].dtype.kind == "i"
+    np.testing.assert_array_equal(new["ff_list"], calibration.layout.id)
+    known = np.isfinite(CASE.alpha[rows])
+    ratio = (new["ff_matrix"] / old)[:, 0]
+    expected = CASE.alpha[rows] / np.nanmean(CASE.alpha[rows])
+    assert np.std(ratio[known] - expected[known]) < 0.01
+    np.testing.assert_array_equal(new["ff_matrix"][~known], old[~known])
+    assert "without alpha, as they were" in told[-1]
+    assert (np.diag(new["ff_matrix"]) < 0.0).all()  # the sign of the electronics
+    assert (np.diff(new["ff_sval"]) >= 0.0).all()
+    product = new["ff_f_svec"] * new["ff_sval"] @ new["ff_p_svec"].T
+    np.testing.assert_allclose(product, new["ff_matrix"], atol=1e-6 * abs(old).max())
+    header = fits.getheader(tmp_path / "20261122_101500" / "ff_matrix.fits")
+    assert header["TRACKNUM"] == "20261122_101500"
+    assert header["DATE"].startswith("20")
+    unnamed = tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")
+    assert f"TRACKNUM {TRACK}" in unnamed[2]
+    other = replace(calibration.layout, id=calibration.layout.id + 1000)
+    wrong = replace(calibration, layout=other)
+    with pytest.raises(CampaignMismatch, match=r"no actuator .*, which is a channel"):
+        tn.export_supervisor(tmp_path / "meas", wrong, tmp_path / "wrong")
+    with pytest.raises(OutputExists):
+        tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")

@@ -28,7 +28,7 @@ app = typer.Typer(
 )
 COMMANDS = (  # modules of this package, in the order of --help
     "demo", "import_", "calibrate", "info", "report", "figures", "plan", "acquire", "track",
-    "recalibrate", "modes", "simulate", "serve", "prove", "mirrors",
+    "recalibrate", "modes", "export", "simulate", "serve", "prove", "mirrors",
 )  # fmt: skip
 for name in COMMANDS:
     run = importlib.import_module(f"truenewton.cli.{name}").run

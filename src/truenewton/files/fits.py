@@ -81,7 +81,7 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
             if stream.read(len(START)) != START:
                 raise UnreadableFile(
                     "is not a FITS file" + ("" if state or raw else ", but empty"),
-                    remedy="give FITS files; write_cycle and write_stiffness in Python write them"
+                    remedy="give FITS files; `truenewton import` makes one of a matrix in other files"
                     if state or raw
                     else "fetch it again",
                     path=path,
@@ -240,4 +240,5 @@ def _hdu(record: Any, extension: TableFormat | ImageFormat) -> Any:
 
 
 def _pixels(record: Any, attribute: Attribute) -> NDArray[Any]:
-    return np.asarray(value_of(record, attribute), dtype=">f8")
+    values = np.asarray(value_of(record, attribute))
+    return values.astype(">i4" if values.dtype.kind == "i" else ">f8")

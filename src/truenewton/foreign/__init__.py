@@ -9,4 +9,5 @@ supervisor   five files of the feed-forward matrix, as the LBT's supervisor keep
 soundness    sign, orientation, order, what is off: judged, turned, said
 given        what was given, read; when it was measured
 importing    from all of that to a stiffness matrix
+export       a supervisor's five files with alpha in
 """

@@ -82,7 +82,9 @@ def read_folder(folder: Path, positions: Path | None, mirror: Layout | None) -> 
             return Folder(kind, matrix, of, where, how, unit, by_file, channels)
         found = places_in(read_stored(file))
         chosen = None if found is None else supervisor.chosen(found, channels, file)
-        return Folder(kind, matrix, chosen, file, channels=channels)
+        by_channel = file.name == supervisor.POSITIONS
+        unit = "mm" if by_channel else ""
+        return Folder(kind, matrix, chosen, file, "", unit, by_channel, channels)
     if DP_MATRIX in there:
         matrix = read_stored(there[DP_MATRIX])
         at = file or there.get(DP_POSITIONS)
