@@ -81,7 +81,7 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
             if stream.read(len(START)) != START:
                 raise UnreadableFile(
                     "is not a FITS file" + ("" if state or raw else ", but empty"),
-                    remedy="give FITS files; `truenewton import` makes one of a matrix in other files"
+                    remedy="give FITS files; `truenewton import` makes one of a matrix"
                     if state or raw
                     else "fetch it again",
                     path=path,

@@ -188,8 +188,8 @@ def campaign_from(files: Iterable[FitsFile]) -> Campaign:
             there = ", ".join(name for name in file.extensions if name != PRIMARY)
             raise FormatError(
                 "there is no table MEASUREMENTS",
-                remedy=f"there is {there or 'a plain image'}; a campaign holds cycle files only; of"
-                " a matrix in other files `truenewton import` makes a stiffness file",
+                remedy=f"there is {there or 'a plain image'}; a campaign holds cycle files only, a"
+                " stiffness file an image STIFFNESS: `truenewton import` makes one of a matrix",
                 path=file.path,
             )
         cycles.append(cycle_from(file))
