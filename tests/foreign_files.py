@@ -62,6 +62,22 @@ def text_array(path, kind, values):
     path.write_text("\n".join(lines) + "\n")
 
 
+def idl_save(path, name, values):
+    """Write an IDL save file with one array of doubles, by its published format."""
+
+    def integers(*numbers):
+        return np.array(numbers, dtype=">i4").tobytes()
+
+    text = name.encode()
+    body = integers(len(text)) + text + bytes(-len(text) % 4) + integers(5, 4)
+    shape = values.shape[::-1]
+    body += integers(8, 0, values.nbytes, values.size, len(shape), 0, 0, 8)
+    body += integers(*shape, *[1] * (8 - len(shape))) + integers(7)
+    body += values.astype(">f8").tobytes()
+    first = 4 + 16 + len(body)
+    path.write_bytes(b"SR\0\4" + integers(2, first, 0, 0) + body + integers(6, first + 16, 0, 0))
+
+
 def numbers_of(layout):
     """Return (n,) which actuator of a layout each number of the supervisor is."""
     polar, azimuth = supervisor_angles()

@@ -11,7 +11,7 @@ import pytest
 import scipy.io
 from astropy.io import fits
 from astropy.table import QTable
-from foreign_files import TRACK, N, R, measured, numbers_of, supervisor_folder
+from foreign_files import TRACK, N, R, idl_save, measured, numbers_of, supervisor_folder
 
 import truenewton as tn
 from truenewton.errors import (
@@ -56,6 +56,10 @@ def matrix_file(folder, kind):
         path.write_text("\n".join(lines))
     elif kind == "mat":
         scipy.io.savemat(path, {"K": k, "comment": "x"})
+    elif kind == "sav":
+        idl_save(path, "FF_MATRIX", k)
+    elif kind == "idl":
+        np.savetxt(path, k.ravel(), header=f"; TN\ndouble {N} {N} # text", comments="")
     elif kind == "yaml":
         path.write_text(json.dumps({"stiffness": k.tolist()}))
     return path, {}
@@ -82,6 +86,8 @@ def positions_file(folder, kind):
         fits.PrimaryHDU(np.stack([x, y])).writeto(path)
     elif kind == "npy":
         np.save(path, XY.T)
+    elif kind == "mat":
+        scipy.io.savemat(path, {"x": XY[0], "y": XY[1], "id": CASE.layout.id})
     elif kind == "table.fits":
         table = QTable({"X": XY[0] * u.m, "Y": XY[1] * u.m})
         table.write(path)
@@ -106,8 +112,8 @@ def text(made):
     return " | ".join(made.lines)
 
 
-KINDS = ["fits", "fits.gz", "npy", "npz", "csv", "txt", "tsv", "mat", "yaml"]
-PLACES = ["csv", "txt", "dat", "ecsv", "fits", "npy", "table.fits"]
+KINDS = ["fits", "fits.gz", "npy", "npz", "csv", "txt", "tsv", "idl", "mat", "sav", "yaml"]
+PLACES = ["csv", "txt", "dat", "ecsv", "fits", "npy", "mat", "table.fits"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -149,6 +155,12 @@ def test_a_supervisors_folder(tmp_path, positions):
     np.testing.assert_allclose([layout.x, layout.y], XY[:, rows], atol=5e-6)  # angles to 1e-4 deg
     np.testing.assert_allclose(layout.nz, CASE.layout.nz[rows], atol=1e-6)
     assert made.matrix.date.isoformat() == "2011-03-11T13:05:23+00:00"
+    if positions == "coordinates":
+        table = positions_file(tmp_path, "ecsv")
+        with pytest.raises(
+            FormatError, match="no position of actuator"
+        ):  # 1 .. 189 are no channels
+            tn.stiffness_from(tmp_path / "meas", table)
     channels = fits.getdata(tmp_path / "meas" / "ff_list.fits")
     assert np.array_equal(layout.id, channels)
     check(made, rows)

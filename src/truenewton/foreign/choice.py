@@ -69,15 +69,12 @@ def places_in(stored: Stored) -> Places | None:
     FormatError
         An array may be read in two ways.
     """
-    columns = {**{k: v for k, v in stored.arrays.items() if v.values.ndim == 1}, **stored.columns}
-    named = _by_columns(columns, stored.path)
+    every = {name: Item(np.squeeze(item.values), item.unit) for name, item in stored.arrays.items()}
+    vectors = {name: item for name, item in every.items() if item.values.ndim == 1}
+    named = _by_columns({**vectors, **stored.columns}, stored.path)
     if named is not None:
         return named
-    arrays = {
-        name: Item(np.squeeze(item.values), item.unit)
-        for name, item in stored.arrays.items()
-        if np.squeeze(item.values).ndim == 2
-    }
+    arrays = {name: item for name, item in every.items() if item.values.ndim == 2}
     known = {n: i for n, i in arrays.items() if n.lower().split("/")[-1] in POSITION_NAMES}
     fitting = known or {n: i for n, i in arrays.items() if min(i.values.shape) in (2, 3)}
     if not fitting:

@@ -20,6 +20,7 @@ from truenewton.foreign.positions import Positions, in_metres
 from truenewton.foreign.stored import Item, Stored, plain, read_stored
 from truenewton.statics.layout import Layout
 
+NAME = "MIRROR"  # where nothing tells it
 TRACK_NUMBER = re.compile(r"(\d{4})(\d\d)(\d\d)_(\d\d)(\d\d)(\d\d)")
 
 
@@ -48,6 +49,13 @@ class Given:
     positions: Positions | None
     where: str
     channels: NDArray[np.int64] | None = None
+
+    @property
+    def name(self) -> str:
+        """INSTRUME, or the name of the file; a track number is none."""
+        stem = Path(self.path).stem
+        named = "" if TRACK_NUMBER.search(stem) else stem
+        return str(self.header.get("INSTRUME") or named or NAME)
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ def stiffness_from(
         raise located(error, given.path or None) from None
     try:
         of = _layout(positions)
-        name = instrument or str(given.header.get("INSTRUME") or Path(given.path).stem or "MIRROR")
+        name = instrument or given.name
         record = StiffnessMatrix(name, when, of, k)
         judged = judge(record)
     except TrueNewtonError as error:

@@ -213,7 +213,7 @@ def decomposed(matrix: Array) -> tuple[Array, Array, Array]:
 def chosen(places: Places, channels: NDArray[np.int64], path: Path) -> Places:
     """Return places of (m,) channels, from those of all channels or of these alone."""
     n = len(np.asarray(places.x).ravel())
-    if n == len(channels):
+    if n == len(channels) or places.ids is not None:  # numbers are matched later
         return places
     if channels.max() >= n:
         raise FormatError(
