@@ -630,7 +630,7 @@ NEW = {
         replaced(another_image),
         "ring-001", "no table MEASUREMENTS", "FFMATRIX; a campaign holds cycle files only",
     ),
-    "numpy's own": (plain_array, "k.npy", "is not a FITS file", "write_stiffness in Python"),
+    "numpy's own": (plain_array, "k.npy", "is not a FITS file", "`truenewton import`"),
     "empty": (
         replaced(lambda path: path.touch()), "ring-001", "is not a FITS file, but empty", "fetch it"
     ),

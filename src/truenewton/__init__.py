@@ -27,6 +27,8 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.figures import write_figures as write_figures
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
+    from truenewton.foreign.export import export_supervisor as export_supervisor
+    from truenewton.foreign.importing import stiffness_from as stiffness_from
     from truenewton.modal.dissipation import Budget as Budget
     from truenewton.modal.file import write_modes as write_modes
     from truenewton.modal.findings import find_modes as find_modes
@@ -60,6 +62,8 @@ _NAMES = {
     "calibration.figures": ["write_figures"],
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
+    "foreign.export": ["export_supervisor"],
+    "foreign.importing": ["stiffness_from"],
     "modal.dissipation": ["Budget"],
     "modal.file": ["write_modes"],
     "modal.findings": ["find_modes"],

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from truenewton.arrays import in_units
 from truenewton.bench.choice import KINDS, BenchChoice, foreign_keys
 from truenewton.bench.protocol import MOST_SAMPLES
 from truenewton.errors import FormatError, LimitExceeded
@@ -53,6 +54,9 @@ class PlannedShapes:
     stroke: float = 1e-6
     force: float = 0.3
 
+    def __post_init__(self) -> None:
+        in_units(self, {"stroke": "m", "force": "N"})
+
 
 @dataclass(frozen=True)
 class MirrorLimits:
@@ -78,6 +82,10 @@ class MirrorLimits:
     gap: float = 30e-6
     temperature: tuple[float, float] = (-10.0, 40.0)
 
+    def __post_init__(self) -> None:
+        in_units(self, {"force": "N", "saturation": "N", "displacement": "m", "gap": "m",
+                        "temperature": "deg_C"})  # fmt: skip
+
 
 @dataclass(frozen=True)
 class AssumedDrift:
@@ -96,6 +104,9 @@ class AssumedDrift:
     alpha: float = 3e-3
     zero: float = 1e-5
     remounting: float = 1e-5
+
+    def __post_init__(self) -> None:
+        in_units(self, {"alpha": "", "zero": "N", "remounting": "N"})
 
 
 @dataclass(frozen=True)
@@ -164,6 +175,7 @@ class CampaignPlan:
     sensors: AssumedSensors = AssumedSensors()
 
     def __post_init__(self) -> None:
+        in_units(self, {"settling": "s", "pause": "s", "force_noise": "N"})
         for name, low, high in (
             ("cycles", 1, MOST_CYCLES), ("samples", 1, MOST_SAMPLES), ("turns", 0, MOST_TURNS),
         ):  # fmt: skip

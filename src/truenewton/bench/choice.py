@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from truenewton.arrays import in_units
+
 # What each kind of bench takes from a plan.
 KINDS = {
     "simulated": ("seed", "force_noise", "fidelity"),
@@ -41,6 +43,9 @@ class BenchChoice:
     certificate: str = ""
     private_key: str = ""
     server_certificate: str = ""
+
+    def __post_init__(self) -> None:
+        in_units(self, {"force_noise": "N"})
 
 
 def foreign_keys(choice: BenchChoice) -> list[str]:

@@ -3,6 +3,8 @@
 main         gathers the commands; errors become one line and an exit code
 options      options and arguments that several commands share
 terminal     how results look in a terminal: JSON, progress
+import_      a stiffness file from other people's files
+export       a supervisor's files with alpha in
 calibrate    from cycle files or a stiffness file to alpha
 info         what a file holds, and whether it is sound
 report       what a campaign gave, on one page

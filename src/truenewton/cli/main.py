@@ -31,11 +31,12 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 COMMANDS = (  # modules of this package, in the order of --help
-    "demo", "calibrate", "info", "report", "figures", "plan", "acquire", "track", "recalibrate",
-    "modes", "simulate", "serve", "prove", "mirrors",
+    "demo", "import_", "calibrate", "info", "report", "figures", "plan", "acquire", "track",
+    "recalibrate", "modes", "export", "simulate", "serve", "prove", "mirrors",
 )  # fmt: skip
 for name in COMMANDS:
-    app.command(name=name)(importlib.import_module(f"truenewton.cli.{name}").run)
+    run = importlib.import_module(f"truenewton.cli.{name}").run
+    app.command(name=name.rstrip("_"))(run)
 
 
 def _version(asked: bool) -> None:

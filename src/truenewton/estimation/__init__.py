@@ -53,6 +53,8 @@ files, in the order in which data pass through them:
     stiffness_ml     `ml` on a stiffness matrix
     stiffness_columns  its columns in balance, each with the noise that it shows
     column_noise     what that noise follows, chosen by the columns
+    bad_sensors      sensors that read something else, told from actuators that push otherwise
+    matrix_orientation  whether a matrix lies the right way round
     matrix_order     whether coordinates stand in its order
     matrix_faults    actuators of a matrix that do not fit, found and set free
     sifted_matrix    a matrix without them

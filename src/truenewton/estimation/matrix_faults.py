@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
+from truenewton.estimation.bad_sensors import better_by_row, column_by_row, wrong_gains
 
 STRONG = 0.05  # coupling in terms of both own stiffnesses, from which a pair counts
 EVEN = 0.1  # coupling from which pairs count alike: one wrong element is not to outweigh the rest
@@ -32,9 +33,10 @@ NEAR = 6.0  # spacings
 
 
 OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
+SENSOR = "its sensor has another gain"
 UNLIKE = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
-DOUBT = {UNLIKE: 0.3, ELEMENT_WRONG: 0.03}
+DOUBT = {SENSOR: 0.01, UNLIKE: 0.3, ELEMENT_WRONG: 0.03}
 
 
 @dataclass(frozen=True)
@@ -97,16 +99,28 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     add(wrong, OTHER_SIGN, own[wrong] / np.median(own))
     factor = np.where(own < 0.0, -1.0, 1.0)
     log_alpha, misfit = pair_ratios(factor[:, None] * k[order])
+    linked = ~np.isnan(misfit)
+    even = (factor * np.exp(log_alpha))[:, None] * k[order]
+    gain = wrong_gains(even, a, linked)
+    deaf = np.flatnonzero(gain != 1.0)
+    add(deaf, SENSOR, gain[deaf])
+    misfit[deaf], misfit[:, deaf] = np.nan, np.nan
+    log_alpha = log_alpha - np.log(gain)
     far = np.flatnonzero(np.abs(log_alpha) > np.log(FACTOR))
     for one in far:
         ratio = np.exp(-log_alpha[[one]])
         add(far[far == one], f"its row {ratio[0]:.2g} times as large as those of others", ratio)
     factor = factor * np.exp(log_alpha)
-    even = factor[:, None] * k[order]
+    even = factor[:, None] * k[order] / gain
+    for i in deaf.tolist():
+        even[:, i] = column_by_row(even, a, i)
     unlike = _unlike_their_columns(misfit)
     add(*_apart(unlike, UNLIKE))
     for i, _ in unlike:
-        even[i] = even[:, i]
+        if better_by_row(even, a, i, linked[i]):
+            even[:, i] = column_by_row(even, a, i)
+        else:
+            even[i] = even[:, i]
     place = exchanged_places(even, a)
     moved = np.flatnonzero(place != np.arange(n))
     add(moved, "exchanged with a neighbour", np.ones(len(moved)))

@@ -50,6 +50,8 @@ class SiftedMatrix:
         torques in comparable units [N^2/m^2].
     warnings, effects
         Which were left out, and why.
+    pushing
+        Columns around those that are zero do not balance, as if these had pushed.
     """
 
     matrix: StiffnessMatrix
@@ -57,6 +59,7 @@ class SiftedMatrix:
     disturbance: Array
     warnings: tuple[Fault, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
+    pushing: bool = False
 
 
 def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
@@ -108,12 +111,14 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         disturbance = left_over(k, a, good, doubt)
     sifted = matrix if good.all() else freed(matrix, good, core)
     out = [BadActuator(int(i), OFF, 0.0) for i in np.flatnonzero(off)]
+    pushing = bool(doubt[off].any())
     return SiftedMatrix(
         sifted,
         start,
         disturbance,
         (*unsure, *_warnings(ids, out, bad, pushing=bool(doubt[off].any()))),
         (*(_effect(ids, each) for each in (*bad, *out)), *order_effects(sifted, named=False)),
+        pushing,
     )
 
 

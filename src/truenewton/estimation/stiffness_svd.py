@@ -20,6 +20,7 @@ from truenewton.estimation.diagnosis import Diagnosis, FoundEffect
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.matrix_order import DISORDERED
+from truenewton.estimation.matrix_orientation import looks_transposed
 from truenewton.estimation.sifted_matrix import SiftedMatrix
 from truenewton.estimation.stiffness_columns import Columns
 from truenewton.estimation.systems import balance_rows
@@ -267,13 +268,8 @@ def _unit_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
 
 
 def orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
-    """Warn of a transposed matrix: a rigid displacement must cost little force.
-
-    K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
-    {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
-    """
-    k, rigid = matrix.used_stiffness, np.linalg.qr(enabled_arms(matrix.layout).T)[0]
-    if np.linalg.norm(rigid.T @ k) < 0.5 * np.linalg.norm(k @ rigid):
+    """Warn of a transposed matrix: a rigid displacement must cost little force."""
+    if looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout)):
         yield Fault(
             "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
             " balance",

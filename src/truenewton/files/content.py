@@ -20,7 +20,9 @@ from truenewton.files.stored_rows import StoredRows
 from truenewton.linalg import covariance_fault
 from truenewton.rounding import counted
 
+PRIMARY = "PRIMARY"  # name of the image of a file that is but one
 YEARS = range(1950, 2200)  # of dates: arithmetic with them stays far from its ends
+
 Record = TypeVar("Record")
 Extension = TypeVar("Extension", "Table", "Image")
 
@@ -59,8 +61,8 @@ class FitsFile:
     header
         The primary header.
     extensions
-        Tables and images by upper-case EXTNAME; or what is wrong with one, raised when it is asked
-        for.
+        Tables and images by upper-case EXTNAME, that of the primary HDU as PRIMARY; or what is
+        wrong with one, raised when it is asked for.
     """
 
     path: str

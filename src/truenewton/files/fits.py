@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
 from truenewton.files.checksums import verify_checksums
-from truenewton.files.content import FitsFile, Image, Table
+from truenewton.files.content import PRIMARY, FitsFile, Image, Table
 from truenewton.files.format import (
     Attribute,
     FileFormat,
@@ -99,7 +99,7 @@ def _check_start(stream: io.BytesIO | BufferedReader, path: str) -> None:
     if start != START:
         raise UnreadableFile(
             "is not a FITS file" + ("" if start else ", but empty"),
-            remedy="give FITS files; write_cycle and write_stiffness in Python write them"
+            remedy="give FITS files; `truenewton import` makes one of a matrix"
             if start
             else "fetch it again",
             path=path,
@@ -121,6 +121,8 @@ def _extensions(
 ) -> dict[str, Table | Image | TrueNewtonError]:
     """Copy everything out of open HDUs; what is wrong with an extension waits until asked for."""
     extensions: dict[str, Table | Image | TrueNewtonError] = {}
+    if hdus[0].data is not None and hdus[0].is_image:
+        extensions[PRIMARY] = Image(_native(hdus[0].data), str(hdus[0].header.get("BUNIT", "")))
     for hdu in hdus[1:]:
         name = str(hdu.name).upper()
         if name in extensions:
@@ -241,4 +243,5 @@ def _hdu(record: Any, extension: TableFormat | ImageFormat) -> Any:
 
 
 def _pixels(record: Any, attribute: Attribute) -> NDArray[Any]:
-    return np.asarray(value_of(record, attribute), dtype=">f8")
+    values = np.asarray(value_of(record, attribute))
+    return values.astype(">i4" if values.dtype.kind == "i" else ">f8")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, in_units
 from truenewton.errors import GeometryError
 
 
@@ -35,6 +35,7 @@ class Annulus:
     outer_radius: float = 12.5e-3
 
     def __post_init__(self) -> None:
+        in_units(self, {"inner_radius": "m", "outer_radius": "m"})
         if not (0 <= self.inner_radius <= self.outer_radius and 0 < self.outer_radius < np.inf):
             raise GeometryError(
                 f"a sensor from {self.inner_radius:.6g} m to {self.outer_radius:.6g} m",
@@ -105,6 +106,11 @@ class Shell:
     density: float = 2530.0
     radius_of_curvature: float = np.inf
     outline: Outline | None = None
+
+    def __post_init__(self) -> None:
+        in_units(self, {"inner_radius": "m", "outer_radius": "m", "thickness": "m",
+                        "young_modulus": "Pa", "poisson_ratio": "", "density": "kg/m3",
+                        "radius_of_curvature": "m"})  # fmt: skip
 
     @property
     def bending_stiffness(self) -> float:

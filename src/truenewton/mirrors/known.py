@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from truenewton.arrays import in_units
 from truenewton.errors import UnknownName
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.statics.layout import Layout, spherical_rings
@@ -71,6 +72,13 @@ class MirrorNumbers:
     sensor: Annulus = field(default_factory=Annulus)
     coil_gradient: float = 0.0
     bias_gradient: float = 0.0
+
+    def __post_init__(self) -> None:
+        forces = ("weight", "weight_error", "added_weight", "added_weight_error", "bias_force")
+        lengths = ("gap", "puck_radius", "vent_radius")
+        in_units(self, {**dict.fromkeys(forces, "N"), **dict.fromkeys(lengths, "m"),
+                        "magnet_mass": "kg", "alpha_range": "", "coil_gradient": "1/m",
+                        "bias_gradient": "N/m"})  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from truenewton.arrays import Array, freeze
+from truenewton.arrays import Array, freeze, in_units
 from truenewton.errors import FormatError
 from truenewton.modal.pupil import SeenTurbulence
 from truenewton.modal.true_stiffness import TrueStiffness
@@ -56,7 +56,9 @@ class Budget:
     force: float = np.inf
 
     def __post_init__(self) -> None:
-        for name, unit in (("power", "W"), ("total", "W"), ("force", "N")):
+        units = {"power": "W", "total": "W", "force": "N"}
+        in_units(self, units)
+        for name, unit in units.items():
             limit = getattr(self, name)
             if not limit >= LEAST:
                 raise FormatError(

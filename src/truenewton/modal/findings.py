@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, taking_units
 from truenewton.calibration.methods import calibrate, calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import Level, refuse_unusable
@@ -95,6 +95,7 @@ class ModalFindings:
         return fewest, most
 
 
+@taking_units(diameter="m", radius="m", efficiency="N W(-1/2)", sensor_gain="")
 def find_modes(
     data: Campaign | StiffnessMatrix,
     calibration: Calibration | None = None,

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.distance import pdist, squareform
 from scipy.special import gamma, kv
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, in_units
 from truenewton.errors import FormatError
 
 WAVELENGTH = 500e-9  # at which seeing and r0 are stated [m]
@@ -45,6 +45,7 @@ class Atmosphere:
     outer_scale: float = 40.0
 
     def __post_init__(self) -> None:
+        in_units(self, {"seeing": "arcsec", "outer_scale": "m"})
         if not BEST_SEEING <= self.seeing <= WORST_SEEING:
             raise FormatError(
                 f"a seeing of {self.seeing:g} arcsec",

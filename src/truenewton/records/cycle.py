@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, freeze
+from truenewton.arrays import Array, freeze, in_units, mask_of
 from truenewton.errors import FormatError
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.source import Source, check_date
@@ -47,11 +47,18 @@ UNITS = {
     "force": "check the unit that FORCE declares",
     "position": "check the unit that POSITION declares",
 }
+UNITS = {
+    "time": "s", "shape": "", "sign": "", "valid": "", "temperature": "deg_C", "force": "N",
+    "position": "m", "number": "", "weight": "N", "weight_error": "N", "coil_gradient": "1/m",
+    "bias_gradient": "N/m", "gap": "m", "force_error": "N",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Cycle:
     """One run through all shapes under one load (docs/files.md).
+
+    Quantities are converted; rows with masked numbers of enabled actuators are not valid.
 
     Attributes
     ----------
@@ -105,12 +112,24 @@ class Cycle:
     source: Source | None = None
 
     def __post_init__(self) -> None:
+        in_units(self, UNITS)
+        self._take_masks()
         for name, (dtype, _) in ARRAYS.items():
             if not isinstance(getattr(self, name), StoredRows | None):
                 freeze(self, name, dtype=dtype)
         check_date(self.date)
         self._check_numbers()
         self._check_rows()
+
+    def _take_masks(self) -> None:
+        """Mark rows as not valid in which a number that counts is masked."""
+        masks = {name: mask_of(getattr(self, name)) for name in ARRAYS if name != "valid"}
+        for name, mask in masks.items():
+            if mask is not None:
+                rows = mask[:, self.layout.enabled].any(axis=1) if mask.ndim == 2 else mask
+                object.__setattr__(self, "valid", np.asarray(self.valid, dtype=bool) & ~rows)
+                number = np.where(mask, 0, np.asarray(getattr(self, name)))
+                object.__setattr__(self, name, number)
 
     def _check_numbers(self) -> None:
         weight, noise = self.weight, self.force_error

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from truenewton.errors import FormatError, UnreadableFile
-from truenewton.files.content import FitsFile
+from truenewton.files.content import PRIMARY, FitsFile
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import folder_beside
@@ -189,11 +189,11 @@ def campaign_from(files: Iterable[FitsFile]) -> Campaign:
     cycles = []
     for file in files:
         if "MEASUREMENTS" not in file.extensions:
+            there = ", ".join(name for name in file.extensions if name != PRIMARY)
             raise FormatError(
                 "there is no table MEASUREMENTS",
-                remedy=f"there is {', '.join(file.extensions) or 'a plain image'}; a campaign holds"
-                " cycle files only, a stiffness file an image STIFFNESS, which write_stiffness in"
-                " Python writes",
+                remedy=f"there is {there or 'a plain image'}; a campaign holds cycle files only, a"
+                " stiffness file an image STIFFNESS: `truenewton import` makes one of a matrix",
                 path=file.path,
             )
         cycles.append(cycle_from(file))

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from truenewton.arrays import Array, freeze
+from truenewton.arrays import Array, freeze, in_units
 from truenewton.errors import FormatError
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
 
 DISPLACED = ("read", "true")
+UNITS = {"stiffness": "N/m"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,7 +27,8 @@ class StiffnessMatrix:
     layout
         The n actuators.
     stiffness
-        (n, n), commanded force of actuator i per unit displacement of sensor j [N/m].
+        (n, n), commanded force of actuator i per unit displacement of sensor j [N/m]; a Quantity is
+        converted.
     source
         The file, or None.
     displaced
@@ -50,6 +52,7 @@ class StiffnessMatrix:
                 got=self.displaced,
                 want=DISPLACED,
             )
+        in_units(self, UNITS)
         freeze(self, "stiffness")
         n = self.layout.n
         if self.stiffness.shape != (n, n):

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from truenewton.arrays import Array, freeze
+from truenewton.arrays import Array, freeze, in_units, taking_units
 from truenewton.errors import GeometryError
 
 FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit has slipped
+UNITS = {"id": "", "x": "m", "y": "m", "nz": "", "enabled": "", "x_error": "m", "y_error": "m"}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Layout:
-    """Actuators in the frame of the torques.
+    """Actuators in the frame of the torques; Quantities are converted.
 
     Attributes
     ----------
@@ -47,6 +47,7 @@ class Layout:
     y_error: Array | None = None
 
     def __post_init__(self) -> None:
+        in_units(self, UNITS)
         freeze(self, "id", dtype=np.int64)
         freeze(self, "x", "y", "nz")
         freeze(self, "enabled", dtype=np.bool_)
@@ -139,6 +140,7 @@ class Layout:
         )
 
 
+@taking_units(x="m", y="m")
 def layout(
     x: ArrayLike,
     y: ArrayLike,
@@ -156,20 +158,17 @@ def layout(
     """
     n = np.size(x)
     return Layout(
-        id=np.arange(1, n + 1) if id is None else np.asarray(id, dtype=np.int64),
-        x=_metres(x),
-        y=_metres(y),
-        nz=np.ones(n) if nz is None else np.asarray(nz, dtype=float),
-        enabled=np.ones(n, dtype=bool) if enabled is None else np.asarray(enabled, dtype=bool),
-        x_error=None if x_error is None else _metres(x_error),
-        y_error=None if y_error is None else _metres(y_error),
+        id=np.arange(1, n + 1) if id is None else id,  # type: ignore[arg-type]
+        x=x,  # type: ignore[arg-type]
+        y=y,  # type: ignore[arg-type]
+        nz=np.ones(n) if nz is None else nz,  # type: ignore[arg-type]
+        enabled=np.ones(n, dtype=bool) if enabled is None else enabled,  # type: ignore[arg-type]
+        x_error=x_error,  # type: ignore[arg-type]
+        y_error=y_error,  # type: ignore[arg-type]
     )
 
 
-def _metres(values: Any) -> Array:
-    return np.asarray(values.to_value("m") if hasattr(values, "to_value") else values, dtype=float)
-
-
+@taking_units(radii="m", nz="", turned="rad")
 def rings(
     radii: Sequence[float],
     counts: Sequence[int],
@@ -202,6 +201,7 @@ def rings(
     return layout(radius * np.cos(angle), radius * np.sin(angle), nz=cosines)
 
 
+@taking_units(polar_angles="rad", radius="m", turned="rad")
 def spherical_rings(
     polar_angles: Sequence[float],
     counts: Sequence[int],

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from truenewton.arrays import in_units
 from truenewton.errors import FormatError
 
 LARGEST_FORCE = 1e6  # beyond it a force is a slip of the unit, and squares must stay finite [N]
 SMALLEST_FORCE = 1e-9  # and the least that the largest one may be: squares stay above zero [N]
+UNITS = {"added": "N", "added_error": "N", "tilt": "deg", "tilt_error": "deg"}
 
 
 @dataclass(frozen=True)
 class Load:
-    """What hangs on the mirror, and how it leans.
+    """What hangs on the mirror, and how it leans; Quantities are converted.
 
     Attributes
     ----------
@@ -32,6 +34,9 @@ class Load:
     tool: str | None = None
     tilt: float = 0.0
     tilt_error: float = 0.0
+
+    def __post_init__(self) -> None:
+        in_units(self, UNITS)
 
     @property
     def key(self) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy.stats
 
-from truenewton.arrays import Array, freeze
+from truenewton.arrays import Array, freeze, taking_units
 from truenewton.calibration.result import LARGEST_ALPHA
 from truenewton.errors import FormatError, RankDeficient
 from truenewton.files.fits import write_fits
@@ -198,6 +198,7 @@ class Tracking:
 
         return quantities(self, ACTUATORS, without=("X", "Y", "NZ"))
 
+    @taking_units(temperature="deg_C")
     def alpha_at(
         self, temperature: float | None = None, time: datetime.datetime | None = None
     ) -> AlphaPrediction:

@@ -6,6 +6,7 @@ import datetime
 import os
 from collections.abc import Sequence
 
+from truenewton.arrays import taking_units
 from truenewton.bench.protocol import Reading, Shape, Status, check_samples
 from truenewton.bench.simulated.static import (
     PAUSE,
@@ -52,6 +53,7 @@ class SimulatedBench:
         As of `Bench` and `Graded`.
     """
 
+    @taking_units(force_noise="N")
     def __init__(
         self,
         mirror: Mirror,

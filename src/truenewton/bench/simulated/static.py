@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array
+from truenewton.arrays import Array, taking_units
 from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
 from truenewton.bench.simulated.control import Control
 from truenewton.bench.simulated.loop import Loop, equilibrium
@@ -78,6 +78,7 @@ class StaticBench:
     force_noise: float
 
 
+@taking_units(stroke="m", force_limit="N", force_noise="N", temperature="deg_C")
 def static_bench(
     mirror: Mirror,
     seed: int,

@@ -1,0 +1,32 @@
+"""`truenewton export`: a supervisor's files with alpha in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import typer
+
+from truenewton.cli import options
+
+
+def run(
+    folder: Path = typer.Argument(
+        ..., metavar="FOLDER", help="A supervisor's: ff_matrix.fits, ff_list.fits."
+    ),
+    calibration: Path = typer.Option(..., help="Calibration file, its IDs the channels."),
+    output: Path = typer.Option(..., "-o", "--output", help="Folder to write the five files to."),
+    anyway: bool = options.ANYWAY,
+    overwrite: bool = options.OVERWRITE,
+) -> None:
+    """Write a supervisor's feed-forward files anew, forces in true Newtons."""
+    from truenewton.cli.terminal import busy, print_result
+    from truenewton.files.outputs import refuse_existing
+    from truenewton.foreign.export import export_supervisor
+    from truenewton.reading import read_calibration
+
+    refuse_existing(output, overwrite=overwrite)
+    with busy("exporting"):
+        lines = export_supervisor(
+            folder, read_calibration(calibration), output, overwrite=overwrite, force=anyway
+        )
+    print_result(lines, output)

@@ -1,0 +1,75 @@
+"""`truenewton import`: a checked stiffness file from other people's files."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+
+import typer
+
+from truenewton.cli import options
+
+
+def run(
+    matrix: Path = typer.Argument(
+        ..., metavar="MATRIX", help="FITS, .npy, CSV or text, HDF5, YAML, .mat, .sav; or a folder."
+    ),
+    coordinates: Path | None = typer.Argument(
+        None, metavar="[POSITIONS]", help="Likewise; or a folder of a supervisor's configuration."
+    ),
+    output: Path | None = typer.Option(
+        None, "-o", "--output", help="Stiffness file to write (FITS)."
+    ),
+    unit: str | None = typer.Option(None, help="Of the matrix, as N/um; 'unknown' for steps."),
+    lengths: str | None = typer.Option(None, help="Unit of positions, as mm."),
+    curvature: float | None = typer.Option(
+        None, help="Radius of curvature [m]: actuators push along the normals."
+    ),
+    arc: bool = typer.Option(False, "--arc", help="Radii are measured along the surface."),
+    mirror: str | None = typer.Option(
+        None, help="Where its actuators stand: a known mirror or a TOML file."
+    ),
+    ids: str | None = typer.Option(None, help="Names of the rows, as 17,18,... or a file of them."),
+    dataset: str | None = typer.Option(None, help="Name of the matrix in a file of several."),
+    shell: int | None = typer.Option(None, help="Which of several shells, from 1."),
+    transpose: bool = typer.Option(False, "--transpose", help="The matrix is stored transposed."),
+    date: datetime.datetime | None = typer.Option(None, help="When it was measured (UTC)."),
+    instrument: str | None = typer.Option(None, help="Name of the mirror."),
+    overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+) -> None:
+    """Make a stiffness file from a matrix and positions in other people's files."""
+    from truenewton.cli.terminal import busy, print_result
+    from truenewton.files.outputs import refuse_existing
+    from truenewton.foreign.importing import stiffness_from
+    from truenewton.mirrors.file import mirror_from
+    from truenewton.records.file import SUFFIXES, write_stiffness
+
+    if output is not None and not output.name.endswith(SUFFIXES):
+        raise typer.BadParameter("let -o end in .fits")
+    refuse_existing(output, overwrite=overwrite)
+    by_file = ids is not None and Path(ids).is_file()
+    with busy("importing"):
+        made = stiffness_from(
+            matrix,
+            coordinates,
+            unit=unit,
+            lengths=lengths,
+            curvature=curvature,
+            arc=arc,
+            mirror=None if mirror is None else mirror_from(mirror).layout,
+            ids=ids if ids is None or by_file else options.ids(ids, "--ids"),
+            dataset=dataset,
+            shell=shell,
+            transpose=transpose,
+            date=date,
+            instrument=instrument,
+        )
+        if output is not None:
+            write_stiffness(made.matrix, output, overwrite=overwrite)
+    lines = list(made.lines)
+    if output is not None:
+        lines.append(f"  next         truenewton calibrate {output}")
+    values = {"instrument": made.matrix.instrument, "actuators": made.matrix.layout.n}
+    found = {line[:15].strip(): line[15:] for line in made.lines[1:]}
+    print_result(lines, output, values={**values, "found": found} if json else None)

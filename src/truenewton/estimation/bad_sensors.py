@@ -1,0 +1,101 @@
+"""Sensors of a stiffness matrix that read something else, told from actuators that push otherwise.
+
+Symmetry gives the factor of a row over that of its column, and says not which of them is off. The
+columns of the neighbours do: they balance with the row of the actuator as it is, whatever the gain
+of its sensor, but not with a row that was made to agree with its column.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+
+GAIN = 1.1  # from that of other sensors, from which one is wrong
+CURED = 0.5  # of what the columns around are out of balance by, at most
+SAME = 0.03  # of an own element
+WIDEST = 30.0  # factor that is looked for
+
+
+def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
+    """Return (n,) gains of the sensors, 1 but where one is wrong.
+
+    A gain g makes a row that agrees with its column g times too large. Each is the median over the
+    columns around it, the one that cures most comes first.
+
+    Parameters
+    ----------
+    even
+        (n, n) stiffness, rows scaled to agree with the columns.
+    a
+        (3, n) arms in comparable units.
+    strong
+        (n, n) which pairs are coupled, the diagonal not.
+    """
+    even, n = even.copy(), len(even)
+    own = np.abs(np.diag(even))
+    own = np.where(own > 0.0, own, np.median(own))
+    length, gain = np.sum(a**2, axis=0), np.ones(n)
+    some = strong & (even != 0.0)
+    around = some.any(axis=1)
+    for _ in range(n):
+        rho = a @ even
+        along = a.T @ rho
+        each = np.full_like(even, np.nan)
+        np.divide(-along, length[:, None] * even, out=each, where=some)
+        t = np.ones(n)
+        t[around] = np.clip(1.0 + np.nanmedian(each[around], axis=1), 1.0 / WIDEST, WIDEST)
+        change = (t - 1.0)[:, None] * even
+        before = np.sum(rho**2, axis=0)
+        after = np.maximum(before + 2.0 * change * along + change**2 * length[:, None], 0.0)
+        costs = [np.sum(np.sqrt(each) / own * some, axis=1) for each in (before, after)]
+        cures = (np.abs(np.log(t)) > np.log(GAIN)) & (costs[1] < CURED * costs[0])
+        if not cures.any():
+            break
+        i = int(np.argmax(np.where(cures, costs[0] - costs[1], -np.inf)))
+        even[i] *= t[i]
+        even[:, i] *= t[i]
+        own[i] *= t[i] ** 2
+        gain[i] /= t[i]
+    return gain
+
+
+def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> bool:
+    """Tell whether columns near an actuator balance better with its row than with its column.
+
+    Parameters
+    ----------
+    even
+        (n, n) stiffness, rows scaled to agree with the columns.
+    a
+        (3, n) arms in comparable units.
+    i
+        The actuator.
+    near
+        (n,) the columns to judge by.
+    """
+    rho = a @ even
+    by_column = rho + a[:, [i]] * (even[:, i] - even[i])
+    own = np.abs(np.diag(even))
+    own = np.where(own > 0.0, own, np.median(own))
+    sizes = [np.sum((np.linalg.norm(each, axis=0) / own)[near]) for each in (rho, by_column)]
+    return bool(sizes[0] <= sizes[1])
+
+
+def column_by_row(even: Array, a: Array, i: int) -> Array:
+    """Return the (n,) column of a bad sensor: the row of its actuator.
+
+    Its own element is as read if the column balances so, else what balances it.
+
+    Parameters
+    ----------
+    even, a, i
+        As in `better_by_row`.
+    """
+    column = even[i].copy()
+    column[i] = 0.0
+    balanced = -float(a[:, i] @ (a @ column)) / float(a[:, i] @ a[:, i])
+    alike = abs(balanced - even[i, i]) < SAME * abs(balanced)
+    column[i] = even[i, i] if alike else balanced
+    return np.asarray(column)

@@ -1,0 +1,273 @@
+"""From a matrix and positions in people's own files to a checked stiffness matrix."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse.csgraph
+from numpy.typing import ArrayLike, NDArray
+
+from truenewton.arrays import Array, taking_units
+from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.foreign.given import Given, Surface, date_of, read_given
+from truenewton.foreign.positions import Positions, in_unit
+from truenewton.foreign.soundness import judge, silent_actuators, turned_sign
+from truenewton.foreign.stored import read_stored
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout, layout
+
+PathLike = str | os.PathLike[str]
+LIKELY = (2e4, 1e9)  # median own stiffness of a mirror [N/m]
+NOMINAL = 1e6  # that given to a matrix whose unit is unknown [N/m]
+
+
+@dataclass(frozen=True, repr=False)
+class Imported:
+    """A stiffness matrix from other people's files.
+
+    Attributes
+    ----------
+    matrix
+        As `calibrate` takes it and `write_stiffness` writes it.
+    lines
+        What was found and done: the first says of what, the others how it is.
+    """
+
+    matrix: StiffnessMatrix
+    lines: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return "\n".join(self.lines)
+
+
+@taking_units(curvature="m")
+def stiffness_from(
+    matrix: PathLike | ArrayLike,
+    coordinates: PathLike | ArrayLike | Layout | None = None,
+    *,
+    unit: str | None = None,
+    lengths: str | None = None,
+    curvature: float | None = None,
+    arc: bool = False,
+    mirror: Layout | None = None,
+    ids: PathLike | Sequence[int] | None = None,
+    dataset: str | None = None,
+    shell: int | None = None,
+    transpose: bool = False,
+    date: datetime.datetime | None = None,
+    instrument: str | None = None,
+) -> Imported:
+    """Make a checked stiffness matrix from a matrix and positions in other people's files.
+
+    Parameters
+    ----------
+    matrix
+        (n, n) forces of actuators, in rows, per displacement of sensors: an array, Quantity, file
+        (FITS, .npy, .npz, CSV or text, HDF5, YAML, .mat, .sav), or folder of a supervisor or of
+        opticalib.
+    coordinates
+        (n, 2) or (2, n) positions: an array, Quantity, layout, file, or folder of a supervisor's
+        configuration; None where they stand beside the matrix.
+    unit, lengths
+        Units of matrix and positions, where no file declares them; 'unknown' for steps.
+    curvature, arc
+        Radius R [m], for actuators that push along the normals; radii are measured along it.
+    mirror
+        Rings of a known mirror, for a supervisor's folder.
+    ids, dataset
+        (n,) names of rows, or a file of them; name of the matrix in a file of several.
+    shell
+        Which of several shells, from 1.
+    transpose
+        The file holds the transposed matrix.
+    date, instrument
+        When it was measured (UTC), and the mirror's name.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, GeometryError, RankDeficient
+    """
+    given = read_given(matrix, coordinates, mirror, dataset, Surface(lengths, curvature, arc))
+    try:
+        k, rows, part = _one_shell(given.item.values, shell)
+        k, unit_line = _in_newton_per_metre(k, unit, given.item.unit)
+        k, sign = turned_sign(k.T if transpose else k)
+        positions = _positions_of(given, rows, _names(ids, given.channels))
+        silent = silent_actuators(k)
+        lost = silent & _nowhere(positions, silent)
+        k = np.where(silent[:, None] | silent, 0.0, k)[np.ix_(~lost, ~lost)]
+        positions = positions.part(np.flatnonzero(~lost))
+        _refuse_nan(k, positions)
+        when, how = date_of(given) if date is None else (_in_utc(date), "as told")
+    except TrueNewtonError as error:
+        raise located(error, given.path or None) from None
+    try:
+        of = _layout(positions)
+        name = instrument or given.name
+        record = StiffnessMatrix(name, when, of, k)
+        judged = judge(record)
+    except TrueNewtonError as error:
+        raise located(error, given.where or given.path or None) from None
+    record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))
+    told = ", transposed as told" if transpose else ""
+    lines = [
+        ("matrix", f"{len(k)} x {len(k)}{part}, {unit_line}{told}"),
+        ("sign", sign),
+        ("positions", f"{Path(given.where).name or 'given'}: {', '.join(positions.notes)}"),
+    ]
+    if lost.any():
+        lines.append(("left out", f"{np.count_nonzero(lost)} that are off and stand nowhere"))
+    lines += [*judged.lines, ("date", f"{when:%Y-%m-%d %H:%M:%S} ({how})")]
+    headline = f"{name}: {of.n} actuators, from {given.path or 'arrays'}{given.kind}"
+    return Imported(record, (headline, *(f"  {what:<13}{how}" for what, how in lines)))
+
+
+def _in_utc(date: datetime.datetime) -> datetime.datetime:
+    return date if date.tzinfo else date.replace(tzinfo=datetime.UTC)
+
+
+def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int64] | None, str]:
+    """Return the matrix of one shell, its rows among all, and which it is, in words.
+
+    Shells are separate where nothing couples them; each balances by itself.
+    """
+    if values.ndim == 3:
+        shells = [np.arange(values.shape[1]) + s * values.shape[1] for s in range(len(values))]
+        matrices = list(values)
+    else:
+        coupled = np.isfinite(values) & (values != 0.0)
+        _, label = scipy.sparse.csgraph.connected_components(coupled, directed=False)
+        members = [np.flatnonzero(label == one) for one in dict.fromkeys(label.tolist())]
+        shells = [rows for rows in members if len(rows) > 1]
+        if len(shells) < 2:
+            if shell not in (None, 1):
+                raise FormatError(f"there is no shell {shell}", remedy="there is one")
+            return values, None, ""
+        matrices = [values[np.ix_(rows, rows)] for rows in shells]
+    if shell is None or not 1 <= shell <= len(shells):
+        sizes = ", ".join(str(len(rows)) for rows in shells)
+        raise FormatError(
+            f"holds {len(shells)} separate shells, of {sizes} actuators: each balances by itself",
+            remedy=f"choose one by --shell 1 .. {len(shells)} (shell=)",
+        )
+    return matrices[shell - 1], shells[shell - 1], f", shell {shell} of {len(shells)}"
+
+
+def _in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Array, str]:
+    """Return an (n, n) matrix in N/m, and what was taken for its unit."""
+    own = np.abs(np.diag(k))
+    own = own[np.isfinite(own) & (own > 0.0)]
+    typical = float(np.median(own)) if own.size else 0.0
+    if not typical:
+        raise FormatError(
+            "is zero on its diagonal", remedy="give a stiffness or feed-forward matrix"
+        )
+    if unit == "unknown":
+        said = f"unit unknown: its median own stiffness is called {NOMINAL:g} N/m; alpha does not"
+        return k * (NOMINAL / typical), f"{said} mind, forces and modes are in that unit"
+    said = unit or declared
+    if said:
+        how = "as told" if unit else "as declared"
+        return k * in_unit(1.0, said, "N/m", "the matrix", None), f"{said} {how}"
+    if not LIKELY[0] <= typical < LIKELY[1]:
+        per = {"N/um": 1e6, "N/mm": 1e3, "mN/um": 1e3, "N/nm": 1e9, "uN/nm": 1e3}
+        fitting = [name for name, f in per.items() if LIKELY[0] <= typical * f < LIKELY[1]]
+        raise FormatError(
+            f"declares no unit, and a median own stiffness of {typical:.3g} N/m is no mirror's",
+            remedy=f"say which by --unit (unit=), as {', '.join((*fitting, 'unknown'))}",
+            got=typical,
+        )
+    return k, f"N/m, as the median own stiffness is {typical:.3g}"
+
+
+def _names(
+    ids: PathLike | Sequence[int] | None, channels: NDArray[np.int64] | None
+) -> NDArray[np.int64] | None:
+    """Return the names of the rows, or None."""
+    if ids is None:
+        return channels
+    if isinstance(ids, str | os.PathLike):
+        stored = read_stored(ids)
+        every = [item.values for item in (*stored.arrays.values(), *stored.columns.values())]
+        values = every[0].ravel() if every else np.empty(0)
+    else:
+        values = np.asarray(ids, dtype=float)
+    if not values.size or not np.array_equal(values, np.round(values)):
+        raise FormatError("IDs are no whole numbers", remedy="give a whole number for each row")
+    return values.astype(np.int64)
+
+
+def _positions_of(
+    given: Given, rows: NDArray[np.int64] | None, names: NDArray[np.int64] | None
+) -> Positions:
+    """Return the positions of the rows of a matrix, or of some of them."""
+    positions = given.positions
+    if positions is None:
+        remedy = "give positions: columns X and Y, an (n, 2) array, or --mirror (mirror=)"
+        raise FormatError("there are no positions with it", remedy=remedy)
+    n_all = given.item.values[..., 0].size
+    if names is not None and len(names) != n_all:
+        raise FormatError(
+            f"there are {len(names)} IDs for {n_all} rows", remedy="give one for each row"
+        )
+    if names is not None and positions.ids is not None:
+        at = {name: k for k, name in enumerate(positions.ids.tolist())}
+        missing = [name for name in names.tolist() if name not in at]
+        if missing:
+            raise FormatError(
+                f"there is no position of actuator {missing[0]}", remedy="give one for every row"
+            )
+        positions = positions.part(np.array([at[name] for name in names.tolist()]))
+    if positions.x.size != n_all:
+        raise FormatError(
+            f"there are {positions.x.size} positions for {n_all} rows and columns",
+            remedy="give one for each row; where both are numbered, name the rows by --ids (ids=)",
+            got=positions.x.size,
+            want=n_all,
+        )
+    positions = replace(positions, ids=names) if names is not None else positions
+    if rows is None:
+        return positions
+    positions = positions.part(rows)
+    middle = float(np.mean(positions.x)), float(np.mean(positions.y))
+    note = f"counted from the shell's middle, {middle[0]:.4g}, {middle[1]:.4g} m"
+    return replace(
+        positions,
+        x=positions.x - middle[0],
+        y=positions.y - middle[1],
+        notes=(*positions.notes, note),
+    )
+
+
+def _nowhere(positions: Positions, silent: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return (n,) which positions are not known, or are also those of an actuator that counts."""
+    places = np.round([positions.x / 1e-9, positions.y / 1e-9])
+    unknown = ~np.isfinite(places).all(axis=0)
+    _, first, count = np.unique(
+        np.where(unknown, np.arange(unknown.size), places),
+        axis=1, return_inverse=True, return_counts=True,
+    )  # fmt: skip
+    return np.asarray(unknown | ((count[first] > 1) & silent))
+
+
+def _refuse_nan(k: Array, positions: Positions) -> None:
+    wrong = np.argwhere(~np.isfinite(k))
+    if len(wrong):
+        i, j = wrong[0]
+        named = positions.ids if positions.ids is not None else np.arange(1, len(k) + 1)
+        raise FormatError(
+            f"{len(wrong)} elements are NaN or infinite, the first of actuator {named[i]} and"
+            f" sensor {named[j]}",
+            remedy="measure them, or set row and column of such actuators to zero",
+        )
+
+
+def _layout(positions: Positions) -> Layout:
+    return layout(
+        positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
+    )

@@ -1,0 +1,105 @@
+"""Sign, orientation and order of a matrix, and what of it was off: judged, and said."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
+from truenewton.errors import FormatError
+from truenewton.estimation.matrix_orientation import (
+    looks_transposed,
+    rigid_cost_and_imbalance,
+    share_by_distance,
+)
+from truenewton.estimation.sifted_matrix import sift_matrix
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
+from truenewton.statics.layout import Layout
+
+OTHER_ORDER, DOUBTFUL_ORDER = 0.2, 0.65  # of the couplings, explained by distance
+MOST_NAMES = 12
+
+
+class Judged(NamedTuple):
+    """Lines of what was found: what of, and how it is; and which actuators are off."""
+
+    lines: tuple[tuple[str, str], ...]
+    off: NDArray[np.bool_]
+
+
+def silent_actuators(k: Array) -> NDArray[np.bool_]:
+    """Return (n,) whether row and column of an (n, n) matrix hold nothing: zeros, or NaN."""
+    empty = ~(np.isfinite(k) & (k != 0.0))
+    return np.asarray(empty.all(axis=0) & empty.all(axis=1))
+
+
+def turned_sign(k: Array) -> tuple[Array, str]:
+    """Return an (n, n) stiffness whose actuators resist their displacement, and what was done."""
+    own = np.diag(k)
+    against = np.count_nonzero(own < 0.0)
+    if against <= np.count_nonzero(own > 0.0):
+        return k, "positive, as it should be"
+    return -k, "negative: turned (forces on the mirror, positive upward, hold a displacement)"
+
+
+def judge(matrix: StiffnessMatrix) -> Judged:
+    """Judge orientation, order and single actuators of a matrix.
+
+    Raises
+    ------
+    FormatError, RankDeficient
+        Its positions are in another order, or rows in another than columns.
+    """
+    measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
+    k = matrix.used_stiffness[np.ix_(measured, measured)]
+    a = comparable_arms(matrix.layout)[:, measured]
+    lines = [("orientation", _orientation(k, a))]
+    share = share_by_distance(k, a)
+    if share < OTHER_ORDER and len(k) >= 20:
+        raise FormatError(
+            f"positions are in another order than rows and columns: {100 * max(share, 0.0):.0f} %"
+            " of the couplings follow the distance, where a mirror's do to 80 %",
+            remedy="put them in the order of the matrix, or match them by ID (--ids)",
+            got=share,
+        )
+    if np.isfinite(share):
+        doubt = "" if share > DOUBTFUL_ORDER else ": LOW, check numbering and places"
+        lines.append(("order", f"{100 * share:.0f} % of the couplings follow the distance{doubt}"))
+    sifted = sift_matrix(matrix)
+    gone = np.zeros(matrix.layout.n, dtype=np.bool_)
+    gone[matrix.layout.enabled] = ~measured
+    off = gone if not sifted.pushing else np.zeros_like(gone)
+    if gone.any():
+        what = "disabled" if not sifted.pushing else "left enabled: around them columns do not"
+        what += " balance, as if they had pushed" if sifted.pushing else ""
+        zero = "rows and columns of zeros"
+        lines.append(
+            ("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {names(matrix.layout, gone)}")
+        )
+    for warning in sifted.warnings:
+        if "zero in row or column" not in warning.fault or sifted.pushing:
+            said = warning.fault.partition("fit the others: ")[2] or warning.fault
+            lines.append(("do not fit", f"{said} (calibrate leaves them out)"))
+    return Judged(tuple(lines), off)
+
+
+def names(layout: Layout, some: NDArray[np.bool_]) -> str:
+    """Return the names of some actuators, (n,) true, as many as can be read."""
+    ids = layout.id[some].tolist()
+    more = f" and {len(ids) - MOST_NAMES} more" if len(ids) > MOST_NAMES else ""
+    return ", ".join(map(str, ids[:MOST_NAMES])) + more
+
+
+def _orientation(k: Array, a: Array) -> str:
+    cost, imbalance = rigid_cost_and_imbalance(k, a)
+    figures = f"a rigid motion costs {cost:.2g} of the own stiffness, columns miss balance by"
+    figures += f" {imbalance:.2g}"
+    if looks_transposed(k, a):
+        return (
+            f"LOOKS TRANSPOSED: {figures}; [i, j] is the force of actuator i per displacement of"
+            " sensor j, else import it with --transpose"
+        )
+    return f"as it should be: {figures}"
