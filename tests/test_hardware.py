@@ -198,7 +198,7 @@ def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
         ("Status", [[], "yes", "", 1], "gives Ready as 'yes'; it is Boolean"),
         ("Status", [[]], "gives 0 values after the fault; they are Ready, Message, Counter"),
         ("Status", ["", True, "", 1], "gives Fault as ''; it is String[]"),
-        ("Rest", [[], 1], "gives 1 values after the fault; they are none"),
+        ("Rest", [[], 1], "gives 1 value after the fault; they are none"),
         ("Read", [[], None, [], [], [], [], 1.0, 1, True], "gives Time as None; it is DateTime"),
     ],
 )
