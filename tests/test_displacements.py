@@ -91,7 +91,7 @@ def test_a_sensor_set_anew_leaves_the_others_alone():
     found = calibrate(one)
     assert np.abs(np.delete(found.alpha - alpha, 3)).max() < 1e-5
     assert abs(found.alpha[3] - alpha[3]) < 600 * 3 * MOVED
-    assert "the zeros of 1 sensors" in found.diagnosis.warnings[0][0]
+    assert "the zeros of 1 sensor were" in found.diagnosis.warnings[0][0]
 
 
 def test_where_most_zeros_jump_no_sensor_is_trusted():

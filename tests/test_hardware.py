@@ -263,7 +263,7 @@ def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
         ("Status", ["", True, "", 1], "gives Fault as ''; it is String[]"),
         ("Rest", [["hot"]], "gives Fault as ['hot']; it is empty, or kind, fault and remedy"),
         ("Rest", [["BenchFault", "", "cool it"]], "gives Fault as ['BenchFault', '', 'cool it']"),
-        ("Rest", [[], 1], "gives 1 values after the fault; they are none"),
+        ("Rest", [[], 1], "gives 1 value after the fault; they are none"),
         ("Read", [[], None, [], [], [], [], 1.0, 1, True], "gives Time as None; it is DateTime"),
     ],
 )
