@@ -8,12 +8,15 @@ import pytest
 from balanced import p45_bench, p45_campaign
 from joint_bound import BruteForce, shifted
 from reciprocal import measured, random_stiffness, random_values, small_places
+from simulated_matrices import by_plate, drawn
+from simulated_matrices import measured as with_noise
 
 import truenewton as tn
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.words import summary_lines
 from truenewton.errors import CampaignMismatch, RankDeficient, TrueNewtonWarning, UnknownName
 from truenewton.estimation.reciprocity import cycles
+from truenewton.estimation.reciprocity.binned_noise import shares
 from truenewton.estimation.reciprocity.condensation import (
     condensed,
     condensed_regression,
@@ -26,6 +29,8 @@ from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values
 from truenewton.estimation.sifted import sift
+from truenewton.mirrors.known import ring
+from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import motion_for, puck_motion
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
@@ -241,6 +246,41 @@ def test_a_matrix_gives_better_alpha_than_its_balance():
         assert found.evidence.apart < 6.0
     joint, alone = np.sqrt(np.mean(np.square(errors), axis=0))
     assert joint < 0.5 * alone
+
+
+def test_what_is_wrong_with_t_is_shared_as_the_noise_of_forces_is():
+    sizes = np.array([3, 2, 4])
+    row, column = np.array([1.0, 0.7, 0.5]), np.array([400.0, 30.0, 1.0])
+    each = np.outer(row, column)  # variance of T, of the displacement of a and the force of b
+    wanted = np.repeat(np.repeat(each / (each + each.T), sizes, axis=0), sizes, axis=1)
+    np.testing.assert_allclose(shares(each + each.T, sizes), wanted, rtol=1e-9)
+
+
+def test_errors_hold_where_soft_modes_are_lost_in_noise():
+    # Were it shared by halves, the error would be half as large again and a fifth left uncovered.
+    mirror, errors, stated, inside = ring(114), [], [], []
+    stiffness = held_glass(mirror).stiffness
+    for seed in range(3):
+        random = np.random.default_rng([seed, 3])
+        values = drawn(random, 114)
+        exact = by_plate(mirror.layout, stiffness, values, offsets=False)
+        k = with_noise(random, exact, values, 0.02).stiffness
+        modes = modes_of(StiffnessMatrix("RING", campaign_date(), mirror.layout, k))
+        found = modes.fit(Asked(0.004, estimated=True))
+        error = found.values.log_alpha - values.log_alpha
+        error -= error.mean()
+        errors.append(np.mean(error**2))
+        stated.append(np.diag(found.covariance_of(Kind.ALPHA)))
+        inside.append(np.mean(np.abs(error) < 1.96 * np.sqrt(stated[-1])))
+    assert np.sqrt(np.mean(errors) / np.mean(stated)) == pytest.approx(1.0, abs=0.2)
+    assert 0.9 < np.mean(inside) < 0.99
+
+
+def test_a_transposed_matrix_is_left_to_ml_by_name():
+    matrix, _ = p45_matrix(0)
+    made = calibrate(replace(matrix, stiffness=matrix.stiffness.T), "auto")
+    assert made.method == "ml"
+    assert any("transposed" in fault for fault, _ in made.verdict.faults)
 
 
 def test_a_matrix_with_a_block_of_dead_sensors_is_refused_as_by_ml():

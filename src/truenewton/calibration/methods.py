@@ -74,7 +74,13 @@ def _by_balance(
     sifted: SiftedMatrix, method: stiffness_svd.ElasticMethod
 ) -> tuple[Estimate, Imbalances]:
     """Return the estimate of a method that balances forces, and how well it does."""
-    estimate = stiffness_svd.find(sifted, method)
+    return _with_imbalances(sifted, method, stiffness_svd.find(sifted, method))
+
+
+def _with_imbalances(
+    sifted: SiftedMatrix, method: stiffness_svd.ElasticMethod, estimate: Estimate
+) -> tuple[Estimate, Imbalances]:
+    """Return an estimate, which says so where halves give no alpha, and how modes balance."""
     try:
         return estimate, stiffness_svd.imbalances(sifted, method)
     except (RankDeficient, NotConverged) as error:
@@ -86,16 +92,18 @@ def _reciprocal(
     sifted: SiftedMatrix, known: Known, *, where_it_holds: bool = False
 ) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity; of `ml`, with the reason, only where that is allowed."""
-    base, imbalances = _by_balance(sifted, stiffness_ml.column_fit)
+    base = stiffness_svd.find(sifted, stiffness_ml.column_fit)
     try:
         estimate, of_modes, against = reciprocity_of_matrix.find(sifted.matrix, base, known.motion)
     except (RankDeficient, NotConverged) as error:
         if not where_it_holds:
             raise
         against = (Fault(error.fault, error.remedy),)
-    if against and where_it_holds:
-        return with_warnings(base, instead(against)), imbalances
-    return with_warnings(estimate, doubts(against)), of_modes
+    else:
+        if not (against and where_it_holds):
+            return with_warnings(estimate, doubts(against)), of_modes
+    base = with_warnings(base, instead(against))
+    return _with_imbalances(sifted, stiffness_ml.column_fit, base)
 
 
 METHODS = {

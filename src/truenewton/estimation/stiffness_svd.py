@@ -200,7 +200,7 @@ def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
     refuse([geometry_fault(enabled_arms(matrix.layout))])
     fitted = fit(columns_of(sifted))
     n, singular_values = len(fitted.alpha), fitted.singular_values
-    warnings = (*sifted.warnings, *_orientation_warnings(matrix), *fitted.warnings)
+    warnings = (*sifted.warnings, *orientation_warnings(matrix), *fitted.warnings)
     return Estimate(
         method=fitted.method,
         scale=Scale.MEAN_ONE,
@@ -232,7 +232,7 @@ def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
         )
 
 
-def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
+def orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
     """Warn of a transposed matrix: a rigid displacement must cost little force.
 
     K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.reciprocity.blocks import Residuals
@@ -123,7 +124,21 @@ class BinnedNoise:
             rigid=self.reciprocity * np.repeat(1.0 / rigid, sizes, axis=0),
             reciprocity=self.reciprocity / variance,
             bins=bins,
+            share=shares(variance, sizes),
         )
+
+
+def shares(variance: Array, sizes: NDArray[np.int64]) -> Array:
+    """Return (m, m) variances of T over those of A, by (b, b) variances of A between bins.
+
+    The variance of T_lm is r_l c_m: so those of T_lm and T_ml have the sum that A has, and the
+    product that the bins of l and m have by themselves. The force of the noisier state has more.
+    """
+    own = np.diag(variance)
+    half = 0.5 * variance
+    apart = np.sqrt(np.maximum(half**2 - 0.25 * np.outer(own, own), 0.0))
+    share = (half + np.where(own > own[:, None], apart, -apart)) / variance
+    return np.asarray(np.repeat(np.repeat(share, sizes, axis=0), sizes, axis=1))
 
 
 def _dual(basis: Array) -> Array:

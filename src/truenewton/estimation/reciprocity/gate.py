@@ -41,6 +41,8 @@ class Evidence:
         Actuators that are not like the others; more than may be left free.
     disturbed
         Whether something pushes many actuators at once, from reading to reading.
+    transposed
+        Whether rows and columns look exchanged.
     untried
         Number of actuators, where nobody has held errors of so many against the truth.
     gain_spread, offset_spread
@@ -53,6 +55,7 @@ class Evidence:
     apart: float = float("nan")
     odd: tuple[int, ...] = ()
     disturbed: bool = False
+    transposed: bool = False
     untried: int = 0
     gain_spread: float = float("nan")
     offset_spread: float = float("nan")
@@ -67,6 +70,11 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
             "noise of the readings is common to many actuators, and it takes that of each for"
             " independent",
             "look for what pushes the mirror",
+        )
+    if evidence.transposed:
+        yield Fault(
+            "it takes alpha for sensor gains where STIFFNESS is transposed, as it looks",
+            "store [i, j], the force of actuator i per displacement of sensor j",
         )
     if evidence.untried:
         yield Fault(

@@ -22,7 +22,7 @@ from truenewton.estimation.reciprocity.sight import Sight
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Values
 
-ROWS = 64  # of actuators at once, so that what is made of them stays in the cache
+ROWS = 32  # of actuators at once, so that what is made of them stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,66 +134,92 @@ def information(point: Point, before: Fitted | None = None) -> tuple[Array, Leve
     total = np.zeros((n * len(kinds), n * len(kinds)))
     bins = len(point.weights.bins)
     taken = Leverage(np.zeros((3, bins)), np.zeros((bins, 3)), np.zeros((bins, bins)))
-    for i, one in enumerate(kinds):
-        for j, other in enumerate(kinds[i:], i):
-            rows, columns = slice(i * n, (i + 1) * n), slice(j * n, (j + 1) * n)
-            part = None
-            if before is not None:
-                part = Fitted(before.covariance[rows, columns] * (1 + (i != j)), before.weights)
-            block = total[rows, columns]
-            _add_reciprocity(block, point, one, other, part, taken)
-            if one == other == Kind.ALPHA:
-                _add_statics(block, point, part, taken)
-            _add_rigid(block, point, one, other, part, taken)
-            total[columns, rows] = block.T
+    room = np.empty(
+        (1 + 3 + 4 * len(kinds), bins, ROWS * n)
+    )  # made once: memory is slow to come by
+    for start in range(0, n, ROWS):
+        _add_reciprocity(total, point, slice(start, start + ROWS), before, taken, room)
+    _add_statics(total, point, before, taken)
+    _add_rigid(total, point, before, taken)
+    for k in range(1, len(kinds)):
+        total[k * n : (k + 1) * n, : k * n] = total[: k * n, k * n : (k + 1) * n].T
     return total, None if before is None else taken
 
 
 def _add_reciprocity(
-    block: Array, point: Point, one: Kind, other: Kind, before: Fitted | None, taken: Leverage
+    total: Array, point: Point, some: slice, before: Fitted | None, taken: Leverage, room: Array
 ) -> None:
-    """Add the (n, n) sum over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)]."""
-    a, b, weights = point.designs[one], point.designs[other], point.weights
-    w, bins = weights.reciprocity, len(weights.bins)
-    for start in range(0, len(block), ROWS):
-        some = slice(start, start + ROWS)
-        pp, qq, pq, qp = (
-            np.stack([left[k, some].T @ right[k] for k in weights.bins]).reshape(bins, -1)
-            for left, right in ((a.p, b.p), (a.q, b.q), (a.p, b.q), (a.q, b.p))
-        )
-        both = np.einsum("ak,ak->k", pp, w @ qq) - np.einsum("ak,ak->k", pq, w @ qp)
-        block[some] += both.reshape(-1, block.shape[1])
-        if before is not None:
-            c = before.covariance[some].ravel()
-            each = before.weights.reciprocity * ((pp * c) @ qq.T - (pq * c) @ qp.T)
-            each = each + each.T
-            each[np.diag_indices(bins)] *= 0.5
-            taken.reciprocity[:] += each
+    """Add sums over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)] to some rows of blocks.
+
+    To blocks of the upper triangle. All kinds of unknowns of the sensors share one q.
+    """
+    weights, designs = point.weights, [*point.designs.values()]
+    w, bins, n = weights.reciprocity, len(weights.bins), designs[0].p.shape[1]
+    forces = list({id(design.q): design.q for design in designs}.values())
+    of = [next(k for k, q in enumerate(forces) if q is design.q) for design in designs]
+    spare = iter(room[:, :, : len(range(*some.indices(n))) * n])
+
+    def grams(left: Array, right: Array, out: Array | None = None) -> Array:
+        out = next(spare) if out is None else out
+        for each, k in zip(out, weights.bins, strict=True):
+            np.matmul(left[k, some].T, right[k], out=each.reshape(-1, n))
+        return out
+
+    pp = next(spare)
+    qq = {(a, b): grams(q, forces[b]) for a, q in enumerate(forces) for b in range(a, len(forces))}
+    pq = [[grams(design.p, q) for q in forces] for design in designs]
+    qp = [[grams(q, design.p) for q in forces] for design in designs]
+    weighed_qq = {pair: w @ each for pair, each in qq.items()}
+    weighed_qp = [[w @ each for each in row] for row in qp]
+    for i, one in enumerate(designs):
+        for j, other in enumerate(designs[i:], i):
+            rows, columns = slice(i * n, (i + 1) * n), slice(j * n, (j + 1) * n)
+            grams(one.p, other.p, pp)
+            both = np.einsum("ak,ak->k", pp, weighed_qq[of[i], of[j]])
+            both -= np.einsum("ak,ak->k", pq[i][of[j]], weighed_qp[j][of[i]])
+            total[rows, columns][some] += both.reshape(-1, n)
+            if before is not None:
+                c = before.covariance[rows, columns][some].ravel()
+                pp *= c
+                each = pp @ qq[of[i], of[j]].T - (pq[i][of[j]] * c) @ qp[j][of[i]].T
+                each *= before.weights.reciprocity * (1 + (i != j))
+                each = each + each.T
+                each[np.diag_indices(bins)] *= 0.5
+                taken.reciprocity[:] += each
 
 
-def _add_statics(block: Array, point: Point, before: Fitted | None, taken: Leverage) -> None:
+def _add_statics(total: Array, point: Point, before: Fitted | None, taken: Leverage) -> None:
     """Add the (n, n) sum over the three equations of (Q_r Q_r') o (F^ diag(w) F^')."""
     q, f, weights = point.states.rigid, point.fitted.forces, point.weights
+    n = len(f)
+    if Kind.ALPHA not in point.designs:
+        return
     for r in range(3):
-        block += np.outer(q[:, r], q[:, r]) * ((f * weights.statics[r]) @ f.T)
+        scaled = q[:, r, None] * f
+        total[:n, :n] += (scaled * weights.statics[r]) @ scaled.T
         if before is not None:
-            scaled = q[:, r, None] * f
-            each = np.sum(scaled * (before.covariance @ scaled), axis=0)
+            each = np.sum(scaled * (before.covariance[:n, :n] @ scaled), axis=0)
             taken.statics[r] += _by_bin(each * before.weights.statics[r], weights)
 
 
-def _add_rigid(
-    block: Array, point: Point, one: Kind, other: Kind, before: Fitted | None, taken: Leverage
-) -> None:
-    """Add the (n, n) sum over the three rigid motions of (c_r d_r') o (KV diag(w) KV')."""
-    c, d = point.designs[one].rigid, point.designs[other].rigid
+def _add_rigid(total: Array, point: Point, before: Fitted | None, taken: Leverage) -> None:
+    """Add the (n, n) sums over the three rigid motions of (c_r d_r') o (KV diag(w) KV')."""
     kv, weights = point.fitted.by_reading, point.weights
-    if c is None or d is None:
-        return
+    n = len(kv)
+    felt = [(i, d.rigid) for i, d in enumerate(point.designs.values()) if d.rigid is not None]
     for r in range(3):
-        block += np.outer(c[:, r], d[:, r]) * ((kv * weights.rigid[:, r]) @ kv.T)
+        if not felt:
+            return
+        gram, met = (kv * weights.rigid[:, r]) @ kv.T, np.zeros((n, n))
+        for k, (i, c) in enumerate(felt):
+            for j, d in felt[k:]:
+                rows, columns = slice(i * n, (i + 1) * n), slice(j * n, (j + 1) * n)
+                both = np.outer(c[:, r], d[:, r])
+                total[rows, columns] += both * gram
+                if before is not None:
+                    met += (1 + (i != j)) * both * before.covariance[rows, columns]
         if before is not None:
-            each = np.sum(c[:, r, None] * kv * (before.covariance @ (d[:, r, None] * kv)), axis=0)
+            each = np.sum(kv * (met @ kv), axis=0)
             taken.rigid[:, r] += _by_bin(each * before.weights.rigid[:, r], weights)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
@@ -22,10 +22,14 @@ from truenewton.estimation.reciprocity.information import (
 from truenewton.estimation.reciprocity.sight import Places, Sight, sight
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind, Values, at_nominal
+from truenewton.linalg import mirrored
 
 STEPS = 40
 SETTLED = 0.02  # rms step of alpha over its rms error
 LONGEST = 0.3  # step of any log alpha or log g
+# Spreads of log g and of offsets [m] below which they are none: where data do not hold them, each
+# step would find them smaller.
+SMALLEST_GAIN, SMALLEST_OFFSET = 1e-6, 1e-8
 
 # What makes states and weights at a place of the unknowns, told of leverages once they are known.
 StatesAt = Callable[[Places, Values, Sight], tuple[States, Weights]]
@@ -159,15 +163,14 @@ def _inverse(gathered: Array, asked: Asked, n: int) -> Array:
         held[n : 2 * n, n : 2 * n] += np.trace(held[n : 2 * n, n : 2 * n]) / n**2
     unit = 1.0 / np.sqrt(np.diag(held))
     held *= unit[:, None] * unit
-    try:
-        factor = scipy.linalg.cho_factor(held, lower=True, overwrite_a=True, check_finite=False)
-    except np.linalg.LinAlgError:
+    factor, fails = dpotrf(held.T, lower=True, overwrite_a=True, clean=False)
+    if fails:
         raise RankDeficient(
             "reciprocity does not hold all that is asked of it",
             remedy="give the sensor gains, or use ml",
-        ) from None
-    inverse = scipy.linalg.cho_solve(factor, np.diag(unit), check_finite=False)
-    inverse *= unit[:, None]
+        )
+    inverse = mirrored(dpotri(factor, lower=True, overwrite_c=True)[0].T)
+    inverse *= unit[:, None] * unit
     scales = np.zeros((len(unit), 2 if np.isinf(asked.gain_spread) else 1))
     for k in range(scales.shape[1]):  # what the hold itself says of the scale is no knowledge
         scales[k * n : (k + 1) * n, k] = 1.0 / np.sqrt(n)
@@ -209,7 +212,10 @@ def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
     sum v^2 over the number of unknowns less what the prior, not the data, says of them.
     """
     n = len(values.log_alpha)
-    for names, spread in (((Kind.GAIN,), "gain_spread"), (OFFSETS, "offset_spread")):
+    for names, spread, least in (
+        ((Kind.GAIN,), "gain_spread", SMALLEST_GAIN),
+        (OFFSETS, "offset_spread", SMALLEST_OFFSET),
+    ):
         size = getattr(asked, spread)
         if not size or np.isinf(size):
             continue
@@ -220,6 +226,6 @@ def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
             held += (
                 n - float(np.trace(covariance[k * n : (k + 1) * n, k * n : (k + 1) * n])) / size**2
             )
-        found = float(np.sqrt(total / max(held, 1.0)))
+        found = max(float(np.sqrt(total / max(held, 1.0))), least)
         asked = replace(asked, **{spread: found})  # type: ignore[arg-type]
     return asked

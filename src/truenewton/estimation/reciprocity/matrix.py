@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
 from truenewton.estimation.reciprocity.condensation import condensed, kept, kept_places
 from truenewton.estimation.reciprocity.gate import (
@@ -23,7 +23,13 @@ from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
-from truenewton.estimation.stiffness_svd import SOFTEST, Imbalance, rms_imbalance
+from truenewton.estimation.stiffness_ml import NOT_BY_COLUMNS
+from truenewton.estimation.stiffness_svd import (
+    SOFTEST,
+    Imbalance,
+    orientation_warnings,
+    rms_imbalance,
+)
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -117,16 +123,30 @@ class Examined:
         By all equations.
     imbalances
         Of all modes, and of those held out.
-    split_half
-        Rms difference of log alpha between two fits, each to every second mode.
+    halves
+        (n,) log alpha of two fits, each to every second mode.
+    of_halves
+        Variance between them over what they state, 1 at least.
+    alone
+        (n,) log alpha by balance alone and by reciprocity alone; NaN where there is none.
     evidence
         For the gate.
     """
 
     joint: Fit
     imbalances: tuple[Imbalance, ...]
-    split_half: float
+    halves: tuple[Array, Array]
+    of_halves: float
+    alone: tuple[Array, Array]
     evidence: Evidence
+
+    @property
+    def excess(self) -> float:
+        """Variance of log alpha over what the joint fit states, 1 at least.
+
+        As much as halves, or balance and reciprocity, differ by more than they state.
+        """
+        return float(np.nanmax([self.of_halves, self.evidence.apart]))
 
 
 def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
@@ -138,20 +158,22 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     """
     joint = modes.fit(asked)
     halves = modes.every(slice(0, None, 2)), modes.every(slice(1, None, 2))
-    fits = [half.fit(asked) for half in halves]
+    fits = [half.fit(asked, start=joint.values) for half in halves]
     known = replace(joint.values, log_alpha=np.zeros(modes.places.n))
     lines = [Imbalance("all modes, fitted", modes.imbalance(), modes.imbalance(joint.values))]
     lines += [
         Imbalance(name, judged.imbalance(), judged.imbalance(half.values))
         for name, judged, half in zip(HALVES, halves[::-1], fits, strict=True)
     ]
-    by_balance, between = np.nan, np.nan
+    by_balance, between, of_halves = np.nan, np.nan, disagreement(*fits)
+    ways = (np.full(modes.places.n, np.nan),) * 2
     try:  # alpha only: the balance knows nothing of sensors
         alone = [one.fit(Asked(), reciprocity=False, start=known) for one in (modes, *halves)]
         each = [one.imbalance(f.values) for one, f in zip(halves[::-1], alone[1:], strict=True)]
         by_balance = float(np.linalg.norm(each))
         reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
-        between = apart(alone[0], reciprocity, disagreement(*alone[1:]), disagreement(*fits))
+        between = apart(alone[0], reciprocity, disagreement(*alone[1:]), of_halves)
+        ways = (alone[0].values.log_alpha, reciprocity.values.log_alpha)
     except (RankDeficient, NotConverged):
         pass  # where balance alone gives no alpha, nothing speaks against reciprocity
     evidence = Evidence(
@@ -161,8 +183,8 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
-    difference = fits[0].values.log_alpha - fits[1].values.log_alpha
-    return Examined(joint, tuple(lines), float(np.std(difference)), evidence)
+    one, other = (half.values.log_alpha for half in fits)
+    return Examined(joint, tuple(lines), (one, other), of_halves, ways, evidence)
 
 
 def find(
@@ -170,8 +192,8 @@ def find(
 ) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Fault, ...]]:
     """Find relative alpha and the sensors; return what speaks against them, too.
 
-    The stated error is that of the fit, or the difference between the two halves of the modes where
-    that is larger: what a real matrix leaves is not noise.
+    The stated error is that of the fit, enlarged as far as two halves of the modes, or balance and
+    reciprocity, differ by more than they state: what a real matrix leaves is not all noise.
 
     Parameters
     ----------
@@ -195,9 +217,7 @@ def find(
     scale = np.exp(np.mean(np.log(by_balance[keep])))
     alpha[keep] = scale * joint.values.alpha
     alpha /= alpha.mean()
-    covariance = joint.covariance_of(Kind.ALPHA)
-    formal = float(np.sqrt(np.mean(np.diag(covariance))))
-    covariance = covariance * max(found.split_half / formal, 1.0) ** 2
+    covariance = found.excess * joint.covariance_of(Kind.ALPHA)
     whole = np.diag(np.diag(base.reading_covariance)[:n] / by_balance**2)
     whole[np.ix_(keep, keep)] = covariance
     held = np.eye(n) - np.outer(np.ones(n), alpha / alpha.sum())  # mean alpha stays 1
@@ -210,5 +230,10 @@ def find(
         reading_covariance=covariance,
         sensors=sensors_of(joint, ids, keep),
     )
-    estimate = with_warnings(estimate, tuple(left_free(ids[~keep])))
-    return estimate, found.imbalances, tuple(refusals(replace(found.evidence, odd=odd)))
+    said = [fault for fault in base.diagnosis.warnings if fault != NOT_BY_COLUMNS]
+    said += left_free(ids[~keep])
+    diagnosis = replace(base.diagnosis, warnings=tuple(said))
+    estimate = replace(estimate, diagnosis=diagnosis)
+    transposed = any(orientation_warnings(matrix))
+    evidence = replace(found.evidence, odd=odd, transposed=transposed)
+    return estimate, found.imbalances, tuple(refusals(evidence))
