@@ -104,7 +104,8 @@ def _reciprocal(
     else:
         if not (against and where_it_holds):
             return with_warnings(estimate, doubts(against)), of_modes
-    return _with_imbalances(sifted, stiffness_ml.column_fit, with_warnings(base, instead(against)))
+    base = with_warnings(base, instead(against))
+    return _with_imbalances(sifted, stiffness_ml.column_fit, base)
 
 
 METHODS = {
