@@ -1,6 +1,6 @@
 """The OPC UA server under strangers: sound clients go on, bounds hold, and nothing is told.
 
-The strangers and holders of keys are those of benchmarks/server_load.py, which takes them longer.
+The strangers and holders of keys are those of benchmarks/server_load.py, which keeps them longer.
 """
 
 import asyncio
@@ -12,17 +12,8 @@ import threading
 
 import pytest
 from asyncua import ua
-from server_load import (
-    DEEDS,
-    HELLO,
-    channel,
-    do,
-    memory_and_files,
-    record,
-    serve,
-    strangers,
-    visit,
-)
+from server_load import memory_and_files, serve
+from strangers import DEEDS, HELLO, channel, do, record, strangers, visit
 from test_opcua import RecordingBench, behind, free_port
 
 import truenewton as tn
