@@ -9,7 +9,7 @@ from astropy.io import fits
 from truenewton.bench.simulated.static import static_bench
 from truenewton.mirrors.known import ring
 
-N, R = 189, 1.955  # seven rings of LBT672
+N, RINGS, R = 144, 6, 1.955  # the first rings of LBT672
 CHANNELS_IN_ALL = 200
 TRACK = "20110311_130523"
 
@@ -40,14 +40,14 @@ def measured():
 
 
 def electronics():
-    """Return (200,) which number of the supervisor stands at each channel; 11 are spare."""
+    """Return (200,) which number of the supervisor stands at each channel; some are spare."""
     return np.random.default_rng(5).permutation(CHANNELS_IN_ALL)
 
 
 def supervisor_angles():
     """Return (n,) polar angle and azimuth of each number: shifted from ring to ring, from -y, x."""
-    counts = 9 + 6 * np.arange(7)
-    polar = np.repeat(1.2615 + 0.8884 * np.arange(7), counts)
+    counts = 9 + 6 * np.arange(RINGS)
+    polar = np.repeat(1.2615 + 0.8884 * np.arange(RINGS), counts)
     azimuth = []
     for r, n in enumerate(counts):
         theta = np.roll(np.arange(n) * 360.0 / n, r + 1)
@@ -122,13 +122,15 @@ def supervisor_folder(folder, *, positions):
         (folder / "conf" / "general").mkdir(parents=True)
         (folder / "conf" / "LBT672a").mkdir()
         text_array(folder / "conf" / "general" / "act2mir_act.txt", "int", numbers)
-        counts = 9 + 6 * np.arange(7)
-        angles = "\n".join(f"{1.2615 + 0.8884 * k:.4f}" for k in range(7))
+        counts = 9 + 6 * np.arange(RINGS)
+        angles = "\n".join(f"{1.2615 + 0.8884 * k:.4f}" for k in range(RINGS))
         (folder / "conf" / "LBT672a" / "shell.txt").write_text(
             "; the shell\nglass_mass double 2.0e3 ;[g]\nname string LBT672\n"
             f"curv_radius float {1e3 * R} ; [mm]\n"
-            "n_act_ring array ; on each\n int 7\n" + "\n".join(map(str, counts)) + "\nend\n\n"
-            f"angle_ring array\n float 7\n{angles}\nend\n"
-            "angle_act0 array\n float 7\n" + "0 " * 7 + "\nend\n"
+            f"n_act_ring array ; on each\n int {RINGS}\n"
+            + "\n".join(map(str, counts))
+            + "\nend\n\n"
+            f"angle_ring array\n float {RINGS}\n{angles}\nend\n"
+            f"angle_act0 array\n float {RINGS}\n" + "0 " * RINGS + "\nend\n"
         )
     return rows

@@ -44,6 +44,16 @@ def own_element(k, _):
     k[BAD, BAD] *= 1.2
 
 
+def sensor_gain(k, _):
+    """A sensor reads half of what it should: its column is right but for a factor."""
+    k[:, BAD] *= 2.0
+
+
+def sensor_noise(k, _):
+    """A sensor reads a quarter, and what it likes: nothing of its column can be used."""
+    k[:, BAD] *= 4.0 * (1.0 + 0.3 * np.random.default_rng(8).standard_normal(len(k)))
+
+
 def rows(k, other):
     """Rows of neighbours."""
     k[[BAD, other]] = k[[other, BAD]]
@@ -62,6 +72,8 @@ def off(k, _):
         (sign, "wrong sign"),
         (times_ten, "its row 9.1 times as large as those of others"),
         (own_element, "an element of its row is wrong"),
+        (sensor_gain, "its sensor has another gain"),
+        (sensor_noise, "its sensor reads something else"),
         (rows, "its row or column exchanged with another"),
         (off, "zero in row or column of STIFFNESS"),
     ],

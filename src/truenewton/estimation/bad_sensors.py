@@ -15,6 +15,7 @@ from truenewton.arrays import Array
 GAIN = 1.1  # from that of other sensors, from which one is wrong
 CURED = 0.5  # of what the columns around are out of balance by, at most
 SAME = 0.03  # of an own element
+ALIKE = 0.03  # of an element, that it may differ from its transpose
 WIDEST = 30.0  # factor that is looked for
 
 
@@ -81,6 +82,12 @@ def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> boo
     own = np.where(own > 0.0, own, np.median(own))
     sizes = [np.sum((np.linalg.norm(each, axis=0) / own)[near]) for each in (rho, by_column)]
     return bool(sizes[0] <= sizes[1])
+
+
+def agrees(even: Array, i: int, near: NDArray[np.bool_]) -> bool:
+    """Tell whether a column of an (n, n) stiffness is its row, at the (n,) others near it."""
+    far = np.abs(even[near, i] - even[i, near]) > ALIKE * np.abs(even[i, near])
+    return not far.any() or float(np.median(far)) < 0.5
 
 
 def column_by_row(even: Array, a: Array, i: int) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
-from truenewton.estimation.bad_sensors import better_by_row, column_by_row, wrong_gains
+from truenewton.estimation.bad_sensors import agrees, better_by_row, column_by_row, wrong_gains
 
 STRONG = 0.05  # coupling in terms of both own stiffnesses, from which a pair counts
 EVEN = 0.1  # coupling from which pairs count alike: one wrong element is not to outweigh the rest
@@ -27,16 +27,16 @@ COLUMN_TIMES = 12.0  # what is typical of a column, and
 COLUMN = 0.05  # of the own stiffness: how far out of balance one does not fit
 ELEMENT_TIMES = 30.0  # what is typical of elements of its size and of both actuators, and
 ELEMENT = 0.01  # of the own stiffness: an element that differs from its transpose
-EXCHANGED = 1.1  # times better with both exchanged
+EXCHANGED = 2.0  # times better with both exchanged
 FEW = 0.1  # of all actuators may not fit; beyond it nothing does
 NEAR = 6.0  # spacings
 
 
 OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
-SENSOR = "its sensor has another gain"
+SENSOR_GAIN, SENSOR = "its sensor has another gain", "its sensor reads something else"
 UNLIKE = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
-DOUBT = {SENSOR: 0.01, UNLIKE: 0.3, ELEMENT_WRONG: 0.03}
+DOUBT = {SENSOR: 0.1, UNLIKE: 0.3, ELEMENT_WRONG: 0.03}
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,6 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     even = (factor * np.exp(log_alpha))[:, None] * k[order]
     gain = wrong_gains(even, a, linked)
     deaf = np.flatnonzero(gain != 1.0)
-    add(deaf, SENSOR, gain[deaf])
     misfit[deaf], misfit[:, deaf] = np.nan, np.nan
     log_alpha = log_alpha - np.log(gain)
     far = np.flatnonzero(np.abs(log_alpha) > np.log(FACTOR))
@@ -113,7 +112,10 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     factor = factor * np.exp(log_alpha)
     even = factor[:, None] * k[order] / gain
     for i in deaf.tolist():
-        even[:, i] = column_by_row(even, a, i)
+        only_gain = agrees(even, i, linked[i])
+        add(np.array([i]), SENSOR_GAIN if only_gain else SENSOR, gain[[i]])
+        if not only_gain:
+            even[:, i] = column_by_row(even, a, i)
     unlike = _unlike_their_columns(misfit)
     add(*_apart(unlike, UNLIKE))
     for i, _ in unlike:
