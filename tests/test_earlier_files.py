@@ -112,6 +112,8 @@ def test_a_law_without_numbers_is_refused(inside, written, tmp_path, column, val
         ("LOADS", "MY", np.nan, "BIAS, MY or MX is no number"),
         ("BUDGET", "RELATIVE", np.nan, "RELATIVE of BUDGET holds NaN or inf"),
         ("CALIBRATION", "E_CYCLE", 1e200, "E_CYCLE of CALIBRATION is 1e+200"),
+        ("CALIBRATION", "E_STAT", 0.1, "E_STAT and E_SYST are not those of the covariances"),
+        (0, "SCALE", "weight", "SCALE is 'weight'; it is weights, given, mean 1"),
         (0, "WEIGHT", 0.0, "WEIGHT or E_WEIGHT has the wrong sign"),
         (0, "NOISE", 1e300, "NOISE is 1e+300"),
     ],

@@ -11,13 +11,20 @@ from acquisition_plans import small_plan
 
 from truenewton.acquisition.drift import scale_balance
 from truenewton.acquisition.plan import planned_mirror
-from truenewton.errors import FormatError, UnreadableFile
+from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
 from truenewton.files import opening
 from truenewton.files.fits import read_fits
 from truenewton.files.sizes import BLOCK, CARD, check_sizes
 from truenewton.files.toml import read_toml
 from truenewton.linalg import covariance_fault, inverse_of_positive
 from truenewton.mirrors.file import _layout_in
+from truenewton.mirrors.glass import Shell, check_shell
+from truenewton.mirrors.shell.finite_elements.outline import checked_sides
+from truenewton.modal.actuator_roles import off_and_slaved
+from truenewton.modal.dissipation import Budget
+from truenewton.modal.pupil import Pupil
+from truenewton.modal.turbulence import Atmosphere
+from truenewton.statics.layout import layout
 from truenewton.statics.load import Load
 
 
@@ -197,3 +204,39 @@ def test_a_mistake_of_ours_is_not_taken_for_theirs(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["truenewton", "info", "x"])
     with pytest.raises(ValueError, match="invalid literal"):
         main.main()
+
+
+def test_more_actuators_than_any_mirror_has_are_refused():
+    with pytest.raises(GeometryError, match="there are 20001 actuators"):
+        layout(np.linspace(0, 1, 20001), np.zeros(20001))
+    assert layout(np.linspace(0, 1, 20000), np.zeros(20000)).n == 20000
+
+
+def test_an_id_of_any_length_is_a_name_unknown():
+    with pytest.raises(UnknownName, match="no enabled actuator has the ID 1" + 30 * "0"):
+        off_and_slaved(layout([0.0, 0.1], [0.1, 0.0]), [10**30], ())
+
+
+@pytest.mark.parametrize("mesh_size", [1e-300, 0.0, -1.0, np.inf])
+def test_a_mesh_has_a_size(mesh_size):
+    with pytest.raises(GeometryError, match="mesh size"):
+        checked_sides([[[0, 0], [1, 0], [1, 1], [0, 1]]], mesh_size)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Atmosphere(1e-320),
+        lambda: Atmosphere(0.8, 1e-320),
+        lambda: Budget(power=1e-320),
+        lambda: Pupil(1e-320, 8.0),
+    ],
+)
+def test_optics_next_to_nothing_are_refused(make):
+    with pytest.raises(FormatError):
+        make()
+
+
+def test_a_glass_next_to_nothing_is_refused():
+    with pytest.raises(GeometryError, match="give a positive thickness, 1e-06 m"):
+        check_shell(Shell(0.02, 0.1, 1e-12))

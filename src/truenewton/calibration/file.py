@@ -161,6 +161,7 @@ CALIBRATION = FileFormat(
 
 
 LARGEST = 1e30  # of any number in it
+ALIKE = 1e-3  # of a variance, rounding to 32 bits allowed
 
 
 def calibration_from(file: FitsFile) -> Calibration:
@@ -175,6 +176,7 @@ def calibration_from(file: FitsFile) -> Calibration:
     values["layout"]["enabled"] = file.enabled(values["alpha"], "calibrate again")
     count = Unknowns(values["alpha"].size, values["torque_y"].size).count
     file.require_covariances(count, "n + 1 + 2 L", "calibrate again")
+    _refuse_disagreement(file, values)
     try:
         values["goodness"] = _goodness(values["degrees_of_freedom"], **values["goodness"])
         values["scale_errors"] = _scale_errors(values.pop("scale_errors", None))
@@ -187,6 +189,22 @@ def calibration_from(file: FitsFile) -> Calibration:
         faults = map(Fault, warnings["fault"], warnings["remedy"])
         values["diagnosis"] = Diagnosis(warnings=tuple(faults))
     return file.filled(Calibration, values)
+
+
+def _refuse_disagreement(file: FitsFile, values: dict[str, Any]) -> None:
+    """Refuse errors of alpha that are not those of the covariances."""
+    n, systematic = values["alpha"].size, values["systematic_error"] ** 2
+    for names, errors, matrix in (
+        ("E_STAT and E_SYST", values["reading_error"] ** 2 + systematic, "covariance"),
+        ("E_SYST", systematic, "systematic_covariance"),
+    ):
+        variances = np.diag(values[matrix])[:n]
+        if (np.abs(variances - errors) > ALIKE * np.maximum(variances, errors)).any():
+            raise FormatError(
+                f"{names} are not those of the covariances",
+                remedy="calibrate again",
+                path=file.path,
+            )
 
 
 def _goodness(

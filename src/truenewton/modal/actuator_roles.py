@@ -54,8 +54,8 @@ def _named(layout: Layout, ids: Sequence[int], what: str) -> NDArray[np.bool_]:
         raise UnknownName(
             f"{list(ids)!r} are not all IDs", remedy="give whole numbers, as [3, 17]", got=ids
         )
-    unknown = np.setdiff1d(np.asarray(ids, dtype=np.int64), layout.id)
-    if unknown.size:
+    unknown = sorted({*map(int, ids)} - {*layout.id.tolist()})  # Python's, which know no overflow
+    if unknown:
         raise UnknownName(
             f"no enabled actuator has the ID {unknown[0]} that is to be {what}",
             remedy=f"IDs go from {layout.id.min()} to {layout.id.max()}",

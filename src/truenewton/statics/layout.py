@@ -13,6 +13,7 @@ from truenewton.errors import GeometryError
 
 FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit has slipped
 UNITS = {"id": "", "x": "m", "y": "m", "nz": "", "enabled": "", "x_error": "m", "y_error": "m"}
+MOST_ACTUATORS = 20000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,6 +65,10 @@ class Layout:
                 )
         if self.n == 0:
             raise GeometryError("there are no actuators", remedy="give at least one")
+        if self.n > MOST_ACTUATORS:  # matrices of so many by so many fill no memory that there is
+            raise GeometryError(
+                f"there are {self.n} actuators", remedy=f"give {MOST_ACTUATORS} at most"
+            )
         if not self.enabled.any():
             raise GeometryError(
                 "no actuator is ENABLED", remedy="set ENABLED to T for those that give force"

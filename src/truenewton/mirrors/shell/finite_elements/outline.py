@@ -15,6 +15,7 @@ from truenewton.mirrors.glass import areas_and_moments
 
 SHARPEST_CORNER = 45.0  # [deg]; below, halving one side of a corner crowds the other for ever
 MOST_TRIANGLES = 100_000  # 22 000 of a curved glass take 1.5 GB, and more than in proportion
+FINEST = 1e-6  # [m]
 CLOSEST = 0.02  # actuators to one another and to an edge, in mesh sizes
 
 
@@ -35,9 +36,11 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
         A mesh size that is not positive or far too fine; a polygon without three finite vertices,
         with corners too sharp, crossing itself or another; holes off the glass.
     """
-    if not 0 < mesh_size < np.inf:
+    if not FINEST <= mesh_size < np.inf:
         raise GeometryError(
-            f"mesh size {mesh_size:.6g} m", remedy="give a positive length", got=mesh_size
+            f"mesh size {mesh_size:.6g} m",
+            remedy=f"give a positive length, {FINEST:g} m at least",
+            got=mesh_size,
         )
     loops = [np.asarray(polygon, dtype=float) for polygon in polygons]
     for loop in loops:

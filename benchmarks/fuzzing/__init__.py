@@ -1,0 +1,1 @@
+"""What fuzz.py does to files: values, fits (structure), files (everything else, and the door)."""
