@@ -226,7 +226,7 @@ def test_an_unknown_method_is_named():
     ("factor", "said", "what_to_do"),
     [
         (1e-3, "alpha is about 840", "WEIGHT and ADDED"),
-        (1e3, "alpha is about 0.0008", "WEIGHT and ADDED"),
+        (1e3, "alpha is about 0.0008", "the unit that the column FORCE declares"),
         (-1.0, "alpha is negative for 14 of 14", "turn the sign of FORCE"),
     ],
 )

@@ -9,7 +9,7 @@ like another one, or like its own turned round, says what happened to that file.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -90,16 +90,14 @@ def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...
 
 
 def unlike_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
-    """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do.
-
-    A gain that a file has as a whole does not count.
-    """
+    """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do."""
     rows = prints.common_rows()
     if len(rows) < 3 or rows.shape[1] < FEWEST:
         return ()
-    flat = (rows - rows.mean(axis=1, keepdims=True)).reshape(len(rows), -1)
-    flat /= np.maximum(np.linalg.norm(flat, axis=1), 1e-300)[:, None]
-    distance = np.sqrt(np.maximum(1.0 - (flat @ flat.T) ** 2, 0.0))
+    rows = rows - rows.mean(axis=1, keepdims=True)
+    distance = np.zeros((len(rows), len(rows)))
+    for one, other in combinations(range(len(rows)), 2):
+        distance[one, other] = distance[other, one] = _apart(rows[one], rows[other])
     lot = clusters(distance, 2)
     if lot is None or distance[lot[:, None] != lot].min() < UNLIKE:
         return ()
@@ -114,6 +112,16 @@ def unlike_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ..
             " actuator replaced in between",
         ),
     )
+
+
+def _apart(rows: Array, others: Array) -> float:
+    """Return how far the columns of (m, n) rows typically lie from others, in terms of their size.
+
+    A gain that rows have as a whole does not count, nor what few columns do.
+    """
+    gain = float(np.sum(rows * others) / max(np.sum(others**2), 1e-300))
+    size = np.maximum(_square(gain * others), 1e-300)
+    return float(np.sqrt(np.median(_square(rows - gain * others) / size)))
 
 
 def positions(campaign: Campaign) -> Array | None:
