@@ -283,6 +283,14 @@ def test_a_transposed_matrix_is_left_to_ml_by_name():
     assert any("transposed" in fault for fault, _ in made.verdict.faults)
 
 
+def test_a_matrix_made_symmetric_is_left_to_ml_by_name():
+    matrix, _ = p45_matrix(0)
+    made = replace(matrix, stiffness=0.5 * (matrix.stiffness + matrix.stiffness.T))
+    with pytest.raises(RankDeficient, match="was made symmetric"):
+        calibrate(made, "reciprocity")
+    assert any("was made symmetric" in fault for fault, _ in calibrate(made, "auto").verdict.faults)
+
+
 def test_a_matrix_with_a_block_of_dead_sensors_is_refused_as_by_ml():
     matrix, _ = p45_matrix(0)
     stiffness, random = matrix.stiffness.copy(), np.random.default_rng(5)

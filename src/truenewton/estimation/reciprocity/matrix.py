@@ -30,11 +30,12 @@ from truenewton.estimation.stiffness_svd import (
     orientation_warnings,
     rms_imbalance,
 )
-from truenewton.linalg import singular_values_and_vectors
+from truenewton.linalg import asymmetry, singular_values_and_vectors
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
+SYMMETRIC = 1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
 HALVES = ("odd modes, fitted on the even", "even modes, fitted on the odd")
 
 
@@ -208,6 +209,11 @@ def find(
     ------
     RankDeficient, NotConverged
     """
+    if asymmetry(matrix.used_stiffness) < SYMMETRIC:
+        raise RankDeficient(
+            "STIFFNESS was made symmetric, which leaves nothing by which reciprocity tells alpha",
+            remedy="give it as it was measured, or use ml",
+        )
     keep, odd = kept(matrix.used_stiffness)
     modes = modes_of(matrix, motion, keep)
     found = examined(modes)
