@@ -12,9 +12,9 @@ import truenewton as tn
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.words import summary_lines
 from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
+from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity import cycles
 from truenewton.estimation.reciprocity.condensation import (
-    condensed,
     condensed_regression,
     odd_actuators,
 )

@@ -51,6 +51,7 @@ files, in the order in which data pass through them:
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix
     stiffness_columns  its columns in balance, each with the noise that it shows
+    column_terms     what they leave and hold at one alpha
     column_noise     what that noise follows, chosen by the columns
     matrix_order     whether coordinates stand in its order
     matrix_faults    actuators of a matrix that do not fit, found and set free

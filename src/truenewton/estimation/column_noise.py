@@ -102,7 +102,7 @@ def likeliest_noise(
     found = []
     for law in (normal, student):
         found += [law(0.0), law(1.0)]
-        value, noise = law(_likeliest_share(lambda share, law=law: law(share)[0]))
+        value, noise = law(_likeliest_share(law))
         found.append((value + WORTH, noise))
     noise = min(found, key=lambda each: each[0])[1]
     if np.isinf(noise.freedom):
@@ -111,10 +111,10 @@ def likeliest_noise(
     return noise, (noise.freedom + freedoms) / (noise.freedom + distance)
 
 
-def _likeliest_share(cost: Callable[[float], float]) -> float:
+def _likeliest_share(law: Callable[[float], tuple[float, ColumnNoise]]) -> float:
     """Return the share of proportional noise of least cost, between the ends."""
     found = scipy.optimize.minimize_scalar(
-        lambda logit: cost(float(scipy.special.expit(logit))),
+        lambda logit: law(float(scipy.special.expit(logit)))[0],
         bounds=(-7.0, 7.0),
         method="bounded",
         options={"xatol": 0.05},
