@@ -63,7 +63,7 @@ def with_faults(matrix, seed, count, fault):
         bad = np.argsort(distance[bad[0]])[:count]
     order, good = np.arange(n), ~np.isin(np.arange(n), bad)
     if fault == "off":
-        k[np.ix_(good, good)] = condensed(k, good)
+        k[np.ix_(good, good)] = condensed(k, good)[0]
     for i in bad:
         j = np.argsort(distance[i])[1]
         if fault == "sign":

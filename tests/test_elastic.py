@@ -2,6 +2,7 @@
 
 import datetime
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ from balanced import p45_bench
 
 from truenewton.calibration.methods import calibrate, held_out
 from truenewton.errors import RankDeficient
+from truenewton.estimation.matrix_order import order_effects, rigid_cost
 from truenewton.estimation.stiffness_svd import (
     balance_modes,
     elastic_modes,
     rms_imbalance,
 )
 from truenewton.reading import read_data
+from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout
@@ -90,11 +93,27 @@ def test_a_matrix_of_noise_is_refused():
         calibrate(StiffnessMatrix("P45", DATE, truth.layout, noise))
 
 
-def test_a_matrix_that_is_too_soft_is_refused():
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1e-3, "N/mm"), (1e-6, "N/um"), (1e-9, "N/nm"), (3e5, "counts")]
+)
+def test_alpha_does_not_ask_for_the_unit_of_the_matrix(factor, unit):
+    matrix, _ = commanded_stiffness(1e-4)
+    other = replace(matrix, stiffness=factor * matrix.stiffness)
+    calibration, before = calibrate(other), calibrate(matrix)
+    assert calibration.alpha == pytest.approx(before.alpha, rel=1e-9)
+    assert calibration.error == pytest.approx(before.error, rel=1e-6)
+    [(fault, remedy)] = calibration.verdict.faults
+    assert f"STIFFNESS looks like {unit}" in fault
+    assert "store it in N/m" in remedy
+
+
+def test_a_matrix_of_low_rank_is_refused_by_its_file():
     matrix, _ = commanded_stiffness()
-    soft = StiffnessMatrix("P45", DATE, matrix.layout, 1e-6 * matrix.stiffness)
-    with pytest.raises(RankDeficient, match="only 0 modes stiffer than 1000 N/m"):
-        calibrate(soft)
+    left, values, right = np.linalg.svd(matrix.stiffness)
+    low = (left[:, :10] * values[:10]) @ right[:10]
+    source = Source("/somewhere/low.fits", "0" * 64)
+    with pytest.raises(RankDeficient, match=r"^low\.fits: "):
+        calibrate(replace(matrix, stiffness=low, source=source))
 
 
 def test_a_transposed_matrix_is_warned_of():
@@ -112,6 +131,21 @@ def test_imbalance_is_the_rms_over_modes_and_equations():
     # nz: 1.4; x: 1.2 - 0.8 = 0.4; y: 2.4
     expected = np.sqrt((1.4**2 + 0.4**2 + 2.4**2) / 3)
     assert rms_imbalance(modes, np.ones(2), a) == pytest.approx(expected, rel=1e-15)
+
+
+@needs_real_data
+def test_a_real_lbt672_knows_its_coordinates():
+    """By a hundred times what one row of difference would cost."""
+    matrix = read_data(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")
+    k, layout = matrix.used_stiffness, matrix.layout
+    squares = k.T @ k, k @ k.T
+    assert rigid_cost(squares, layout.x, layout.y) < 0.004
+    assert not list(order_effects(matrix, named=False))
+    for shift in (1, -1, 7):
+        x, y = np.roll(layout.x, shift), np.roll(layout.y, shift)
+        assert rigid_cost(squares, x, y) > 0.17
+    [effect] = order_effects(replace(matrix, layout=replace(layout, x=x, y=y)), named=True)
+    assert effect.name.endswith("shifted by 7 rows")
 
 
 @needs_real_data

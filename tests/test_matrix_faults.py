@@ -8,8 +8,9 @@ import pytest
 from balanced import p45_bench
 
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import RankDeficient
+from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation.matrix_faults import condensed, row_order
+from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.investigate import investigate
@@ -62,7 +63,7 @@ def rows(k, other):
 def off(k, _):
     """An actuator that was off while the others were measured."""
     good = np.arange(len(k)) != BAD
-    k[np.ix_(good, good)] = condensed(k, good)
+    k[np.ix_(good, good)] = condensed(k, good)[0]
     k[BAD] = k[:, BAD] = 0.0
 
 
@@ -132,6 +133,90 @@ def test_a_matrix_in_another_order_is_refused():
     turned = np.roll(matrix.stiffness, 7, axis=0)
     with pytest.raises(RankDeficient, match="do not fit the others"):
         calibrate(StiffnessMatrix("P45", DATE, matrix.layout, turned))
+
+
+def displaced(order):
+    """Return the sound matrix with the coordinates of other actuators."""
+    matrix, _ = measured(lambda k, other: None)
+    x, y = matrix.layout.x[order], matrix.layout.y[order]
+    return replace(matrix, layout=replace(matrix.layout, x=x, y=y))
+
+
+EVERY = np.arange(45)
+RINGS = np.split(EVERY, [9, 24])
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        (np.roll(EVERY, 1), ": shifted by 1 row"),
+        (np.roll(EVERY, -1), ": shifted by -1 row"),
+        (EVERY[::-1], ": reversed"),
+        (EVERY.reshape(9, 5).T.ravel(), ": a table of 5 rows, transposed"),
+        (np.concatenate(RINGS[::-1]), ": rings from the rim inward"),
+        (np.concatenate([ring[::-1] for ring in RINGS]), ": rings "),
+        (np.random.default_rng(1).permutation(45), "STIFFNESS"),
+    ],
+)
+def test_coordinates_in_another_order_than_the_matrix_are_told(order, said):
+    effect = sift_matrix(displaced(order)).effects[-1]
+    assert effect.name.startswith("coordinates in another order than STIFFNESS")
+    assert said in effect.name
+    assert not effect.corrected
+
+
+def test_coordinates_in_another_order_are_not_to_be_used():
+    with pytest.warns(TrueNewtonWarning, match="not to be used"):
+        calibration = calibrate(displaced(np.roll(EVERY, 1)))
+    assert calibration.verdict.level == "not to be used"
+    assert "coordinates in another order" in calibration.verdict.faults[0].fault
+    with pytest.raises(RankDeficient, match="another order than STIFFNESS: reversed"):
+        calibrate(displaced(EVERY[::-1]))
+
+
+def test_neither_gains_nor_a_mirrored_table_are_another_order():
+    """Sensors that scatter by 5 %; and coordinates seen from the other side."""
+    matrix, _ = measured(lambda k, other: None)
+    gains = 1.0 + 0.05 * np.random.default_rng(2).standard_normal(45)
+    assert sift_matrix(replace(matrix, stiffness=matrix.stiffness * gains)).effects == ()
+    mirrored = replace(matrix, layout=replace(matrix.layout, x=-matrix.layout.x))
+    assert sift_matrix(mirrored).effects == ()
+    assert calibrate(mirrored, "svd").alpha == pytest.approx(
+        calibrate(matrix, "svd").alpha, rel=1e-9
+    )
+
+
+def test_one_that_is_zero_but_pushed_is_left_out_and_the_others_are_known():
+    def zero(k, _):
+        k[BAD] = k[:, BAD] = 0.0
+
+    matrix, alpha = measured(zero)
+    calibration = calibrate(matrix)
+    out = ~calibration.layout.enabled
+    assert np.flatnonzero(out).tolist() == [BAD]
+    fault = calibration.diagnosis.warnings[0].fault
+    assert f"actuator {matrix.layout.id[BAD]}, disabled? Left out" in fault
+    assert "as if it pushed" in fault
+    z = (calibration.alpha[~out] - alpha[~out] / alpha[~out].mean()) / calibration.error[~out]
+    assert np.sqrt(np.mean(z**2)) < 1.6
+
+
+def test_three_faults_at_once_are_each_named():
+    def several(k, _):
+        k[20] *= -1.0
+        k[[5, 6]] = k[[6, 5]]
+        k[30] = k[:, 30] = 0.0
+
+    matrix, _ = measured(several)
+    names = {(each.where, each.name) for each in sift_matrix(matrix).effects}
+    ids = matrix.layout.id
+    exchanged = "actuator does not fit: its row or column exchanged with another"
+    assert names == {
+        (f"actuator {ids[20]}", "actuator does not fit: wrong sign"),
+        (f"actuator {ids[5]}", exchanged),
+        (f"actuator {ids[6]}", exchanged),
+        (f"actuator {ids[30]}", "actuator is off"),
+    }
 
 
 def test_the_order_of_rows_is_that_of_the_largest_product():

@@ -15,10 +15,10 @@ import truenewton as tn
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.words import summary_lines
 from truenewton.errors import CampaignMismatch, RankDeficient, TrueNewtonWarning, UnknownName
+from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity import cycles
 from truenewton.estimation.reciprocity.binned_noise import shares
 from truenewton.estimation.reciprocity.condensation import (
-    condensed,
     condensed_regression,
     odd_actuators,
 )

@@ -52,6 +52,7 @@ files, in the order in which data pass through them:
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
     stiffness_ml     `ml` on a stiffness matrix
     stiffness_columns  its columns in balance, each with the noise that it shows
+    column_terms     what they leave and hold at one alpha
     column_noise     what that noise follows, chosen by the columns
     bad_sensors      sensors that read something else, told from actuators that push otherwise
     matrix_orientation  whether a matrix lies the right way round

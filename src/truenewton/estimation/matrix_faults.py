@@ -297,22 +297,32 @@ def _by_level(values: Array, level: Array) -> Array:
     return np.maximum(out, 1e-300)
 
 
-def condensed(k: Array, good: NDArray[np.bool_]) -> Array:
-    """Return the stiffness between the good actuators in states where the others push nothing.
+def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Return the stiffness in states where some actuators push nothing, and what that does to E.
+
+    K_gg - K_gb K_bb^-1 K_bg = L K P; to first order errors E of K become L E P.
 
     Parameters
     ----------
     k
-        (n, n), of which rows and columns of others may be zero.
+        (n, n); rows or columns that are zero say nothing, and are left out.
     good
-        (n,) which are.
+        (n,) which stay.
+
+    Returns
+    -------
+    K, L, P
+        (g, g), (g, n) and (n, g).
     """
-    core = k[np.ix_(good, good)]
-    measured = np.asarray(~good & k.any(axis=1) & k.any(axis=0), dtype=np.bool_)
-    if not measured.any():
-        return np.asarray(core)
-    inverse = np.linalg.pinv(k[np.ix_(measured, measured)], rcond=1e-6)
-    return np.asarray(core - k[np.ix_(good, measured)] @ inverse @ k[np.ix_(measured, good)])
+    left, right = np.eye(len(k))[good], np.eye(len(k))[:, good]
+    free = np.asarray(~good & k.any(axis=1) & k.any(axis=0), dtype=np.bool_)
+    if free.any():
+        inverse = np.linalg.pinv(k[np.ix_(free, free)], rcond=1e-6)
+        left[:, free] = -k[np.ix_(good, free)] @ inverse
+        right[free] = -inverse @ k[np.ix_(free, good)]
+    # L K P, of which L K is enough: K P has no rows of those that are free.
+    core = k[np.ix_(good, good)] + left[:, free] @ k[np.ix_(free, good)]
+    return np.asarray(core), left, right
 
 
 def left_over(k: Array, a: Array, good: NDArray[np.bool_], doubt: NDArray[np.float64]) -> Array:

@@ -95,7 +95,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     good, doubt = np.asarray(~off, dtype=np.bool_), np.zeros(len(k))
     good[[each.index for each in bad]] = False
     doubt[[each.index for each in bad]] = [each.doubt for each in bad]
-    core = condensed(k, good)
+    core = condensed(k, good)[0]
     start = np.exp(np.clip(pair_ratios(core)[0], -1.0, 1.0)) if len(core) else np.ones(0)
     if off.any() and good.any() and not _balanced_about(core, a, good, off, start):
         if np.count_nonzero(off) > max(2, PUSHING * len(k)):
@@ -149,7 +149,7 @@ def as_calibrated(matrix: StiffnessMatrix, effects: Sequence[FoundEffect]) -> St
     good = np.array([f"actuator {i}" not in out for i in ids.tolist()], dtype=np.bool_)
     if good.all():
         return matrix
-    return freed(matrix, good, condensed(matrix.used_stiffness, good))
+    return freed(matrix, good, condensed(matrix.used_stiffness, good)[0])
 
 
 def _better_as_read(
@@ -170,7 +170,7 @@ def _better_as_read(
     for rows in (raw, k):
         tried = k.copy()
         tried[unlike] = rows[unlike]
-        core = condensed(tried, good)
+        core = condensed(tried, good)[0]
         start = np.exp(np.clip(pair_ratios(core)[0], -1.0, 1.0))
         rho = (a[:, good] * start) @ core
         sizes.append(float(np.sum(rho**2)))

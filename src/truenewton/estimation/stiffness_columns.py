@@ -16,11 +16,20 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.column_noise import ColumnNoise, likeliest_noise
+from truenewton.estimation.column_terms import (
+    LEAST,
+    Columns,
+    Terms,
+    feigned_information,
+    imbalance_covariances,
+    inverse_information,
+    left_of_columns,
+    terms_at,
+)
 from truenewton.estimation.population import (
     likeliest_spread,
     on_logarithms,
@@ -37,34 +46,6 @@ WIDE = 0.1  # spread of a population to begin with
 CLEAR = 0.1  # part of a column's variance that may be a disturbance where its noise is judged
 DROWNED = 1e-6  # noise in terms of a typical element, beside which any disturbance is large
 HOPELESS = 30.0  # in log likelihood: so much less likely a law is given up
-LEAST = 0.01  # part of a variance that a fit leaves at least
-
-
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """Columns of a stiffness matrix.
-
-    Attributes
-    ----------
-    stiffness
-        (n, m) forces per displacement [N/m].
-    a, sensor_arms
-        (3, n) arms of the forces and (3, m) of the sensors, in comparable units.
-    disturbance
-        (m, 3, 3) covariance of what else disturbs the balance [N^2/m^2].
-    start
-        (n,) alpha to begin with.
-    size
-        (n, m) elements with which noise may go in proportion [N/m]; all of the columns unless only
-        some of their modes are looked at.
-    """
-
-    stiffness: Array
-    a: Array
-    sensor_arms: Array
-    disturbance: Array
-    start: Array
-    size: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,20 +72,6 @@ class ColumnFit:
     spread: float
     eigenvalues: Array
     feigned: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Terms:
-    """At one point: residuals of unit covariance, S^1/2, the design, M and gradient.
-
-    (m, 3), (m, 3, 3), (m, 3, n + 9), (n + 9, n + 9) and (n + 9,).
-    """
-
-    residual: Array
-    root: Array
-    design: Array
-    m: Array
-    gradient: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,9 +120,9 @@ def fit_columns(columns: Columns, *, population: bool = False) -> ColumnFit:
     noise, prior = best.noise, on_logarithms(smooth, best.spread)
     variance = noise.of_elements(columns.size) / best.weight * noise.lost
     alpha, _, terms, inverse, feigned = _settle(columns, best.alpha, best.b, variance, prior)
-    left = _left(terms, inverse, feigned)
-    feigned = _feigned(columns, alpha, terms.root, variance, left)
-    inverse = _inverse(terms, pull(prior, alpha)[1], feigned)
+    left = left_of_columns(terms, inverse, feigned)
+    feigned = feigned_information(columns, alpha, terms.root, variance, left)
+    inverse = inverse_information(terms, pull(prior, alpha)[1], feigned)
     held = np.eye(n) - np.outer(alpha, np.full(n, 1.0 / n))
     inverse = held @ inverse[:n, :n] @ held.T
     covariance = inverse + inverse @ feigned @ inverse
@@ -186,7 +153,7 @@ def _alternate(
         distance = np.sum(terms.residual**2, axis=1) / weight
         roots = np.log(np.diagonal(terms.root, axis1=1, axis2=2)).sum() + 1.5 * np.log(weight).sum()
         cost = float(roots) + noise.cost(distance) - 0.5 * float(np.linalg.slogdet(inverse)[1])
-        left = _left(terms, inverse, feigned)
+        left = left_of_columns(terms, inverse, feigned)
         noise, weight = _noise(c, alpha, terms, left)
         if np.isfinite(spread):
             log = np.log(positive(alpha))
@@ -200,7 +167,7 @@ def _alternate(
     return _Point(alpha, b, noise, spread, weight, cost)
 
 
-def _eigenvalues(c: Columns, terms: _Terms, feigned: Array) -> Array:
+def _eigenvalues(c: Columns, terms: Terms, feigned: Array) -> Array:
     """Return (n,) ascending eigenvalues of the balance of the columns as they are, D being 1."""
     n, m = c.stiffness.shape
     rows = (np.linalg.inv(terms.root) @ c.a) * c.stiffness.T[:, None, :]
@@ -214,7 +181,7 @@ def _rough_noise(c: Columns, alpha: Array, proportional: float) -> ColumnNoise:
     Too small a noise would have alpha scatter until its own variance explains the imbalance.
     """
     rho, law = ((c.a * alpha) @ c.stiffness).T, ColumnNoise(1.0, proportional)
-    s = _covariances(c.a * alpha, law.of_elements(c.size))
+    s = imbalance_covariances(c.a * alpha, law.of_elements(c.size))
     s += c.disturbance / (DROWNED**2 * np.mean(c.size**2))
     distance = np.einsum("mk,mk->m", rho, np.linalg.solve(s, rho[:, :, None])[:, :, 0])
     return ColumnNoise(float(np.median(distance)) / 2.37, proportional)  # median of chi^2 of 3
@@ -228,69 +195,6 @@ def _same(noise: ColumnNoise, before: ColumnNoise) -> bool:
     )
 
 
-def _terms(
-    c: Columns, alpha: Array, b: Array, variance: Array, held: Array | None = None
-) -> _Terms:
-    """Return the terms; with alpha held in S, those of weighted least squares."""
-    n, m = c.stiffness.shape
-    rho = ((c.a * alpha) @ c.stiffness + b @ c.sensor_arms).T
-    s = _covariances(c.a * (alpha if held is None else held), variance) + c.disturbance
-    root = np.linalg.cholesky(s)
-    inverse_root = np.linalg.inv(root)
-    residual = np.einsum("mkl,ml->mk", inverse_root, rho)
-    white = inverse_root @ c.a
-    fitted = c.stiffness.T
-    if held is None:
-        fitted = fitted - (variance * alpha[:, None]).T * np.einsum("mki,mk->mi", white, residual)
-    design = np.empty((m, 3, n + 9))
-    np.multiply(white, fitted[:, None, :], out=design[:, :, :n])
-    design[:, :, n:] = np.einsum("mkl,jm->mklj", inverse_root, c.sensor_arms).reshape(m, 3, 9)
-    flat = design.reshape(3 * m, n + 9)
-    m_matrix = np.asarray(flat.T @ flat)
-    return _Terms(residual, np.asarray(root), design, m_matrix, flat.T @ residual.ravel())
-
-
-def _feigned(
-    c: Columns, alpha: Array, root: Array, variance: Array, left: Array | None = None
-) -> Array:
-    """Return what noise adds to M in the mean: all of it, or that which the fit leaves of it.
-
-    D = (A' S^-1/2 L S^-1/2 A) o (diag v - v alpha A' S^-1 A alpha v), summed over columns. With
-    L = 1 this is E[M] less the information I. But the fit of all other unknowns takes away its part
-    of what noise feigns of a pattern, in M as in the gradient. To second order (M - D)^-1 has the
-    mean I^-1, and errors of alpha the covariance I^-1 (I + D) I^-1, where L, (m, 3, 3), is what the
-    fit leaves of the variance of each column.
-    """
-    m, n = len(root), len(alpha)
-    white = np.linalg.inv(root) @ c.a
-    noisy = white * (variance * alpha[:, None]).T[:, None, :]
-    some = white if left is None else np.linalg.cholesky(left).transpose(0, 2, 1) @ white
-    out = np.diag(np.einsum("mki,mki,mi->i", some, some, variance.T))
-    for k in range(3):
-        cross = (some[:, k : k + 1] * noisy).reshape(3 * m, n)
-        out -= cross.T @ cross
-    return np.asarray(out)
-
-
-def _left(terms: _Terms, inverse: Array, feigned: Array) -> Array:
-    """Return the (m, 3, 3) part of each column's unit covariance that the fit leaves.
-
-    1 - X H^-1 X' with the true design X. Noise in that which is at hand makes X H^-1 X' larger, and
-    alpha less sure than H^-1, by as much again: in the sum over columns, by the trace of H^-1 D.
-    """
-    n, (m, _, u) = len(feigned), terms.design.shape
-    inverse = inverse - 2.0 * inverse[:, :n] @ feigned @ inverse[:n]
-    reached = (terms.design.reshape(3 * m, u) @ inverse).reshape(m, 3, u)
-    values, vectors = np.linalg.eigh(np.eye(3) - reached @ terms.design.transpose(0, 2, 1))
-    return np.asarray((vectors * np.maximum(values, LEAST)[:, None]) @ vectors.transpose(0, 2, 1))
-
-
-def _covariances(scaled_arms: Array, variance: Array) -> Array:
-    """Return (m, 3, 3) covariances of the imbalance for (n, m) variances of the elements."""
-    pairs = (scaled_arms[:, None] * scaled_arms[None]).reshape(9, -1)
-    return np.asarray((pairs @ variance).T.reshape(-1, 3, 3))
-
-
 def _settle(
     c: Columns,
     alpha: Array,
@@ -298,15 +202,15 @@ def _settle(
     variance: Array,
     prior: Array,
     held: Array | None = None,
-) -> tuple[Array, Array, _Terms, Array, Array]:
+) -> tuple[Array, Array, Terms, Array, Array]:
     """Return alpha of mean 1, b, the terms there, (n + 9, n + 9) inverse of H and prior, and D."""
     n, feigned = len(alpha), np.zeros((len(alpha), len(alpha)))
     for step_index in range(STEPS):
-        terms = _terms(c, alpha, b, variance, held)
+        terms = terms_at(c, alpha, b, variance, held)
         if held is None and not step_index:  # alpha hardly moves it
-            feigned = _feigned(c, alpha, terms.root, variance)
+            feigned = feigned_information(c, alpha, terms.root, variance)
         pulled, information = pull(prior, alpha)
-        inverse = _inverse(terms, information, feigned)
+        inverse = inverse_information(terms, information, feigned)
         gradient = terms.gradient.copy()
         gradient[:n] += pulled
         step = inverse @ gradient
@@ -324,28 +228,7 @@ def _settle(
     )
 
 
-def _inverse(terms: _Terms, prior: Array, feigned: Array) -> Array:
-    """Return the inverse of M - D and prior; the factor common to all alpha is held.
-
-    Raises
-    ------
-    RankDeficient
-    """
-    n = len(prior)
-    matrix = terms.m.copy()
-    matrix[:n, :n] += prior - feigned + np.trace(terms.m[:n, :n]) / n**2
-    try:
-        factor = scipy.linalg.cho_factor(matrix, lower=True)
-        return np.asarray(scipy.linalg.cho_solve(factor, np.eye(n + 9)))
-    except np.linalg.LinAlgError:
-        pass
-    raise RankDeficient(
-        "a second pattern of alpha balances the columns as well",
-        remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
-    )
-
-
-def _noise(c: Columns, alpha: Array, terms: _Terms, left: Array) -> tuple[ColumnNoise, Array]:
+def _noise(c: Columns, alpha: Array, terms: Terms, left: Array) -> tuple[ColumnNoise, Array]:
     """Return the likeliest noise, and (m,) weights, after putting back what the fit took away.
 
     What is left of most of a column is nearly all or nearly nothing: that combination of its three
@@ -363,7 +246,8 @@ def _noise(c: Columns, alpha: Array, terms: _Terms, left: Array) -> tuple[Column
     turn = turn @ np.linalg.inv(terms.root)
     scaled, square = c.a * alpha, c.size**2
     equal, proportional = (
-        turn @ _covariances(scaled, law) @ turn.transpose(0, 2, 1) + np.eye(3) * ~told[:, None]
+        turn @ imbalance_covariances(scaled, law) @ turn.transpose(0, 2, 1)
+        + np.eye(3) * ~told[:, None]
         for law in (np.ones_like(square), square / square.mean())
     )
     return likeliest_noise(residual, values * told, (equal, proportional))

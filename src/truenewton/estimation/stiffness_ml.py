@@ -8,6 +8,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.column_terms import Columns
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Prior
 from truenewton.estimation.population import (
@@ -18,7 +19,7 @@ from truenewton.estimation.population import (
     with_population,
 )
 from truenewton.estimation.shape_sums import shape_sums
-from truenewton.estimation.stiffness_columns import Columns, fit_columns
+from truenewton.estimation.stiffness_columns import fit_columns
 from truenewton.estimation.stiffness_svd import (
     ElasticFit,
     balance_modes,

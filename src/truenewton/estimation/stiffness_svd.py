@@ -16,13 +16,13 @@ import scipy.linalg
 from truenewton import linalg
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
+from truenewton.estimation.column_terms import Columns
 from truenewton.estimation.diagnosis import Diagnosis, FoundEffect
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.matrix_order import DISORDERED
 from truenewton.estimation.matrix_orientation import looks_transposed
 from truenewton.estimation.sifted_matrix import SiftedMatrix
-from truenewton.estimation.stiffness_columns import Columns
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.fault import Fault

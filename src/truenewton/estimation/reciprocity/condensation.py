@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.sight import Places
 
@@ -87,20 +88,6 @@ def _nearest(stiffness: Array) -> NDArray[np.int64]:
     strength = np.abs(stiffness * stiffness.T)
     np.fill_diagonal(strength, 0.0)
     return np.asarray(np.argsort(-strength, axis=1)[:, : min(NEIGHBOURS, len(stiffness) - 1)])
-
-
-def condensed(stiffness: Array, keep: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
-    """Return K with the others free, (g, g), and what that does to noise: (g, n) L, (n, g) P.
-
-    To first order errors E of K become L E P.
-    """
-    n = len(stiffness)
-    left, right = np.eye(n)[keep], np.eye(n)[:, keep]
-    if not keep.all():
-        own = stiffness[np.ix_(~keep, ~keep)]
-        left[:, ~keep] = -np.linalg.solve(own.T, stiffness[np.ix_(keep, ~keep)].T).T
-        right[~keep] = -np.linalg.solve(own, stiffness[np.ix_(~keep, keep)])
-    return left @ stiffness @ right, left, right
 
 
 def condensed_regression(regressed: Regressed, keep: NDArray[np.bool_]) -> Regressed:

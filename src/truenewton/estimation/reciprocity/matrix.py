@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
-from truenewton.estimation.reciprocity.condensation import condensed, kept, kept_places
+from truenewton.estimation.reciprocity.condensation import kept, kept_places
 from truenewton.estimation.reciprocity.gate import (
     Evidence,
     apart,
