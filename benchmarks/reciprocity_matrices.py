@@ -202,7 +202,7 @@ def large():
         ("shell, annuli, 1 mN at 0.4 N", "without", 1e-3, np.inf),
         ("the same, glass known", "with", 1e-3, np.inf),
     )
-    print(f"{'':<32}rms      bound    /bound  formal  coverage  excess  coverage with it")
+    print(f"{'':<32}rms      bound    /bound  formal  coverage  excess  by E_STAT")
     for name, shell, noise, stroke in cases:
         random = np.random.default_rng([0, 7])
         values = drawn(random, at.n, offset=5e-4)

@@ -145,9 +145,13 @@ class Examined:
     def excess(self) -> float:
         """Variance of log alpha over what the joint fit states, 1 at least.
 
-        As much as halves, or balance and reciprocity, differ by more than they state.
+        As much as halves, or balance and reciprocity, differ by more than they state; and no less
+        than of one half, by their difference: what a model leaves out is no better in the whole.
         """
-        return float(np.nanmax([self.of_halves, self.evidence.apart]))
+        one, other = self.halves
+        stated = float(np.mean(np.diag(self.joint.covariance_of(Kind.ALPHA))))
+        of_one = 0.5 * float(np.var(one - other)) / stated
+        return float(np.nanmax([self.of_halves, self.evidence.apart, of_one]))
 
 
 def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
@@ -193,8 +197,8 @@ def find(
 ) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Fault, ...]]:
     """Find relative alpha and the sensors; return what speaks against them, too.
 
-    The stated error is that of the fit, enlarged as far as two halves of the modes, or balance and
-    reciprocity, differ by more than they state: what a real matrix leaves is not all noise.
+    The stated error is that of the fit, enlarged by `Examined.excess`: what a real matrix leaves is
+    not all noise.
 
     Parameters
     ----------
