@@ -79,7 +79,7 @@ def terms_at(
 def feigned_information(
     c: Columns, alpha: Array, root: Array, variance: Array, left: Array | None = None
 ) -> Array:
-    """Return (n, n), what noise adds to M in the mean: all of it, or that which the fit leaves of it.
+    """Return (n, n), what noise adds to M in the mean: all, or that which the fit leaves of it.
 
     D = (A' S^-1/2 L S^-1/2 A) o (diag v - v alpha A' S^-1 A alpha v), summed over columns. With
     L = 1 this is E[M] less the information I. But the fit of all other unknowns takes away its part
