@@ -57,7 +57,7 @@ class Terms:
 def terms_at(
     c: Columns, alpha: Array, b: Array, variance: Array, held: Array | None = None
 ) -> Terms:
-    """Return the terms; with alpha held in S, those of weighted least squares."""
+    """Return the terms at (n,) alpha, (3, 3) b; alpha held in S: of weighted least squares."""
     n, m = c.stiffness.shape
     rho = ((c.a * alpha) @ c.stiffness + b @ c.sensor_arms).T
     s = imbalance_covariances(c.a * (alpha if held is None else held), variance) + c.disturbance
@@ -79,7 +79,7 @@ def terms_at(
 def feigned_information(
     c: Columns, alpha: Array, root: Array, variance: Array, left: Array | None = None
 ) -> Array:
-    """Return what noise adds to M in the mean: all of it, or that which the fit leaves of it.
+    """Return (n, n), what noise adds to M in the mean: all, or that which the fit leaves of it.
 
     D = (A' S^-1/2 L S^-1/2 A) o (diag v - v alpha A' S^-1 A alpha v), summed over columns. With
     L = 1 this is E[M] less the information I. But the fit of all other unknowns takes away its part
@@ -118,7 +118,7 @@ def imbalance_covariances(scaled_arms: Array, variance: Array) -> Array:
 
 
 def inverse_information(terms: Terms, prior: Array, feigned: Array) -> Array:
-    """Return the inverse of M - D and prior; the factor common to all alpha is held.
+    """Return the (n + 9, n + 9) inverse of M - D and prior; the common factor is held.
 
     Raises
     ------

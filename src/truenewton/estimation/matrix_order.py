@@ -58,7 +58,7 @@ def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[FoundEffe
 
 
 def rigid_cost(squares: tuple[Array, Array], x: Array, y: Array) -> float:
-    """Return what rigid motions cost in terms of any displacement; the less by K'K and KK'."""
+    """Return what rigid motions cost in terms of any; the less by (n, n) K'K and KK', at (n,)."""
     rigid = np.linalg.qr(np.stack([np.ones(len(x)), x, y], axis=1))[0]
     least = min(float(np.sum(rigid * (square @ rigid))) for square in squares)
     return float(np.sqrt(max(least, 0.0) / (3.0 / len(x) * np.trace(squares[0]))))

@@ -237,7 +237,7 @@ def _noise(c: Columns, alpha: Array, terms: Terms, left: Array) -> tuple[ColumnN
     disturbed = np.linalg.solve(terms.root, c.disturbance)
     disturbed = np.linalg.solve(terms.root, disturbed.transpose(0, 2, 1))
     shares, directions = np.linalg.eigh(disturbed)
-    some = directions * (shares <= CLEAR)[:, None]
+    some = directions * (shares <= max(CLEAR, float(np.median(shares))))[:, None]
     clear = some @ some.transpose(0, 2, 1)
     values, vectors = (each[..., ::-1] for each in np.linalg.eigh(clear @ left @ clear))
     told = values >= 0.5 * LEAST
