@@ -31,7 +31,7 @@ from truenewton.statics.arms import arms
 LEVELS = (2e-4, 5e-4, 1e-3)
 LAWS = ("proportional", "equal", "by sensor")
 FAULTS = ("sign", "times ten", "element", "own element", "rows exchanged", "exchanged", "off",
-          "zeroed")  # fmt: skip
+          "zeroed", "sensor gain", "sensor noise")  # fmt: skip
 
 
 def lbt672():
@@ -87,6 +87,10 @@ def with_faults(matrix, seed, count, fault):
             k[i, j] *= 1.2
         elif fault == "own element":
             k[i, i] *= 1.2
+        elif fault == "sensor gain":
+            k[:, i] *= 1.5
+        elif fault == "sensor noise":
+            k[:, i] *= 3.0 * (1.0 + 0.3 * random.standard_normal(n))
         elif fault in ("off", "zeroed"):
             k[i] = k[:, i] = 0.0
         elif order[i] == i and order[j] == j:

@@ -15,7 +15,7 @@ def run(
         ..., metavar="MATRIX", help="FITS, .npy, CSV or text, HDF5, YAML, .mat, .sav; or a folder."
     ),
     coordinates: Path | None = typer.Argument(
-        None, metavar="[POSITIONS]", help="Likewise; or a folder of a supervisor's configuration."
+        None, metavar="POSITIONS", help="Likewise; or a folder of a supervisor's configuration."
     ),
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Stiffness file to write (FITS)."
