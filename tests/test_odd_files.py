@@ -1,5 +1,6 @@
 """What stands where a file was to be: pipes, devices, bombs; and calculations that break down."""
 
+import datetime
 import gzip
 import os
 import socket
@@ -24,6 +25,7 @@ from truenewton.modal.actuator_roles import off_and_slaved
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.pupil import Pupil
 from truenewton.modal.turbulence import Atmosphere
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import layout
 from truenewton.statics.load import Load
 
@@ -240,3 +242,10 @@ def test_optics_next_to_nothing_are_refused(make):
 def test_a_glass_next_to_nothing_is_refused():
     with pytest.raises(GeometryError, match="give a positive thickness, 1e-06 m"):
         check_shell(Shell(0.02, 0.1, 1e-12))
+
+
+def test_elements_next_to_nothing_are_nothing():
+    k = np.diag([1.0, 2.0]) + 1e-300
+    made = StiffnessMatrix("M", datetime.datetime.now(datetime.UTC), layout([0, 1], [1, 0]), k)
+    assert made.stiffness.tolist() == [[1.0, 0.0], [0.0, 2.0]]
+    assert not made.stiffness.flags.writeable

@@ -12,6 +12,8 @@ from truenewton.errors import FormatError
 from truenewton.records.source import Source, check_date
 from truenewton.statics.layout import Layout
 
+NOTHING = 1e-30  # an element below it is 0 [N/m]: squares of what remains stay above zero
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StiffnessMatrix:
@@ -38,6 +40,10 @@ class StiffnessMatrix:
     def __post_init__(self) -> None:
         check_date(self.date)
         freeze(self, "stiffness")
+        sizes = np.abs(self.stiffness)
+        if ((sizes > 0.0) & (sizes < NOTHING)).any():
+            object.__setattr__(self, "stiffness", np.where(sizes < NOTHING, 0.0, self.stiffness))
+            freeze(self, "stiffness")
         n = self.layout.n
         if self.stiffness.shape != (n, n):
             raise FormatError(
