@@ -25,6 +25,7 @@ from truenewton.modal.actuator_roles import off_and_slaved
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.pupil import Pupil
 from truenewton.modal.turbulence import Atmosphere
+from truenewton.records.file import write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import layout
 from truenewton.statics.load import Load
@@ -249,3 +250,14 @@ def test_elements_next_to_nothing_are_nothing():
     made = StiffnessMatrix("M", datetime.datetime.now(datetime.UTC), layout([0, 1], [1, 0]), k)
     assert made.stiffness.tolist() == [[1.0, 0.0], [0.0, 2.0]]
     assert not made.stiffness.flags.writeable
+
+
+def test_a_diagonal_stiffness_is_no_glass(inside, tmp_path):
+    angle = np.arange(12.0)
+    where = layout(0.1 * np.cos(angle), 0.1 * np.sin(angle))
+    now = datetime.datetime.now(datetime.UTC)
+    write_stiffness(StiffnessMatrix("M", now, where, 1e5 * np.eye(12)), tmp_path / "k.fits")
+    for command in ("calibrate", "info"):
+        code, out, error = inside(command, tmp_path / "k.fits")
+        assert "STIFFNESS is diagonal: no actuator feels another" in error + out
+        assert error.count("\n") == (code == 2)
