@@ -11,6 +11,7 @@ import pytest
 from acquisition_plans import small_plan
 
 from truenewton.acquisition.drift import scale_balance
+from truenewton.acquisition.journal import Journal, journal_path
 from truenewton.acquisition.plan import planned_mirror
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
 from truenewton.files import opening
@@ -261,3 +262,10 @@ def test_a_diagonal_stiffness_is_no_glass(inside, tmp_path):
         code, out, error = inside(command, tmp_path / "k.fits")
         assert "STIFFNESS is diagonal: no actuator feels another" in error + out
         assert error.count("\n") == (code == 2)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has none")
+def test_a_journal_is_a_file(tmp_path):
+    device(journal_path(tmp_path, Load("bare"), 1))
+    with pytest.raises(UnreadableFile, match="is a pipe or a device"):
+        Journal(tmp_path, Load("bare"), 1, 8)
