@@ -1,5 +1,6 @@
 """What stands where a file was to be: pipes, devices, bombs; and calculations that break down."""
 
+import datetime
 import gzip
 import os
 import socket
@@ -10,6 +11,7 @@ import pytest
 from acquisition_plans import small_plan
 
 from truenewton.acquisition.drift import scale_balance
+from truenewton.acquisition.journal import Journal, journal_path
 from truenewton.acquisition.plan import planned_mirror
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
 from truenewton.files import opening
@@ -24,6 +26,8 @@ from truenewton.modal.actuator_roles import off_and_slaved
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.pupil import Pupil
 from truenewton.modal.turbulence import Atmosphere
+from truenewton.records.file import write_stiffness
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import layout
 from truenewton.statics.load import Load
 
@@ -240,3 +244,28 @@ def test_optics_next_to_nothing_are_refused(make):
 def test_a_glass_next_to_nothing_is_refused():
     with pytest.raises(GeometryError, match="give a positive thickness, 1e-06 m"):
         check_shell(Shell(0.02, 0.1, 1e-12))
+
+
+def test_elements_next_to_nothing_are_nothing():
+    k = np.diag([1.0, 2.0]) + 1e-300
+    made = StiffnessMatrix("M", datetime.datetime.now(datetime.UTC), layout([0, 1], [1, 0]), k)
+    assert made.stiffness.tolist() == [[1.0, 0.0], [0.0, 2.0]]
+    assert not made.stiffness.flags.writeable
+
+
+def test_a_diagonal_stiffness_is_no_glass(inside, tmp_path):
+    angle = np.arange(12.0)
+    where = layout(0.1 * np.cos(angle), 0.1 * np.sin(angle))
+    now = datetime.datetime.now(datetime.UTC)
+    write_stiffness(StiffnessMatrix("M", now, where, 1e5 * np.eye(12)), tmp_path / "k.fits")
+    for command in ("calibrate", "info"):
+        code, out, error = inside(command, tmp_path / "k.fits")
+        assert "STIFFNESS is diagonal: no actuator feels another" in error + out
+        assert error.count("\n") == (code == 2)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has none")
+def test_a_journal_is_a_file(tmp_path):
+    device(journal_path(tmp_path, Load("bare"), 1))
+    with pytest.raises(UnreadableFile, match="is a pipe or a device"):
+        Journal(tmp_path, Load("bare"), 1, 8)

@@ -21,6 +21,7 @@ from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch, OutputExists, UnreadableFile
 from truenewton.files.fits import read_fits
+from truenewton.files.opening import refuse_odd
 from truenewton.files.outputs import file_beside, in_one_line, to_disk
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.known import Mirror
@@ -149,6 +150,7 @@ def _read_shapes(folder: Path, n: int) -> Array:
     """
     path = folder / SHAPES
     try:
+        refuse_odd(path)
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         begun = [line.removeprefix(OF_SHAPES) for line in _notes(folder / PLAN)
                  if line.startswith(OF_SHAPES)]  # fmt: skip

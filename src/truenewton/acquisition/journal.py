@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from truenewton.acquisition.clock import moment
 from truenewton.bench.protocol import Bench, Reading, Shape, gradients_of
 from truenewton.errors import BenchFault, FormatError
+from truenewton.files.opening import refuse_odd
 from truenewton.files.outputs import in_one_line, to_disk
 from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
@@ -72,6 +73,8 @@ class Journal:
         self.path = journal_path(folder, load, number)
         self.load, self.number, self.form = load, number, record_type(n)
         self._head = f"truenewton journal {VERSION}: {load.key!r}, cycle {number}, {n}\n".encode()
+        if self.path.exists():
+            refuse_odd(self.path)
         with in_one_line(self.path):
             binary = getattr(os, "O_BINARY", 0)  # Windows would write every \n as two bytes
             self._handle = os.open(self.path, os.O_RDWR | os.O_CREAT | binary, 0o666)

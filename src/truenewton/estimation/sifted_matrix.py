@@ -68,9 +68,15 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     Raises
     ------
     RankDeficient
-        Rows are in another order or of another sign, or more than a few push unseen.
+        Rows are in another order or of another sign, more than a few push unseen, or none feels
+        another.
     """
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    if len(k) > 1 and np.count_nonzero(k) == np.count_nonzero(np.diag(k)):
+        raise RankDeficient(
+            "STIFFNESS is diagonal: no actuator feels another",
+            remedy="store the forces of all actuators for a displacement of each",
+        )
     disorder = tuple(order_effects(matrix, named=True))
     if disorder:  # whoever stands where is then no matter of single actuators
         n = len(k)

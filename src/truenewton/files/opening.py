@@ -20,6 +20,18 @@ MOST_UNPACKED = 2**30  # bytes: what is gzipped is taken into memory whole
 AT_ONCE = 2**22
 
 
+def refuse_odd(path: str | os.PathLike[str]) -> None:
+    """Refuse a pipe or a device; what is not there raises OSError.
+
+    Raises
+    ------
+    UnreadableFile
+    """
+    mode = Path(path).stat().st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        raise UnreadableFile("is a pipe or a device", remedy="give a file", path=path)
+
+
 @contextlib.contextmanager
 def open_plain(path: str | os.PathLike[str]) -> Iterator[BufferedReader]:
     """Open a file for reading bytes, if it is one.
@@ -32,9 +44,7 @@ def open_plain(path: str | os.PathLike[str]) -> Iterator[BufferedReader]:
         It cannot be opened or read, or is a folder, a pipe or a device.
     """
     try:
-        mode = Path(path).stat().st_mode
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise UnreadableFile("is a pipe or a device", remedy="give a file", path=path)
+        refuse_odd(path)
         with Path(path).open("rb") as file:
             yield file
     except TrueNewtonError:

@@ -14,6 +14,7 @@ from truenewton.statics.layout import Layout
 
 DISPLACED = ("read", "true")
 UNITS = {"stiffness": "N/m"}
+NOTHING = 1e-30  # an element below it is 0 [N/m]: squares of what remains stay above zero
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,6 +55,10 @@ class StiffnessMatrix:
             )
         in_units(self, UNITS)
         freeze(self, "stiffness")
+        sizes = np.abs(self.stiffness)
+        if ((sizes > 0.0) & (sizes < NOTHING)).any():
+            object.__setattr__(self, "stiffness", np.where(sizes < NOTHING, 0.0, self.stiffness))
+            freeze(self, "stiffness")
         n = self.layout.n
         if self.stiffness.shape != (n, n):
             raise FormatError(

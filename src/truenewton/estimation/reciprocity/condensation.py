@@ -59,7 +59,8 @@ def _asymmetry(stiffness: Array) -> Array:
     """Return (n,) rms asymmetry of each row over the root of its own stiffness."""
     alike = np.exp(_factors(stiffness))[:, None] * stiffness
     own = np.median(np.abs(alike), axis=1)  # that of a bad one may be anything
-    return np.asarray(np.sqrt(np.mean((alike - alike.T) ** 2, axis=1)) / np.median(own))
+    typical = np.median(own) or np.inf  # 0 where most do not feel each other
+    return np.asarray(np.sqrt(np.mean((alike - alike.T) ** 2, axis=1)) / typical)
 
 
 def _without(stiffness: Array, k: int) -> Array:

@@ -56,7 +56,9 @@ def write_report(
     OutputExists, OutputFailed
     """
     with file_beside(path, overwrite=overwrite) as temporary:
-        temporary.write_text(page(findings, command), encoding="utf-8")
+        text = page(findings, command)
+        # A path may hold bytes that are no text.
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 def page(findings: Findings | Change, command: str = "") -> str:
