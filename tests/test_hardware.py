@@ -6,6 +6,7 @@ import datetime
 import logging
 import re
 import threading
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from test_opcua import choice, free_port
 import truenewton as tn
 from truenewton.acquisition.benches import chosen_bench
 from truenewton.acquisition.plan import read_plan
+from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.methods import (
@@ -33,6 +35,7 @@ from truenewton.bench.opcua.methods import (
 from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
 from truenewton.errors import BenchFault, FormatError, TrueNewtonError
 from truenewton.files.toml import toml_text
+from truenewton.mirrors.file import mirror_from
 
 PAGE = Path(__file__).parent.parent / "docs" / "hardware.md"
 TYPE = re.compile(r"(\w+) (\w+)(\[\])?(?: \[[^\]]+\])?( \(optional\))?")
@@ -102,6 +105,41 @@ def test_the_page_has_the_nodes_of_client_and_server():
     for (_, takes, gives), expected in zip(methods, METHODS.values(), strict=True):
         assert told(takes) == declared(expected[0])
         assert told(gives) == [("Fault", "String", True, False), *declared(expected[1])]
+
+
+def test_the_page_tells_what_the_server_of_the_tests_switches_on():
+    source = (Path(__file__).parent / "foreign_server.py").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```text\n(server = Server.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    lines = [line.split("  #")[0] for line in block.splitlines()]
+    assert len(lines) == 11
+    for line in lines:
+        assert f"    {line}\n" in source
+
+
+def test_the_mirror_file_of_the_page_is_a_mirror(tmp_path):
+    """With its table; what may be left out is left out, and has the value that the page gives."""
+    text = (PAGE.parent / "simulated-bench.md").read_text(encoding="utf-8")
+    (mine,) = re.findall(r'```toml\n(name = "MINE".*?)```', text, re.DOTALL)
+    (table,) = re.findall(r"```csv\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "actuators.csv").write_text(table)
+    (tmp_path / "mine.toml").write_text(mine)
+    mirror = mirror_from(tmp_path / "mine.toml")
+    plan = replace(small_plan(count=2), mirror="mine.toml")
+    assert shapes_and_forces(plan, mirror, tmp_path)[0].shape == (2, 6)
+    given = re.findall(
+        r"`(\w+ = [^`]+)`", text.split("All of that has to stand")[1].split("\n\n")[1]
+    )
+    assert len(given) == 8
+    for name, value in tomllib.loads("\n".join(given)).items():
+        assert np.array_equal(getattr(mirror, name), value), name
+    needed = mine.split("[sensor]")[0]
+    (tmp_path / "mine.toml").write_text(needed)
+    mirror_from(tmp_path / "mine.toml")
+    for line in needed.splitlines():
+        if "=" in line and not line.startswith("radius_of_curvature"):
+            (tmp_path / "mine.toml").write_text(f"\n{needed}".replace(f"\n{line}\n", "\n"))
+            with pytest.raises(FormatError, match=f"lacks '{line.split(' ')[0]}'; add it"):
+                mirror_from(tmp_path / "mine.toml")
 
 
 def test_a_server_written_from_the_page_takes_a_campaign(foreign, keys_folder, tmp_path):
