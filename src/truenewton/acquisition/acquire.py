@@ -188,8 +188,9 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
             run.taker.bench.rest()
         except BenchFault as fault:
             log.last_words("not at rest", fault=fault.fault)
+            why = error.fault if isinstance(error, TrueNewtonError) else error
             raise BenchFault(
-                f"the mirror may not be at rest ({fault.fault}), after: {error}",
+                f"the mirror may not be at rest ({fault.fault}), after: {why}",
                 remedy="see to the bench; the same command goes on with the campaign",
                 path=run.folder,
             ) from error
