@@ -5,6 +5,8 @@ import random
 
 from asyncua import Server, ua
 from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.crypto.truststore import TrustStore
+from asyncua.crypto.validator import CertificateValidator, CertificateValidatorOptions
 
 NAMESPACE = "urn:truenewton:bench"
 HELD = {"bare": 0.10, "ring": 0.10 + 0.05 / 8}  # N, by each of 8 actuators
@@ -22,12 +24,19 @@ class Operators:
 
 async def electronics(address, keys, instrument, gap, x, y, nz):
     """Return a server of 8 actuators that answers as springs do."""
-    server = Server(user_manager=Operators((keys / "password.txt").read_text().strip()))
+    password = (keys / "password.txt").read_text().strip()
+    server = Server(user_manager=Operators(password))
     await server.init()
     server.set_endpoint(address)
+    await server.set_application_uri("urn:truenewton:server")
     server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+    server.set_identity_tokens([ua.UserNameIdentityToken])
     await server.load_certificate(keys / "server.der")
     await server.load_private_key(keys / "server-key.pem")
+    trusted = TrustStore([keys / "trusted"], [])
+    await trusted.load()
+    strict = CertificateValidator(CertificateValidatorOptions.TRUSTED_VALIDATION, trusted)
+    server.set_certificate_validator(strict)
     space = await server.register_namespace(NAMESPACE)
     node = await server.nodes.objects.add_object(ua.NodeId("Bench", space), f"{space}:Bench")
     state = {"shape": ("bare", [0.0] * 8), "counter": 0}

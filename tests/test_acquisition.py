@@ -1,6 +1,7 @@
 """A campaign taken through the bench protocol: what is asked for, what it is worth, how it ends."""
 
 import dataclasses
+import datetime
 import json
 import os
 import time
@@ -13,12 +14,14 @@ from stub_bench import SMALL, GoneBench, StubBench
 import truenewton as tn
 from truenewton.acquisition import taker
 from truenewton.acquisition.benches import chosen_bench, simulated_bench
+from truenewton.acquisition.clock import SteadyClock
 from truenewton.acquisition.load_check import judge, mean_sum
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
 from truenewton.acquisition.run import ASKED, IN_A_ROW
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.protocol import Status
 from truenewton.bench.replay import ReplayBench
+from truenewton.bench.simulated.bench import SimulatedBench
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.bench.simulated.truth import read_truth
 from truenewton.errors import BenchFault, CampaignMismatch, FormatError, LimitExceeded
@@ -242,6 +245,127 @@ def test_a_load_that_fell_off_between_two_runs_is_missed(tmp_path):
         tn.acquire(wrong, small_plan(), tmp_path / "c")
 
 
+def test_a_sum_that_goes_the_other_way_points_at_the_sign_of_the_forces():
+    """As by a server that sends what the glass does to the actuator."""
+    loads = (tn.Load("bare"), tn.Load("ring", -0.289, 0.005))
+    on, why = judge(-2.92, loads, loads[1], {"bare": -1.0}, -1.289)
+    assert on is False
+    assert why.endswith(": the wrong way, as where Force is not positive along +z")
+    assert "wrong way" not in judge(-2.92, loads, loads[1], {"bare": -1.0}, -1.0)[1]
+
+
+class Forgetful(StubBench):
+    """A server that is started anew at a reading: then it takes no shape until told its load."""
+
+    told = True
+
+    def __init__(self, at, **keywords):
+        super().__init__(**keywords)
+        self.at, self.lost = at, False
+
+    def put_on(self, load):
+        super().put_on(load)
+        self.told = True
+
+    def command(self, shape):
+        if not self.told:
+            raise BenchFault("the mirror bears None, not ring", remedy="put it on first")
+        super().command(shape)
+
+    def read(self, samples):
+        here = (self.shape.load.name, self.shape.cycle, self.shape.number, self.shape.sign)
+        if here == self.at and not self.lost:
+            self.told, self.lost = False, True
+            raise BenchFault("connection lost")
+        return super().read(samples)
+
+
+class Person:
+    """Who puts loads on a bench that cannot."""
+
+    def __init__(self, bench):
+        self.bench, self.asked = bench, []
+
+    def put_on(self, load):
+        self.asked.append(load.name)
+        self.bench.told, self.bench.load = True, self.bench.put(load)
+
+
+@pytest.mark.parametrize("at", [("ring", 1, 1, 1), ("ring", 1, 3, 1), ("ring", 2, 3, -1)])
+def test_a_bench_that_was_started_anew_is_told_its_load_and_no_row_is_lost(tmp_path, at):
+    bench, looker = Forgetful(at), Looker()
+    tn.acquire(bench, small_plan(), tmp_path / "c", onlooker=looker)
+    assert bench.asked == ["bare", "ring", "ring"]
+    assert [event["on"] for event in events(tmp_path / "c", "load")] == [None, True, True]
+    tn.acquire(StubBench(), small_plan(), tmp_path / "whole")
+    assert contents(tmp_path / "c") == contents(tmp_path / "whole")
+    assert "the bench refuses a shape (the mirror bears None, not ring (put it on first)): it may" \
+        " have lost its load; 'ring' is put on again" in looker.lines  # fmt: skip
+
+
+def test_a_load_that_fell_off_while_a_server_was_gone_is_missed(tmp_path):
+    tries = iter([LOADS[0], LOADS[1], *[LOADS[0]] * ASKED])
+    bench = Forgetful(("ring", 1, 2, 1), put=lambda load: next(tries))
+    with pytest.raises(BenchFault, match="'ring' is not on: the sum of the forces changed by"):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+
+
+@pytest.mark.parametrize(("fell", "asked"), [(False, 0), (True, 1)])
+def test_a_person_is_asked_again_only_where_the_load_is_off(tmp_path, fell, asked):
+    """A shape that is refused once, as by a bench that tripped; its ring hangs on or fell."""
+
+    class Tripped(StubBench):
+        put_on = None  # it cannot
+        tripped = False
+
+        def command(self, shape):
+            if (shape.load.name, shape.cycle, shape.number) == ("ring", 2, 2) and not self.tripped:
+                self.tripped = True
+                self.load = LOADS[0] if fell else self.load
+                raise BenchFault("a coil tripped")
+            super().command(shape)
+
+    bench, looker = Tripped(), Looker()
+    person = Person(bench)
+    tn.acquire(bench, small_plan(), tmp_path / "c", operator=person, onlooker=looker)
+    assert person.asked == ["bare", "ring"] + asked * ["ring"]
+    assert all(cycle.valid.all() for cycle in cycles_in(tmp_path / "c"))
+
+
+# Clocks
+
+
+def test_a_clock_that_stands_still_is_said_once_and_ours_counts_on(tmp_path):
+    when, looker = datetime.datetime(2026, 5, 4, 9, 30, tzinfo=datetime.UTC), Looker()
+
+    class Standing(StubBench):
+        wait = None  # its time is ours
+
+    bench = Standing(spoil=lambda shape, r: dataclasses.replace(r, time=when))
+    tn.acquire(bench, small_plan(settling=0.0), tmp_path / "c", onlooker=looker)
+    clock = [line for line in looker.lines if "clock" in line]
+    assert clock == [f"the clock of the bench stands still at {when}; TIME counts on by our own"]
+    cycles = cycles_in(tmp_path / "c")
+    times = np.concatenate([cycle.date.timestamp() + cycle.time for cycle in cycles])
+    assert (np.diff(times) > 0).all()
+    assert times[-1] - times[0] < 60
+    assert cycles[0].date == when
+
+
+def test_a_clock_of_whole_seconds_is_followed(monkeypatch):
+    """It stands between two readings, and is right all the same."""
+    seconds, clock = iter(0.3 * np.arange(40)), SteadyClock()
+    found, true = [], []
+    for now in seconds:
+        monkeypatch.setattr(time, "monotonic", lambda now=now: now)
+        whole = datetime.datetime(2026, 5, 4, tzinfo=datetime.UTC)
+        found.append(clock.instant(whole + datetime.timedelta(seconds=int(now))))
+        true.append(whole.timestamp() + now)
+        assert clock.leap == 0
+    assert (np.diff(found) > 0).all()
+    assert np.abs(np.array(found) * 1e-6 - true).max() < 1
+
+
 # Readings that are not sound
 
 NAN = np.full(8, np.nan)
@@ -303,6 +427,52 @@ def test_readings_that_freeze_end_the_run_and_are_taken_again(tmp_path, name):
     assert not cycles_in(tmp_path / "c")[0].valid[-1]
     for name in ("bare-002.fits", "ring-001.fits", "ring-002.fits"):
         assert found[name] == whole[name]
+
+
+def test_a_campaign_whose_last_shapes_are_unsound_is_not_complete(tmp_path):
+    """Of more than one shape: the run ends, and the same call takes them again."""
+    late = lambda shape, r: (  # noqa: E731
+        (shape.load.name, shape.cycle) == ("ring", 2)
+        and (shape.number, shape.sign) in ((2, -1), (3, 1), (3, -1))
+    )
+    spoil = lambda shape, r: dataclasses.replace(r, settled=not late(shape, r))  # noqa: E731
+    with pytest.raises(BenchFault, match="3 shapes in a row gave no sound reading, the last shape"):
+        tn.acquire(StubBench(spoil=spoil), small_plan(), tmp_path / "c")
+    assert not (tmp_path / "c" / "ring-002.fits").exists()
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    assert all(cycle.valid.all() for cycle in cycles_in(tmp_path / "c"))
+
+
+def test_rows_that_are_not_valid_are_said_with_what_takes_them_again(tmp_path, inside, monkeypatch):
+    path, folder = tmp_path / "plan.toml", tmp_path / "c"
+    path.write_text(toml_text(small_plan()), encoding="utf-8")
+    unsettled = StubBench(spoil=at(("ring", 1, 2, -1), altered(settled=False)))
+    benches = iter([unsettled, StubBench()])
+    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", lambda *_: next(benches))
+    monkeypatch.setattr(SimulatedBench, "write_truth", lambda *_, **__: None)
+    said = ", but 1 of 24 rows are not valid (ring-001.fits 1); to take a cycle again remove its"
+    for already in ("", " already"):
+        code, out, _ = inside("acquire", path, "-o", folder)
+        assert code == 0
+        assert f"c: complete{already}, 2 loads x 2 cycles{said}" in out
+    (folder / "ring-001.fits").unlink()
+    code, out, _ = inside("acquire", path, "-o", folder)
+    assert (code, out.splitlines()[-1]) == (0, f"{folder}: complete, 2 loads x 2 cycles")
+
+
+def test_a_bench_that_hangs_ends_the_run_at_the_second_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(taker, "HANGING", 0.01)
+
+    def hang(shape, reading):
+        if shape.number < 2:
+            return reading
+        time.sleep(0.02)
+        raise BenchFault("does not answer Read within 60 s", remedy="see to the bench")
+
+    bench = StubBench(spoil=hang)
+    with pytest.raises(BenchFault, match=r"the bench hangs: 2 attempts .* within 60 s"):
+        tn.acquire(bench, small_plan(settling=0.0), tmp_path / "c")
+    assert bench.read_of.count(("bare", 1, 2, 1)) == 2
 
 
 def test_a_cycle_without_one_sound_reading_is_not_written(tmp_path):
@@ -422,7 +592,11 @@ class Moved(StubBench):
     [
         (Another(), "the bench has 9 actuators, the plan's RING8 8"),
         (Renamed(), "the bench is RING9, the plan is for RING8"),
-        (Moved(), "the bench has other actuators than RING8"),
+        (
+            Moved(),
+            r"other actuators than RING8: X of actuator 1, row 1, is \S+ m on the bench and"
+            r" \S+ m in the plan's mirror, and that of 7 more",
+        ),
     ],
 )
 def test_a_bench_that_is_not_the_plans_is_refused_untouched(tmp_path, bench, said):
@@ -430,6 +604,18 @@ def test_a_bench_that_is_not_the_plans_is_refused_untouched(tmp_path, bench, sai
         tn.acquire(bench, small_plan(), tmp_path / "c")
     assert not bench.commanded
     assert not (tmp_path / "c").exists()
+
+
+def test_places_of_four_bytes_are_those_of_the_plan(tmp_path):
+    class Short(StubBench):
+        layout = dataclasses.replace(
+            SMALL.layout, **{name: getattr(SMALL.layout, name).astype("f4") for name in ("x", "y")}
+        )
+
+    assert not Short.layout.same_as(SMALL.layout)
+    for _ in range(2):  # and again, where it is complete
+        tn.acquire(Short(), small_plan(), tmp_path / "c")
+    assert all(cycle.layout.same_as(SMALL.layout) for cycle in cycles_in(tmp_path / "c"))
 
 
 def test_a_reading_of_the_wrong_size_does_not_count(tmp_path):

@@ -560,7 +560,7 @@ def test_the_bar_shows_how_far_it_is(inside, tmp_path, monkeypatch, capsys):
     last = shown[-1]
     assert (last["completed"], last["total"]) == (24, 24)
     assert last["description"] == "ring cycle 2/2 shape 3/3 -"
-    assert last["figures"].endswith("N, gap 64.0 um")
+    assert last["figures"].endswith("N, least gap 64.0 um")
     assert f"{last['left']}" == "0:00:00"
     shape = Shape(LOADS[0], 1, 1, 1, np.zeros(8))
     Terminal(yes=True).progress(Progress(shape, 2, 3, 23, 24, 64e-6, taken=1, seconds=3725.4))

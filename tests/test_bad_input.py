@@ -607,6 +607,9 @@ NEW = {
     "day first": (
         broken(keyword("DATE-OBS", "22/11/2026")), "ring-001", "is '22/11/2026'", "write ISO 8601"
     ),
+    "a clock never set": (
+        broken(keyword("DATE-OBS", "1601-01-01T00:00:00")), "ring-001", "is '1601-01-01", "1950 to"
+    ),
     "another mirror": (
         broken(keyword("INSTRUME", "P46")), "ring-001", "on INSTRUME (P46", "of one campaign only"
     ),

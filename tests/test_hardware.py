@@ -6,6 +6,7 @@ import datetime
 import logging
 import re
 import threading
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from test_opcua import choice, free_port
 import truenewton as tn
 from truenewton.acquisition.benches import chosen_bench
 from truenewton.acquisition.plan import read_plan
+from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.methods import (
@@ -33,6 +35,7 @@ from truenewton.bench.opcua.methods import (
 from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
 from truenewton.errors import BenchFault, FormatError, TrueNewtonError
 from truenewton.files.toml import toml_text
+from truenewton.mirrors.file import mirror_from
 
 PAGE = Path(__file__).parent.parent / "docs" / "hardware.md"
 TYPE = re.compile(r"(\w+) (\w+)(\[\])?(?: \[[^\]]+\])?( \(optional\))?")
@@ -104,6 +107,41 @@ def test_the_page_has_the_nodes_of_client_and_server():
         assert told(gives) == [("Fault", "String", True, False), *declared(expected[1])]
 
 
+def test_the_page_tells_what_the_server_of_the_tests_switches_on():
+    source = (Path(__file__).parent / "foreign_server.py").read_text(encoding="utf-8")
+    (block,) = re.findall(r"```text\n(server = Server.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    lines = [line.split("  #")[0] for line in block.splitlines()]
+    assert len(lines) == 11
+    for line in lines:
+        assert f"    {line}\n" in source
+
+
+def test_the_mirror_file_of_the_page_is_a_mirror(tmp_path):
+    """With its table; what may be left out is left out, and has the value that the page gives."""
+    text = (PAGE.parent / "simulated-bench.md").read_text(encoding="utf-8")
+    (mine,) = re.findall(r'```toml\n(name = "MINE".*?)```', text, re.DOTALL)
+    (table,) = re.findall(r"```csv\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "actuators.csv").write_text(table)
+    (tmp_path / "mine.toml").write_text(mine)
+    mirror = mirror_from(tmp_path / "mine.toml")
+    plan = replace(small_plan(count=2), mirror="mine.toml")
+    assert shapes_and_forces(plan, mirror, tmp_path)[0].shape == (2, 6)
+    given = re.findall(
+        r"`(\w+ = [^`]+)`", text.split("All of that has to stand")[1].split("\n\n")[1]
+    )
+    assert len(given) == 8
+    for name, value in tomllib.loads("\n".join(given)).items():
+        assert np.array_equal(getattr(mirror, name), value), name
+    needed = mine.split("[sensor]")[0]
+    (tmp_path / "mine.toml").write_text(needed)
+    mirror_from(tmp_path / "mine.toml")
+    for line in needed.splitlines():
+        if "=" in line and not line.startswith("radius_of_curvature"):
+            (tmp_path / "mine.toml").write_text(f"\n{needed}".replace(f"\n{line}\n", "\n"))
+            with pytest.raises(FormatError, match=f"lacks '{line.split(' ')[0]}'; add it"):
+                mirror_from(tmp_path / "mine.toml")
+
+
 def test_a_server_written_from_the_page_takes_a_campaign(foreign, keys_folder, tmp_path):
     asked, address = [], foreign[0]
 
@@ -131,9 +169,17 @@ def test_a_server_written_from_the_page_takes_a_campaign(foreign, keys_folder, t
 
 NAN = float("nan")
 NONSENSE = [  # which of the values of Read, and what it is instead
-    (0, ["BenchFault"], "gives Fault as ['BenchFault'], in Read"),
+    (
+        0,
+        ["BenchFault"],
+        "gives Fault as ['BenchFault'], in Bench.Read (it is empty, or kind, fault and remedy)",
+    ),
     (0, ["Interrupted", "stop", ""], "stop"),
-    (1, datetime.datetime(1601, 1, 1), "the time of a reading is 1601-01-01 00:00:00"),
+    (
+        1,
+        datetime.datetime(1601, 1, 1),
+        "the time of a reading is 1601-01-01 00:00:00+00:00 (set the clock of the bench",
+    ),
     (2, [0.1] * 3, "force of shape (3,) for 8 actuators"),
     (2, [[0.1] * 4] * 2, "gives Force as [[0.1"),
     (2, ["a"] * 8, "gives Force as ['a'"),
@@ -141,11 +187,19 @@ NONSENSE = [  # which of the values of Read, and what it is instead
     (3, [NAN] * 8, "the position of actuator 1 is NaN"),
     (4, [float("inf")] * 8, "the force_scatter of a reading is inf"),
     (5, [-1.0] * 8, "the position_scatter of a reading is -1"),
-    (8, 1, "gives Settled as 1, in Read"),
-    (None, [], "gives 0 values after the fault, in Read"),
-    (None, ua.StatusCode(ua.StatusCodes.BadOutOfMemory), "fails in Read (BadOutOfMemory)"),
+    (8, 1, "the server gives Settled as 1, in Bench.Read (it is Boolean)"),
+    (
+        None,
+        [],
+        "gives 0 values after the fault, where 9 are due, in Bench.Read (they are Time, Force",
+    ),
+    (
+        None,
+        ua.StatusCode(ua.StatusCodes.BadOutOfMemory),
+        "the server fails in Read (BadOutOfMemory)",
+    ),
     (None, ZeroDivisionError("x"), "fails in Read (BadUnexpectedError)"),
-    (2, [0.1] * 300_000, "was lost in Read"),  # 2.4 MB, more than a message may have
+    (2, [0.1] * 300_000, "the server was lost in Read"),  # 2.4 MB, more than a message may have
 ]
 
 
@@ -209,11 +263,13 @@ def test_what_a_server_gets_wrong_is_one_line_that_names_it(foreign, keys_folder
         asyncio.run_coroutine_threadsafe(spoil(), loop).result(20)
         with pytest.raises(BenchFault) as raised:
             bench.status()
-        said = f"{address}: gives Ready as 'yes', in Status; it is Boolean"
+        said = f"{address}: the server gives Ready as 'yes', in Bench.Status; it is Boolean"
         assert str(raised.value) == said
     with pytest.raises(BenchFault) as raised:
         connect(choice(address), keys_folder)
-    assert str(raised.value) == f"{address}: has no node Bench.Gap; add it (docs/hardware.md)"
+    assert (
+        str(raised.value) == f"{address}: the server has no node Bench.Gap; add it, in {NAMESPACE}"
+    )
 
 
 GOOD = {
@@ -225,17 +281,18 @@ GOOD = {
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"Gap": "68 um"}, "gives Gap as '68 um'; it is Double"),
-        ({"Gap": None}, "gives Gap as None; it is Double"),
-        ({"Instrument": 8}, "gives Instrument as 8; it is String"),
-        ({"X": 0.1}, "gives X as 0.1; it is Double[]"),
-        ({"X": [0.1, True, 0.2, 0.3]}, "gives X as [0.1, True, 0.2, 0.3]; it is Double[]"),
-        ({"X": [0.1] * 3}, "gives 3 values of X for 4 actuators"),
-        ({"Id": None}, "gives 0 values of Id for 0 actuators"),
-        ({"Enabled": [1, 1, 1, 1]}, "gives Enabled as [1, 1, 1, 1]; it is Boolean[]"),
-        ({"Gradients": 0.0}, "gives Gradients as 0.0; it is Double[]"),
-        ({"Gradients": [1.0]}, "gives 1 Gradients; they are two"),
+        ({"Gap": "68 um"}, "gives Bench.Gap as '68 um'; it is Double"),
+        ({"Gap": None}, "gives Bench.Gap as None; it is Double"),
+        ({"Instrument": 8}, "gives Bench.Instrument as 8; it is String"),
+        ({"X": 0.1}, "gives Bench.X as 0.1; it is Double[]"),
+        ({"X": [0.1, True, 0.2, 0.3]}, "gives Bench.X as [0.1, True, 0.2, 0.3]; it is Double[]"),
+        ({"X": [0.1] * 3}, "gives 3 values of Bench.X for 4 actuators"),
+        ({"Id": None}, "gives 0 values of Bench.Id for 0 actuators"),
+        ({"Enabled": [1, 1, 1, 1]}, "gives Bench.Enabled as [1, 1, 1, 1]; it is Boolean[]"),
+        ({"Gradients": 0.0}, "gives Bench.Gradients as 0.0; it is Double[]"),
+        ({"Gradients": [1.0]}, "gives 1 value of Bench.Gradients; they are two"),
         ({"X": [np.nan] * 4}, "X"),
+        ({"X": [0, 1, 0, -1]}, "gives Bench.X as whole numbers; it is Double[]"),
     ],
 )
 def test_variables_of_another_kind_are_refused_by_name(change, said):
@@ -251,7 +308,7 @@ def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
     if name in OPTIONAL:
         mirror_of(values, methods)
         return
-    with pytest.raises(BenchFault, match=rf"has no node Bench\.{name}; add it"):
+    with pytest.raises(BenchFault, match=rf"has no node Bench\.{name}; add it, in urn:truenewton"):
         mirror_of(values, methods)
 
 
@@ -259,11 +316,15 @@ def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
     ("method", "values", "said"),
     [
         ("Status", [[], "yes", "", 1], "gives Ready as 'yes'; it is Boolean"),
-        ("Status", [[]], "gives 0 values after the fault; they are Ready, Message, Counter"),
+        (
+            "Status",
+            [[]],
+            "gives 0 values after the fault, where 3 are due; they are Ready, Message, Counter",
+        ),
         ("Status", ["", True, "", 1], "gives Fault as ''; it is String[]"),
         ("Rest", [["hot"]], "gives Fault as ['hot']; it is empty, or kind, fault and remedy"),
         ("Rest", [["BenchFault", "", "cool it"]], "gives Fault as ['BenchFault', '', 'cool it']"),
-        ("Rest", [[], 1], "gives 1 value after the fault; they are none"),
+        ("Rest", [[], 1], "gives 1 value after the fault, where 0 are due; they are none"),
         ("Read", [[], None, [], [], [], [], 1.0, 1, True], "gives Time as None; it is DateTime"),
     ],
 )

@@ -429,7 +429,9 @@ def test_the_connection_comes_back_with_the_server(keys_folder):
     with there:
         there._patience = 0.3  # nobody is there
         for method in (there.status, there.rest, lambda: there.read(1)):
-            with pytest.raises(BenchFault, match=f"^{address}: cannot be reached") as fault:
+            with pytest.raises(
+                BenchFault, match=f"^{address}: the server cannot be reached"
+            ) as fault:
                 method()
             assert "\n" not in str(fault.value)
         there._patience = 10.0
@@ -445,7 +447,7 @@ def test_the_connection_comes_back_with_the_server(keys_folder):
             assert there.read(1).counter == 7
         with (
             behind(RecordingBench(4), keys_folder, port),
-            pytest.raises(BenchFault, match="is no longer the server of NOTED with its 5"),
+            pytest.raises(BenchFault, match="is no longer that of NOTED with its 5"),
         ):
             there.put_on(BARE)
 

@@ -25,6 +25,10 @@ from truenewton.acquisition.taker import Taker
 from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
 from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
 from truenewton.mirrors.known import Mirror
+from truenewton.rounding import counted
+from truenewton.statics.layout import Layout
+
+ROUNDING = 1e-6  # of X and Y [m] and NZ: what four bytes to a number leave of them, and more
 
 
 def acquire(
@@ -113,14 +117,30 @@ def _check_agreement(bench: Bench, mirror: Mirror) -> None:
         what = f"has {bench.layout.n} actuators, the plan's {mirror.name} {mirror.layout.n}"
     elif bench.instrument != mirror.name:
         what = f"is {bench.instrument}, the plan is for {mirror.name}"
-    elif not bench.layout.same_as(mirror.layout):
-        what = f"has other actuators than {mirror.name}: ID, X, Y, NZ or which are enabled differ"
+    elif apart := _difference(bench.layout, mirror):
+        what = f"has other actuators than {mirror.name}: {apart}"
     elif not 0 < bench.gap < 1:
         raise BenchFault(f"the bench gives a gap of {bench.gap!r} m", remedy="give its own [m]")
     else:
         gradients_of(bench)  # refused now, not when the first cycle is complete
         return
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
+
+
+def _difference(layout: Layout, mirror: Mirror) -> str:
+    """Say which actuator of a bench is another than the mirror's, and by how much, or nothing."""
+    for name in ("id", "x", "y", "nz", "enabled"):
+        here, there = getattr(layout, name), getattr(mirror.layout, name)
+        wrong = np.abs(here.astype(float) - there) > (ROUNDING if name in ("x", "y", "nz") else 0.0)
+        if wrong.any():
+            k, unit = int(wrong.argmax()), " m" if name in ("x", "y") else ""
+            others = f", and that of {counted(int(wrong.sum()) - 1, 'more', 'more')}"
+            return (
+                f"{name.upper()} of actuator {mirror.layout.id[k]}, row {k + 1}, is"
+                f" {here[k]:.9g}{unit} on the bench and {there[k]:.9g}{unit} in the plan's mirror"
+                f"{others if wrong.sum() > 1 else ''}"
+            )
+    return ""
 
 
 def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
@@ -168,8 +188,9 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
             run.taker.bench.rest()
         except BenchFault as fault:
             log.last_words("not at rest", fault=fault.fault)
+            why = error.fault if isinstance(error, TrueNewtonError) else error
             raise BenchFault(
-                f"the mirror may not be at rest ({fault.fault}), after: {error}",
+                f"the mirror may not be at rest ({fault.fault}), after: {why}",
                 remedy="see to the bench; the same command goes on with the campaign",
                 path=run.folder,
             ) from error

@@ -22,12 +22,17 @@ class SteadyClock:
     ----------
     leap
         By how much the bench's clock was found to have been set at the last reading [s], or 0.
+    stands
+        Whether the bench's clock was found to stand still at the last reading, for the first time;
+        while it does, ours counts on.
     """
 
     def __init__(self, last: int | None = None) -> None:
         self._last, self._offset = last, 0
         self._seen: float | None = None  # when, by our own clock that nobody sets
-        self.leap = 0.0
+        self._raw: int | None = None  # what the bench's clock showed last
+        self._stood = False
+        self.leap, self.stands = 0.0, False
 
     def go_on_after(self, instant: int) -> None:
         """Let what follows be later than an instant [us since 1970, UTC] too."""
@@ -41,7 +46,7 @@ class SteadyClock:
         """
         now = time.monotonic()
         passed = 1000 if self._seen is None else max(1, round((now - self._seen) * 1e6))
-        last, self.leap = self._last, 0.0
+        last, self.leap, self.stands = self._last, 0.0, False
         if when is None:
             instant = (
                 instant_of(datetime.datetime.now(datetime.UTC)) if last is None else last + passed
@@ -49,7 +54,11 @@ class SteadyClock:
         else:
             raw = instant_of(when)
             instant = raw + self._offset
-            if last is not None and not 0 < instant - last <= LONGEST_PAUSE:
+            standing, self._raw = raw == self._raw, raw
+            self.stands, self._stood = standing and not self._stood, standing or self._stood
+            if last is not None and standing:
+                instant = last + passed
+            elif last is not None and not 0 < instant - last <= LONGEST_PAUSE:
                 # From here the bench's clock counts on from where it was, by our own.
                 self.leap = (instant - last - passed) * 1e-6
                 instant = last + passed

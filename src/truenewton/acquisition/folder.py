@@ -173,6 +173,17 @@ def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:
     return all((Path(folder) / name).exists() for name in (PLAN, *cycle_names(plan)))
 
 
+def invalid_rows(folder: str | os.PathLike[str], plan: CampaignPlan) -> dict[str, tuple[int, int]]:
+    """Return how many rows of each complete cycle file are not valid, and how many it has.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    valid = {name: cycle_from(read_fits(Path(folder) / name)).valid for name in cycle_names(plan)}
+    return {name: (int((~each).sum()), each.size) for name, each in valid.items()}
+
+
 def cycle_names(plan: CampaignPlan) -> list[str]:
     """Return the names of the cycle files of a plan, in its order."""
     return [cycle_name(load, k + 1) for load in plan.loads for k in range(plan.cycles)]

@@ -172,7 +172,7 @@ class Journal:
             load=self.load,
             weight=mirror.weight,
             weight_error=mirror.weight_error,
-            layout=bench.layout,
+            layout=mirror.layout,  # the bench's is the same but for rounding
             time=(rows["instant"] - rows["instant"][0]) * 1e-6,
             shape=rows["shape"],
             sign=rows["sign"],

@@ -106,6 +106,8 @@ def judge(
         elif not CHANGE[0] <= change / step[key] <= CHANGE[1]:
             low, high = (100 * part for part in CHANGE)
             due = f"{step[key]:.4g} N are due ({low:.0f} to {high:.0f} % of it)"
-            return False, f"{changed} from '{name}', where {due}"
+            sign = ": the wrong way, as where Force is not positive along +z"
+            turned = sign if change / step[key] <= -CHANGE[0] else ""
+            return False, f"{changed} from '{name}', where {due}{turned}"
     beside = ", ".join(f"'{names[key]}'" for key in compared)
     return True, f"the sum of the forces is {total:.4g} N, as due beside {beside}"

@@ -27,6 +27,7 @@ from truenewton.records.file import cycle_name, write_cycle
 from truenewton.statics.load import Load
 
 IN_A_ROW = 5  # so many shapes that are not valid, one after another, end a run
+AT_THE_END = 3  # so many at the end of a cycle do: of more than one shape, both signs
 ASKED = 3  # times for a load that is not on
 
 
@@ -71,9 +72,14 @@ def take_all(run: Run) -> None:
                 _take_cycle(run, load, number, rest_force)
 
 
-def _put_on(run: Run, load: Load, number: int) -> Array:
-    """Have a load put on, until the forces say that it is; return those at rest, (n,) [N]."""
+def _put_on(run: Run, load: Load, number: int, *, anew: bool = False) -> Array:
+    """Have a load put on, until the forces say that it is; return those at rest, (n,) [N].
+
+    Anew, where a bench may have forgotten it: it is told again, but a person is asked only where
+    the forces do not say that the load is still on.
+    """
     run.taker.rest()
+    bench: object = run.taker.bench
     sums, layout, said = run.rest_sums, run.taker.bench.layout, ""
     if load.key not in sums and journal_path(run.folder, load, number).exists():
         with closing(Journal(run.folder, load, number, layout.n)) as journal:
@@ -82,23 +88,30 @@ def _put_on(run: Run, load: Load, number: int) -> Array:
         if (before := mean_sum(layout, *columns)) is not None:
             sums[load.key] = before
     rest = Shape(load, number, 0, 1, np.zeros(layout.n))
+    ask = not anew or run.operator is bench
     for _ in range(ASKED):
-        with run.taker.interruption.at_once():
-            run.operator.put_on(load)
+        if ask:
+            with run.taker.interruption.at_once():
+                run.operator.put_on(load)
         reading, fault = run.taker.take(rest)
         if reading is None or fault:
-            raise BenchFault(f"no sound reading at rest: {fault}", remedy="see to it")
+            raise BenchFault(f"no sound reading at rest: {fault}", remedy="see to the bench")
         total = sum_at_rest(layout, reading.force)
         error = sum_error(layout, reading, run.plan.samples)
         on, why = judge(run.mirror.weight, run.plan.loads, load, sums, total, error)
         run.taker.log.note("load", load=load.name, on=on, total=total, why=why)
         said = f"'{load.name}' is {'not ' if on is False else ''}on: {why}"
         run.taker.onlooker.say(said)
-        if on is not False:
+        if on or (ask and on is None):
             sums[load.key] = total
             run.taker.guard.check_room(run.plan, run.mirror, load, reading.force)
             return reading.force
-    raise BenchFault(said, remedy="put it on as the plan says")
+        ask = True
+    raise BenchFault(
+        said,
+        remedy="put it on as the plan says; if it is on, see that Force is the whole commanded"
+        " force, positive along +z (docs/hardware.md)",
+    )
 
 
 def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
@@ -142,7 +155,7 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
     try:
         taker.interruption.check()
         start = time.monotonic()
-        reading, fault = taker.take(shape, forecast)
+        reading, fault = taker.take(shape, forecast, lambda why: _put_on_anew(run, shape, why))
     except Interrupted:
         raise Interrupted(f"stopped as asked, before {shape_name(shape)}") from None
     sound = None if fault else reading
@@ -153,14 +166,32 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
         taker.onlooker.say(
             f"the clock of the bench leapt by {clock.leap:.3g} s; TIME counts on steadily"
         )
+    if clock.stands:
+        taker.log.note("clock", **shape_fields(shape), stands=True)
+        taker.onlooker.say(
+            f"the clock of the bench stands still at {sound.time if sound else ''}; TIME counts on"
+            " by our own"
+        )
     noise = force_noise(taker.bench.layout, reading)
     journal.append(instant, shape, not fault, reading, noise)
     taker.progress = taker.progress.with_taken(shape, not fault, time.monotonic() - start)
     taker.onlooker.progress(taker.progress)
-    if taker.progress.in_a_row == IN_A_ROW:
+    in_a_row, at_end = taker.progress.in_a_row, (shape.number, shape.sign) == (len(run.shapes), -1)
+    if in_a_row == IN_A_ROW or (at_end and in_a_row >= AT_THE_END):
         raise BenchFault(
-            f"{IN_A_ROW} shapes in a row gave no sound reading, the last {shape_name(shape)}:"
+            f"{in_a_row} shapes in a row gave no sound reading, the last {shape_name(shape)}:"
             f" {fault}",
             remedy="see to the bench",
         )
     return sound.force if sound else None
+
+
+def _put_on_anew(run: Run, shape: Shape, why: str) -> None:
+    """Have the load of a shape put on again, as after a server was started anew."""
+    load = shape.load
+    run.taker.log.note("load again", **shape_fields(shape), why=why)
+    run.taker.onlooker.say(
+        f"the bench refuses a shape ({why}): it may have lost its load; '{load.name}' is put on"
+        " again"
+    )
+    _put_on(run, load, shape.cycle, anew=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +24,7 @@ PATIENCE = 120.0  # with a bench that is gone [s]
 ELSEWHERE = 0.1  # of a shape's largest displacement, by which an actuator may miss it
 SURE = 6.0  # standard deviations of a sample besides
 FIRST_WAIT, LONGEST_WAIT = 0.5, 10.0  # between two looks at it [s]
+HANGING, HANGS = 30.0, 2  # a fault after so long [s], so many times in a row, ends a run
 
 
 @dataclass(eq=False)
@@ -51,9 +53,17 @@ class Taker:
         self._counter: int | None = None
         self._sound: tuple[Shape, Reading] | None = None  # the last
         self._rest: Reading | None = None  # the last of the mirror at rest
+        self._hung = 0  # attempts in a row
 
-    def take(self, shape: Shape, forecast: Array | None = None) -> tuple[Reading | None, str]:
+    def take(
+        self,
+        shape: Shape,
+        forecast: Array | None = None,
+        refused: Callable[[str], None] | None = None,
+    ) -> tuple[Reading | None, str]:
         """Command a shape, (n,) forces [N] forecast, and read it, a few times if need be.
+
+        Where a bench refuses the command, `refused` is told why, once, before it is given again.
 
         Returns
         -------
@@ -67,7 +77,7 @@ class Taker:
         LimitExceeded
             Before the command, or after the reading, something is beyond its limit.
         BenchFault
-            The bench takes no commands, or is gone and does not come back.
+            The bench takes no commands, is gone and does not come back, or hangs.
         Interrupted
             Someone asked to stop while the bench was gone.
         """
@@ -75,11 +85,16 @@ class Taker:
         reading, fault = None, ""
         for attempt in range(1, ATTEMPTS + 1):
             self._await_bench()
+            begun, commanded = time.monotonic(), False
             try:
-                reading = self._command_and_read(shape)
+                self._command(shape)
+                commanded = True
+                reading = self._read(shape)
             except BenchFault as error:
-                fault = error.fault or "a fault without a word"
+                fault = _words(error)
+                self._end_where_it_hangs(time.monotonic() - begun - self.plan.settling, fault)
             else:
+                self._hung = 0
                 fault = self._unsound(shape, reading)
                 self._counter = reading.counter
                 if not fault:
@@ -88,6 +103,9 @@ class Taker:
                     break
             self.log.note("not sound", **shape_fields(shape), attempt=attempt, fault=fault)
             self.onlooker.say(f"{shape_name(shape)}, attempt {attempt} of {ATTEMPTS}: {fault}")
+            if refused is not None and not commanded and attempt < ATTEMPTS:
+                refused(fault)
+                refused = None
         return reading, fault
 
     def rest(self) -> None:
@@ -108,11 +126,23 @@ class Taker:
             else:
                 return
 
-    def _command_and_read(self, shape: Shape) -> Reading:
-        plan, bench = self.plan, self.bench
+    def _end_where_it_hangs(self, seconds: float, fault: str) -> None:
+        """End a run on a bench that takes long for each fault, as one that does not answer."""
+        self._hung = self._hung + 1 if seconds > HANGING else 0
+        if self._hung == HANGS:
+            raise BenchFault(
+                f"the bench hangs: {HANGS} attempts in a row failed, the last after {seconds:.0f}"
+                f" s: {fault}",
+                remedy="see to it",
+            )
+
+    def _command(self, shape: Shape) -> None:
         stroke = float(np.abs(shape.position).max())
         self.log.note("command", **shape_fields(shape), stroke=stroke)
-        bench.command(shape)
+        self.bench.command(shape)
+
+    def _read(self, shape: Shape) -> Reading:
+        plan, bench = self.plan, self.bench
         if isinstance(bench, OwnTime):
             bench.wait(plan.settling)
         else:
@@ -121,7 +151,10 @@ class Taker:
         for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
             value = getattr(reading, name)
             if value is not None and value.shape != (n,):
-                raise BenchFault(f"the bench gives {name} of shape {value.shape} for {n} actuators")
+                raise BenchFault(
+                    f"the bench gives {name} of shape {value.shape} for {n} actuators",
+                    remedy="give one value for each, NaN where it is unknown",
+                )
         force = float(np.nan_to_num(np.abs(reading.force[on])).max(initial=0.0))
         gap = bench.gap - float(np.nan_to_num(np.abs(reading.position[on])).max(initial=0.0))
         self.progress = replace(
@@ -206,6 +239,12 @@ class Taker:
             self.onlooker.say(f"the bench is gone ({gone}); looking again in {wait:g} s")
             self.interruption.sleep(wait)
             wait = min(2 * wait, LONGEST_WAIT)
+
+
+def _words(error: BenchFault) -> str:
+    """Return a fault and its remedy, as part of a sentence."""
+    remedy = f" ({error.remedy})" if error.remedy else ""
+    return f"{error.fault or 'a fault without a word'}{remedy}"
 
 
 def _rms(values: Array) -> float:

@@ -79,7 +79,8 @@ class Reading:
     def __post_init__(self) -> None:
         if getattr(self.time, "year", None) not in YEARS:
             raise BenchFault(
-                f"the time of a reading is {self.time}", remedy="set the clock of the bench"
+                f"the time of a reading is {self.time}",
+                remedy="set the clock of the bench; it is UTC, and OPC UA sends 1601 for none",
             )
         for name in ("force", "position", "force_scatter", "position_scatter", "force_error"):
             value = getattr(self, name)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from truenewton.acquisition.progress import Progress
     from truenewton.statics.load import Load
 
+MOST_FILES = 5  # named in one line
+
 
 def run(
     plan: Path = typer.Argument(..., metavar="PLAN", help="The plan of the campaign (TOML)."),
@@ -27,7 +29,7 @@ def run(
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
     from truenewton.acquisition.acquire import acquire
     from truenewton.acquisition.benches import chosen_bench, simulated_bench
-    from truenewton.acquisition.folder import is_complete, refuse_other_plan
+    from truenewton.acquisition.folder import invalid_rows, is_complete, refuse_other_plan
     from truenewton.acquisition.plan import read_plan
     from truenewton.bench.protocol import Operator
     from truenewton.bench.simulated.truth import truth_path
@@ -53,7 +55,22 @@ def run(
         simulated_bench(wanted, beside).write_truth(output, overwrite=True)
     already = " already" if complete else ""
     loads, cycles = counted(wanted.loads, "load"), counted(wanted.cycles, "cycle")
-    say(f"{output}: complete{already}, {loads} x {cycles}")
+    but = _not_valid(invalid_rows(output, wanted))
+    say(f"{output}: complete{already}, {loads} x {cycles}{but}")
+
+
+def _not_valid(rows: dict[str, tuple[int, int]]) -> str:
+    """Say how many rows of which files are not valid, and how to take them again, or nothing."""
+    from truenewton.rounding import listed
+
+    spoilt = [f"{name} {invalid}" for name, (invalid, _) in rows.items() if invalid]
+    if not spoilt:
+        return ""
+    invalid, every = (sum(column) for column in zip(*rows.values(), strict=True))
+    return (
+        f", but {invalid} of {every} rows are not valid ({listed(spoilt, MOST_FILES)}); to take a"
+        " cycle again remove its file and give the same command"
+    )
 
 
 class Terminal:
@@ -103,7 +120,8 @@ class Terminal:
                 f"{shape.load.name} cycle {shape.cycle}/{now.cycles}"
                 f" shape {shape.number}/{now.shapes} {sign}"
             ),
-            "figures": f"{now.largest_force:.3f} N, gap {1e6 * now.smallest_gap:.1f} um{invalid}",
+            "figures": f"most {now.largest_force:.3f} N, least gap {1e6 * now.smallest_gap:.1f} um"
+            f"{invalid}",
             "left": datetime.timedelta(seconds=round(now.seconds_left)),
         }
         if self._bar is None:

@@ -198,10 +198,11 @@ class FitsFile:
             return text if text or declared.absent is REQUIRED else declared.absent
         try:
             date = datetime.datetime.fromisoformat(text)
-            if date.year not in YEARS:
-                raise ValueError(text)
         except ValueError:
             self._refuse(f"{what} is '{text}'", "write ISO 8601, as 2026-11-21T09:30:00")
+        if date.year not in YEARS:
+            first, last = YEARS[0], YEARS[-1]
+            self._refuse(f"{what} is '{text}'", f"give the true date, of {first} to {last}")
         if date.tzinfo is None:
             return date.replace(tzinfo=datetime.UTC)
         return date.astimezone(datetime.UTC)

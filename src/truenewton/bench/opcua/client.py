@@ -138,7 +138,7 @@ class OpcUaBench:
         try:
             fault, given = received_answer(method, answer)
         except BenchFault as error:
-            raise self._fault(f"{error.fault}, in {method}", error.remedy) from None
+            raise self._fault(f"{error.fault}, in Bench.{method}", error.remedy) from None
         if fault:
             name, what, remedy = fault
             raise ERRORS.get(name, BenchFault)(what, remedy=remedy)
@@ -148,7 +148,7 @@ class OpcUaBench:
         client = await self._connected()
         if method == "Read" and self._commanded not in (None, self._connections):
             raise BenchFault(
-                "the connection was lost since the shape was commanded",
+                "the connection to the server was lost since the shape was commanded",
                 remedy="command it again",
             )
         request = ua.CallMethodRequest(
@@ -187,8 +187,8 @@ class OpcUaBench:
                 if time.monotonic() + PAUSE > deadline:
                     raise self._fault(
                         f"cannot be reached ({_text(error)})",
-                        "start it; if it runs, it does not trust this certificate, or is not the"
-                        " one of server_certificate",
+                        "start it; if it runs, it does not trust this certificate, is not the one"
+                        " of server_certificate, or offers no Basic256Sha256, signed and encrypted",
                     ) from error
                 await asyncio.sleep(PAUSE)
             except ua.UaError as error:
@@ -229,13 +229,17 @@ class OpcUaBench:
         except (OSError, ValueError, ua.UaError) as error:
             await self._drop()
             raise self._fault(
-                f"is not the server of a bench ({_text(error)})", "check bench.address"
+                f"is not that of a bench ({_text(error)})", "check bench.address"
             ) from error
         try:
             instrument, gap, gradients, layout = mirror_of(values, methods)
-        except TrueNewtonError as error:
+        except BenchFault as error:
             await self._drop()
             raise self._fault(error.fault, error.remedy) from None
+        except TrueNewtonError as error:
+            await self._drop()
+            what = f"gives Id, X, Y, Nz or Enabled that cannot be: {error.fault}"
+            raise self._fault(what, error.remedy) from None
         if self._connections == 1:
             self.instrument, self.layout, self.gap = instrument, layout, gap
             self.gradients = gradients
@@ -244,7 +248,7 @@ class OpcUaBench:
         elif instrument != self.instrument or not layout.same_as(self.layout):
             await self._drop()
             raise self._fault(
-                f"is no longer the server of {self.instrument} with its {self.layout.n} actuators",
+                f"is no longer that of {self.instrument} with its {self.layout.n} actuators",
                 "connect anew",
             )
 
@@ -265,7 +269,7 @@ class OpcUaBench:
             await client.disconnect()
 
     def _fault(self, what: str, remedy: str) -> BenchFault:
-        return BenchFault(what, remedy=remedy, path=self._choice.address)
+        return BenchFault(f"the server {what}", remedy=remedy, path=self._choice.address)
 
 
 def _text(error: BaseException) -> str:

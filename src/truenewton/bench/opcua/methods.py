@@ -93,6 +93,9 @@ def received(name: str, value: Any, kind: Any) -> Any:
     if not good:
         want = f"{type_.name}[]" if array else type_.name
         raise BenchFault(f"gives {name} as {value!r:.60}", remedy=f"it is {want}")
+    if array and type_ is Type.Double and values and all(isinstance(one, int) for one in values):
+        # Places in whole metres, forces in whole newtons.
+        raise BenchFault(f"gives {name} as whole numbers", remedy="it is Double[]")
     if type_ is Type.String:
         values = [one[:LONGEST_TEXT] for one in values]
         return values if array else values[0]
@@ -121,7 +124,7 @@ def received_answer(method: str, values: list[Any]) -> tuple[list[str], list[Any
         given.append(None)
     if len(given) != len(declared):
         raise BenchFault(
-            f"gives {counted(given, 'value')} after the fault",
+            f"gives {counted(given, 'value')} after the fault, where {len(declared)} are due",
             remedy=f"they are {', '.join(name for name, _ in declared) or 'none'}",
         )
     each = zip(given, declared, strict=True)
@@ -140,21 +143,26 @@ def mirror_of(
     """
     for name in (*dict(VARIABLES), *METHODS):
         if name not in OPTIONAL and name not in values and name not in methods:
-            raise BenchFault(f"has no node Bench.{name}", remedy="add it (docs/hardware.md)")
-    given = {name: received(name, values[name], kind) for name, kind in VARIABLES if name in values}
+            raise BenchFault(f"has no node Bench.{name}", remedy="add it, in urn:truenewton:bench")
+    given = {
+        name: received(f"Bench.{name}", values[name], kind)
+        for name, kind in VARIABLES
+        if name in values
+    }
     size = len(given["Id"])
     given = {"Enabled": np.ones(size, dtype=bool)} | given
     columns = [given[name] for name in COLUMNS]
     for name, column in zip(COLUMNS, columns, strict=True):
         if len(column) != size or not size:
             raise BenchFault(
-                f"gives {counted(column, 'value')} of {name} for {counted(size, 'actuator')}",
+                f"gives {counted(column, 'value')} of Bench.{name} for {counted(size, 'actuator')}",
                 remedy="one for each actuator",
             )
     gradients = given.get("Gradients", np.full(2, np.nan))
     if len(gradients) != 2:
         raise BenchFault(
-            f"gives {len(gradients)} Gradients", remedy="they are two, NaN where unknown"
+            f"gives {counted(gradients, 'value')} of Bench.Gradients",
+            remedy="they are two, NaN where unknown",
         )
     coil, bias = (None if np.isnan(value) else float(value) for value in gradients)
     return given["Instrument"], given["Gap"], (coil, bias), Layout(*columns)
