@@ -120,7 +120,7 @@ def test_the_mirror_file_of_the_page_is_a_mirror(tmp_path):
     """With its table; what may be left out is left out, and has the value that the page gives."""
     text = (PAGE.parent / "simulated-bench.md").read_text(encoding="utf-8")
     (mine,) = re.findall(r'```toml\n(name = "MINE".*?)```', text, re.DOTALL)
-    (table,) = re.findall(r"```csv\n(.*?)```", text, re.DOTALL)
+    (table,) = re.findall(r"```text\n(ID,X.*?)```", text, re.DOTALL)
     (tmp_path / "actuators.csv").write_text(table)
     (tmp_path / "mine.toml").write_text(mine)
     mirror = mirror_from(tmp_path / "mine.toml")
