@@ -23,7 +23,6 @@ from truenewton.estimation.diagnosis import (
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
-from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
 from truenewton.records.source import Source
 from truenewton.rounding import counted
@@ -224,12 +223,15 @@ class Calibration:
         return plot_map(self.layout, self.alpha, ax)
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the calibration file (docs/files.md).
+        """Write the calibration in the form that the name ends in (docs/files.md).
+
+        ``.fits`` and ``.fits.gz`` hold all of it, ``.ecsv`` the table with units and the verdict,
+        ``.csv`` the table alone, ``.npy`` alpha alone.
 
         Raises
         ------
         OutputExists, OutputFailed
         """
-        from truenewton.calibration.file import CALIBRATION
+        from truenewton.calibration.written import write_calibration
 
-        write_fits(path, CALIBRATION, self, overwrite=overwrite)
+        write_calibration(self, path, overwrite=overwrite)
