@@ -6,10 +6,12 @@ import re
 import numpy as np
 import pytest
 from astropy.table import QTable, Table
-from balanced import campaign_of
+from balanced import campaign_of, p45_campaign
+from matplotlib import pyplot
 
 import truenewton as tn
 from truenewton.errors import OutputFailed
+from truenewton.report.figures import still_figures
 
 NAMES = ["ID", "X", "Y", "ALPHA", "E_ALPHA", "E_STAT", "E_SYST", "E_CYCLE"]
 
@@ -104,3 +106,26 @@ def test_what_stands_is_kept(calibration, tmp_path):
         assert path.read_text() == "mine"
         calibration.write(path, overwrite=True)
     assert {path.name for path in tmp_path.iterdir()} == {"alpha.csv", "alpha.npy"}
+
+
+def test_what_a_user_draws_pyplot_shows(calibration):
+    findings, change = tn.investigate(calibration), tn.change(calibration, calibration)
+    calls = (
+        calibration.plot_map, calibration.plot_actuators, change.plot_map, change.plot_actuators,
+        lambda: findings.plot("map-leverage"),
+    )  # fmt: skip
+    for count, call in enumerate(calls, 1):
+        ax = call()
+        assert len(pyplot.get_fignums()) == count
+        assert pyplot.gcf() is ax.figure
+    mine = pyplot.figure().add_subplot()
+    assert calibration.plot_map(mine) is mine
+    assert len(pyplot.get_fignums()) == len(calls) + 1
+
+
+def test_files_and_pages_leave_no_figure_open(tmp_path):
+    findings = tn.investigate(p45_campaign(2))
+    tn.write_report(tmp_path / "report.html", findings)
+    assert "<svg" in (tmp_path / "report.html").read_text()
+    tn.write_figures(findings.calibration, tmp_path / "figures", more=still_figures(findings))
+    assert pyplot.get_fignums() == []

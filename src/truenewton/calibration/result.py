@@ -213,14 +213,18 @@ class Calibration:
     def plot_actuators(self, ax: Axes | None = None) -> Axes:
         """Draw alpha per actuator with error bars (paper, fig. 5); return the axes."""
         from truenewton.calibration.figures import plot_actuators
+        from truenewton.figures.style import on_screen
 
-        return plot_actuators(self, ax)
+        with on_screen():
+            return plot_actuators(self, ax)
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw alpha on the map of the actuators (paper, fig. 6); return the axes."""
         from truenewton.figures.maps import plot_map
+        from truenewton.figures.style import on_screen
 
-        return plot_map(self.layout, self.alpha, ax)
+        with on_screen():
+            return plot_map(self.layout, self.alpha, ax)
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         """Write the calibration in the form that the name ends in (docs/files.md).
