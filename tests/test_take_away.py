@@ -1,7 +1,10 @@
 """What people take away: files for other programs, figures that show, results that read well."""
 
+import datetime
 import json
 import re
+from dataclasses import replace
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -10,8 +13,12 @@ from balanced import campaign_of, p45_campaign
 from matplotlib import pyplot
 
 import truenewton as tn
+from truenewton.calibration import words as calibration_words
+from truenewton.calibration.words import warning_lines
 from truenewton.errors import OutputFailed
+from truenewton.modal import words as modal_words
 from truenewton.report.figures import still_figures
+from truenewton.tracking import words as tracking_words
 
 NAMES = ["ID", "X", "Y", "ALPHA", "E_ALPHA", "E_STAT", "E_SYST", "E_CYCLE"]
 
@@ -73,7 +80,7 @@ def test_npy_holds_alpha_alone(calibration, tmp_path):
 
 
 def test_the_command_says_what_a_form_leaves_out(campaign, inside, tmp_path):
-    tn.write_campaign(campaign.cycles, tmp_path / "day")
+    tn.write_campaign(campaign, tmp_path / "day")
     for suffix in (".csv", ".ecsv", ".npy", ".fits"):
         code, out, _ = inside("calibrate", tmp_path / "day", "-o", tmp_path / f"a{suffix}")
         assert code == 0
@@ -123,9 +130,99 @@ def test_what_a_user_draws_pyplot_shows(calibration):
     assert len(pyplot.get_fignums()) == len(calls) + 1
 
 
-def test_files_and_pages_leave_no_figure_open(tmp_path):
-    findings = tn.investigate(p45_campaign(2))
+def test_files_and_pages_leave_no_figure_open(calibration, tmp_path):
+    findings = tn.investigate(calibration)
     tn.write_report(tmp_path / "report.html", findings)
     assert "<svg" in (tmp_path / "report.html").read_text()
     tn.write_figures(findings.calibration, tmp_path / "figures", more=still_figures(findings))
     assert pyplot.get_fignums() == []
+
+
+def text_of(html):
+    """Return the words of HTML, which has to be well formed."""
+    return " ".join(" ".join(ElementTree.fromstring(html).itertext()).split())
+
+
+def test_a_notebook_shows_what_the_terminal_says(campaign, calibration):
+    random = np.random.default_rng(1)
+    scatter = np.nan_to_num(calibration.reading_error)
+    days = [
+        replace(
+            calibration,
+            temperature=10.0 + k,
+            date=start,
+            date_end=start,
+            sources=(),
+            alpha=calibration.alpha + random.normal(0.0, scatter),
+        )
+        for k in range(4)
+        for start in [calibration.date + datetime.timedelta(days=30 * k)]
+    ]
+    modes = tn.find_modes(p45_campaign(1))
+    results = (
+        (calibration, calibration_words, list(warning_lines(calibration.verdict.faults))),
+        (tn.track(*days), tracking_words, ["nobody leaves the family"]),
+        (modes, modal_words, [f"verdict on alpha {modes.calibration.verdict}"]),
+    )
+    for result, words, more in results:
+        shown = text_of(result._repr_html_())
+        assert shown.startswith(words.headline(result))
+        rows = [" ".join(" ".join(row).split()) for row in words.summary_rows(result) if row[1]]
+        assert len(rows) > 2
+        assert [row for row in (*rows, *more) if " ".join(row.split()) not in shown] == []
+    shown = text_of(campaign._repr_html_())
+    assert shown.startswith(repr(campaign)[1:-1])
+    assert all(load.name in shown for load in campaign.loads)
+
+
+def test_a_name_from_a_file_is_text_in_a_notebook(campaign):
+    name = "<script>alert(1)</script>&"
+    html = tn.Campaign(tuple(replace(c, instrument=name) for c in campaign))._repr_html_()
+    assert "<script>" not in html
+    assert name in text_of(html)
+
+
+@pytest.fixture(scope="module")
+def kinds(campaign, calibration, tmp_path_factory):
+    """Return what reads each kind of file, with such a file."""
+    folder = tmp_path_factory.mktemp("kinds")
+    tn.write_campaign(campaign, folder / "day")
+    calibration.write(folder / "alpha.fits")
+    n = campaign.layout.n
+    layout = replace(campaign.layout, enabled=np.ones(n, dtype=bool))
+    matrix = tn.StiffnessMatrix(campaign.instrument, calibration.date, layout, np.eye(n))
+    tn.write_stiffness(matrix, folder / "stiffness.fits")
+    return {
+        tn.read_campaign: (folder / "day", tn.Campaign),
+        tn.read_calibration: (folder / "alpha.fits", tn.Calibration),
+        tn.read_stiffness: (folder / "stiffness.fits", tn.StiffnessMatrix),
+    }
+
+
+def test_a_reader_of_one_kind_reads_it_and_names_the_others(kinds):
+    for reader, (path, kind) in kinds.items():
+        assert isinstance(reader(path), kind)
+        for other in kinds.keys() - {reader}:
+            with pytest.raises(tn.errors.FormatError) as refused:
+                other(path)
+            line = str(refused.value)
+            assert line.startswith(f"{path}: is no ")
+            assert f"or this to {reader.__name__} in Python" in line
+            assert "\n" not in line
+
+
+def test_paths_come_one_by_one_or_in_lists(campaign, kinds):
+    folder, _ = kinds[tn.read_campaign]
+    files = sorted(folder.iterdir())
+    assert len(files) == len(campaign) == 4
+    for given in ([files], [files[:2], files[2:]], [[str(files[0])], *files[1:]], files):
+        read = tn.read(*given)
+        assert [cycle.name for cycle in read] == [cycle.name for cycle in read.cycles]
+        assert len(read) == 4
+    assert len(tn.read_campaign(files[:2])) == 2
+
+
+def test_a_campaign_is_as_long_as_its_cycles_and_true(campaign):
+    assert list(campaign) == list(campaign.cycles)
+    assert bool(campaign)
+    assert tn.Campaign(tuple(campaign)).cycles == campaign.cycles

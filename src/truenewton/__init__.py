@@ -34,6 +34,9 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.modal.findings import find_modes as find_modes
     from truenewton.modal.turbulence import Atmosphere as Atmosphere
     from truenewton.reading import read as read
+    from truenewton.reading import read_calibration as read_calibration
+    from truenewton.reading import read_campaign as read_campaign
+    from truenewton.reading import read_stiffness as read_stiffness
     from truenewton.recalibration.fit import recalibrate as recalibrate
     from truenewton.records.campaign import Campaign as Campaign
     from truenewton.records.cycle import Cycle as Cycle
@@ -68,7 +71,7 @@ _NAMES = {
     "modal.file": ["write_modes"],
     "modal.findings": ["find_modes"],
     "modal.turbulence": ["Atmosphere"],
-    "reading": ["read"],
+    "reading": ["read", "read_calibration", "read_campaign", "read_stiffness"],
     "recalibration.fit": ["recalibrate"],
     "records.campaign": ["Campaign"],
     "records.cycle": ["Cycle"],

@@ -24,6 +24,7 @@ from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.format import quantities
+from truenewton.records.notebook import html_table
 from truenewton.records.source import Source
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
@@ -170,6 +171,13 @@ class Calibration:
             f" alpha {self.alpha[on].min():.3g} .. {self.alpha[on].max():.3g}, typical error"
             f" {np.median(self.error[on]):.2g}, method {self.method}, scale {self.scale}>"
         )
+
+    def _repr_html_(self) -> str:
+        from truenewton.calibration.words import headline, summary_rows, warning_lines
+
+        rows = [*summary_rows(self), ("verdict", str(self.verdict.level), "")]
+        remarks = warning_lines(self.verdict.faults)
+        return html_table(headline(self), rows, remarks)
 
     @property
     def verdict(self) -> Verdict:
