@@ -1,9 +1,11 @@
 """What people take away: files for other programs, figures that show, results that read well."""
 
+import ast
 import datetime
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,6 +22,7 @@ from truenewton.modal import words as modal_words
 from truenewton.report.figures import still_figures
 from truenewton.tracking import words as tracking_words
 
+ROOT = Path(__file__).parent.parent
 NAMES = ["ID", "X", "Y", "ALPHA", "E_ALPHA", "E_STAT", "E_SYST", "E_CYCLE"]
 
 
@@ -226,3 +229,24 @@ def test_a_campaign_is_as_long_as_its_cycles_and_true(campaign):
     assert list(campaign) == list(campaign.cycles)
     assert bool(campaign)
     assert tn.Campaign(tuple(campaign)).cycles == campaign.cycles
+
+
+def test_pages_import_nothing_from_below():
+    """A user needs `truenewton` alone; docs/effects.md tells who writes an effect, below."""
+    pages = [ROOT / "README.md", *ROOT.glob("docs/*.md"), *ROOT.glob("docs/tutorials/*.md")]
+    deep = [
+        f"{page.name}: {line}"
+        for page in pages
+        if page.name != "effects.md"
+        for line in re.findall(r"^ *(?:from|import) truenewton\..*", page.read_text(), re.MULTILINE)
+    ]
+    assert len(pages) > 20
+    assert deep == []
+
+
+def test_type_checkers_see_every_public_name():
+    tree = ast.parse((ROOT / "src" / "truenewton" / "__init__.py").read_text())
+    [block] = [node for node in tree.body if isinstance(node, ast.If)]
+    seen = {name.asname for node in block.body for name in node.names}
+    assert seen == set(tn.__all__)
+    assert all(getattr(tn, name) for name in tn.__all__)
