@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 from astropy.table import QTable, Table
@@ -131,6 +132,21 @@ def test_what_a_user_draws_pyplot_shows(calibration):
     mine = pyplot.figure().add_subplot()
     assert calibration.plot_map(mine) is mine
     assert len(pyplot.get_fignums()) == len(calls) + 1
+
+
+def test_what_a_backend_sets_up_stays(calibration, monkeypatch):
+    """In Jupyter the first figure turns `interactive` on, without which no second one shows."""
+    whole = pyplot.figure
+
+    def first(**settings):
+        mpl.rcParams["interactive"] = True
+        return whole(**settings)
+
+    with mpl.rc_context():
+        assert not mpl.rcParams["interactive"]
+        monkeypatch.setattr(pyplot, "figure", first)
+        calibration.plot_map()
+        assert mpl.rcParams["interactive"]
 
 
 def test_files_and_pages_leave_no_figure_open(calibration, tmp_path):

@@ -40,16 +40,21 @@ NAMED = 100  # up to so many actuators bear their names
 _ON_SCREEN: ContextVar[bool] = ContextVar("on_screen", default=False)
 
 
-def new_axes(height: float) -> Axes:
-    """Return axes on a figure of its own, one column wide and ``height`` columns high."""
+def new_figure(height: float) -> Figure:
+    """Return a figure one column wide and ``height`` columns high."""
     size = (COLUMN, height * COLUMN)
     if _ON_SCREEN.get():
         from matplotlib import pyplot
 
-        return pyplot.figure(figsize=size, layout="constrained").add_subplot()
+        return pyplot.figure(figsize=size, layout="constrained")
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    return figure.add_subplot()
+    return figure
+
+
+def new_axes(height: float) -> Axes:
+    """Return axes on a figure of its own, one column wide and ``height`` columns high."""
+    return new_figure(height).add_subplot()
 
 
 @contextmanager
@@ -68,8 +73,10 @@ def on_screen() -> Iterator[None]:
 @contextmanager
 def styled_axes(ax: Axes | None, height: float) -> Iterator[Axes]:
     """Yield the axes given, or new ones ``height`` columns high, and let what is drawn look so."""
+    # The first figure of pyplot sets its backend up, which the context would undo.
+    figure = ax.figure if ax else new_figure(height)
     with mpl.rc_context(STYLE):
-        yield ax or new_axes(height)
+        yield ax or figure.add_subplot()
 
 
 def legend_above(ax: Axes) -> None:
