@@ -95,3 +95,11 @@ def inside(capsys, monkeypatch):
         return stop.value.code, *capsys.readouterr()
 
     return run
+
+
+@pytest.fixture(autouse=True)
+def no_open_figures():
+    """Close what a test drew as a user would: pyplot keeps figures open, and warns of many."""
+    yield
+    if "matplotlib.pyplot" in sys.modules:
+        sys.modules["matplotlib.pyplot"].close("all")

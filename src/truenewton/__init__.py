@@ -19,21 +19,42 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton import errors as errors
     from truenewton import mirrors as mirrors
     from truenewton.acquisition.acquire import acquire as acquire
+    from truenewton.acquisition.plan import AssumedDrift as AssumedDrift
     from truenewton.acquisition.plan import CampaignPlan as CampaignPlan
+    from truenewton.acquisition.plan import MirrorLimits as MirrorLimits
+    from truenewton.acquisition.plan import PlannedShapes as PlannedShapes
     from truenewton.acquisition.plan import read_plan as read_plan
+    from truenewton.bench.opcua import connect as connect
+    from truenewton.bench.opticalib import OpticalibMirror as OpticalibMirror
+    from truenewton.bench.protocol import Reading as Reading
+    from truenewton.bench.protocol import Shape as Shape
+    from truenewton.bench.protocol import Status as Status
     from truenewton.bench.simulated.bench import SimulatedBench as SimulatedBench
     from truenewton.bench.simulated.static import run_cycles as run_cycles
     from truenewton.bench.simulated.static import static_bench as static_bench
+    from truenewton.bench.simulated.truth import Truth as Truth
+    from truenewton.bench.simulated.truth import read_truth as read_truth
     from truenewton.calibration.figures import write_figures as write_figures
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
     from truenewton.foreign.export import export_supervisor as export_supervisor
     from truenewton.foreign.importing import stiffness_from as stiffness_from
+    from truenewton.mirrors.shell.puck_motion import motion_for as motion_for
+    from truenewton.modal.bases import karhunen_loeve_modes as karhunen_loeve_modes
+    from truenewton.modal.bases import zernike_modes as zernike_modes
     from truenewton.modal.dissipation import Budget as Budget
     from truenewton.modal.file import write_modes as write_modes
+    from truenewton.modal.findings import ModalFindings as ModalFindings
     from truenewton.modal.findings import find_modes as find_modes
+    from truenewton.modal.measured_stiffness import measured_stiffness as measured_stiffness
+    from truenewton.modal.true_stiffness import true_stiffness as true_stiffness
     from truenewton.modal.turbulence import Atmosphere as Atmosphere
+    from truenewton.modal.turbulence import wavefront_covariance as wavefront_covariance
+    from truenewton.planning.outlook import read_outlook as read_outlook
     from truenewton.reading import read as read
+    from truenewton.reading import read_calibration as read_calibration
+    from truenewton.reading import read_campaign as read_campaign
+    from truenewton.reading import read_stiffness as read_stiffness
     from truenewton.recalibration.fit import recalibrate as recalibrate
     from truenewton.records.campaign import Campaign as Campaign
     from truenewton.records.cycle import Cycle as Cycle
@@ -52,23 +73,40 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.tracking.file import read_tracking as read_tracking
     from truenewton.tracking.fit import track as track
     from truenewton.tracking.law import Tracking as Tracking
+    from truenewton.tracking.validity import Validity as Validity
+    from truenewton.tracking.validity import validity_of as validity_of
 
 # Imported on first use: the command line answers --help without numpy.
 _NAMES = {
     "acquisition.acquire": ["acquire"],
-    "acquisition.plan": ["CampaignPlan", "read_plan"],
+    "acquisition.plan": [
+        "AssumedDrift",
+        "CampaignPlan",
+        "MirrorLimits",
+        "PlannedShapes",
+        "read_plan",
+    ],
+    "bench.opcua": ["connect"],
+    "bench.opticalib": ["OpticalibMirror"],
+    "bench.protocol": ["Reading", "Shape", "Status"],
     "bench.simulated.bench": ["SimulatedBench"],
     "bench.simulated.static": ["run_cycles", "static_bench"],
+    "bench.simulated.truth": ["Truth", "read_truth"],
     "calibration.figures": ["write_figures"],
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
     "foreign.export": ["export_supervisor"],
     "foreign.importing": ["stiffness_from"],
+    "mirrors.shell.puck_motion": ["motion_for"],
+    "modal.bases": ["karhunen_loeve_modes", "zernike_modes"],
     "modal.dissipation": ["Budget"],
     "modal.file": ["write_modes"],
-    "modal.findings": ["find_modes"],
-    "modal.turbulence": ["Atmosphere"],
-    "reading": ["read"],
+    "modal.findings": ["ModalFindings", "find_modes"],
+    "modal.measured_stiffness": ["measured_stiffness"],
+    "modal.true_stiffness": ["true_stiffness"],
+    "modal.turbulence": ["Atmosphere", "wavefront_covariance"],
+    "planning.outlook": ["read_outlook"],
+    "reading": ["read", "read_calibration", "read_campaign", "read_stiffness"],
     "recalibration.fit": ["recalibrate"],
     "records.campaign": ["Campaign"],
     "records.cycle": ["Cycle"],
@@ -82,6 +120,7 @@ _NAMES = {
     "tracking.file": ["read_tracking"],
     "tracking.fit": ["track"],
     "tracking.law": ["Tracking"],
+    "tracking.validity": ["Validity", "validity_of"],
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}
 __all__ = ["errors", "mirrors"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,13 @@ from truenewton.records.fault import Fault
 from truenewton.records.file import campaign_from, fits_paths, stiffness_from
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
+AnyPath = str | os.PathLike[str]
 IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
+KINDS: dict[type, tuple[str, str]] = {  # what paths hold, and what reads it
+    Campaign: ("cycles", "read_campaign"),
+    StiffnessMatrix: ("a stiffness matrix", "read_stiffness"),
+    Calibration: ("a calibration", "read_calibration"),
+}
 FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to do with it
     "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
     "MODES": Fault(
@@ -32,13 +39,14 @@ FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to 
 }
 
 
-def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibration:
+def read(*paths: AnyPath | Iterable[AnyPath]) -> Campaign | StiffnessMatrix | Calibration:
     """Read cycle files, a stiffness file, or a calibration.
 
     Parameters
     ----------
     paths
-        Folders of cycle files and single files; a stiffness file may stand among cycle files.
+        Folders of cycle files and single files, or lists of them; a stiffness file may stand among
+        cycle files.
 
     Returns
     -------
@@ -54,7 +62,7 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
     TrueNewtonWarning
         A calibration is not to be used, or its data show what was not taken out of them.
     """
-    every = fits_paths(paths)
+    every = fits_paths(_flat(paths))
     whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
     files = [read_fits(path, whole=whole) for path in every]
     if len(files) == 1:
@@ -82,7 +90,7 @@ def read(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix | Calibra
     return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
 
 
-def read_data(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix:
+def read_data(*paths: AnyPath) -> Campaign | StiffnessMatrix:
     """Read what can be calibrated: as ``read``, but a calibration is refused.
 
     Raises
@@ -97,21 +105,68 @@ def read_data(*paths: str | os.PathLike[str]) -> Campaign | StiffnessMatrix:
     return data
 
 
-def read_calibration(path: str | os.PathLike[str]) -> Calibration:
+def read_campaign(*paths: AnyPath | Iterable[AnyPath]) -> Campaign:
+    """Read a campaign, as ``read``, and nothing else.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch
+    """
+    data = read(*paths)
+    if not isinstance(data, Campaign):
+        raise _another(data, "campaign", "give cycle files or their folder", paths)
+    return data
+
+
+def read_stiffness(path: AnyPath) -> StiffnessMatrix:
+    """Read a stiffness file.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch
+    """
+    data = read(path)
+    if not isinstance(data, StiffnessMatrix):
+        raise _another(data, "stiffness file", "give what `import` wrote", [path])
+    return data
+
+
+def read_calibration(path: AnyPath) -> Calibration:
     """Read a calibration file.
 
     Raises
     ------
-    UnreadableFile, FormatError
+    UnreadableFile, FormatError, CampaignMismatch
     """
-    calibrations = read_calibrations(path)
-    if not calibrations:
-        raise FormatError("is no calibration", remedy="give what `calibrate -o` wrote", path=path)
-    warn_of(calibrations[0])
-    return calibrations[0]
+    data = read(path)
+    if not isinstance(data, Calibration):
+        raise _another(data, "calibration", "give what `calibrate -o` wrote", [path])
+    return data
 
 
-def read_calibrations(*paths: str | os.PathLike[str]) -> tuple[Calibration, ...]:
+def _another(
+    data: Campaign | StiffnessMatrix | Calibration,
+    wanted: str,
+    remedy: str,
+    paths: Iterable[AnyPath | Iterable[AnyPath]],
+) -> FormatError:
+    """Return the refusal of files that hold something else than was asked for."""
+    kind, reader = KINDS[type(data)]
+    return FormatError(
+        f"is no {wanted}, but holds {kind}",
+        remedy=f"{remedy}, or this to {reader} in Python",
+        path=_flat(paths)[0],
+    )
+
+
+def _flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:
+    """Return paths one by one, where lists of them may stand among them."""
+    return [
+        one for path in paths for one in ([path] if isinstance(path, str | os.PathLike) else path)
+    ]
+
+
+def read_calibrations(*paths: AnyPath) -> tuple[Calibration, ...]:
     """Read several calibrations; none where one of the paths holds something else.
 
     Raises

@@ -3,6 +3,7 @@
 methods       the door: data and a method in, a calibration out
 result        the calibration: alpha, errors, covariance, and how they came about
 file          the calibration file (docs/files.md)
+written       a calibration as a file, in the form that its name ends in
 figures       alpha with errors (paper, fig. 5), and all figures of a calibration as files
 scale_faults  what is wrong with the common scale: unit, weights, their errors
 verdict       sound, limited, or not to be used: one verdict for all who ask

@@ -23,8 +23,8 @@ from truenewton.estimation.diagnosis import (
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
-from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
+from truenewton.records.notebook import html_table
 from truenewton.records.source import Source
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
@@ -172,6 +172,13 @@ class Calibration:
             f" {np.median(self.error[on]):.2g}, method {self.method}, scale {self.scale}>"
         )
 
+    def _repr_html_(self) -> str:
+        from truenewton.calibration.words import headline, summary_rows, warning_lines
+
+        rows = [*summary_rows(self), ("verdict", str(self.verdict.level), "")]
+        remarks = warning_lines(self.verdict.faults)
+        return html_table(headline(self), rows, remarks)
+
     @property
     def verdict(self) -> Verdict:
         """Sound, limited or not to be used, with the faults; by what a file holds."""
@@ -214,22 +221,29 @@ class Calibration:
     def plot_actuators(self, ax: Axes | None = None) -> Axes:
         """Draw alpha per actuator with error bars (paper, fig. 5); return the axes."""
         from truenewton.calibration.figures import plot_actuators
+        from truenewton.figures.style import on_screen
 
-        return plot_actuators(self, ax)
+        with on_screen():
+            return plot_actuators(self, ax)
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw alpha on the map of the actuators (paper, fig. 6); return the axes."""
         from truenewton.figures.maps import plot_map
+        from truenewton.figures.style import on_screen
 
-        return plot_map(self.layout, self.alpha, ax)
+        with on_screen():
+            return plot_map(self.layout, self.alpha, ax)
 
     def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the calibration file (docs/files.md).
+        """Write the calibration in the form that the name ends in (docs/files.md).
+
+        ``.fits`` and ``.fits.gz`` hold all of it, ``.ecsv`` the table with units and the verdict,
+        ``.csv`` the table alone, ``.npy`` alpha alone.
 
         Raises
         ------
         OutputExists, OutputFailed
         """
-        from truenewton.calibration.file import CALIBRATION
+        from truenewton.calibration.written import write_calibration
 
-        write_fits(path, CALIBRATION, self, overwrite=overwrite)
+        write_calibration(self, path, overwrite=overwrite)

@@ -14,7 +14,10 @@ def run(
         ..., metavar="PATH...", help="Cycle files or their folder, or a stiffness file."
     ),
     output: Path | None = typer.Option(
-        None, "-o", "--output", help="Calibration file to write (FITS)."
+        None,
+        "-o",
+        "--output",
+        help="File to write: .fits, the calibration; .ecsv or .csv, its table; .npy, alpha.",
     ),
     method: str | None = options.METHOD,
     population: bool = options.POPULATION,
@@ -32,11 +35,14 @@ def run(
         summary_lines,
         summary_values,
     )
+    from truenewton.calibration.written import lacking, suffix_of
     from truenewton.cli.terminal import about, print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
     from truenewton.records.campaign import Campaign
 
+    if output is not None:
+        suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     motion = options.motion_of(mirror, data)
@@ -48,4 +54,6 @@ def run(
     lines = [*summary_lines(calibration), *imbalance_lines(calibration.imbalances)]
     if isinstance(data, Campaign):
         lines += rejected_lines(data, calibration.rejected_rows)
+    if output is not None and (lacks := lacking(calibration, output)):
+        lines.append(lacks)
     print_result(lines, output, values=summary_values(calibration) if json else None)

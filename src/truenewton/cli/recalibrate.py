@@ -24,6 +24,7 @@ def run(
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
     from truenewton.calibration.verdict import refuse_unusable
+    from truenewton.calibration.written import suffix_of
     from truenewton.cli.terminal import about, print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
@@ -34,6 +35,8 @@ def run(
 
     auto = actuators.strip().casefold() == "auto"
     ids = [] if auto else options.ids(actuators, "--actuators")
+    if output is not None:
+        suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     if not isinstance(data, Campaign):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import matplotlib as mpl
@@ -36,20 +37,46 @@ STYLE: Any = {
 }
 LONGEST = 40  # letters of a label; longer ones would leave no room for the axes
 NAMED = 100  # up to so many actuators bear their names
+_ON_SCREEN: ContextVar[bool] = ContextVar("on_screen", default=False)
+
+
+def new_figure(height: float) -> Figure:
+    """Return a figure one column wide and ``height`` columns high."""
+    size = (COLUMN, height * COLUMN)
+    if _ON_SCREEN.get():
+        from matplotlib import pyplot
+
+        return pyplot.figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def new_axes(height: float) -> Axes:
     """Return axes on a figure of its own, one column wide and ``height`` columns high."""
-    figure = Figure(figsize=(COLUMN, height * COLUMN), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure.add_subplot()
+    return new_figure(height).add_subplot()
+
+
+@contextmanager
+def on_screen() -> Iterator[None]:
+    """Let new axes be pyplot's, so that they show in Jupyter and in windows: for users alone.
+
+    Files and pages are made without pyplot, which would keep their figures open.
+    """
+    before = _ON_SCREEN.set(True)
+    try:
+        yield
+    finally:
+        _ON_SCREEN.reset(before)
 
 
 @contextmanager
 def styled_axes(ax: Axes | None, height: float) -> Iterator[Axes]:
     """Yield the axes given, or new ones ``height`` columns high, and let what is drawn look so."""
+    # The first figure of pyplot sets its backend up, which the context would undo.
+    figure = ax.figure if ax else new_figure(height)
     with mpl.rc_context(STYLE):
-        yield ax or new_axes(height)
+        yield ax or figure.add_subplot()
 
 
 def legend_above(ax: Axes) -> None:

@@ -29,6 +29,7 @@ from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
+from truenewton.records.notebook import html_table
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -63,6 +64,14 @@ class ModalFindings:
     def __repr__(self) -> str:
         base = self.after
         return f"<ModalFindings of {base.matrix.instrument}: {base.modes.stiffness.size} modes>"
+
+    def _repr_html_(self) -> str:
+        from truenewton.calibration.words import warning_lines
+        from truenewton.modal.words import headline, summary_rows
+
+        rows = [row for row in summary_rows(self) if row[1]]
+        rows.append(("verdict on alpha", str(self.calibration.verdict)))
+        return html_table(headline(self), rows, warning_lines(self.warnings))
 
     @property
     def warnings(self) -> tuple[Fault, ...]:

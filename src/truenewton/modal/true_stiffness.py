@@ -142,7 +142,7 @@ def true_stiffness(
 
     Actuators that are off apply no force and float: with o for them and a for the others,
     K_aa - K_ao K_oo^-1 K_oa. Slaved ones take the positions that make the sum of squares of all
-    forces least, z_s = -(K_:s' K_:s)^-1 K_:s' K_:m z_m for commanded z_m.
+    forces least, ``z_s = -(K_:s' K_:s)^-1 K_:s' K_:m z_m`` for commanded z_m.
 
     Parameters
     ----------

@@ -115,14 +115,23 @@ def static_force_text(cost: Dissipation) -> str:
     return f"{force.min():.3g} .. {force.max():.3g} mN"
 
 
-def lines(findings: ModalFindings, limits: Budget) -> list[str]:
-    """Return what was found, for people."""
-    base, measured, c = findings.after, findings.measured, findings.calibration
+def headline(findings: ModalFindings) -> str:
+    """Return of what mirror the modes are, how many, and by which alpha."""
+    base, c = findings.after, findings.calibration
+    count = base.modes.stiffness.size
+    return (
+        f"{base.matrix.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}"
+    )
+
+
+def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
+    """Return name and value of what was found; no value where there is none."""
+    base, measured = findings.after, findings.measured
     before, after = findings.before.stiffness, base.stiffness
-    count, elastic = base.modes.stiffness.size, base.modes.stiffness[3:]
+    elastic = base.modes.stiffness[3:]
     rigid = ", ".join(f"{value:.3g}" for value in after.rigid_stiffness)
     negative = int(np.count_nonzero(elastic < 0))
-    rows = [
+    return [
         ("measured stiffness", measured_text(measured) if measured else ""),
         ("", rigid_text(measured) if measured else ""),
         ("", f"{'alpha = 1':<12}calibrated"),
@@ -137,12 +146,16 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
         ("between actuators", fitting_error_text(base)),
         ("static force", static_force_text(base.costs[0])),
     ]  # fmt: skip
+
+
+def lines(findings: ModalFindings, limits: Budget) -> list[str]:
+    """Return what was found, for people."""
     return [
-        f"{base.matrix.instrument}: {count} stiffness modes; alpha by {c.method}, scale {c.scale}",
-        *(row(name, text) for name, text in rows if text),
-        *_table(base),
+        headline(findings),
+        *(row(name, text) for name, text in summary_rows(findings) if text),
+        *_table(findings.after),
         *_within(findings, limits),
-        row("verdict on alpha", str(c.verdict)),
+        row("verdict on alpha", str(findings.calibration.verdict)),
         *warning_lines(findings.warnings),
     ]
 

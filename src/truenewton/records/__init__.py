@@ -4,6 +4,7 @@ cycle             one run through all shapes under one load
 campaign          cycles of one mirror that belong together
 stiffness_matrix  a measured stiffness: commanded force per displacement
 fault             what is wrong, and what mends it
+notebook          results as a notebook shows them
 source            the file that data came from, and what of it went into a result
 file              cycle and stiffness files, both ways
 """

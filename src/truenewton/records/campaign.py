@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
@@ -13,8 +13,9 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.records.cycle import Cycle
+from truenewton.records.notebook import html_table
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted
+from truenewton.rounding import counted, with_error
 from truenewton.statics.arms import effective_weight
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -31,7 +32,7 @@ OF_LOAD = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Campaign:
-    """Cycles of one mirror, which together are calibrated.
+    """Cycles of one mirror, which together are calibrated: as many as its length, in their order.
 
     Attributes
     ----------
@@ -86,6 +87,21 @@ class Campaign:
             f"<Campaign of {self.instrument}: {counted(self.layout.n, 'actuator')},"
             f" {counted(self.cycles, 'cycle')} under {loads}>"
         )
+
+    def _repr_html_(self) -> str:
+        rows = [("mirror", f"{-self.weight:.6g} ± {self.weight_error:.2g} N", "WEIGHT, downwards")]
+        for load in self.loads:
+            cycles = [cycle for cycle in self if cycle.load.key == load.key]
+            count = counted(sum(cycle.shape.size for cycle in cycles), "row")
+            added = f"{with_error(load.added, load.added_error)} N added" if load.added else ""
+            rows.append((load.name, f"{counted(cycles, 'cycle')}, {count}", added))
+        return html_table(repr(self)[1:-1], rows)
+
+    def __len__(self) -> int:
+        return len(self.cycles)
+
+    def __iter__(self) -> Iterator[Cycle]:
+        return iter(self.cycles)
 
     @property
     def layout(self) -> Layout:

@@ -17,7 +17,7 @@ from truenewton.estimation.estimate import Scale
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.weights import typical
 from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
-from truenewton.figures.style import ACCENT, FAINT, styled_axes
+from truenewton.figures.style import ACCENT, FAINT, on_screen, styled_axes
 from truenewton.report.layers import Layer, alpha_layer
 
 
@@ -73,12 +73,13 @@ class Change:
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas on the map of the actuators; return the axes."""
-        return self.layers[0].plot(self.one.layout, ax)
+        with on_screen():
+            return self.layers[0].plot(self.one.layout, ax)
 
     def plot_actuators(self, ax: Axes | None = None) -> Axes:
         """Draw the change in sigmas, ring by ring, and how far chance reaches; return the axes."""
         layout = self.one.layout
-        with styled_axes(ax, 0.75) as ax:
+        with on_screen(), styled_axes(ax, 0.75) as ax:
             numbers = numbers_by_ring(layout)
             ax.axhspan(-self.limit, self.limit, color=FAINT, alpha=0.2, linewidth=0)
             ax.axhline(0.0, color=FAINT, linewidth=0.5)

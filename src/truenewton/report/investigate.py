@@ -26,6 +26,7 @@ from truenewton.errors import (
 )
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.sifted import Sifted, sift
+from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.measured_stiffness import motion_reader
 from truenewton.records.campaign import Campaign
@@ -92,7 +93,8 @@ class Findings:
 
         drawn = figures_of(self)
         if name in drawn:
-            return drawn[name](ax=ax)
+            with on_screen():
+                return drawn[name](ax=ax)
         if name in ("residuals", "singular-values", "balance"):
             raise ValueError("a calibration file holds no residuals; give the cycles")
         if name == "temperatures":

@@ -15,6 +15,7 @@ from truenewton.calibration.result import LARGEST_ALPHA
 from truenewton.errors import FormatError, RankDeficient
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
+from truenewton.records.notebook import html_table
 from truenewton.statics.layout import Layout
 from truenewton.tracking.days import SAME_TEMPERATURE, YEAR
 from truenewton.tracking.family import Family
@@ -173,6 +174,11 @@ class Tracking:
             f"<Tracking of {self.instrument}: {len(self.days)} calibrations,"
             f" {' and '.join(self.effects)}>"
         )
+
+    def _repr_html_(self) -> str:
+        from truenewton.tracking.words import headline, remarks, summary_rows
+
+        return html_table(headline(self), summary_rows(self), remarks(self))
 
     @property
     def span(self) -> tuple[float, float] | None:

@@ -28,44 +28,63 @@ MOST_ROWS, FIRST_ROWS = 60, 10  # of the table of actuators; of a longer one onl
 def lines(tracking: Tracking, validity: Validity | None) -> Iterator[str]:
     """Yield what was found, for people."""
     t = tracking
-    first, last = t.days[0].date, t.days[-1].date
-    yield (
-        f"{t.instrument}: {len(t.days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d},"
-        f" alpha at {_degrees(t.temperature)} on {t.date:%Y-%m-%d}"
-    )
+    yield headline(t)
     for day in t.days:
         verdict = f"{day.verdict}: " if day.verdict else ""
         yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {verdict}{day.name}"
+    for name, value in summary_rows(t):
+        yield row(name, value)
+    yield from _table(t)
+    for remark in remarks(t):
+        yield f"  {remark}"
+    if validity is not None:
+        yield from _validity_lines(validity)
+
+
+def headline(tracking: Tracking) -> str:
+    """Return what was tracked, from how many days."""
+    t, first, last = tracking, tracking.days[0].date, tracking.days[-1].date
+    return (
+        f"{t.instrument}: {len(t.days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d},"
+        f" alpha at {_degrees(t.temperature)} on {t.date:%Y-%m-%d}"
+    )
+
+
+def summary_rows(tracking: Tracking) -> Iterator[tuple[str, str]]:
+    """Yield name and value of what is common to the actuators."""
+    t = tracking
     for family in t.families:
         unit, (low, high) = UNITS[family.effect], family.spread_interval
         mean = with_error(100 * family.mean, 100 * family.mean_error)
         within = f"95 % within {100 * low:.2g} .. {100 * high:.2g}"
-        yield row(f"{family.effect}, mean", f"{mean} {unit}")
-        yield row("  spread of actuators", f"{100 * family.spread:.2g} {unit}, {within}")
+        yield (f"{family.effect}, mean", f"{mean} {unit}")
+        yield ("  spread of actuators", f"{100 * family.spread:.2g} {unit}, {within}")
     if t.scatter_degrees:
         own, common = (f"{100 * s:.2g} %" for s in (np.nanmedian(t.scatter), t.common_scatter))
         degrees = f"{t.scatter_degrees} degree{'s' * (t.scatter_degrees > 1)} of freedom"
-        yield row("scatter of days", f"{own} of each actuator, {common} of all ({degrees})")
+        yield ("scatter of days", f"{own} of each actuator, {common} of all ({degrees})")
     if t.degrees_of_freedom:
         reduced = f"chi2/DOF = {t.chi2 / t.degrees_of_freedom:.3g}, DOF {t.degrees_of_freedom}"
-        yield row("fit", f"{reduced}, probability {t.probability:.2g}")
-    yield from _table(t)
+        yield ("fit", f"{reduced}, probability {t.probability:.2g}")
+
+
+def remarks(tracking: Tracking) -> Iterator[str]:
+    """Yield who left the family, what is wrong, and what cannot be said."""
+    t = tracking
     for one in t.outliers:
         yield (
-            f"  LEFT THE FAMILY: actuator {one.actuator}, {OUTLYING[one.effect]},"
+            f"LEFT THE FAMILY: actuator {one.actuator}, {OUTLYING[one.effect]},"
             f" {abs(one.sigmas):.1f} sigma; {by_chance(one.probability)}"
         )
     if not t.outliers:
-        yield "  nobody leaves the family (false alarm on at most 1 % of mirrors)"
+        yield "nobody leaves the family (false alarm on at most 1 % of mirrors)"
     if t.probability < 1e-3:
         yield (
-            "  WARNING: the days do not lie on lines within their errors; look at the figures,"
+            "WARNING: the days do not lie on lines within their errors; look at the figures,"
             " and for what else changed between them"
         )
     for limit in t.limits:
-        yield f"  LIMIT: {limit}"
-    if validity is not None:
-        yield from _validity_lines(validity)
+        yield f"LIMIT: {limit}"
 
 
 def _table(t: Tracking) -> Iterator[str]:

@@ -18,6 +18,7 @@ from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
 from truenewton.records.source import Source
 from truenewton.report.change import Change
+from truenewton.report.figures import figures_of
 from truenewton.report.investigate import Findings
 from truenewton.report.page.actuator_plots import palette
 from truenewton.report.page.modal_sections import modal_sections
@@ -77,13 +78,14 @@ def page(findings: Findings | Change, command: str = "") -> str:
         )  # fmt: skip
     c, instrument = findings.calibration, findings.data.instrument
     sections = (*evidence_sections(findings), *modal_sections(findings), times(findings))
+    figures = figures_of(findings)
     return _rendered(
         title=f"{instrument}: calibration of its actuators",
         heading=headline(c) if c else f"{instrument}: no calibration",
         verdict=verdict(findings),
         actuators=calibration_views(findings, c) if c else None,
         sections=sections,
-        drawn={part.key: inline_svg(findings.plot(part.figure), part.key)
+        drawn={part.key: inline_svg(figures[part.figure](), part.key)
                for part in sections if part.figure},
         tables=(TextTable("All figures", ("figure", "value", "note"),
                           tuple(summary_rows(c)) if c else (), wraps=True),

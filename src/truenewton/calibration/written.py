@@ -1,0 +1,93 @@
+"""A calibration as a file, in the form that its name ends in: all of it, its table, or alpha."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from truenewton.calibration.file import ACTUATORS, CALIBRATION
+from truenewton.calibration.result import Calibration
+from truenewton.errors import OutputExists, OutputFailed
+from truenewton.files.fits import write_fits
+from truenewton.files.format import columns_of, header_of
+from truenewton.files.outputs import file_beside
+
+WHOLE = (".fits", ".fits.gz")
+LACKS = {  # of the other forms, and what they leave out
+    ".ecsv": "the table and the verdict; no covariance",
+    ".csv": "the table alone; no units (X, Y in m), no verdict, no covariance",
+    ".npy": "alpha alone, NaN where disabled; no errors, no verdict",
+}
+
+
+def suffix_of(path: str | os.PathLike[str]) -> str:
+    """Return which of the forms a name ends in.
+
+    Raises
+    ------
+    OutputExists
+        It is a folder.
+    OutputFailed
+        It ends in none of them.
+    """
+    name = Path(path).name.lower()
+    for suffix in (*WHOLE, *LACKS):
+        if name.endswith(suffix):
+            return suffix
+    if Path(path).is_dir():
+        raise OutputExists("is a folder", remedy="choose another name", path=path)
+    raise OutputFailed(
+        "is no name for a calibration",
+        remedy=f"let it end in {', '.join((*WHOLE, *LACKS))}",
+        path=path,
+    )
+
+
+def lacking(calibration: Calibration, path: str | os.PathLike[str]) -> str:
+    """Return what a file of that name does not tell of a calibration; empty where it tells all."""
+    lacks = LACKS.get(suffix_of(path), "")
+    if not lacks:
+        return ""
+    return (
+        f"{Path(path).name} holds {lacks}; the verdict is '{calibration.verdict.level}'."
+        " A name in .fits keeps all, which the other commands take"
+    )
+
+
+def write_calibration(
+    calibration: Calibration, path: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
+    """Write a calibration in the form that the name ends in.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+    """
+    suffix = suffix_of(path)
+    if suffix in WHOLE:
+        write_fits(path, CALIBRATION, calibration, overwrite=overwrite)
+        return
+    with file_beside(path, overwrite=overwrite) as temporary:
+        if suffix == ".npy":
+            with temporary.open("wb") as file:
+                np.save(file, calibration.alpha, allow_pickle=False)
+        else:
+            _write_table(calibration, temporary, suffix)
+
+
+def _write_table(calibration: Calibration, path: Path, suffix: str) -> None:
+    """Write the table with all digits; ECSV holds units, keywords and the verdict's faults, too."""
+    from astropy.table import Column, Table
+
+    table = Table()
+    for name, _, unit, values in columns_of(calibration, ACTUATORS):
+        if name != "NZ":
+            table[name] = Column(values, unit=unit)
+    if suffix == ".ecsv":
+        for name, value, _ in header_of(calibration, CALIBRATION):  # YAML knows plain types alone
+            table.meta[name] = str(value) if isinstance(value, str) else np.asarray(value).item()
+        faults = calibration.verdict.faults
+        table.meta["FAULTS"] = ["; ".join(filter(None, fault)) for fault in faults]
+    table.write(path, format=f"ascii{suffix}")
