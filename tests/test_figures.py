@@ -84,7 +84,10 @@ def test_figures_2_5_and_6_as_pdf_and_png_at_column_width(calibration, tmp_path)
     assert names == {f"{stem}.{form}" for stem in stems for form in ("pdf", "png")}
     for path in paths:
         if path.suffix == ".pdf":
-            assert path.read_bytes().startswith(b"%PDF")
+            written = path.read_bytes()
+            assert written.startswith(b"%PDF")
+            assert b"/CIDFontType2" in written  # TrueType, as journals take it
+            assert b"/Type3" not in written
         else:
             with Image.open(path) as image:
                 assert image.width == pytest.approx(COLUMN * 300, abs=2)

@@ -41,7 +41,7 @@ def _modes(modes: ModalFindings) -> Section:
     values = modes.after.modes.stiffness
     elastic = values[3:]
     softest, stiffest = (elastic[k] for k in (np.abs(elastic).argmin(), np.abs(elastic).argmax()))
-    rigid = ", ".join(stiffness_text(value) for value in after.rigid_stiffness)
+    rigid = ", ".join(stiffness_text(value) for value in values[:3])
     words = [
         f"Of {values.size} modes the softest elastic one has {stiffness_text(softest)}, the"
         f" stiffest {stiffness_text(stiffest)}. Rigid motions bend nothing; bias magnets and errors"
