@@ -188,7 +188,7 @@ def test_numbers_go_as_far_as_their_errors(p45):
     layers = {layer.key: layer for layer in calibration_layers(c, p45.evidence)}
     value, error = layers["alpha"].texts[9].split(" ± ")
     assert float(value) == pytest.approx(c.alpha[9], abs=0.5 * 10.0 ** -len(error.split(".")[1]))
-    assert float(error) == pytest.approx(c.reading_error[9], rel=0.1)
+    assert float(error) == pytest.approx(c.error[9], rel=0.1)
     assert len(value.split(".")[1]) == len(error.split(".")[1])
     assert all(len(text.lstrip("0.").replace(".", "")) <= 2 for text in layers["e_stat"].texts)
 
@@ -306,7 +306,7 @@ def test_hostile_names_come_out_as_text():
     reader = Reader()
     reader.feed(page(investigate(hostile_campaign()), command=f"truenewton report '{HOSTILE}'"))
     assert {tag for tag, _ in reader.tags if tag == "script"} == {"script"}
-    assert sum(tag == "script" for tag, _ in reader.tags) == 3  # Bokeh, payload, ours
+    assert sum(tag == "script" for tag, _ in reader.tags) == 4  # tables, Bokeh, payload, ours
     assert all("onerror" not in attributes for _, attributes in reader.tags)
     assert all(re.fullmatch(r"still-[a-z-]+", a["id"]) for tag, a in reader.tags if tag == "img")
     text = "".join(reader.text)
