@@ -11,7 +11,7 @@ from step_response import plot_step_responses
 from truenewton.calibration.figures import write_figures
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import OutputExists
-from truenewton.figures.maps import plot_layout
+from truenewton.figures.maps import plot_layout, plot_map
 from truenewton.figures.style import COLUMN
 
 
@@ -49,7 +49,33 @@ def test_alpha_stands_with_three_sigma_bars_ring_by_ring(calibration):
     half = 0.5 * (ends[:, 1] - ends[:, 0])
     assert half == pytest.approx(3 * calibration.reading_error, rel=1e-9)
     named = {text.get_text() for text in ax.texts}
-    assert named == {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
+    extremes = {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
+    assert named == {"ring 1", "ring 2", "ring 3"} | extremes
+
+
+def test_the_errors_have_a_panel_of_their_own_in_per_cent_of_alpha(calibration):
+    c, ax = calibration, calibration.plot_actuators()
+    _, below = ax.figure.axes
+    assert below.get_yscale() == "log"
+    drawn = {line.get_label(): line for line in below.lines}
+    for name, error in (("E_STAT, 1σ", c.reading_error), ("E_SYST, 1σ", c.systematic_error),
+                        ("E_CYCLE, 3σ", c.cycle_error)):  # fmt: skip
+        assert drawn[name].get_xdata() == pytest.approx(np.arange(1, 46))
+        assert drawn[name].get_ydata() == pytest.approx(100 * error / c.alpha)
+    given = Figure().add_subplot()
+    calibration.plot_actuators(given)
+    assert given.figure.axes == [given]
+
+
+def test_alpha_stands_in_the_map_as_a_number_where_asked(calibration):
+    ax = plot_map(calibration.layout, calibration.alpha, numbers=True)
+    told = [text.get_text().split("\n") for text in ax.texts if "\n" in text.get_text()]
+    assert [int(name) for name, _ in told] == calibration.layout.id.tolist()
+    assert [float(value) for _, value in told] == pytest.approx(calibration.alpha, abs=0.0051)
+
+
+def test_the_layout_says_from_where_it_is_seen(calibration):
+    assert r"$z$, seen along $-z$" in {t.get_text() for t in plot_layout(calibration.layout).texts}
 
 
 def test_steps_stand_in_milliseconds_with_the_stiffness_of_their_modes():
@@ -84,7 +110,10 @@ def test_figures_2_5_and_6_as_pdf_and_png_at_column_width(calibration, tmp_path)
     assert names == {f"{stem}.{form}" for stem in stems for form in ("pdf", "png")}
     for path in paths:
         if path.suffix == ".pdf":
-            assert path.read_bytes().startswith(b"%PDF")
+            written = path.read_bytes()
+            assert written.startswith(b"%PDF")
+            assert b"/CIDFontType2" in written  # TrueType, as journals take it
+            assert b"/Type3" not in written
         else:
             with Image.open(path) as image:
                 assert image.width == pytest.approx(COLUMN * 300, abs=2)

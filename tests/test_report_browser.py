@@ -105,9 +105,9 @@ def test_the_actuator_under_the_pointer_is_told_in_full(browser, pages, p45):
     told = browser.wait(TOOLTIP)
     c = p45.calibration
     assert "actuator17" in told.replace(": ", "").replace(" ", "")
-    error = f"{c.reading_error[16]:.4f}"
+    error = f"{c.error[16]:.4f}"
     assert f"{c.alpha[16]:.3f}"[:4] in told
-    for name in ("ring", "x, y", "alpha", "error from readings", "leverage", "residual"):
+    for name in ("ring", "x, y", "alpha", "from the readings", "leverage", "residual"):
         assert name in told, name
     assert error[:4] in told
     panel = browser.js("return document.getElementById('detail').textContent")
@@ -141,7 +141,7 @@ def test_the_layers_colour_the_map(browser, pages, p45):
     names = browser.js(
         "return [...document.querySelectorAll('#layers label')].map((l) => l.textContent.trim())"
     )
-    assert {"alpha", "error from readings", "leverage", "residual"} <= set(names)
+    assert {"alpha", "from the readings", "leverage", "residual"} <= set(names)
     seen = set()
     for k in range(len(names)):
         browser.js("document.querySelectorAll('#layers input')[arguments[0]].click()", k)
@@ -221,7 +221,42 @@ def test_all_of_it_can_be_reached_by_the_keyboard(browser, pages):
     assert "actuator3" in browser.js("return document.getElementById('detail').textContent")
     browser.js("document.querySelector('#layers input').focus()")
     ActionChains(browser.driver).send_keys(Keys.ARROW_DOWN).perform()
-    assert "E_STAT" in browser.js("return document.getElementById('meaning').textContent")
+    assert "E_ALPHA" in browser.js("return document.getElementById('meaning').textContent")
+
+
+def test_the_first_screen_holds_verdict_advice_and_map(browser, pages):
+    browser.open(pages["p45"])
+    low = browser.js(
+        "return ['.verdict', '#plot-map'].map((name) =>"
+        " document.querySelector(name).getBoundingClientRect().bottom)"
+    )
+    assert max(low) <= browser.js("return window.innerHeight")
+
+
+@pytest.mark.parametrize("name", ["p45", "no_alpha", "change"])
+def test_the_contents_lead_to_every_section(browser, pages, name):
+    browser.open(pages[name])
+    linked, titles = browser.js(
+        "return [[...document.querySelectorAll('.contents a')].map((a) => a.hash.slice(1)),"
+        " [...document.querySelectorAll('main h2')].map((h) => h.id)]"
+    )
+    assert linked == [title for title in titles if title != "title-detail"]
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_a_table_says_that_it_scrolls_where_it_does(browser, pages, width):
+    if width < 500:
+        browser.narrow(width)
+    try:
+        browser.open(pages["p45"])
+        told = browser.js(
+            "return [...document.querySelectorAll('.scroll')].map((box) =>"
+            " [!box.previousElementSibling.hidden, box.scrollWidth > box.clientWidth + 1])"
+        )
+    finally:
+        browser.wide()
+    assert all(says == does for says, does in told)
+    assert any(says for says, _ in told) == (width < 500)
 
 
 def test_paper_shows_the_figures_in_full(browser, pages):

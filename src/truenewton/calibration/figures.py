@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.estimate import Scale
@@ -16,11 +17,12 @@ from truenewton.figures.maps import (
     ALPHA_LABEL,
     mark_rings,
     name_point,
+    name_rings,
     numbers_by_ring,
     plot_layout,
     plot_map,
 )
-from truenewton.figures.style import ACCENT, INK, NAMED, styled_axes
+from truenewton.figures.style import ACCENT, CURVES, INK, NAMED, legend_above, styled_axes
 from truenewton.figures.writing import write_drawn
 
 
@@ -28,9 +30,11 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
     The bars are three standard uncertainties from the readings (3 E_STAT), the paper's level. The
-    error of the common scale moves all points together: it stands above.
+    error of the common scale moves all points together: it stands above. Bars may hide in their
+    dots: a figure of its own has a second panel, of the errors (`plot_errors`).
     """
-    with styled_axes(ax, 0.75) as ax:
+    own = ax is None
+    with styled_axes(ax, 1.2 if own else 0.75) as ax:
         layout, alpha = calibration.layout, calibration.alpha
         numbers, few = numbers_by_ring(layout), layout.n <= NAMED
         ax.errorbar(
@@ -38,11 +42,12 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
             markersize=1.8 if few else 1.0, elinewidth=0.6, capsize=1.5 if few else 0.0,
         )  # fmt: skip
         mark_rings(ax, layout)
+        name_rings(ax, layout)
         ax.set_xlim(-0.02 * layout.n, 1.02 * layout.n + 1)
         for extreme in (np.nanargmin(alpha), np.nanargmax(alpha)):
             name_point(ax, layout.id[extreme], numbers[extreme], alpha[extreme])
         ax.set_ylabel(ALPHA_LABEL)
-        ax.margins(y=0.12)
+        ax.margins(y=0.16)  # names of the rings stand in it
         note = "bars: 3σ, readings"
         if calibration.scale != Scale.MEAN_ONE:
             scale = typical(calibration.systematic_error, alpha)
@@ -50,6 +55,43 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
         else:
             note += f"; scale: {calibration.scale}"
         ax.set_title(note)
+        if own:
+            panels = ax.figure.add_gridspec(2, 1, height_ratios=(3, 2))
+            ax.set_subplotspec(panels[0])
+            ax.set_xlabel("")
+            ax.tick_params(labelbottom=False)
+            plot_errors(calibration, ax.figure.add_subplot(panels[1], sharex=ax))
+            ax.figure.align_ylabels()
+    return ax
+
+
+def plot_errors(calibration: Calibration, ax: Axes | None = None) -> Axes:
+    """Draw the errors of alpha per actuator, ring by ring, relative to alpha.
+
+    E_SYST from the weights and E_STAT from the readings at one sigma, E_CYCLE from the scatter of
+    the cycles at three, as in the paper. What is unknown or zero is left out.
+    """
+    with styled_axes(ax, 0.6) as ax:
+        c, few = calibration, calibration.layout.n <= NAMED
+        for name, error, mark, colour in (
+            ("E_SYST, 1σ", c.systematic_error, "_", CURVES[4]),
+            ("E_CYCLE, 3σ", c.cycle_error, "s", CURVES[1]),
+            ("E_STAT, 1σ", c.reading_error, "o", CURVES[0]),
+        ):
+            known = error > 0.0  # false of NaN, too
+            if known.any():
+                ax.semilogy(
+                    numbers_by_ring(c.layout)[known], 100 * (error / np.abs(c.alpha))[known], mark,
+                    color=colour, markersize=2.0 if few else 1.0, markerfacecolor="none",
+                    markeredgewidth=0.6, label=name,
+                )  # fmt: skip
+        mark_rings(ax, c.layout)
+        ax.set_ylabel(r"error of $\alpha$ (%)")
+        ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        ax.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        ax.yaxis.set_minor_formatter(NullFormatter())
+        if ax.lines:
+            legend_above(ax)
     return ax
 
 
@@ -58,9 +100,12 @@ def write_figures(
     folder: str | os.PathLike[str],
     *,
     more: Mapping[str, Callable[[], Axes]] | None = None,
+    numbers: bool = False,
     overwrite: bool = False,
 ) -> list[Path]:
     """Write figures 2, 5 and 6, and more by name, as PDF and PNG into a folder; return the paths.
+
+    With ``numbers`` each actuator of figure 6 bears alpha as a number, not its name alone.
 
     Raises
     ------
@@ -69,7 +114,7 @@ def write_figures(
     figures: dict[str, Callable[[], Axes]] = {
         "fig2-actuators": lambda: plot_layout(calibration.layout),
         "fig5-alpha": lambda: plot_actuators(calibration),
-        "fig6-alpha-map": lambda: plot_map(calibration.layout, calibration.alpha),
+        "fig6-alpha-map": lambda: plot_map(calibration.layout, calibration.alpha, numbers=numbers),
         **(more or {}),
     }
     return write_drawn(figures, folder, overwrite=overwrite)

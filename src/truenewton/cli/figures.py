@@ -12,6 +12,7 @@ from truenewton.cli import options
 def run(
     paths: list[Path] = options.PATHS,
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the figures."),
+    numbers: bool = typer.Option(False, "--numbers", help="Write alpha into the map of fig. 6."),
     overwrite: bool = options.OVERWRITE,
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
@@ -30,5 +31,7 @@ def run(
             fault, remedy = findings.faults[0]
             raise RankDeficient(fault, remedy=remedy)
         more = still_figures(findings)
-        written = write_figures(findings.calibration, output, more=more, overwrite=overwrite)
+        written = write_figures(
+            findings.calibration, output, more=more, numbers=numbers, overwrite=overwrite
+        )
     say(f"verdict: {findings.calibration.verdict}", *written)

@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, styled_axes
+from truenewton.rounding import significant
 from truenewton.statics.layout import Layout, ring_of
 
+LEAST_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
 
 
@@ -48,6 +50,17 @@ def mark_rings(ax: Axes, layout: Layout) -> None:
     ax.set_xlabel(ring_label(layout))
 
 
+def name_rings(ax: Axes, layout: Layout) -> None:
+    """Write the numbers of the rings above an axis of actuators, where there is room for them."""
+    counts = np.bincount(ring_of(layout))
+    ends = np.cumsum(counts)
+    for ring, (count, end) in enumerate(zip(counts, ends, strict=True), start=1):
+        if counts.size > 1 and count >= LEAST_RING * layout.n:
+            name = f"ring {ring}" if count >= WIDE_RING * layout.n else str(ring)
+            ax.text(end - 0.5 * (count - 1), 0.985, name, transform=ax.get_xaxis_transform(),
+                    ha="center", va="top", fontsize=6.0, color=INK)  # fmt: skip
+
+
 def name_point(ax: Axes, name: object, x: float, y: float, points: int = 3, **looks: Any) -> None:
     """Write a name so many points to the right of a mark."""
     ax.annotate(str(name), (x, y), xytext=(points, 0), textcoords="offset points", fontsize=6.0,
@@ -58,6 +71,7 @@ def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
     """Draw the actuators with their names, rings and axes (paper, fig. 2)."""
     with styled_axes(ax, 1.0) as ax:
         _frame(layout, ax)
+        _mark_view(ax)
         ax.add_collection(
             PatchCollection(_circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
         )
@@ -76,11 +90,13 @@ def plot_map(
     label: str = ALPHA_LABEL,
     colours: str = COLOURS,
     limits: tuple[float, float] | None = None,
+    numbers: bool = False,
 ) -> Axes:
     """Draw values (n,) on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
 
-    An actuator without a value (disabled) is an open circle. Among many, the few farthest out take
-    up no colours of their own, unless ``limits`` say where the colours end.
+    Up to a hundred actuators bear their names; with ``numbers`` each its value as well. An actuator
+    without a value (disabled) is an open circle. Among many, the few farthest out take up no
+    colours of their own, unless ``limits`` say where the colours end.
     """
     with styled_axes(ax, 1.02) as ax:
         _frame(layout, ax)
@@ -111,8 +127,14 @@ def plot_map(
             for name, x, y, value in zip(layout.id, layout.x, layout.y, values, strict=True):
                 light = np.dot(dots.to_rgba(value)[:3], [0.299, 0.587, 0.114])
                 colour = INK if light > 0.5 else "white"
-                ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
-                        fontsize=5.0, color=colour if np.isfinite(value) else FAINT)  # fmt: skip
+                text = (
+                    f"{name}\n{significant(value, 3)}"
+                    if numbers and np.isfinite(value)
+                    else str(name)
+                )
+                ax.text(x / MILLIMETRE, y / MILLIMETRE, text, ha="center", va="center",
+                        fontsize=4.0 if numbers else 5.0, linespacing=1.0,
+                        color=colour if np.isfinite(value) else FAINT)  # fmt: skip
     return ax
 
 
@@ -135,6 +157,16 @@ def _frame(layout: Layout, ax: Axes) -> None:
     ax.plot([reach - bar, reach], [-0.97 * reach] * 2, color=INK, linewidth=1.0,
             solid_capstyle="butt")  # fmt: skip
     ax.text(reach - bar / 2, -0.95 * reach, f"{bar:g} mm", ha="center", va="bottom", fontsize=6.5)
+
+
+def _mark_view(ax: Axes) -> None:
+    """Draw z, towards the reader, in the lower left corner, and say how the mirror is seen."""
+    looks: Any = {"transform": ax.transAxes, "color": INK, "linestyle": "none"}
+    for size in (6.0, 1.2):  # the point of an arrow
+        ax.plot([0.03], [0.03], "o", markersize=size, markeredgewidth=0.6,
+                markerfacecolor="none", **looks)  # fmt: skip
+    ax.text(0.06, 0.03, r"$z$, seen along $-z$", fontsize=6.5, va="center",
+            transform=ax.transAxes)  # fmt: skip
 
 
 def _round_length(length: float) -> float:

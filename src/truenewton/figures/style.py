@@ -33,7 +33,6 @@ STYLE: Any = {
     "axes.titlecolor": INK,
     "axes.linewidth": 0.6,
     "lines.linewidth": 0.8,
-    "pdf.fonttype": 42,
 }
 LONGEST = 40  # letters of a label; longer ones would leave no room for the axes
 NAMED = 100  # up to so many actuators bear their names

@@ -80,8 +80,6 @@ class TrueStiffness:
         (n,) the same of each enabled actuator's row and column.
     imbalance
         Norm of what couples rigid motions to the rest, over that of K; dropped if calibrated.
-    rigid_stiffness
-        (3,) stiffness of the rigid motions, by magnitude [N/m]: negative under bias magnets.
     """
 
     layout: Layout
@@ -99,12 +97,10 @@ class TrueStiffness:
     asymmetry: float
     actuator_asymmetry: Array
     imbalance: float
-    rigid_stiffness: Array
 
     def __post_init__(self) -> None:
         freeze(self, "stiffness", "shapes", "forces", "acting_stiffness", "enabled_alpha",
-               "enabled_gain", "enabled_offset", "seen", "actuator_asymmetry",
-               "rigid_stiffness")  # fmt: skip
+               "enabled_gain", "enabled_offset", "seen", "actuator_asymmetry")  # fmt: skip
 
     @property
     def commanded(self) -> NDArray[np.bool_]:
@@ -123,6 +119,15 @@ class TrueStiffness:
     def modes(self) -> StiffnessModes:
         """Its modes: rigid motions first where calibrated, then the softest."""
         return stiffness_modes(self.stiffness, arms(self.layout).T if self.calibrated else None)
+
+    @property
+    def rigid_stiffness(self) -> Array:
+        """(3,) v'Kv of piston and the two tilts, of unit length [N/m]: negative by bias magnets.
+
+        Calibrated, and with all actuators commanded, these are the first three `modes`.
+        """
+        rigid = np.linalg.qr(arms_in_units_of_rms(self.layout).T)[0]
+        return np.asarray(np.sum(rigid * (self.stiffness @ rigid), axis=0))
 
     def most_asymmetric(self, count: int = 5) -> tuple[tuple[int, float], ...]:
         """Return ID and asymmetry of the actuators whose rows and columns differ most."""
@@ -189,7 +194,6 @@ def true_stiffness(
         symmetric = symmetric - coupling @ rigid.T - rigid @ coupling.T
     shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
     stiffness = shapes.T @ forces
-    values = np.linalg.eigvalsh(own)
     return TrueStiffness(
         layout=_some(layout, ~(floats | follows)),
         stiffness=0.5 * (stiffness + stiffness.T),
@@ -206,7 +210,6 @@ def true_stiffness(
         asymmetry=float(np.linalg.norm(apart) / np.linalg.norm(together)),
         actuator_asymmetry=np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1),
         imbalance=float(np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(0.5 * together)),
-        rigid_stiffness=values[np.argsort(np.abs(values))],
     )
 
 

@@ -129,7 +129,7 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     base, measured = findings.after, findings.measured
     before, after = findings.before.stiffness, base.stiffness
     elastic = base.modes.stiffness[3:]
-    rigid = ", ".join(f"{value:.3g}" for value in after.rigid_stiffness)
+    rigid = ", ".join(f"{value:.3g}" for value in base.modes.stiffness[:3])
     negative = int(np.count_nonzero(elastic < 0))
     return [
         ("measured stiffness", measured_text(measured) if measured else ""),
@@ -137,7 +137,7 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
         ("", f"{'alpha = 1':<12}calibrated"),
         ("asymmetry of it", f"{percent(before.asymmetry):<12}{percent(after.asymmetry)}"),
         ("imbalance of it", f"{percent(before.imbalance):<12}{percent(after.imbalance)}"),
-        ("rigid motions", f"{'':<12}{rigid} N/m"),
+        ("piston and tilts", f"{'':<12}{rigid} N/m"),
         ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
          + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
         ("sensor gains", sensor_gains_text(base)),
@@ -214,7 +214,7 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         "stiffness": base.modes.stiffness,
         "asymmetry": [x.stiffness.asymmetry for x in (findings.before, base)],
         "imbalance": [x.stiffness.imbalance for x in (findings.before, base)],
-        "rigid_stiffness": base.stiffness.rigid_stiffness,
+        "rigid_stiffness": base.modes.stiffness[:3],
         "sensor_gain": base.stiffness.enabled_gain,
         "sensor_offset": base.stiffness.enabled_offset,
         "uncalibrated_modes": _attributes(

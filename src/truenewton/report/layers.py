@@ -90,14 +90,15 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
     """Return what is known of the actuators of one calibration."""
     layers = [
         alpha_layer(c, "alpha", "alpha"),
-        Layer("e_stat", "error from readings", "", c.reading_error,
-              "E_STAT: what the noise of the readings gives alpha, one sigma."),
-        Layer("e_alpha", "error, all", "", c.error,
+        Layer("e_alpha", "error of alpha", "", c.error,
               "E_ALPHA: readings and weights together, one sigma."),
+        Layer("e_stat", "from the readings", "", c.reading_error,
+              "E_STAT: the error that the noise of the readings gives alpha, one sigma; it is what"
+              " counts between actuators of one calibration."),
     ]  # fmt: skip
     if c.scale != Scale.MEAN_ONE:
         layers.append(
-            Layer("e_syst", "error from weights", "", c.systematic_error,
+            Layer("e_syst", "from the weights", "", c.systematic_error,
                   "E_SYST: the errors of the weights, which move all alphas together.")
         )  # fmt: skip
     layers += [
@@ -120,10 +121,10 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
 
 
 def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:
-    """Return alpha, as far as the errors of the readings go."""
+    """Return alpha, as far as its error goes, all included."""
     return Layer(key, name, "true N / commanded N", calibration.alpha,
-                 "True Newton per commanded Newton, with the error from the readings (E_STAT).",
-                 calibration.reading_error)  # fmt: skip
+                 "True Newton per commanded Newton, with its error, all included (E_ALPHA).",
+                 calibration.error)  # fmt: skip
 
 
 def _sensor_layers(c: Calibration) -> list[Layer]:

@@ -14,7 +14,7 @@ from truenewton.estimation.weights import scale_total, typical
 from truenewton.records.fault import Fault
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
-from truenewton.rounding import named, percent, significant, to_digits, with_error
+from truenewton.rounding import counted, named, percent, significant, to_digits, with_error
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def verdict_on_change(change: Change) -> Headline:
     """Judge what changed between two calibrations."""
     ids, changed = change.one.layout.id, change.changed
     compared = int(np.isfinite(change.sigmas).sum())
-    words = f"of {compared} actuators changed by more than {change.limit:.1f} sigma"
+    words = f"of {counted(compared, 'actuator')} changed by more than {change.limit:.1f} sigma"
     level, title, sentence = Level.SOUND, "No change", f"None {words}: the calibrations agree."
     advice: list[Fault] = []
     if changed.size:
@@ -110,9 +110,9 @@ def verdict_on_change(change: Change) -> Headline:
 def _actuators(c: Calibration) -> str:
     on = c.layout.enabled
     if on.all():
-        return f"all {on.size} actuators of {c.instrument}"
+        return f"all {counted(on.size, 'actuator')} of {c.instrument}"
     return (
-        f"{on.sum()} of the {on.size} actuators of {c.instrument}"
+        f"{on.sum()} of the {counted(on.size, 'actuator')} of {c.instrument}"
         f" ({named('actuator', c.layout.id[~on].tolist(), 8)} disabled)"
     )
 

@@ -129,7 +129,8 @@ def _actuator_points(
         plot.add_layout(Span(location=edge, dimension="height", line_color=FAINT,
                              line_dash="dotted", line_width=1))  # fmt: skip
     plot.xaxis.axis_label = ring_label(layout)
-    plot.x_range.range_padding = 0.02
+    plot.x_range.range_padding = 0.04  # the first and the last dot shall not be cut
+    plot.y_range.range_padding = 0.15
     _add_actuator_tools(plot, dots, layers)
 
 

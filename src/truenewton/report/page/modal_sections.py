@@ -22,7 +22,7 @@ from truenewton.modal.words import (
 )
 from truenewton.report.investigate import Findings
 from truenewton.report.page.section import Section, TextTable
-from truenewton.rounding import percent
+from truenewton.rounding import counted, percent
 
 
 def modal_sections(findings: Findings) -> Iterator[Section]:
@@ -41,11 +41,11 @@ def _modes(modes: ModalFindings) -> Section:
     values = modes.after.modes.stiffness
     elastic = values[3:]
     softest, stiffest = (elastic[k] for k in (np.abs(elastic).argmin(), np.abs(elastic).argmax()))
-    rigid = ", ".join(stiffness_text(value) for value in after.rigid_stiffness)
+    rigid = ", ".join(stiffness_text(value) for value in values[:3])
     words = [
-        f"Of {values.size} modes the softest elastic one has {stiffness_text(softest)}, the"
-        f" stiffest {stiffness_text(stiffest)}. Rigid motions bend nothing; bias magnets and errors"
-        f" leave them {rigid}.",
+        f"Of {counted(values, 'mode')} the softest elastic one has {stiffness_text(softest)}, the"
+        f" stiffest {stiffness_text(stiffest)}. Piston and tilts bend nothing; bias magnets and"
+        f" errors leave them {rigid}.",
         f"Modes found with alpha = 1 lie {comparison_text(modes.comparison)}.",
     ]
     if modes.measured is not None:

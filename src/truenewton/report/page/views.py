@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.calibration.result import Calibration
+from truenewton.estimation.estimate import Scale
+from truenewton.estimation.weights import typical
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
 from truenewton.report.layers import Layer, calibration_layers
@@ -17,7 +19,7 @@ from truenewton.report.page.actuator_plots import (
     change_by_ring,
     mirror_map,
 )
-from truenewton.rounding import to_digits
+from truenewton.rounding import counted, percent, to_digits
 from truenewton.statics.layout import Layout, ring_of
 
 
@@ -79,8 +81,8 @@ def change_views(change: Change) -> Actuators:
 
 def _map_caption(layout: Layout, extremes: str = "") -> str:
     return (
-        f"Map of the {layout.n} actuators, seen along -z, each dot coloured by the layer chosen"
-        f" above.{extremes} The table of actuators holds every value."
+        f"Map of {counted(layout.n, 'actuator')}, seen along -z, each dot coloured by the layer"
+        f" chosen below.{extremes} The table of actuators holds every value."
     )
 
 
@@ -89,7 +91,7 @@ def _extremes(c: Calibration) -> str:
     ring = ring_of(c.layout) + 1
     lowest, highest = (
         f"actuator {c.layout.id[k]} on ring {ring[k]}"
-        f" ({to_digits(float(c.alpha[k]), float(c.reading_error[k]))})"
+        f" ({to_digits(float(c.alpha[k]), float(c.error[k]))})"
         for k in (low, high)
     )
     return f" Alpha is lowest at {lowest} and highest at {highest}."
@@ -101,8 +103,11 @@ def _ring_caption(c: Calibration) -> str:
     means = [float(np.nanmean(c.alpha[ring == k])) if np.isfinite(c.alpha[ring == k]).any()
              else float("nan") for k in range(ring.max() + 1)]  # fmt: skip
     words = "Alpha of each actuator, ring by ring from the centre. Bars: three standard"
-    words += " uncertainties from the readings (3 E_STAT); the error of the common scale moves all"
-    words += " points together. "
+    words += " uncertainties from the readings (3 E_STAT)"
+    if c.scale != Scale.MEAN_ONE:
+        scale = percent(typical(c.systematic_error, c.alpha))
+        words += f"; the error of the common scale, {scale}, moves all points together"
+    words += ". "
     if len(means) == 1:
         return words + f"The mean is {means[0]:.3g}."
     return words + "Means of the rings: " + ", ".join(f"{mean:.3f}" for mean in means) + "."

@@ -129,7 +129,7 @@
     body.replaceChildren(...matching.slice(0, shown).map((k) => row(k, marked)));
     const part = matching.length > shown ? `, the first ${shown} listed` : "";
     byId("count").textContent = test === null ? "This is not understood."
-      : `${matching.length} of ${ids.length} actuators${part}; ${marked.size} selected.`;
+      : `${matching.length} of ${ids.length} actuator${ids.length === 1 ? "" : "s"}${part}; ${marked.size} selected.`;
     byId("more").hidden = matching.length <= shown;
   };
   const again = () => { shown = STEP; list(); };
