@@ -10,6 +10,7 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 
+ROUNDING = 1e-13  # of a covariance
 LEAST = 0.01  # part of a variance that a fit leaves at least
 
 
@@ -61,6 +62,8 @@ def terms_at(
     n, m = c.stiffness.shape
     rho = ((c.a * alpha) @ c.stiffness + b @ c.sensor_arms).T
     s = imbalance_covariances(c.a * (alpha if held is None else held), variance) + c.disturbance
+    # A disturbance in one direction may be so large that noise in the others is its rounding.
+    s = s + ROUNDING * np.trace(s, axis1=1, axis2=2)[:, None, None] * np.eye(3)
     root = np.linalg.cholesky(s)
     inverse_root = np.linalg.inv(root)
     residual = np.einsum("mkl,ml->mk", inverse_root, rho)

@@ -337,20 +337,11 @@ def left_over(k: Array, a: Array, good: NDArray[np.bool_], doubt: NDArray[np.flo
     good
         (n,) which are not left out.
     doubt
-        (n,) force in terms of the couplings; where rows are zero of those of others at that
-        distance.
+        (n,) force in terms of the couplings; where rows are zero of the own stiffness.
     """
     c = np.abs(relative_couplings(k))
     c = np.maximum(c, c.T)
-    x, y = a[1], a[2]
-    distance, spacing = np.hypot(x[:, None] - x, y[:, None] - y), typical_spacing(a)
-    bins = np.minimum((distance / spacing * 2.0).astype(int), int(4.0 * NEAR))
-    usual, at = c[np.ix_(good, good)] ** 2, bins[np.ix_(good, good)]
-    profile = np.array([np.sqrt(np.mean(usual[at == b])) if (at == b).any() else 0.0
-                        for b in range(int(bins.max()) + 1)])  # fmt: skip
-    some = np.flatnonzero(doubt > 0.0)
-    zero = ~np.asarray(c[some].any(axis=1))
-    strength = np.where(zero[:, None], profile[bins[some]], c[some]) * doubt[some, None]
-    own = np.abs(np.diag(k)[good])
-    force = strength[:, good] * np.sqrt(own * np.median(own))
+    c[~c.any(axis=1)] = 1.0
+    some, own = np.flatnonzero(doubt > 0.0), np.abs(np.diag(k)[good])
+    force = (doubt[:, None] * c)[np.ix_(some, np.flatnonzero(good))] * np.sqrt(own * np.median(own))
     return np.asarray(np.einsum("kb,lb,bm->mkl", a[:, some], a[:, some], force**2))

@@ -31,7 +31,7 @@ FEWEST = 20  # actuators among which one can be told not to fit
 NO_FIT = "actuator does not fit"
 IS_OFF = "actuator is off"
 OFF = "row or column is zero"
-PUSHING = 0.01  # of the actuators may push unseen: forces of more are not told from alpha
+UNSEEN = 0.3  # of the own stiffness, in any column: so none tells what it was
 BALANCED = 5.0  # times what is typical: columns about an actuator that was off
 
 
@@ -51,7 +51,7 @@ class SiftedMatrix:
     warnings, effects
         Which were left out, and why.
     pushing
-        Columns around those that are zero do not balance, as if these had pushed.
+        Columns around one that is zero do not balance, as if it had pushed.
     """
 
     matrix: StiffnessMatrix
@@ -68,7 +68,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     Raises
     ------
     RankDeficient
-        Rows are in another order or of another sign, more than a few push unseen, or none feels
+        Rows are in another order or of another sign, more than one pushes unseen, or none feels
         another.
     """
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
@@ -103,26 +103,28 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     doubt[[each.index for each in bad]] = [each.doubt for each in bad]
     core = condensed(k, good)[0]
     start = np.exp(np.clip(pair_ratios(core)[0], -1.0, 1.0)) if len(core) else np.ones(0)
-    if off.any() and good.any() and not _balanced_about(core, a, good, off, start):
-        if np.count_nonzero(off) > max(2, PUSHING * len(k)):
+    some_off = bool(off.any() and good.any())
+    pushing = some_off and not _balanced_about(core, a, good, off, start)
+    if pushing:
+        # Three equations of a column hold one alpha: two unknown forces leave nothing over.
+        if np.count_nonzero(off) > 1:
             raise RankDeficient(
-                f"{np.count_nonzero(off)} actuators have a row or column of zeros in STIFFNESS, but"
-                " pushed: the columns around them do not balance",
+                f"{named('actuator', ids[off].tolist(), 20)} have rows or columns of zeros in"
+                " STIFFNESS, but pushed: the columns around them do not balance",
                 remedy="measure the stiffness with them switched off, or their rows and columns",
                 got=int(np.count_nonzero(off)),
             )
-        doubt[off] = 1.0
+        doubt[off] = UNSEEN
     disturbance = np.zeros((len(core), 3, 3))
     if doubt.any():
         disturbance = left_over(k, a, good, doubt)
     sifted = matrix if good.all() else freed(matrix, good, core)
     out = [BadActuator(int(i), OFF, 0.0) for i in np.flatnonzero(off)]
-    pushing = bool(doubt[off].any())
     return SiftedMatrix(
         sifted,
         start,
         disturbance,
-        (*unsure, *_warnings(ids, out, bad, pushing=bool(doubt[off].any()))),
+        (*unsure, *_warnings(ids, out, bad, pushing=pushing)),
         (*(_effect(ids, each) for each in (*bad, *out)), *order_effects(sifted, named=False)),
         pushing,
     )
