@@ -174,18 +174,34 @@ def test_version_and_help(inside):
         assert "Usage: truenewton" in out
 
 
-def test_help_needs_no_numpy():
-    """So that it answers at once; what it imports is what it costs."""
+def imported(*words):
+    """Return all modules that a command imports, which is what it costs before it begins."""
     code = (
-        "import sys; sys.argv = ['truenewton', '--help']\n"
+        f"import sys; sys.argv = ['truenewton', *{[*map(str, words)]}]\n"
         "from truenewton.cli import main\n"
         "try: main()\n"
-        "except SystemExit: pass\n"
-        "heavy = {'numpy', 'scipy', 'astropy', 'matplotlib', 'bokeh', 'jinja2'}\n"
-        "print(sorted(heavy & set(sys.modules)))"
+        "except SystemExit as left: assert not left.code\n"
+        "print(*sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def test_help_needs_no_numpy():
+    """So that it answers at once."""
+    heavy = {"numpy", "scipy", "astropy", "matplotlib", "bokeh", "jinja2", "rich"}
+    assert heavy.isdisjoint(imported("--help"))
+    assert heavy.isdisjoint(imported("--version"))
+
+
+def test_calibrate_and_info_import_nothing_heavy_for_little(folder):
+    """Half of what they cost is importing; of SciPy they need linear algebra and functions."""
+    heavy = {"scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.spatial", "scipy.fft"}
+    heavy |= {"scipy.integrate", "astropy.table", "matplotlib", "bokeh", "jinja2", "rich"}
+    for command in ("calibrate", "info"):
+        made = imported(command, folder)
+        assert {"scipy.linalg", "astropy.io.fits"} <= made
+        assert heavy.isdisjoint(made)
 
 
 def test_a_reader_that_goes_away_is_no_error(folder):
