@@ -15,7 +15,7 @@ from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
 from typer.main import get_command
 
-from truenewton.cli.main import COMMANDS, app
+from truenewton.cli.main import app
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "truenewton"
@@ -27,7 +27,7 @@ class CommandLine(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Return a section a command."""
         group: Any = get_command(app)
-        lines = [line for name in COMMANDS for line in _command(name, group.commands[name])]
+        lines = [line for one in group.commands.items() for line in _command(*one)]
         return self.parse_text_to_nodes("\n".join(lines), allow_section_headings=True)
 
 
@@ -41,7 +41,8 @@ def _command(name: str, command: Any) -> list[str]:
     lines += [" ".join(["truenewton", name, "[OPTIONS]", *arguments]), "```", ""]
     for spelling, text in records:
         lines += [f"`{spelling}`", f": {text}", ""]
-    return lines
+    example = command.epilog.splitlines()[-1].strip()
+    return [*lines, "For example:", "", "```sh", example, "```", ""]
 
 
 class SourceLinks(SphinxPostTransform):

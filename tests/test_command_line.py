@@ -174,6 +174,33 @@ def test_version_and_help(inside):
         assert "Usage: truenewton" in out
 
 
+def test_help_has_every_command_in_a_group_and_an_example_of_each(inside):
+    from truenewton.cli.main import EXAMPLES, GROUPS, app
+
+    _, out, _ = inside("--help")
+    assert "..." not in out.split("To begin:")[1]
+    assert all(f"\n{title}:\n" in out for title in GROUPS)
+    assert len(EXAMPLES) == len(app.registered_commands) == 16
+    for name, example in EXAMPLES.items():
+        assert f"\n  {name} " in out
+        _, shown, _ = inside(name, "--help")
+        assert f"For example:\n    {example}\n" in shown
+        options = set(re.findall(r" (--?[a-z]+)", example))
+        assert options <= set(re.findall(r"--?[a-z]+", shown.split("For example")[0]))
+    assert "[ml|svd|reciprocity|auto]" in inside("calibrate", "--help")[1]
+
+
+def test_quiet_prints_what_was_written_and_what_is_wrong(inside, folder, tmp_path):
+    alpha = tmp_path / "alpha.fits"
+    assert inside("calibrate", folder, "-q", "-o", alpha) == (0, f"written: {alpha}\n", "")
+    assert inside("calibrate", folder, "--quiet") == (0, "", "")
+    code, out, err = inside("calibrate", folder, "-q", "-o", alpha)
+    assert (code, out) == (2, "")
+    assert str(alpha) in err
+    drawn = inside("figures", alpha, "-q", "-o", tmp_path / "figures")[1].splitlines()
+    assert {line.split(": ")[0] for line in drawn} == {"written"}
+
+
 def imported(*words):
     """Return all modules that a command imports, which is what it costs before it begins."""
     code = (

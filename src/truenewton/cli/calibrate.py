@@ -22,6 +22,7 @@ def run(
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
     from truenewton.calibration.methods import calibrate
@@ -48,4 +49,4 @@ def run(
     lines = [*summary_lines(calibration), *imbalance_lines(calibration.imbalances)]
     if isinstance(data, Campaign):
         lines += rejected_lines(data, calibration.rejected_rows)
-    print_result(lines, output, values=summary_values(calibration) if json else None)
+    print_result(lines, output, values=summary_values(calibration) if json else None, quiet=quiet)

@@ -13,10 +13,11 @@ def run(
     paths: list[Path] = options.PATHS,
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the figures."),
     overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
     from truenewton.calibration.figures import write_figures
-    from truenewton.cli.terminal import about, busy, say
+    from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import RankDeficient
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read
@@ -31,4 +32,4 @@ def run(
             raise RankDeficient(fault, remedy=remedy)
         more = still_figures(findings)
         written = write_figures(findings.calibration, output, more=more, overwrite=overwrite)
-    say(f"verdict: {findings.calibration.verdict}", *written)
+    print_result([f"verdict: {findings.calibration.verdict}"], *written, quiet=quiet)

@@ -21,6 +21,7 @@ def run(
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
     overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
     from truenewton.calibration.result import Calibration
@@ -52,4 +53,4 @@ def run(
     words += ["--mirror", mirror] if mirror else []
     write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
     judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)
-    print_result(judged.lines(), output)
+    print_result(judged.lines(), output, quiet=quiet)
