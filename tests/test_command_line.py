@@ -201,6 +201,24 @@ def test_quiet_prints_what_was_written_and_what_is_wrong(inside, folder, tmp_pat
     assert {line.split(": ")[0] for line in drawn} == {"written"}
 
 
+def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_path):
+    page = (ROOT / "docs" / "json.md").read_text()
+    rows = [line.split("|")[1:3] for line in page.splitlines() if line.startswith("| true")]
+    told = {schema.strip(): re.findall(r"`(\w+)`", keys) for schema, keys in rows}
+    alpha, drawn, written = (tmp_path / name for name in ("alpha.fits", "drawn", "page.html"))
+    for schema, words in {
+        "truenewton.calibrate/1": ("calibrate", folder, "-o", alpha),
+        "truenewton.info/1, of a campaign": ("info", folder),
+        "truenewton.figures/1": ("figures", alpha, "-o", drawn),
+        "truenewton.report/1": ("report", alpha, "-o", written),
+    }.items():
+        values = json.loads(inside(*words, "--json")[1])
+        assert list(values) == ["schema", *told[schema]]
+        assert values["schema"] == schema.split(",")[0]
+    values = json.loads(inside("info", alpha, "--json")[1])
+    assert list(values) == ["schema", "holds", *told["truenewton.calibrate/1"]]
+
+
 def imported(*words):
     """Return all modules that a command imports, which is what it costs before it begins."""
     code = (

@@ -49,4 +49,11 @@ def run(
     lines = [*summary_lines(calibration), *imbalance_lines(calibration.imbalances)]
     if isinstance(data, Campaign):
         lines += rejected_lines(data, calibration.rejected_rows)
-    print_result(lines, output, values=summary_values(calibration) if json else None, quiet=quiet)
+    values = summary_values(calibration) if json else None
+    print_result(
+        lines,
+        output,
+        values=values,
+        schema="calibrate",
+        quiet=quiet,
+    )

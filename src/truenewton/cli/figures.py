@@ -13,6 +13,7 @@ def run(
     paths: list[Path] = options.PATHS,
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the figures."),
     overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
@@ -32,4 +33,12 @@ def run(
             raise RankDeficient(fault, remedy=remedy)
         more = still_figures(findings)
         written = write_figures(findings.calibration, output, more=more, overwrite=overwrite)
-    print_result([f"verdict: {findings.calibration.verdict}"], *written, quiet=quiet)
+    verdict = str(findings.calibration.verdict)
+    values = {"verdict": verdict, "written": [str(path) for path in written]}
+    print_result(
+        [f"verdict: {verdict}"],
+        *written,
+        values=values if json else None,
+        schema="figures",
+        quiet=quiet,
+    )

@@ -73,4 +73,11 @@ def run(
         lines.append(f"  next         truenewton calibrate {output}")
     values = {"instrument": made.matrix.instrument, "actuators": made.matrix.layout.n}
     found = {line[:15].strip(): line[15:] for line in made.lines[1:]}
-    print_result(lines, output, values={**values, "found": found} if json else None, quiet=quiet)
+    as_values = {**values, "found": found} if json else None
+    print_result(
+        lines,
+        output,
+        values=as_values,
+        schema="import",
+        quiet=quiet,
+    )

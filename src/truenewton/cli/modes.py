@@ -85,4 +85,4 @@ def run(
             if figures is not None:
                 more += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
     as_values = values(modes, limits) if json else None
-    print_result(lines(modes, limits), output, *more, values=as_values, quiet=quiet)
+    print_result(lines(modes, limits), output, *more, values=as_values, schema="modes", quiet=quiet)

@@ -35,6 +35,12 @@ def run(
     proofs = [p for s in track(range(seed, seed + seeds), "proving") for p in prove(known, s)]
     title = f"{known.name}: C alpha = p and E alpha' = r, solved by SVD"
     lines = [*table_lines(title, *proof_rows(proofs)), proof_verdict(proofs)]
-    print_result(lines, values=proof_values(known.name, proofs) if json else None, quiet=quiet)
+    values = proof_values(known.name, proofs) if json else None
+    print_result(
+        lines,
+        values=values,
+        schema="prove",
+        quiet=quiet,
+    )
     if not all(one.passed for one in proofs):
         raise typer.Exit(1)

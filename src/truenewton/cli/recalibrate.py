@@ -44,4 +44,11 @@ def run(
         refuse_unusable(made.calibration, force=force)
     if output is not None:
         made.calibration.write(output, overwrite=overwrite)
-    print_result(lines(made), output, values=values(made) if json else None, quiet=quiet)
+    as_values = values(made) if json else None
+    print_result(
+        lines(made),
+        output,
+        values=as_values,
+        schema="recalibrate",
+        quiet=quiet,
+    )

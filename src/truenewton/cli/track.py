@@ -45,4 +45,6 @@ def run(
         if figures is not None:
             drawn = write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
     as_values = values(tracking, validity) if json else None
-    print_result(lines(tracking, validity), output, *drawn, values=as_values, quiet=quiet)
+    print_result(
+        lines(tracking, validity), output, *drawn, values=as_values, schema="track", quiet=quiet
+    )
