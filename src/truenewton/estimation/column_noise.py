@@ -134,28 +134,19 @@ def _cost(distance: Array, freedom: float, dimensions: Array | float) -> float:
     return float(np.sum(each + half * np.log1p(distance / freedom)))
 
 
-def _cost_gradient(distance: Array, freedom: float, dimensions: Array) -> Array:
-    """Return (2,) its slopes with the logarithms of the freedom and of the distances' scale."""
-    half, digamma = 0.5 * (freedom + dimensions), scipy.special.digamma
-    part = half * distance / (freedom + distance)
-    each = np.log1p(distance / freedom) + digamma(0.5 * freedom) - digamma(half)
-    return np.array([np.sum(0.5 * (dimensions + freedom * each) - part), -np.sum(part)])
-
-
 def _student(distance: Array, dimensions: Array) -> tuple[float, float, float]:
     """Return minus log likelihood, freedom and variance of (m,) squared distances."""
     scale, total = max(float(np.median(distance)), 1e-300), 0.5 * float(dimensions.sum())
 
-    def cost(x: Array) -> tuple[float, Array]:
-        freedom, variance = float(np.exp(x[0])), scale * float(np.exp(x[1]))
-        parts = distance / variance, freedom, dimensions
-        value = total * float(np.log(variance)) + _cost(*parts)
-        return value, _cost_gradient(*parts) + np.array([0.0, total])
+    def cost(x: Array) -> float:
+        variance = scale * np.exp(x[1])
+        return total * float(np.log(variance)) + _cost(
+            distance / variance, np.exp(x[0]), dimensions
+        )
 
     found = scipy.optimize.minimize(
         cost,
         [np.log(8.0), -1.0],
-        jac=True,
         method="L-BFGS-B",
         bounds=[(0.0, np.log(ALIKE)), (-20.0, 20.0)],
     )
