@@ -41,7 +41,8 @@ def _command(name: str, command: Any) -> list[str]:
     lines += [" ".join(["truenewton", name, "[OPTIONS]", *arguments]), "```", ""]
     for spelling, text in records:
         lines += [f"`{spelling}`", f": {text}", ""]
-    return lines
+    example = command.epilog.splitlines()[-1].strip()
+    return [*lines, "For example:", "", "```sh", example, "```", ""]
 
 
 class SourceLinks(SphinxPostTransform):

@@ -174,18 +174,79 @@ def test_version_and_help(inside):
         assert "Usage: truenewton" in out
 
 
-def test_help_needs_no_numpy():
-    """So that it answers at once; what it imports is what it costs."""
+def test_help_has_every_command_in_a_group_and_an_example_of_each(inside):
+    from truenewton.cli.main import EXAMPLES, GROUPS, app
+
+    _, out, _ = inside("--help")
+    assert "..." not in out.split("To begin:")[1]
+    assert all(f"\n{title}:\n" in out for title in GROUPS)
+    assert len(EXAMPLES) == len(app.registered_commands) == 16
+    for name, example in EXAMPLES.items():
+        assert f"\n  {name} " in out
+        _, shown, _ = inside(name, "--help")
+        assert f"For example:\n    {example}\n" in shown
+        options = set(re.findall(r" (--?[a-z]+)", example))
+        assert options <= set(re.findall(r"--?[a-z]+", shown.split("For example")[0]))
+    assert "[ml|svd|reciprocity|auto]" in inside("calibrate", "--help")[1]
+
+
+def test_quiet_prints_what_was_written_and_what_is_wrong(inside, folder, tmp_path):
+    alpha = tmp_path / "alpha.fits"
+    assert inside("calibrate", folder, "-q", "-o", alpha) == (0, f"written: {alpha}\n", "")
+    assert inside("calibrate", folder, "--quiet") == (0, "", "")
+    code, out, err = inside("calibrate", folder, "-q", "-o", alpha)
+    assert (code, out) == (2, "")
+    assert str(alpha) in err
+    drawn = inside("figures", alpha, "-q", "-o", tmp_path / "figures")[1].splitlines()
+    assert {line.split(": ")[0] for line in drawn} == {"written"}
+
+
+def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_path):
+    page = (ROOT / "docs" / "json.md").read_text()
+    rows = [line.split("|")[1:3] for line in page.splitlines() if line.startswith("| true")]
+    told = {schema.strip(): re.findall(r"`(\w+)`", keys) for schema, keys in rows}
+    alpha, drawn, written = (tmp_path / name for name in ("alpha.fits", "drawn", "page.html"))
+    for schema, words in {
+        "truenewton.calibrate/1": ("calibrate", folder, "-o", alpha),
+        "truenewton.info/1, of a campaign": ("info", folder),
+        "truenewton.figures/1": ("figures", alpha, "-o", drawn),
+        "truenewton.report/1": ("report", alpha, "-o", written),
+    }.items():
+        values = json.loads(inside(*words, "--json")[1])
+        assert list(values) == ["schema", *told[schema]]
+        assert values["schema"] == schema.split(",")[0]
+    values = json.loads(inside("info", alpha, "--json")[1])
+    assert list(values) == ["schema", "holds", *told["truenewton.calibrate/1"]]
+
+
+def imported(*words):
+    """Return all modules that a command imports, which is what it costs before it begins."""
     code = (
-        "import sys; sys.argv = ['truenewton', '--help']\n"
+        f"import sys; sys.argv = ['truenewton', *{[*map(str, words)]}]\n"
         "from truenewton.cli import main\n"
         "try: main()\n"
-        "except SystemExit: pass\n"
-        "heavy = {'numpy', 'scipy', 'astropy', 'matplotlib', 'bokeh', 'jinja2'}\n"
-        "print(sorted(heavy & set(sys.modules)))"
+        "except SystemExit as left: assert not left.code\n"
+        "print(*sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def test_help_needs_no_numpy():
+    """So that it answers at once."""
+    heavy = {"numpy", "scipy", "astropy", "matplotlib", "bokeh", "jinja2", "rich"}
+    assert heavy.isdisjoint(imported("--help"))
+    assert heavy.isdisjoint(imported("--version"))
+
+
+def test_calibrate_and_info_import_nothing_heavy_for_little(folder):
+    """Half of what they cost is importing; of SciPy they need linear algebra and functions."""
+    heavy = {"scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.spatial", "scipy.fft"}
+    heavy |= {"scipy.integrate", "astropy.table", "matplotlib", "bokeh", "jinja2", "rich"}
+    for command in ("calibrate", "info"):
+        made = imported(command, folder)
+        assert {"scipy.linalg", "astropy.io.fits"} <= made
+        assert heavy.isdisjoint(made)
 
 
 def test_a_reader_that_goes_away_is_no_error(folder):

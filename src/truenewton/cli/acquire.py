@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from truenewton.cli.terminal import say
+from truenewton.cli import options
+from truenewton.cli.terminal import print_result, say
 from truenewton.errors import BenchFault, printable
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ def run(
     yes: bool = typer.Option(
         False, "--yes", help="Take every load for put on, and ask nobody; the forces are checked."
     ),
+    json: bool = options.JSON,
 ) -> None:
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
     from truenewton.acquisition.acquire import acquire
@@ -55,8 +57,16 @@ def run(
         simulated_bench(wanted, beside).write_truth(output, overwrite=True)
     already = " already" if complete else ""
     loads, cycles = counted(wanted.loads, "load"), counted(wanted.cycles, "cycle")
-    but = _not_valid(invalid_rows(output, wanted))
-    say(f"{output}: complete{already}, {loads} x {cycles}{but}")
+    rows = invalid_rows(output, wanted)
+    values = {
+        "folder": str(output),
+        "before": complete,
+        "loads": [load.name for load in wanted.loads],
+        "cycles": wanted.cycles,
+        "invalid": {name: invalid for name, (invalid, _) in rows.items() if invalid},
+    }
+    line = f"{output}: complete{already}, {loads} x {cycles}{_not_valid(rows)}"
+    print_result([line], values=values if json else None, schema="acquire")
 
 
 def _not_valid(rows: dict[str, tuple[int, int]]) -> str:

@@ -25,6 +25,7 @@ def run(
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
     from truenewton.calibration.methods import calibrate
@@ -56,4 +57,11 @@ def run(
         lines += rejected_lines(data, calibration.rejected_rows)
     if output is not None and (lacks := lacking(calibration, output)):
         lines.append(lacks)
-    print_result(lines, output, values=summary_values(calibration) if json else None)
+    values = summary_values(calibration) if json else None
+    print_result(
+        lines,
+        output,
+        values=values,
+        schema="calibrate",
+        quiet=quiet,
+    )

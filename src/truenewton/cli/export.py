@@ -17,6 +17,7 @@ def run(
     output: Path = typer.Option(..., "-o", "--output", help="Folder to write the five files to."),
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Write a supervisor's feed-forward files anew, forces in true Newtons."""
     from truenewton.cli.terminal import busy, print_result
@@ -29,4 +30,4 @@ def run(
         lines = export_supervisor(
             folder, read_calibration(calibration), output, overwrite=overwrite, force=anyway
         )
-    print_result(lines, output)
+    print_result(lines, output, quiet=quiet)

@@ -14,10 +14,12 @@ def run(
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the figures."),
     numbers: bool = typer.Option(False, "--numbers", help="Write alpha into the map of fig. 6."),
     overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Draw the paper's figures and those of the report that stand still, as PDF and PNG."""
     from truenewton.calibration.figures import write_figures
-    from truenewton.cli.terminal import about, busy, say
+    from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import RankDeficient
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read
@@ -34,4 +36,12 @@ def run(
         written = write_figures(
             findings.calibration, output, more=more, numbers=numbers, overwrite=overwrite
         )
-    say(f"verdict: {findings.calibration.verdict}", *written)
+    verdict = str(findings.calibration.verdict)
+    values = {"verdict": verdict, "written": [str(path) for path in written]}
+    print_result(
+        [f"verdict: {verdict}"],
+        *written,
+        values=values if json else None,
+        schema="figures",
+        quiet=quiet,
+    )

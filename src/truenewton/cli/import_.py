@@ -37,6 +37,7 @@ def run(
     instrument: str | None = typer.Option(None, help="Name of the mirror."),
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Make a stiffness file from a matrix and positions in other people's files."""
     from truenewton.cli.terminal import busy, print_result
@@ -72,4 +73,11 @@ def run(
         lines.append(f"  next         truenewton calibrate {output}")
     values = {"instrument": made.matrix.instrument, "actuators": made.matrix.layout.n}
     found = {line[:15].strip(): line[15:] for line in made.lines[1:]}
-    print_result(lines, output, values={**values, "found": found} if json else None)
+    as_values = {**values, "found": found} if json else None
+    print_result(
+        lines,
+        output,
+        values=as_values,
+        schema="import",
+        quiet=quiet,
+    )

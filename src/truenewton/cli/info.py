@@ -30,4 +30,4 @@ def run(
         values, lines = survey(
             data, method, population=population, motion=options.motion_of(mirror, data)
         )
-    print_result(lines, values=values if json else None)
+    print_result(lines, values=values if json else None, schema="info")

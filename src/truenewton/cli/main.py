@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from truenewton.errors import TrueNewtonError, printable
 
@@ -23,20 +24,58 @@ CommandLineError: Any = typer.BadParameter.__mro__[2]
 # read, by name.
 BROKEN = "the calculation broke down"
 WHAT_TO_DO = "numbers are too large, too small or too much alike; look at each file with `info`"
+GROUPS = {  # of --help, each with its commands and an example of each
+    "To begin": {"demo": "truenewton demo -o demo/"},
+    "Take data": {
+        "plan": "truenewton plan campaign.toml --target 0.005",
+        "acquire": "truenewton acquire campaign.toml -o campaign/",
+        "import": "truenewton import feedforward.fits actuators.txt --lengths mm -o stiffness.fits",
+    },
+    "Calibrate": {
+        "info": "truenewton info campaign/",
+        "calibrate": "truenewton calibrate campaign/ -o alpha.fits",
+        "recalibrate": "truenewton recalibrate after/ --known alpha.fits --actuators 17,18",
+        "track": "truenewton track monday/ tuesday.fits friday.fits --accuracy 0.005",
+    },
+    "Show": {
+        "report": "truenewton report campaign/ -o report.html",
+        "figures": "truenewton figures alpha.fits -o figures/",
+    },
+    "Use": {
+        "modes": "truenewton modes stiffness.fits --seeing 0.9 -o modes.fits",
+        "export": "truenewton export supervisor/ --calibration alpha.fits -o calibrated/",
+    },
+    "Simulate": {
+        "simulate": "truenewton simulate p45 -o campaign/ --cycles 4",
+        "serve": "truenewton serve p45 -o keys/",
+        "prove": "truenewton prove p45 --seeds 20",
+        "mirrors": "truenewton mirrors p45 --plot",
+    },
+}
+EXAMPLES = {name: example for group in GROUPS.values() for name, example in group.items()}
+MODULES = {"import": "import_"}  # where a command has the name of a keyword of Python
+
+
+class Grouped(TyperGroup):
+    """Commands in groups, each with a whole sentence."""
+
+    def format_commands(self, _: Any, formatter: Any) -> None:
+        """Write a section a group."""
+        for title, names in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(n, self.commands[n].get_short_help_str(200)) for n in names])
+
+
 app = typer.Typer(
     name="truenewton",
     help="Force calibration of deformable mirrors from statics: true Newtons per commanded Newton.",
-    add_completion=False,
+    cls=Grouped,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-COMMANDS = (  # modules of this package, in the order of --help
-    "demo", "import_", "calibrate", "info", "report", "figures", "plan", "acquire", "track",
-    "recalibrate", "modes", "export", "simulate", "serve", "prove", "mirrors",
-)  # fmt: skip
-for name in COMMANDS:
-    run = importlib.import_module(f"truenewton.cli.{name}").run
-    app.command(name=name.rstrip("_"))(run)
+for name, example in EXAMPLES.items():
+    run = importlib.import_module(f"truenewton.cli.{MODULES.get(name, name)}").run
+    app.command(name=name, epilog=f"\b\nFor example:\n  {example}")(run)
 
 
 def _version(asked: bool) -> None:
@@ -78,7 +117,7 @@ def main() -> None:
     except TrueNewtonError as error:
         code = _refuse(str(error))
     except CommandLineError as error:
-        command = " ".join(["truenewton", *(word for word in sys.argv[1:2] if word in COMMANDS)])
+        command = " ".join(["truenewton", *(word for word in sys.argv[1:2] if word in EXAMPLES)])
         code = _refuse(f"{error.format_message().rstrip('.')}; see '{command} --help'")
     except (typer.Abort, KeyboardInterrupt):
         code = _refuse("interrupted; nothing was left half-written")

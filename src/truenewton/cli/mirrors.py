@@ -40,7 +40,11 @@ def run(
         title = "The known mirrors, and the last of the family ring4, ring5, ...:"
         more = "`truenewton mirrors NAME` tells where the numbers come from."
         values = {"mirrors": [_numbers(one) for one in every]}
-        print_result([*table_lines(title, head, *rows), more], values=values if json else None)
+        print_result(
+            [*table_lines(title, head, *rows), more],
+            values=values if json else None,
+            schema="mirrors",
+        )
         return
     known = mirror_from(mirror)
     numbers = _numbers(known)
@@ -52,7 +56,7 @@ def run(
     path = (output or Path(f"{known.name.lower()}.png")) if plot else None
     if path:
         write_figure(plot_layout(known.layout), path, overwrite=overwrite)
-    print_result(lines, values=numbers if json else None)
+    print_result(lines, values=numbers if json else None, schema="mirror")
     if path and not json:
         say(path)
 

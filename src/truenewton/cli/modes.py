@@ -44,6 +44,7 @@ def run(
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
     from truenewton.cli.terminal import about, busy, print_result
@@ -84,4 +85,4 @@ def run(
             if figures is not None:
                 more += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
     as_values = values(modes, limits) if json else None
-    print_result(lines(modes, limits), output, *more, values=as_values)
+    print_result(lines(modes, limits), output, *more, values=as_values, schema="modes", quiet=quiet)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 METHOD = typer.Option(
     None,
+    metavar="[ml|svd|reciprocity|auto]",
     help="ml, maximum likelihood; svd, the paper's; reciprocity; auto, reciprocity where it holds,"
     " else ml. ml unless given; with --mirror auto.",
 )
@@ -29,6 +30,12 @@ FORCE = typer.Option(  # which is a number to `modes`
     False, "--force", "--anyway", help="Go on though the verdict on alpha is 'not to be used'."
 )
 JSON = typer.Option(False, "--json", help="Print figures as JSON, for scripts.")
+QUIET = typer.Option(False, "-q", "--quiet", help="Print only what was written and what is wrong.")
+FIDELITY = typer.Option(
+    "static",
+    metavar="[static|loop]",
+    help="static: shapes are held exactly; loop: in closed loop, sample by sample.",
+)
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")
 PATHS = typer.Argument(
     ..., metavar="PATH...", help="Cycle files or their folder, a stiffness file, or a calibration."

@@ -52,7 +52,8 @@ def run(
         write_figure(plot_outlook(outlook, target), plot, overwrite=overwrite)
     said = (*lines(outlook), *way_lines(target, ways))
     drawn = () if plot is None else (plot,)
-    print_result(said, *drawn, values=values(outlook, target, ways) if json else None)
+    as_values = values(outlook, target, ways) if json else None
+    print_result(said, *drawn, values=as_values, schema="plan")
 
 
 def _new(output: Path | None, overwrite: bool) -> None:

@@ -15,6 +15,7 @@ def run(
     seed: int = typer.Option(0, min=0, help="Seed of alpha and the random patterns."),
     seeds: int = typer.Option(1, min=1, max=1000, help="How many seeds to try, from SEED on."),
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Prove numerically that the systems C and E give alpha back (paper, section 4).
 
@@ -34,6 +35,12 @@ def run(
     proofs = [p for s in track(range(seed, seed + seeds), "proving") for p in prove(known, s)]
     title = f"{known.name}: C alpha = p and E alpha' = r, solved by SVD"
     lines = [*table_lines(title, *proof_rows(proofs)), proof_verdict(proofs)]
-    print_result(lines, values=proof_values(known.name, proofs) if json else None)
+    values = proof_values(known.name, proofs) if json else None
+    print_result(
+        lines,
+        values=values,
+        schema="prove",
+        quiet=quiet,
+    )
     if not all(one.passed for one in proofs):
         raise typer.Exit(1)

@@ -21,6 +21,7 @@ def run(
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
     from truenewton.calibration.verdict import refuse_unusable
@@ -46,4 +47,11 @@ def run(
         refuse_unusable(made.calibration, force=force)
     if output is not None:
         made.calibration.write(output, overwrite=overwrite)
-    print_result(lines(made), output, values=values(made) if json else None)
+    as_values = values(made) if json else None
+    print_result(
+        lines(made),
+        output,
+        values=as_values,
+        schema="recalibrate",
+        quiet=quiet,
+    )

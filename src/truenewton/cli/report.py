@@ -21,6 +21,8 @@ def run(
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
     overwrite: bool = options.OVERWRITE,
+    json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
     from truenewton.calibration.result import Calibration
@@ -52,4 +54,6 @@ def run(
     words += ["--mirror", mirror] if mirror else []
     write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
     judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)
-    print_result(judged.lines(), output)
+    lines = list(judged.lines())
+    values = {"verdict": lines[0], "lines": lines[1:], "written": str(output)}
+    print_result(lines, output, values=values if json else None, schema="report", quiet=quiet)

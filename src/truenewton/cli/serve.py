@@ -6,6 +6,8 @@ from pathlib import Path
 
 import typer
 
+from truenewton.cli import options
+
 
 def run(
     mirror: str = typer.Argument(..., help="A known mirror, or its TOML file."),
@@ -18,9 +20,7 @@ def run(
     port: int = typer.Option(4840, min=1, max=65535, help="TCP port."),
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
     noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]; static."),
-    fidelity: str = typer.Option(
-        "static", help="static: shapes are held exactly; loop: in closed loop, sample by sample."
-    ),
+    fidelity: str = options.FIDELITY,
 ) -> None:
     """Serve the simulated bench over OPC UA on this machine, for known clients only."""
     from truenewton.bench.opcua import require_asyncua

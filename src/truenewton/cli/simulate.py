@@ -15,9 +15,7 @@ def run(
     cycles: int = typer.Option(4, min=1, max=999, help="Cycles for each load."),
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
     noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]; static."),
-    fidelity: str = typer.Option(
-        "static", help="static: shapes are held exactly; loop: in closed loop, sample by sample."
-    ),
+    fidelity: str = options.FIDELITY,
     temperature: float = typer.Option(20.0, min=-50.0, max=80.0, help="Of the magnets [deg C]."),
     overwrite: bool = options.OVERWRITE,
 ) -> None:

@@ -50,17 +50,24 @@ def _plain(value: Any) -> Any:
 
 
 def print_result(
-    lines: Iterable[str], *written: Path | None, values: Mapping[str, Any] | None = None
+    lines: Iterable[str],
+    *written: Path | None,
+    values: Mapping[str, Any] | None = None,
+    schema: str = "",
+    quiet: bool = False,
 ) -> None:
     """Print lines and the files written, None for one that was not; or values as JSON instead.
+
+    Quietly the files alone. Before the values stands the name of their schema, with its version:
+    keys may be added to it, and another number stands there where one changed or went.
 
     Of the values what is not finite becomes null, which JSON can hold.
     """
     if values is not None:
-        print(json.dumps(_plain(values), indent=2))
+        print(json.dumps(_plain({"schema": f"truenewton.{schema}/1", **values}), indent=2))
         return
-    say(*lines, *(f"written: {path}" for path in filter(None, written)))
-    if None in written:
+    say(*(() if quiet else lines), *(f"written: {path}" for path in filter(None, written)))
+    if None in written and not quiet:
         say("not written; -o FILE keeps it")
 
 

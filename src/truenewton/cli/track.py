@@ -21,6 +21,7 @@ def run(
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Find how alpha varies with temperature and time, from calibrations of different days."""
     from truenewton.cli.terminal import print_result
@@ -44,4 +45,6 @@ def run(
         if figures is not None:
             drawn = write_drawn(tracking_figures(tracking), figures, overwrite=overwrite)
     as_values = values(tracking, validity) if json else None
-    print_result(lines(tracking, validity), output, *drawn, values=as_values)
+    print_result(
+        lines(tracking, validity), output, *drawn, values=as_values, schema="track", quiet=quiet
+    )

@@ -10,13 +10,12 @@ order.
 from __future__ import annotations
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.moments import Moments
-from truenewton.linalg import asymmetry
+from truenewton.linalg import assignment, asymmetry
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import named
 
@@ -85,7 +84,4 @@ def stiffness_of_shapes(moments: Moments) -> Array | None:
 def likeliest_order(stiffness: Array) -> NDArray[np.int64]:
     """Return (n,) the column of POSITION that belongs to each of FORCE."""
     size = np.abs(stiffness)
-    return np.asarray(
-        scipy.optimize.linear_sum_assignment(-np.log(np.maximum(size, 1e-12 * size.max())))[1],
-        dtype=np.int64,
-    )
+    return assignment(-np.log(np.maximum(size, 1e-12 * size.max())))

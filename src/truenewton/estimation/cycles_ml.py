@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
-import scipy.stats
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 

@@ -12,13 +12,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.row_prints import RowPrints
+from truenewton.linalg import assignment
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import listed
 from truenewton.statics.arms import enabled_arms
@@ -78,7 +78,7 @@ def _load_of_clusters(cluster: NDArray[np.int64], said: NDArray[np.int64]) -> ND
     """Return (files,) the load of each file, that of most files of its cluster."""
     together = np.zeros((cluster.max() + 1, said.max() + 1), dtype=np.int64)
     np.add.at(together, (cluster, said), 1)
-    return np.asarray(scipy.optimize.linear_sum_assignment(-together)[1][cluster])
+    return assignment(-together)[cluster]
 
 
 def _mislabelled(

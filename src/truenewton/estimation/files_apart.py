@@ -13,13 +13,13 @@ from itertools import chain, combinations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.file_labels import clusters
 from truenewton.estimation.row_prints import RowPrints, common_labels
+from truenewton.linalg import assignment
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import listed, named, significant
 
@@ -180,7 +180,7 @@ def _moved(rows: Array, typical: Array, odd: NDArray[np.int64]) -> NDArray[np.in
     """Return which of some columns are those of others among them."""
     one, other = rows[:, odd], typical[:, odd]
     apart = _square(one)[:, None] + _square(other) - 2.0 * one.T @ other
-    order = scipy.optimize.linear_sum_assignment(np.maximum(apart, 0.0))[1]
+    order = assignment(np.maximum(apart, 0.0))
     itself = np.arange(len(odd))
     cured = (order != itself) & (apart[itself, order] < CURES**2 * apart[itself, itself])
     while not cured[order[cured]].all():  # what comes from a column that did not move is no order

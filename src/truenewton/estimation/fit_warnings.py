@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
-import scipy.stats
 
+from truenewton.chance import chi2_sf
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.displaced_rows import is_displaced
 from truenewton.estimation.minimum import Minimum
@@ -46,7 +46,7 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
     """Warn of weights that disagree more than their errors allow, and of sensors set anew."""
     loads = len(problem.campaign.loads)  # the common scale and B take up two of them
     size = float(np.sum(minimum.values[problem.unknowns.weights] ** 2))
-    if loads > 2 and scipy.stats.chi2.sf(size, loads - 2) <= 1e-3:
+    if loads > 2 and chi2_sf(size, loads - 2) <= 1e-3:
         yield Fault(
             f"the weights of the {loads} loads disagree by {np.sqrt(size):.1f} sigma",
             "check ADDED, TILT and their errors",

@@ -7,12 +7,12 @@ What noise of covariance Sigma in the readings makes of it is S = A diag(alpha) 
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import chi2_ppf
 
-MEDIAN_CHI2 = scipy.stats.chi2.median(3)  # of the squared distance of an imbalance
+MEDIAN_CHI2 = chi2_ppf(0.5, 3)  # of the squared distance of an imbalance
 
 
 def imbalance_covariance(scaled_arms: Array, variance: Array) -> Array:

@@ -11,12 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.bad_sensors import agrees, better_by_row, column_by_row, wrong_gains
+from truenewton.linalg import assignment
 
 STRONG = 0.05  # coupling in terms of both own stiffnesses, from which a pair counts
 EVEN = 0.1  # coupling from which pairs count alike: one wrong element is not to outweigh the rest
@@ -146,8 +146,7 @@ def row_order(k: Array) -> NDArray[np.int64]:
     least = 1e-12 * float(size.max())
     # The order that is there must be worse to be left: not by rounding alone.
     cost = -np.log(np.maximum(size, least)) - 1e-6 * np.eye(len(k))
-    _, row = scipy.optimize.linear_sum_assignment(cost.T)
-    return np.asarray(row)
+    return assignment(cost.T)
 
 
 def relative_couplings(k: Array) -> Array:

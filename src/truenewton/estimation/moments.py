@@ -17,16 +17,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import normal_isf
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.pooling import Pooling, each_by_itself, over_loads_and_signs
 from truenewton.estimation.shape_sums import ShapeSums, shape_sums
 from truenewton.statics.load import Load
 
-QUARTILE = scipy.stats.norm.isf(0.25)  # median of |z|
+QUARTILE = normal_isf(0.25)  # median of |z|
 
 
 @dataclass(frozen=True, eq=False)

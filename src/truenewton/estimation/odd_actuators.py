@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import f_isf, normal_sf
 from truenewton.estimation.diagnosis import FoundEffect, NoiseSource
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
@@ -103,7 +103,7 @@ def readings_change(moments: Moments, noise: Noise) -> ReadingsChange:
         return ReadingsChange(np.ones(n), 1.0, nothing, nothing)
     ratio = square / freedom / noise.variance
     known = moments.repeats if moments.repeats else 1e9
-    limit = float(scipy.stats.f.isf(FALSE_ALARM / n, freedom, known))
+    limit = float(f_isf(FALSE_ALARM / n, freedom, known))
     dead = (ratio <= limit) & (np.median(ratio) > ALIVE * limit)
     change = np.sqrt(square / weight.sum())
     if noise.source == NoiseSource.MINIMUM:
@@ -143,7 +143,7 @@ def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Foun
         FoundEffect(
             name=name,
             where=f"actuator {ids[i]}",
-            probability=float(scipy.stats.norm.sf((typical - alpha[i]) / error[i])),
+            probability=float(normal_sf((typical - alpha[i]) / error[i])),
             size=float(alpha[i]),
             remedy=remedy,
         )

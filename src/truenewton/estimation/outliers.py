@@ -13,10 +13,10 @@ those go that stand out of what the others are out of balance by.
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import chi2_isf, chi2_ppf, chi2_sf
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.imbalance import MEDIAN_CHI2
@@ -52,14 +52,14 @@ def balancing_groups(problem: Problem, moments: Moments) -> tuple[NDArray[np.boo
     ------
     RankDeficient, NotConverged, TooManyOutliers
     """
-    limit = float(scipy.stats.chi2.isf(OF_EACH_KIND / len(moments.rows), 3))
+    limit = float(chi2_isf(OF_EACH_KIND / len(moments.rows), 3))
     try:
         belongs, distance, fitted = _within(limit, problem, moments)
         if belongs.all() or _accidents(belongs, moments, fitted):
             return belongs, distance, fitted
     except (RankDeficient, NotConverged, TooManyOutliers):
         fitted, distance = _fitted(problem, moments, moments)
-    usual = (np.quantile(distance, [0.5, 0.75]) / scipy.stats.chi2.ppf([0.5, 0.75], 3)).max()
+    usual = (np.quantile(distance, [0.5, 0.75]) / chi2_ppf([0.5, 0.75], 3)).max()
     try:
         return _within(FAR_OUT * max(float(usual), 1 / 3) * limit, problem, moments)
     except (RankDeficient, NotConverged, TooManyOutliers):
@@ -77,7 +77,7 @@ def _accidents(belongs: NDArray[np.bool_], moments: Moments, fitted: Fitted) -> 
     if problem.noise.source == NoiseSource.MINIMUM:
         return bool(few)
     freedom = problem.degrees_of_freedom(chosen_groups(moments, belongs))
-    return bool(few) and float(scipy.stats.chi2.sf(minimum.chi2, max(freedom, 1))) > FITS
+    return bool(few) and float(chi2_sf(minimum.chi2, max(freedom, 1))) > FITS
 
 
 def _within(

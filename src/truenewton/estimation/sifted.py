@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.stats
 
 from truenewton.arrays import Array
+from truenewton.chance import t_isf
 from truenewton.errors import TooManyOutliers, TrueNewtonError
 from truenewton.estimation.block_rows import BlockRows
 from truenewton.estimation.copied_files import copied_files
@@ -233,7 +233,7 @@ def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(accidents & (noise > 1.5 * robust), robust, noise)
     tests = moments.rows.sum() * len(noise)
-    limit = scipy.stats.t.isf(OF_EACH_KIND / 2 / tests, moments.repeats - 1)
+    limit = t_isf(OF_EACH_KIND / 2 / tests, moments.repeats - 1)
     limit *= 1.0 if accidents else FAR_OUT
     suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
     if suspicious.size:  # noise of rounding

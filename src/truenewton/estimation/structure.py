@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.stats
 
 from truenewton.arrays import Array
+from truenewton.chance import chi2_sf, f_sf
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import Noise
@@ -68,9 +68,9 @@ def structure_of(moments: Moments, noise: Noise, samples: Sequence[Array]) -> St
     if noise.source == NoiseSource.REPEATS:
         chi2 *= max(1.0 - 2.0 / moments.repeats, 0.0)  # 1 / s^2 of each is too large by as much
         known = moments.repeats * independent
-        probability = scipy.stats.f.sf(chi2 / max(freedom, 1.0), freedom, known)
+        probability = f_sf(chi2 / max(freedom, 1.0), freedom, known)
     else:
-        probability = scipy.stats.chi2.sf(chi2, freedom)
+        probability = chi2_sf(chi2, freedom)
     return Structure(chi2, freedom, float(probability) if freedom > 0 else 1.0)
 
 

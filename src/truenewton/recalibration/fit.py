@@ -12,13 +12,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import UNUSABLE_BEFORE, Level, warn_of
+from truenewton.chance import chi2_sf, t_sf
 from truenewton.errors import FormatError, RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
 from truenewton.estimation.diagnosis import Diagnosis, FoundEffect, RejectedRow, ScaleError
@@ -140,7 +140,7 @@ def recalibrate(
     rejected = (*sifted.rejected, *lost)
     calibration = _calibration(before, problem, moments, minimum, rejected, scale, stay)
     degrees = len(against.contrasts)
-    probability = float(scipy.stats.chi2.sf(against.chi2, degrees)) if degrees else float("nan")
+    probability = float(chi2_sf(against.chi2, degrees)) if degrees else float("nan")
     limits = tuple(_limits(before, data, probability, against.scatter.own))
     calibration = replace(calibration, effects=(*calibration.effects, *sifted.suspects))
     calibration = _with_faults(calibration, before, limits)
@@ -197,7 +197,7 @@ def _who_moved(
         sigmas = found.sigmas
         worst = int(np.abs(sigmas).argmax())
         freedom = scatter.degrees_of(float(found.variance[worst]))
-        chance = float(2 * scipy.stats.t.sf(abs(sigmas[worst]), freedom))
+        chance = float(2 * t_sf(abs(sigmas[worst]), freedom))
         mirror = chance_of_any(chance, int(stay.sum()))
         if mirror >= FALSE_ALARM:
             moved.sort(key=lambda one: one.probability)

@@ -6,12 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.stats
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
+from truenewton.chance import normal_isf
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.multiple_tests import FALSE_ALARM
@@ -129,5 +129,5 @@ def change(one: Calibration, other: Calibration) -> Change:
         ratio_error=ratio * math.hypot(*scales) if len(scales) == 2 else float("nan"),
         relative=moved / one.alpha,
         sigmas=np.where(np.isfinite(sigmas), sigmas, np.nan),
-        limit=float(scipy.stats.norm.isf(FALSE_ALARM / 2 / both.sum())),
+        limit=float(normal_isf(FALSE_ALARM / 2 / both.sum())),
     )

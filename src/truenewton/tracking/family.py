@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import chi2_isf, normal_isf, normal_sf, t_isf
 from truenewton.tracking.scatter import largest_likelihood
 
 TWO_SIDED = 0.95
@@ -149,12 +149,12 @@ def families_from(
         n, variance = int(members[k]), float(population.variance[k])
         of_variance = float(population.variance_covariance[k, k])
         total = np.sqrt(of_variance * (n - 1) / 2)
-        ends = total * (n - 1) / scipy.stats.chi2.isf([tail, 1 - tail], n - 1)
+        ends = total * (n - 1) / chi2_isf([tail, 1 - tail], n - 1)
         low, high = np.sqrt(np.maximum(ends - (total - variance), 0.0))
         error = float(np.sqrt(population.mean_covariance[k, k]))
         # d mean_error^2 / d variance is about 1 / n.
         degrees = max(2 * error**4 * n**2 / of_variance, 1.0)
-        reach = float(scipy.stats.t.isf(tail, degrees)) * error
+        reach = float(t_isf(tail, degrees)) * error
         mean = float(population.mean[k])
         families.append(
             Family(
@@ -207,6 +207,6 @@ def most_outlying(
         deviation[k] = (p @ y)[index] / np.sqrt(precision)
         likelihood[k] = value - 0.5 * np.log(precision) + 0.5 * deviation[k] ** 2
     weight = spreads * np.exp(likelihood - likelihood.max())  # even in the variance
-    chance = float(weight @ (2 * scipy.stats.norm.sf(np.abs(deviation))) / weight.sum())
-    sigmas = float(np.sign(deviation[0]) * scipy.stats.norm.isf(max(chance, 1e-300) / 2))
+    chance = float(weight @ (2 * normal_sf(np.abs(deviation))) / weight.sum())
+    sigmas = float(np.sign(deviation[0]) * normal_isf(max(chance, 1e-300) / 2))
     return index, sigmas, chance

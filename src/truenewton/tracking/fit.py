@@ -6,10 +6,10 @@ import datetime
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread, spread_square
+from truenewton.chance import f_sf
 from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.rounding import counted
@@ -203,9 +203,7 @@ def _off_their_lines(
         worst = int(np.where(stay, fit.actuator_chi2, 0.0).argmax())
         degrees = fit.actuator_degrees
         variance = scatter.own**2 + float(np.mean(np.einsum("paa->pa", covariance)[:, worst]))
-        chance = scipy.stats.f.sf(
-            fit.actuator_chi2[worst] / degrees, degrees, scatter.degrees_of(variance)
-        )
+        chance = f_sf(fit.actuator_chi2[worst] / degrees, degrees, scatter.degrees_of(variance))
         mirror = chance_of_any(float(chance), n * (1 + settings.shape[1]))
         if mirror >= FALSE_ALARM:
             return fit, jumped, scatter, own

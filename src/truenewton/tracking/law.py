@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.stats
 
 from truenewton.arrays import Array, freeze, taking_units
 from truenewton.calibration.result import LARGEST_ALPHA
+from truenewton.chance import chi2_sf
 from truenewton.errors import FormatError, RankDeficient
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
@@ -190,7 +190,7 @@ class Tracking:
     def probability(self) -> float:
         """Chance of a larger chi2; NaN without degrees of freedom."""
         degrees = self.degrees_of_freedom
-        return float(scipy.stats.chi2.sf(self.chi2, degrees)) if degrees else float("nan")
+        return float(chi2_sf(self.chi2, degrees)) if degrees else float("nan")
 
     @property
     def errors(self) -> Array:

@@ -17,10 +17,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import f_sf
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 from truenewton.rounding import percent
 from truenewton.tracking.days import DatedCalibration
@@ -98,9 +98,9 @@ def _chance_of_all(y: Array, v: Array, scatter: Scatter) -> float:
     one = np.linalg.solve(v, np.ones(len(y)))
     chi2 = float(y @ np.linalg.solve(v, y) - (one @ y) ** 2 / one.sum())
     degrees = scatter.degrees_of(float(np.mean(np.diag(v))))
-    return float(scipy.stats.f.sf(chi2 / (len(y) - 1), len(y) - 1, degrees))
+    return float(f_sf(chi2 / (len(y) - 1), len(y) - 1, degrees))
 
 
 def _chance_of_common(mean: float, variance: float, actuators: int, scatter: Scatter) -> float:
     variance += scatter.common**2 + scatter.own**2 / actuators
-    return float(scipy.stats.f.sf(mean**2 / variance, 1, scatter.degrees))
+    return float(f_sf(mean**2 / variance, 1, scatter.degrees))

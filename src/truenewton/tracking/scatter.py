@@ -26,10 +26,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 import scipy.optimize
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import chi2_ppf, chi2_sf, normal_isf, t_isf
 from truenewton.errors import NotConverged
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
 
@@ -73,7 +73,7 @@ def expanded(scatter: float, degrees: int) -> float:
     """Return a standard deviation of few degrees of freedom, so that 1.96 times it holds 95 %."""
     if not degrees:
         return scatter
-    return scatter * float(scipy.stats.t.isf(0.025, degrees) / scipy.stats.norm.isf(0.025))
+    return scatter * float(t_isf(0.025, degrees) / normal_isf(0.025))
 
 
 def largest_likelihood(
@@ -152,7 +152,7 @@ def _standing_out(
     y: Array, covariance: Array, shift: Array, stay: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Return (n,) who is farther off than a scatter that holds for the median lets expect."""
-    middle = float(scipy.stats.chi2.median(len(y)))
+    middle = float(chi2_ppf(0.5, len(y)))
     own = shift @ shift.T
 
     def shares(log_variance: float) -> Array:
@@ -170,7 +170,7 @@ def _standing_out(
     low, high = np.log(1e-6 * size), np.log(1e12 * size)
     if off(low) > 0.0 > off(high):
         low = scipy.optimize.brentq(off, low, high, xtol=0.02)
-    chance = scipy.stats.chi2.sf(shares(low), len(y))
+    chance = chi2_sf(shares(low), len(y))
     rare = np.array([chance_of_any(float(one), int(stay.sum())) for one in chance]) < FALSE_ALARM
     return np.asarray(rare & stay)
 

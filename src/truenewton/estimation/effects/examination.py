@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.stats
 
 from truenewton.arrays import Array
+from truenewton.chance import chi2_cdf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.effects.catalogue import PUT_ON_ANEW, ZEROS_OF_EACH
@@ -247,7 +247,7 @@ def _as_mounting(
     values, vectors = np.linalg.eigh(spread)
     seen = values > SEEN * tau2
     chi2 = float(np.sum((vectors[:, seen].T @ sums) ** 2 / values[seen]))
-    if not seen.any() or scipy.stats.chi2.cdf(chi2, np.count_nonzero(seen)) > FALSE_ALARM:
+    if not seen.any() or chi2_cdf(chi2, np.count_nonzero(seen)) > FALSE_ALARM:
         return test, corrected
     anew = correction(fit, PUT_ON_ANEW)
     return (test, corrected) if anew is None else (replace(test, effect=PUT_ON_ANEW), anew)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.stats
 
+from truenewton.chance import chi2_sf, f_sf
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
@@ -77,5 +77,5 @@ def chi2_probability(chi2: float, freedom: float, noise: Noise) -> float:
     if freedom <= 0:
         return 1.0
     if np.isinf(noise.share_freedom):
-        return float(scipy.stats.chi2.sf(chi2, freedom))
-    return float(scipy.stats.f.sf(chi2 / freedom, freedom, noise.share_freedom))
+        return float(chi2_sf(chi2, freedom))
+    return float(f_sf(chi2 / freedom, freedom, noise.share_freedom))

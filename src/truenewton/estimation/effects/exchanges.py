@@ -15,9 +15,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import scipy
 import scipy.linalg
-import scipy.optimize
-import scipy.spatial
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -28,6 +27,7 @@ from truenewton.estimation.identifiability import centred_means
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.structure import FITS
+from truenewton.linalg import assignment
 from truenewton.rounding import named
 from truenewton.statics.arms import arms_in_units_of_rms
 
@@ -136,7 +136,7 @@ def _settled(seen: Array, arms: Array, order: NDArray[np.int64]) -> tuple[Array,
     for _ in range(SETTLED):
         distance = np.linalg.norm(_projected(seen, arms[:, order])[:, None] - places, axis=2)
         before = order
-        order = scipy.optimize.linear_sum_assignment(np.minimum(distance, FAR) ** 2)[1]
+        order = assignment(np.minimum(distance, FAR) ** 2)
         if np.array_equal(order, before):
             break
     return distance, order
@@ -161,7 +161,7 @@ def _turned(seen: Array, places: Array) -> list[NDArray[np.int64]]:
             turns.append((float(np.mean(tree.query(turned)[0] ** 2)), turned))
     turns.sort(key=lambda one: one[0])
     apart = [np.linalg.norm(turned[:, None] - of_places.T, axis=2) for _, turned in turns[:TRIED]]
-    return [np.asarray(scipy.optimize.linear_sum_assignment(d**2)[1]) for d in apart]
+    return [assignment(d**2) for d in apart]
 
 
 def _homogeneous(problem: Problem, moments: Moments) -> Array | None:

@@ -8,10 +8,10 @@ parameters, the others none, so that alpha is no less sure for what might have h
 from __future__ import annotations
 
 import numpy as np
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import chi2_sf
 from truenewton.estimation.effects.derivative import Derivative, OfEach
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.readings import OnReadings, means, traces, without
@@ -85,7 +85,7 @@ def standing_out(score: Array, information: Array) -> NDArray[np.intp]:
     held = values > HELD * values.max()
     along = np.einsum("nab,an->nb", vectors, score)
     chi2 = np.sum(np.where(held, along**2 / np.where(held, values, 1.0), 0.0), axis=1)
-    chance = scipy.stats.chi2.sf(chi2, np.count_nonzero(held, axis=1))
+    chance = chi2_sf(chi2, np.count_nonzero(held, axis=1))
     return np.flatnonzero(chance < SELDOM / score.shape[1])
 
 

@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.stats
 
 from truenewton.arrays import Array
+from truenewton.chance import f_logsf
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, log_chance, there
 from truenewton.estimation.structure import independent_readings
@@ -52,4 +52,4 @@ def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
     left = fit.moments.repeats - freedom
     rest = max(kappa * fit.moments.repeats - statistic, left)
     ratio = statistic / freedom * left / rest
-    return replace(test, log_probability=float(scipy.stats.f.logsf(ratio, freedom, left)))
+    return replace(test, log_probability=float(f_logsf(ratio, freedom, left)))

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
-import scipy.stats
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.chance import f_sf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.diagnosis import Goodness, NoiseSource
@@ -192,7 +192,7 @@ def _near(base: Estimate, keep: NDArray[np.bool_]) -> Values:
 def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:
     """Return chi2 of all blocks; the noise is known only so well."""
     chi2, freedom = sum(fitted.chi2), sum(fitted.equations) - sum(fitted.parameters)
-    probability = scipy.stats.f.sf(chi2 / freedom, freedom, stiffness.noise_freedom)
+    probability = f_sf(chi2 / freedom, freedom, stiffness.noise_freedom)
     return Goodness(chi2, round(freedom), NoiseSource.REPEATS, float(probability))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient

@@ -1,0 +1,76 @@
+"""Chances and limits of chi-squared, F, Student's t and normal numbers.
+
+Made of the functions of ``scipy.special`` that ``scipy.stats`` is made of: to import that costs as
+much as a calibration and all its other imports do.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+# Numbers or arrays, broadcast; NaN where degrees of freedom are none.
+
+
+def chi2_sf(x: Any, degrees: Any) -> Any:
+    """Return the chance that chi-squared of so many degrees of freedom exceeds x."""
+    return special.chdtrc(_some(degrees), np.maximum(x, 0.0))
+
+
+def chi2_cdf(x: Any, degrees: Any) -> Any:
+    """Return the chance that chi-squared of so many degrees of freedom stays below x."""
+    return special.chdtr(_some(degrees), np.maximum(x, 0.0))
+
+
+def chi2_isf(chance: Any, degrees: Any) -> Any:
+    """Return what chi-squared exceeds by this chance."""
+    return special.chdtri(_some(degrees), chance)
+
+
+def chi2_ppf(chance: Any, degrees: Any) -> Any:
+    """Return what chi-squared stays below by this chance."""
+    return 2.0 * special.gammaincinv(0.5 * _some(degrees), chance)
+
+
+def f_sf(x: Any, above: Any, below: Any) -> Any:
+    """Return the chance that F, of degrees of freedom above and below the line, exceeds x."""
+    return special.fdtrc(above, below, np.maximum(x, 0.0))
+
+
+def f_logsf(x: Any, above: Any, below: Any) -> Any:
+    """Return the natural logarithm of that chance, minus infinity where it is none."""
+    beyond, within = f_sf(x, above, below), special.fdtr(above, below, np.maximum(x, 0.0))
+    with np.errstate(divide="ignore"):
+        return np.where(beyond < 0.5, np.log(beyond), np.log1p(-within))[()]
+
+
+def f_isf(chance: Any, above: Any, below: Any) -> Any:
+    """Return what F exceeds by this chance, which is small."""
+    part = special.betaincinv(0.5 * below, 0.5 * above, chance)
+    return below * (1.0 - part) / (above * part)
+
+
+def normal_sf(z: Any) -> Any:
+    """Return the chance that a standard normal number exceeds z."""
+    return special.ndtr(-np.asarray(z))
+
+
+def normal_isf(chance: Any) -> Any:
+    """Return what a standard normal number exceeds by this chance."""
+    return -special.ndtri(chance)
+
+
+def t_sf(x: Any, degrees: Any) -> Any:
+    """Return the chance that Student's t of so many degrees of freedom exceeds x."""
+    return special.stdtr(degrees, -np.asarray(x))
+
+
+def t_isf(chance: Any, degrees: Any) -> Any:
+    """Return what Student's t of so many degrees of freedom exceeds by this chance."""
+    return -special.stdtrit(degrees, chance)
+
+
+def _some(degrees: Any) -> Any:
+    return np.where(np.asarray(degrees) > 0, degrees, np.nan)
