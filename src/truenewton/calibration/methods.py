@@ -233,13 +233,6 @@ def refusals(error: TrueNewtonError, sifted: Sifted | None) -> tuple[Fault, ...]
     return first, *(fault for fault in others if fault.fault not in first.fault)
 
 
-def held_out(
-    matrix: StiffnessMatrix, method: str = "ml", *, population: bool = False
-) -> tuple[stiffness_svd.Imbalance, ...]:
-    """Return how well alpha restores the balance of elastic modes, fitted and held out."""
-    return METHODS[method].of_stiffness(sift_matrix(matrix), Known(population))[1]
-
-
 def calibration_of(
     campaign: Campaign, estimate: Estimate, readers: Sequence[RowReader] = ()
 ) -> Calibration:
