@@ -74,7 +74,7 @@ def test_a_line_and_one_beside_it_have_a_system_of_short_rank_and_fail(count):
 
 
 def test_four_actuators_are_too_few_for_a_proof():
-    with pytest.raises(GeometryError, match="only 4 actuators take part; enable five"):
+    with pytest.raises(GeometryError, match="only 4 actuators enabled; enable five"):
         prove(replace(p45(), layout=layout([0.0, 1, 0, 1], [0.0, 0, 1, 1])), seed=0)
 
 

@@ -12,12 +12,17 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 
 PRINTED = 48  # labels whose rows are looked at
+KEPT = 16  # labels whose rows are kept, of each file
 
 
 def common_labels(codes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     """Return (m,) some of the labels that all files have, given (N,) those of the rows of each."""
-    common = reduce(np.intersect1d, codes)
-    return common[np.unique(np.linspace(0, max(len(common) - 1, 0), PRINTED).astype(np.int64))]
+    return _some(reduce(np.intersect1d, codes), KEPT)
+
+
+def _some(labels: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """Return so many of (m,) labels at most, from the first to the last."""
+    return labels[np.unique(np.linspace(0, max(len(labels) - 1, 0), most).astype(np.int64))]
 
 
 class RowPrints:
@@ -37,15 +42,15 @@ class RowPrints:
     limit, at_limit
         By file (n,) the largest magnitude of a reading [N], and how many of the rows have it.
     readings
-        (n,) those of each row [N], by file and label.
+        (n,) those of some of the rows [N], by file and label.
     of_first
         (n,) readings of the rows of one file [N].
     """
 
     def __init__(self, codes: NDArray[np.int64]) -> None:
         labels = np.unique(codes)
-        some = np.unique(np.linspace(0, len(labels) - 1, PRINTED).astype(np.int64))
-        self._codes, self._chosen = codes, np.isin(codes, labels[some])
+        self._codes, self._chosen = codes, np.isin(codes, _some(labels, PRINTED))
+        self._kept = {*_some(_some(labels, PRINTED), KEPT).tolist()}
         self._before = dict[int, Array]()
         self.taken: dict[tuple[int, int], bytes] = {}
         self._run: dict[int, NDArray[np.int64]] = {}
@@ -55,13 +60,12 @@ class RowPrints:
         self.of_first: list[Array] = []
         self.readings: dict[tuple[int, int], NDArray[np.float32]] = {}
 
-    def common_rows(self) -> Array:
+    def common_rows(self) -> NDArray[np.float32]:
         """Return (files, m, n) readings under the labels that all files have [N]."""
         files = range(1 + max(file for file, _ in self.taken))
-        codes = [np.array([code for of, code in self.taken if of == file]) for file in files]
+        codes = [np.array([code for of, code in self.readings if of == file]) for file in files]
         chosen = common_labels(codes).tolist()
-        rows = [[self.readings[file, code] for code in chosen] for file in files]
-        return np.array(rows, dtype=np.float64)
+        return np.array([[self.readings[file, code] for code in chosen] for file in files])
 
     def rows(self, file: int) -> int:
         """Return how many rows of a file were looked at."""
@@ -74,7 +78,8 @@ class RowPrints:
             if key in self.taken:
                 continue
             readings = force[row]
-            self.readings[key] = readings.astype(np.float32)
+            if key[1] in self._kept:
+                self.readings[key] = readings.astype(np.float32)
             self.taken[key] = hashlib.sha1(readings.tobytes(), usedforsecurity=False).digest()
             if file not in self._before:
                 self._run[file], self.longest[file] = np.zeros((2, len(readings)), np.int64)
