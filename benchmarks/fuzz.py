@@ -160,7 +160,7 @@ def judge_files(
         made = {
             name
             for name in made
-            if folder != "."
+            if folder not in (".", "")
             and not f"{name}/".startswith(tuple(f"{each}/" for each in (*begun, folder)))
             and not name.endswith(".truth.fits")
         }
