@@ -143,7 +143,7 @@ def judge(command: str, words: list[str], code: int, out: str, error: str) -> st
         except ValueError:
             found = True
         return f"JSON: {out[:60]!r}" if found else ""
-    out = re.sub(r"radius_of_curvature +inf|written: .*", "", out)  # a flat glass; any name
+    out = re.sub(r"radius_of_curvature +inf|written: .*|'[^']*'", "", out)  # a flat glass; any name
     if code == 0 and (said := re.search(r".*\b(?<!/)(nan|inf)\b(?!:|/).*", out)):
         return f"said: {re.sub(r'[0-9.]+', '#', said[0])[:90]}"
     return ""
@@ -157,6 +157,7 @@ def judge_files(
     made = {name for name in after if name not in before}
     if command == "acquire":  # what it took is kept, whatever ends it
         folder = words[len(words) - words[::-1].index("-o")] if "-o" in words[:-1] else "out"
+        folder = folder.rstrip("/")
         made = {
             name
             for name in made

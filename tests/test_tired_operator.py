@@ -419,3 +419,9 @@ def test_no_command_counts_one_as_many(inside, p45_folder, tmp_path):
     assert "1 cycle file, " in texts[0]
     assert "1 cycle, 90 rows" in texts[0]
     assert "x 1 cycle x 90 shapes" in texts[1]
+
+
+def test_a_file_of_other_shapes_than_the_others_is_no_crash():
+    files = changed(lambda c: replace(c, shape=c.shape + 1000), ONE)()
+    made = tn.calibrate(Campaign(tuple(files)))
+    assert np.max(np.abs(made.alpha / tn.calibrate(Campaign(tuple(quiet()))).alpha - 1)) < 1e-3

@@ -22,7 +22,8 @@ def common_labels(codes: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
 
 def _some(labels: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """Return so many of (m,) labels at most, from the first to the last."""
-    return labels[np.unique(np.linspace(0, max(len(labels) - 1, 0), most).astype(np.int64))]
+    last = len(labels) - 1
+    return labels[np.unique(np.linspace(0, last, most if last >= 0 else 0).astype(np.int64))]
 
 
 class RowPrints:
