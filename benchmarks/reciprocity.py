@@ -41,8 +41,7 @@ from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values, at_nominal
 from truenewton.estimation.sifted import sift
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.puck_motion import puck_motion
+from truenewton.mirrors.shell.puck_motion import motion_for
 from truenewton.records.campaign import Campaign
 
 GAINS = {"gains known": Asked(), "gains +- 0.4 %": Asked(0.004), "gains free": Asked(np.inf)}
@@ -100,7 +99,8 @@ class Line:
 def campaigns(seeds, bounds, noise, loop):
     """Print scatter, bound and coverage over campaigns."""
     mirror = p45()
-    exact = places_of(mirror.layout, puck_motion(held_glass(mirror)))
+    motion = motion_for(mirror, mirror.layout)
+    exact = places_of(mirror.layout, motion)
     lines, n = {}, mirror.layout.n
     for seed in range(seeds):
         bench = static_bench(mirror, seed, force_noise=noise)
@@ -111,7 +111,7 @@ def campaigns(seeds, bounds, noise, loop):
         sifted = sift(campaign)
         for name, estimate in (
             ("ml", cycles_ml.find(sifted)),
-            ("reciprocity, glass known", cycles.find(sifted, exact.motion)),
+            ("reciprocity, glass known", cycles.find(sifted, motion)),
             ("reciprocity", cycles.find(sifted)),
         ):
             found = estimate.values[:n]
