@@ -49,7 +49,7 @@ from faulty.fault import FAULTS, ORDERS, Fault
 
 import truenewton as tn
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
-from truenewton.mirrors.shell.puck_motion import puck_motion
+from truenewton.mirrors.shell.puck_motion import seen_by
 
 # In the order of the modules that list them.
 SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]
@@ -120,7 +120,7 @@ def happening(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -
 @cache
 def motion_of(bench: Bench) -> Array:
     """Return what the sensors of a bench see."""
-    return puck_motion(bench.glass)
+    return seen_by(bench.glass)
 
 
 def trial(day: Day, method: str = "ml") -> Trial:

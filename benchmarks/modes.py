@@ -68,14 +68,16 @@ def known(seeds: int) -> None:
 def of_sensors(seeds: int) -> None:
     """Print how far modes lie from the truth by what is known of the sensors, off by 0.5 mm."""
     mirror = tn.mirrors.p45()
-    places, motion = places_of(mirror.layout), motion_for(mirror, mirror.layout)
+    motion = motion_for(mirror, mirror.layout)
+    places = places_of(mirror.layout, motion)
     scores: dict[str, list[list[float]]] = {}
     for seed in range(seeds):
         bench = static_bench(mirror, seed)
         offset = OFFSET * np.random.default_rng([seed, 5]).standard_normal((2, places.n))
         for name, far in (("at their magnets", 0.0 * offset), ("0.5 mm off", offset)):
             values = replace(at_nominal(places.n), offset=far)
-            back = np.linalg.inv(sight(places, values, slopes=bool(far.any())).motion).T
+            seen = sight(places, values, slopes=bool(far.any()))
+            back = np.linalg.solve(seen.motion, places.motion).T
             campaign = Campaign(
                 tuple(replace(c, position=c.position @ back) for c in run_cycles(bench, 2))
             )

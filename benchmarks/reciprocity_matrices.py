@@ -26,7 +26,7 @@ from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind
 from truenewton.mirrors.known import lbt672, p45, ring
 from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.puck_motion import puck_motion
+from truenewton.mirrors.shell.puck_motion import seen_by
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import layout as actuators_at
 
@@ -208,7 +208,7 @@ def large():
         values = drawn(random, at.n, offset=5e-4)
         exact = by_glass(glass, values) if shell else by_plate(at, glass.stiffness, values)
         made = with_noise(random, exact, values, noise, stroke)
-        motion = puck_motion(glass) if shell == "with" else None
+        motion = seen_by(glass) if shell == "with" else None
         matrix = StiffnessMatrix("LBT672", date, at, made.stiffness)
         found = examined(modes_of(matrix, motion))
         least = bound_of_matrix(made, at, USUAL, motion)

@@ -29,7 +29,7 @@ from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import READINGS, tilt_as_load, typical
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.shell.puck_motion import motion_for, puck_motion
+from truenewton.mirrors.shell.puck_motion import motion_for
 from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain
 from truenewton.planning.outlook import duration, outlook, predicted, with_sensors
@@ -126,7 +126,7 @@ def test_of_reciprocity_the_bound_is_predicted(ready, sensors):
     plan = replace(PLAN, force_noise=1e-3, sensors=sensors)
     found = with_sensors(ready.changed(plan), [plan.cycles]).planned
     n, glass = 45, model_glass(p45())
-    places = places_of(p45().layout, puck_motion(glass))
+    places = places_of(p45().layout, motion_for(p45(), p45().layout))
     stiffness = glass.stiffness / 0.9
     square = 2 * 2 * plan.cycles * ready.shapes.T @ ready.shapes
     rows = 1e-6 * np.eye(n) + sensors.noise**2 * stiffness @ stiffness.T

@@ -2,13 +2,14 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from balanced import p45_bench, p45_campaign
 from joint_bound import BruteForce, shifted
 from reciprocal import measured, random_stiffness, random_values, small_places
-from simulated_matrices import by_plate, drawn
+from simulated_matrices import by_glass, by_plate, drawn
 from simulated_matrices import measured as with_noise
 
 import truenewton as tn
@@ -20,16 +21,18 @@ from truenewton.estimation.reciprocity import cycles
 from truenewton.estimation.reciprocity.binned_noise import shares
 from truenewton.estimation.reciprocity.condensation import (
     condensed_regression,
+    kept_places,
     odd_actuators,
 )
 from truenewton.estimation.reciprocity.information import information, score
 from truenewton.estimation.reciprocity.iteration import fit, point_at
 from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
+from truenewton.estimation.reciprocity.regression import regressed
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values
 from truenewton.estimation.sifted import sift
-from truenewton.mirrors.known import ring
+from truenewton.mirrors.known import p45, ring
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import motion_for, puck_motion
 from truenewton.records.campaign import Campaign
@@ -58,8 +61,22 @@ def noisy_stiffness(seed, level, *, flat=False, gain=0.02, offset=5e-4):
     return places, values, Regressed(exact + error, square, noise), true
 
 
-def test_displacements_change_with_offsets_as_the_slopes_say():
-    places = small_places()
+@cache
+def p45_motion():
+    return motion_for(p45(), p45().layout)
+
+
+def by_a_glass(places):
+    """Return places with some model of the glass that has nothing of a plate."""
+    random, n = np.random.default_rng(6), places.n
+    motion = np.eye(n) + 0.1 * random.standard_normal((n, n))
+    changes = random.standard_normal((5, n, n)) * np.array([1, 1, 30, 30, 30])[:, None, None]
+    return replace(places, motion=motion, changes=changes)
+
+
+@pytest.mark.parametrize("model", [replace, by_a_glass])
+def test_displacements_change_with_offsets_as_the_slopes_say(model):
+    places = model(small_places())
     values = random_values(np.random.default_rng(0), places.n)
     z = np.random.default_rng(1).standard_normal(places.n)
     seen = sight(places, values, slopes=True)
@@ -188,6 +205,55 @@ def test_with_a_model_of_the_glass_the_readings_of_annuli_fit():
     with_model, without = cycles.find(sifted, motion), cycles.find(sifted)
     assert with_model.goodness.probability > 1e-3
     assert with_model.goodness.chi2 < without.goodness.chi2
+
+
+def asymmetry_of_work(places, values, stiffness):
+    """Return |T - T'| / |T + T'| of all readings, at the values."""
+    moved = sight(places, values, slopes=True).motion * values.gain
+    work = moved.T @ (values.alpha[:, None] * stiffness)
+    return np.linalg.norm(work - work.T) / np.linalg.norm(work + work.T)
+
+
+def test_with_a_model_of_the_glass_annuli_off_their_magnets_are_exact():
+    glass, layout = p45_bench().glass, p45_bench().mirror.layout
+    motion = p45_motion()
+    values = drawn(np.random.default_rng(3), layout.n, offset=5e-4)
+    exact = by_glass(glass, values)
+    by_model = asymmetry_of_work(places_of(layout, motion), values, exact)
+    by_plate_alone = asymmetry_of_work(places_of(layout, motion[0]), values, exact)
+    assert by_model < 3e-5 < 3e-3 < by_plate_alone
+    # A sensor as wide as its puck touches it when it moves: then the plate tells of places.
+    alike = replace(p45(), puck_radius=8e-3)
+    assert motion_for(alike, layout).shape == (1, layout.n, layout.n)
+
+
+def test_of_actuators_left_free_the_sensors_go_with_the_others():
+    """To first order: what they read, by gains and places that nobody knows, is taken as it is."""
+    glass, layout = p45_bench().glass, p45_bench().mirror.layout
+    motion, keep = p45_motion(), ~np.isin(np.arange(layout.n), [3, 20])
+    values = drawn(np.random.default_rng(3), layout.n, offset=5e-4)
+    exact = by_glass(glass, values)
+    less = condensed(exact, keep)[0]
+    others = Values(values.log_alpha[keep], values.log_gain[keep], values.offset[:, keep])
+    by_model, by_plate_alone = (
+        asymmetry_of_work(kept_places(places_of(layout, known), keep, exact), others, less)
+        for known in (motion, motion[0])
+    )
+    assert by_model < 5e-4 < 3e-3 < by_plate_alone
+
+
+def test_noise_that_all_actuators_bear_together_is_seen_in_the_balance():
+    campaign, alpha = p45_campaign(), p45_bench().truth.alpha
+    n, together, random = len(alpha), 3e-4, np.random.default_rng(8)
+    push = together * campaign.layout.nz / alpha
+    cycles_ = [
+        replace(c, force=c.force + random.standard_normal((len(c.force), 1)) * push)
+        for c in campaign.cycles
+    ]
+    variance = np.full(n, 1e-8)  # `static_bench` has 0.1 mN
+    noise = regressed(sift(Campaign(tuple(cycles_))).moments, variance).noise
+    summed = alpha @ noise @ alpha / n**2
+    assert summed == pytest.approx(together**2 + 1e-8 * np.mean(alpha**2) / n, rel=0.25)
 
 
 def test_auto_is_ml_where_no_position_is_there():

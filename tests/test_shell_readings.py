@@ -57,6 +57,22 @@ def test_sensor_reads_the_mean(shell):
 
 
 @pytest.mark.parametrize("shell", [FLAT, GLASS])
+def test_a_sensor_off_its_puck_reads_the_mean(shell):
+    """Round its own force, not in its middle, and beside others."""
+    forces = (np.array([60e-3, 95e-3, 40e-3]), np.array([10e-3, 30e-3, -5e-3]))
+    at = tuple(place + off for place, off in zip(forces, (2e-3, -1e-3), strict=True))
+    got = influence(shell, at, forces, sensor=ELECTRODE, puck_radius=5e-3)
+    centres = zip(*forces, strict=True)
+    rims = [np.array(around(centre, 5e-3, 32)) for centre in centres]
+    rims = tuple(np.concatenate(rims, axis=1))
+    want = [
+        over_annulus(shell, ELECTRODE, centre, rims).reshape(3, 32).mean(axis=1)
+        for centre in zip(*at, strict=True)
+    ]
+    assert got == pytest.approx(np.array(want), abs=1e-10 * np.abs(want).max())
+
+
+@pytest.mark.parametrize("shell", [FLAT, GLASS])
 def test_even_load_is_read_as_the_mean(shell):
     xi, gauss = np.polynomial.legendre.leggauss(6)
     radii = 10.25e-3 + 2.25e-3 * xi
@@ -198,7 +214,14 @@ def test_bad_shells_sensors_and_pucks_are_refused(radius, sensor, puck, fault):
 
 def test_a_sensor_over_the_force_of_another_is_refused():
     force = (np.array([70e-3]), np.zeros(1))
-    for distance, puck, over in ((12.4e-3, 0.0, True), (13e-3, 0.0, False), (13e-3, 3e-3, True)):
+    cases = (
+        (12.4e-3, 0.0, True),
+        (13e-3, 0.0, False),
+        (13e-3, 3e-3, True),
+        (2.9e-3, 5e-3, False),  # its own puck, not in its middle
+        (3.1e-3, 5e-3, True),
+    )
+    for distance, puck, over in cases:
         beside = (force[0] + distance, force[1])
         if over:
             with pytest.raises(GeometryError, match="only encircle the puck of their own"):

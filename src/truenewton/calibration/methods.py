@@ -149,8 +149,8 @@ def calibrate(
         Take the actuators for samples of one normal population, whose spread the data give: pulls
         what the data hardly hold toward the mean. With 'ml' only; the result names it.
     motion
-        (n, n) displacements where forces act for those that the sensors see, of all actuators, by a
-        model of the glass; with 'reciprocity' and 'auto' only.
+        What the sensors see of all actuators by a model of the glass, from `motion_for`; or (n, n)
+        displacements where forces act for those seen. With 'reciprocity' and 'auto' only.
 
     Raises
     ------
@@ -195,8 +195,7 @@ def asked(
 ) -> tuple[str, Known]:
     """Return the method that is asked for, as of `calibrate`, and what it is told.
 
-    ``motion`` is (n, n). Raises UnknownName where there is no such method, or it takes no such
-    data.
+    Raises UnknownName where there is no such method, or it takes no such data.
     """
     if method is None:
         method = "ml" if motion is None or population else "auto"

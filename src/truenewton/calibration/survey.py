@@ -41,7 +41,7 @@ def survey(
     data
         A campaign or a stiffness matrix.
     method, population, motion
-        As in `calibrate`; (n, n).
+        As in `calibrate`.
     """
     method, known = asked(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):

@@ -24,7 +24,7 @@ from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import typical
-from truenewton.mirrors.shell.puck_motion import puck_motion
+from truenewton.mirrors.shell.puck_motion import seen_by
 from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain, within_limits
 from truenewton.planning.third_load import ThirdLoad, third_load
 from truenewton.records.campaign import Campaign
@@ -110,7 +110,7 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
     glass = model_glass(ready.mirror)
     try:
         said = informed(
-            replace(places_of(layout), motion=puck_motion(glass)),
+            places_of(layout, seen_by(glass)),
             Asked(plan.sensors.gain, plan.sensors.offset),
             *(np.sqrt(repeats) * each[:, layout.enabled] for each in (ready.shapes, ready.force)),
             force_noise=plan.force_noise,

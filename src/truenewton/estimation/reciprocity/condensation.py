@@ -107,7 +107,11 @@ def condensed_regression(regressed: Regressed, keep: NDArray[np.bool_]) -> Regre
 
 def kept_places(places: Places, keep: NDArray[np.bool_], stiffness: Array) -> Places:
     """Return the places of actuators that are kept of (n,), as (n, n) K_c lets the others move."""
-    motion = places.motion
-    if motion is not None and not keep.all():
-        motion = motion[keep] @ condensed(stiffness, keep)[2]
-    return Places(places.x[keep], places.y[keep], places.nz[keep], motion)
+    if keep.all():
+        return places
+    motion, changes = places.motion, places.changes
+    if motion is not None:
+        moved = condensed(stiffness, keep)[2]
+        motion = motion[keep] @ moved
+        changes = None if changes is None else changes[:, keep] @ moved
+    return Places(places.x[keep], places.y[keep], places.nz[keep], motion, changes)

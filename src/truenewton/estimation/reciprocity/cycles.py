@@ -40,13 +40,12 @@ from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.known_noise import ONE_EACH, Regressed
 from truenewton.estimation.reciprocity.regression import regressed
 from truenewton.estimation.reciprocity.sensors import sensors_of
-from truenewton.estimation.reciprocity.sight import Places, places_of
+from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values, at_nominal
 from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.weights import temperature_errors, weight_errors
 from truenewton.records.fault import Fault
-from truenewton.statics.layout import Layout
 
 METHOD = "reciprocity"
 SMALLEST = 0.05  # alpha of `ml` with which an iteration begins
@@ -61,7 +60,7 @@ def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> E
     sifted
         Cycles with POSITION, under two loads at least.
     motion
-        (n, n) displacements at the magnets for those at the sensors, by a model of the glass.
+        What a model of the glass tells of the sensors (`sight.places_of`).
     asked
         Of the sensors.
 
@@ -81,7 +80,7 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
     sifted
         The campaign.
     motion
-        (n, n) as for `find`.
+        As for `find`.
 
     Raises
     ------
@@ -115,7 +114,7 @@ def _found(
     bias, coil = gradients.pop()
     stiffness = regressed(moments, noise.variance, bias_gradient=bias, coil_gradient=coil)
     keep, odd = kept(stiffness.stiffness)
-    places = kept_places(_places(layout, motion), keep, stiffness.stiffness)
+    places = kept_places(places_of(layout, motion), keep, stiffness.stiffness)
     stiffness = condensed_regression(stiffness, keep)
     fitted = fit(places, asked, stiffness.states, start=_near(base, keep))
     goodness = _goodness(fitted, stiffness)
@@ -159,11 +158,6 @@ def _found(
 def _offset_spread(fitted: Fit) -> float:
     """Return the spread of the offsets as the data give it; NaN where they do not."""
     return fitted.asked.offset_spread if fitted.asked.estimated else float("nan")
-
-
-def _places(layout: Layout, motion: Array | None) -> Places:
-    on = layout.enabled
-    return places_of(layout, None if motion is None else motion[np.ix_(on, on)])
 
 
 def _balancing(sifted: Sifted, base: Estimate) -> Moments:

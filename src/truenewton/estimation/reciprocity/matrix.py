@@ -95,13 +95,12 @@ def modes_of(
     matrix
         Commanded force per reading.
     motion
-        (n, n) displacements at the magnets for those at the sensors, by a model of the glass.
+        What a model of the glass tells of the sensors (`sight.places_of`).
     keep
         (n,) which actuators count; the others are free. All unless given.
     """
-    stiffness, on = matrix.used_stiffness, matrix.layout.enabled
+    stiffness = matrix.used_stiffness
     keep = np.ones(len(stiffness), dtype=bool) if keep is None else keep
-    motion = None if motion is None else motion[np.ix_(on, on)]
     places = kept_places(places_of(matrix.layout, motion), keep, stiffness)
     forces, values, readings = singular_values_and_vectors(condensed(stiffness, keep)[0])
     some = slice(elastic_count(values))

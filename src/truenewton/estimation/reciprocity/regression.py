@@ -24,7 +24,9 @@ def regressed(
 
         N_c = a diag(s_i^2) + b K_c K_c'
 
-    of which what the regression leaves tells the sizes, along the singular vectors of K_c.
+    of which what the regression leaves tells the sizes, along the singular vectors of K_c. What it
+    leaves of sums of forces and torques beyond that is added: a mirror that trembles as a whole
+    does so against the air film, whose force all actuators bear together.
 
     Parameters
     ----------
@@ -89,4 +91,10 @@ def _noise(left: Array, stiffness: Array, variance: Array, spare: int) -> Array:
         size = np.linalg.norm(unit, axis=0)
         shares = scipy.optimize.nnls(unit / size, found / expected)[0] / size
         expected = np.maximum(terms @ shares, 1e-3 * found.mean())
-    return np.asarray(np.diag(shares[0] * variance) + shares[1] * stiffness @ stiffness.T)
+    noise = np.diag(shares[0] * variance) + shares[1] * stiffness @ stiffness.T
+    # What moves nothing balances: sums of forces and torques, which actuators may have in common.
+    balance = vectors[:, -3:]
+    apart = left @ balance
+    beyond, axes = np.linalg.eigh(apart.T @ apart / spare - balance.T @ noise @ balance)
+    axes = balance @ axes
+    return np.asarray(noise + (axes * np.maximum(beyond, 0.0)) @ axes.T)

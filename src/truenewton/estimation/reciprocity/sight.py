@@ -9,11 +9,15 @@ has its forces a where the magnets are, x. H takes u(s) to u(x), G_x and G_y to 
 sensors. As u is linear in what it is held to, the change of H with an offset is exact:
 
     d(H z) / d(delta_xj) = H e_j (G_x z)_j
+
+A model of the glass knows better: what sensors at s read is N(delta) times what they would read at
+their magnets, and H = H_0 N^-1, G_x = N_x N^-1 with N_x the change of N along x. N is a series of
+second order in the offsets, row by row, of which H and G are exact.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
@@ -32,14 +36,18 @@ class Places:
     x, y, nz
         (n,) of their magnets [m, m, -].
     motion
-        (n, n) displacements at the magnets for those that the sensors see, by a model of the
+        (n, n) H_0, displacements at the magnets for those that sensors there see, by a model of the
         glass; None where there is none.
+    changes
+        (5, n, n) how readings change with the places of the sensors, along x, y [1/m], xx, xy, yy
+        [1/m2], for what all would read at their magnets; None where no model tells.
     """
 
     x: Array
     y: Array
     nz: Array
     motion: Array | None = None
+    changes: Array | None = None
 
     @property
     def n(self) -> int:
@@ -64,9 +72,16 @@ class Places:
 
 
 def places_of(layout: Layout, motion: Array | None = None) -> Places:
-    """Return the places of the enabled actuators of a layout, with (n, n) motion if known."""
+    """Return the places of the enabled actuators of a layout, and what a model of the glass tells.
+
+    That is (n, n) motion of all actuators, or (6, n, n) motion and changes.
+    """
     on = layout.enabled
-    return Places(layout.x[on], layout.y[on], layout.nz[on], motion)
+    places = Places(layout.x[on], layout.y[on], layout.nz[on])
+    if motion is None:
+        return places
+    seen = motion[..., on, :][..., on].reshape(-1, places.n, places.n)
+    return replace(places, motion=seen[0], changes=seen[1:] if len(seen) > 1 else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +111,8 @@ def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
     motion = np.eye(n) if places.motion is None else places.motion
     if not slopes:
         return Sight(motion)
+    if places.changes is not None:
+        return _by_glass(motion, places.changes, values.offset)
     unit = places.length
     at = np.stack([places.x, places.y]) / unit
     seen = at - values.offset / unit
@@ -111,6 +128,17 @@ def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
     solved = lu_solve(lu_factor(system, check_finite=False), rows.reshape(3 * n, -1).T, trans=1)
     across = solved.T.reshape(3, n, n + 3)[:, :, :n]
     return Sight(motion @ across[0], across[1:])
+
+
+def _by_glass(motion: Array, changes: Array, offset: Array) -> Sight:
+    """Return what sensors see off their magnets, by a model of the glass."""
+    x, y = -offset[:, :, None]
+    along, across, xx, xy, yy = changes
+    slopes = np.stack([along + x * xx + y * xy, across + x * xy + y * yy])
+    read = 0.5 * (x * (along + slopes[0]) + y * (across + slopes[1]))
+    read[np.diag_indices(len(read))] += 1.0
+    back = np.linalg.inv(read)
+    return Sight(motion @ back, slopes @ back)
 
 
 def _plate(of: Array, centres: Array) -> tuple[Array, Array, Array]:

@@ -38,7 +38,7 @@ from truenewton.mirrors.glass import Annulus
 SERIES_BELOW = 2.0  # lambda; kei is at home above, its series in lambda rho below
 EULER_ROOT = np.exp(0.25j * np.pi)  # sqrt(i)
 CIRCLES = 12  # Gauss points in the radius of an annulus
-CONCENTRIC = 1e-9  # distance of two centres that are one
+TOUCHING = 1e-9  # of a circle within another, in units of b
 
 
 @dataclass(frozen=True)
@@ -166,15 +166,17 @@ class Kernel:
             return w
         mean = self.spread(w, lap, sensor.mean(self.shallowness))[0]
         near = rho < self.puck_radius + sensor.outer
-        concentric = rho < CONCENTRIC
-        if (near & ~concentric).any() or (concentric.any() and self.puck_radius > sensor.inner):
+        # Round a puck, centred or not, each circle changes roles with that round the force.
+        own = rho + self.puck_radius < sensor.inner + TOUCHING
+        if (near & ~own).any():
             raise GeometryError(
                 "a sensor lies over the place where a force acts",
                 remedy="sensors may only encircle the puck of their own actuator",
             )
-        if concentric.any():
-            own = self.spread(*self.fields(sensor.radii), puck)[0]
-            mean[concentric] = own @ sensor.shares
+        if own.any():
+            fields = self.spread(*self.fields(sensor.radii), puck)
+            off = mean_over_circle(rho[own][:, None], self.shallowness)
+            mean[own] = self.spread(*fields, off)[0] @ sensor.shares
         return mean
 
     def edge_tractions(self, s: Array, edge: float, nu: float, samples: int) -> Array:

@@ -1,16 +1,28 @@
-"""What the pucks do where forces act, for what sensors round them read."""
+"""What the pucks do where forces act, for what sensors round them read, at their magnets or off.
+
+What a sensor reads at another place is a combination of what all read at their magnets: the shape
+of the glass between them is known. Its differences from place to place are central ones.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.errors import CampaignMismatch
+from truenewton.errors import CampaignMismatch, GeometryError
 from truenewton.mirrors.glass import rim
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass
+from truenewton.mirrors.shell.condensation import Condensed, condense, rigid_motions
+from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass, influence
 from truenewton.mirrors.shell.moving_mass import shapes_at
+from truenewton.statics.arms import arms
 from truenewton.statics.layout import Layout
+
+# Between places [m]: first differences are then good to 1e-4 of themselves, where neighbouring
+# pucks are 12 mm from the edge of a sensor.
+STEP = 2.5e-4
 
 
 def puck_motion(glass: HeldGlass) -> Array:
@@ -27,12 +39,18 @@ def puck_motion(glass: HeldGlass) -> Array:
 
 
 def motion_for(mirror: Mirror, layout: Layout) -> Array:
-    """Return (n, n) `puck_motion` of a mirror whose actuators are those of data.
+    """Return what sensors see of a mirror whose actuators are those of data.
+
+    Returns
+    -------
+    numpy.ndarray
+        (6, n, n): `puck_motion` and `displaced_readings`. (1, n, n) where the latter are not known:
+        of a sensor that touches its puck, another's or an edge.
 
     Raises
     ------
     CampaignMismatch
-        They are not.
+        The actuators are others.
     GeometryError
         What `held_glass` raises.
     """
@@ -41,4 +59,62 @@ def motion_for(mirror: Mirror, layout: Layout) -> Array:
             f"the actuators of {mirror.name} are not those of the data",
             remedy="give the mirror that was measured, with its ACTUATORS table",
         )
-    return puck_motion(held_glass(mirror))
+    return seen_by(held_glass(mirror))
+
+
+def seen_by(glass: HeldGlass) -> Array:
+    """Return `motion_for` of a glass."""
+    motion = puck_motion(glass)[None]
+    try:
+        return np.concatenate([motion, displaced_readings(glass)])
+    except GeometryError:
+        return motion
+
+
+def displaced_readings(glass: HeldGlass) -> Array:
+    """Return how readings change with the places of the sensors, for what all read at the magnets.
+
+    Returns
+    -------
+    numpy.ndarray
+        (5, n, n) derivatives along x, y [1/m], xx, xy, yy [1/m2] in those of the layout; the
+        normals stay as they are.
+
+    Raises
+    ------
+    GeometryError
+        A sensor that touches its puck, another's or an edge.
+    """
+    condensed = condense(glass.compliance, rigid_motions(*glass.places))
+    here = np.eye(glass.mirror.layout.n)
+    east, west, north, south, far, back = (
+        _read_at(glass, condensed, STEP * x, STEP * y) - here
+        for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
+    )
+    along, across = east + west, north + south
+    once, twice = 1 / STEP, 1 / STEP**2
+    return np.array(
+        [
+            0.5 * once * (east - west),
+            0.5 * once * (north - south),
+            twice * along,
+            0.5 * twice * (far + back - along - across),
+            twice * across,
+        ]
+    )
+
+
+def _read_at(glass: HeldGlass, condensed: Condensed, dx: float, dy: float) -> Array:
+    """Return (n, n) what sensors read that sit dx, dy [m] off, for what they read at the magnets.
+
+    As `rearming` puts the sphere's rigid motions in place of the shallow shell's.
+    """
+    mirror = glass.mirror
+    layout = replace(mirror.layout, x=mirror.layout.x + dx, y=mirror.layout.y + dy)
+    at = mirror.shell.along(layout.x, layout.y)
+    read = influence(glass.free, at, glass.places, mirror.sensor, mirror.puck_radius)
+    tilts = rigid_motions(*at)
+    shallow = read @ condensed.stiffness + tilts.T @ condensed.motion
+    rigid = np.linalg.pinv(rigid_motions(*glass.places)).T
+    seen = shallow + (arms(layout) - tilts).T @ rigid
+    return np.asarray(seen @ np.linalg.inv(glass.exchange))
