@@ -1,13 +1,15 @@
 """How alpha from a stiffness matrix, its errors and its bad actuators fare on known truths.
 
     [TRUENEWTON_REAL_DATA=FOLDER] python benchmarks/matrices.py [--seeds 20] [--faults]
+    python benchmarks/matrices.py --mirror mmt336 --method auto [--seeds 20] [--faults]
 
-The truth is that of the simulated LBT672, or FOLDER/lbt672/lbt672-feedforward.fits made symmetric
-and balanced, divided by a known alpha that scatters by 5 %. Noise of .02, .05 and .1 %: in
-proportion to each element, equal in all elements, or more at some sensors than at others (a factor
-of two each way). Prints the error of alpha, the stated one, how much of the truth 95 % intervals
-cover, with the Monte Carlo error of that, and sound actuators left out; with --faults, the same
-with actuators that do not fit, .02 % of noise equal in all elements.
+The truth is that of a simulated mirror, or FOLDER/lbt672/lbt672-feedforward.fits made symmetric and
+balanced, divided by a known alpha that scatters by 5 %. Noise of .02, .05 and .1 %: in proportion
+to each element, equal in all elements, or more at some sensors than at others (a factor of two each
+way). Prints the error of alpha, the stated one, how much of the truth 95 % intervals cover, with
+the Monte Carlo error of that, bad actuators missed, sound ones left out, seeds refused, and seeds
+that `auto` left to `ml`; with --faults, the same with actuators that do not fit, .02 % of noise
+equal in all elements.
 """
 
 import argparse
@@ -20,6 +22,7 @@ import numpy as np
 
 import truenewton as tn
 from truenewton.bench.simulated.static import static_bench
+from truenewton.calibration.methods import METHODS, Known
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.sifted_matrix import sift_matrix
@@ -34,14 +37,14 @@ FAULTS = ("sign", "times ten", "element", "own element", "rows exchanged", "exch
           "zeroed", "sensor gain", "sensor noise")  # fmt: skip
 
 
-def lbt672():
-    """Return the measured LBT672 where its folder is given, else the simulated one."""
-    if "TRUENEWTON_REAL_DATA" in os.environ:
+def measured_or_made(mirror):
+    """Return the measured LBT672 where its folder is given, else a simulated mirror."""
+    if mirror == "lbt672" and "TRUENEWTON_REAL_DATA" in os.environ:
         folder = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672"
         return tn.read(folder / "lbt672-feedforward.fits")
-    truth = static_bench(tn.mirrors.lbt672(), 1).truth
+    truth = static_bench(getattr(tn.mirrors, mirror)(), 1).truth
     date = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
-    return StiffnessMatrix("LBT672", date, truth.layout, truth.stiffness)
+    return StiffnessMatrix(mirror.upper(), date, truth.layout, truth.stiffness)
 
 
 def true_stiffness(matrix):
@@ -102,18 +105,24 @@ def with_faults(matrix, seed, count, fault):
     return replace(matrix, stiffness=k), {int(i) for i in bad}
 
 
-def judged(alpha, matrix, bad=frozenset(), population=False):
-    """Return error, stated error, coverage, how many bad were missed and good ones left out."""
+def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
+    """Return error, stated error, coverage, bad ones missed, good ones left out, and if by ml."""
     try:
         sifted = sift_matrix(matrix)
-        fit = column_fit(columns_of(sifted), population=population)
+        if method == "ml":
+            fit = column_fit(columns_of(sifted), population=population)
+            found, covariance, by_ml = fit.alpha, fit.covariance, True
+        else:
+            estimate, _ = METHODS[method].of_stiffness(sifted, Known())
+            found, covariance = estimate.values, estimate.reading_covariance
+            by_ml = estimate.method == "ml"
     except TrueNewtonError:
-        return (np.nan,) * 5
+        return (np.nan,) * 6
     on = sifted.matrix.layout.enabled
-    error, stated = fit.alpha - alpha[on] / alpha[on].mean(), np.sqrt(np.diag(fit.covariance))
+    error, stated = found - alpha[on] / alpha[on].mean(), np.sqrt(np.diag(covariance))
     covered, out = np.mean(np.abs(error) < 1.96 * stated), set(np.flatnonzero(~on).tolist())
     rms = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(stated**2))
-    return *rms, covered, len(bad - out), len(out - bad)
+    return *rms, covered, len(bad - out), len(out - bad), by_ml
 
 
 def line(name, rows):
@@ -123,11 +132,11 @@ def line(name, rows):
     if not len(kept):
         print(f"  {name:36} refused", flush=True)
         return
-    error, stated, covered, missed, lost = kept.mean(axis=0)
+    error, stated, covered, missed, lost, by_ml = kept.mean(axis=0)
     sure = kept[:, 2].std(ddof=1) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
     print(f"  {name:36} {100 * error:6.3f}  {100 * stated:6.3f}  {100 * covered:5.1f} +-"
-          f" {100 * sure:3.1f}  {missed:6.2f}  {lost:5.2f}  {len(rows) - len(kept):3d}",
-          flush=True)  # fmt: skip
+          f" {100 * sure:3.1f}  {missed:6.2f}  {lost:5.2f}  {len(rows) - len(kept):3d}"
+          f"      {by_ml * len(kept):3.0f}", flush=True)  # fmt: skip
 
 
 def main():
@@ -135,27 +144,33 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--faults", action="store_true")
+    parser.add_argument("--mirror", choices=("lbt672", "mmt336", "p45"), default="lbt672")
+    parser.add_argument("--method", choices=("ml", "auto"), default="ml")
     options = parser.parse_args()
     seeds = range(options.seeds)
-    matrix = lbt672()
+    matrix = measured_or_made(options.mirror)
     k = true_stiffness(matrix)
-    print(f"{'':38} error  stated   covered     missed   lost  refused   (%, actuators, seeds)")
+    print(
+        f"{'':38} error  stated   covered     missed   lost  refused   ml   (%, actuators, seeds)"
+    )
     if options.faults:
         for fault in FAULTS:
             for count in (1, 5, 15):
                 rows = []
                 for seed in seeds:
                     alpha, measured = noisy(matrix, k, seed, "equal", 2e-4)
-                    rows.append(judged(alpha, *with_faults(measured, seed, count, fault)))
+                    wrong = with_faults(measured, seed, count, fault)
+                    rows.append(judged(alpha, *wrong, method=options.method))
                 line(f"{fault}, {count}", rows)
         return
     for law in LAWS:
         for level in LEVELS:
-            for population in (False, True):
+            for population in (False, True)[: 2 if options.method == "ml" else 1]:
                 rows = [
-                    judged(*noisy(matrix, k, seed, law, level), population=population)
+                    judged(*noisy(matrix, k, seed, law, level), method=options.method,
+                           population=population)
                     for seed in seeds
-                ]
+                ]  # fmt: skip
                 line(f"{law}, {100 * level:g} %{', population' if population else ''}", rows)
 
 

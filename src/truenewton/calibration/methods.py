@@ -143,8 +143,8 @@ def calibrate(
         A campaign under two loads at least, or a measured stiffness matrix (relative alpha).
     method
         'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which makes use of what the
-        sensors read; 'auto', reciprocity where it holds, else 'ml'. Unless given, 'auto' with
-        ``motion``, else 'ml' (docs/decisions/0021).
+        sensors read; 'auto', reciprocity where it holds, else 'ml', which the verdict notes. Unless
+        given, 'auto' of a matrix and with ``motion``, else 'ml' (docs/decisions/0021).
     population
         Take the actuators for samples of one normal population, whose spread the data give: pulls
         what the data hardly hold toward the mean. With 'ml' only; the result names it.
@@ -198,7 +198,8 @@ def asked(
     Raises UnknownName where there is no such method, or it takes no such data.
     """
     if method is None:
-        method = "ml" if motion is None or population else "auto"
+        tried = isinstance(data, StiffnessMatrix) or motion is not None
+        method = "auto" if tried and not population else "ml"
     if method not in METHODS:
         raise UnknownName(
             f"there is no method '{method}'", remedy=f"choose {', '.join(METHODS)}", got=method

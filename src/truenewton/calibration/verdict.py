@@ -22,6 +22,7 @@ from truenewton.estimation.effects.words import MISFIT, effect_warnings
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.files_apart import STILL
 from truenewton.estimation.identifiability import alike_loads_fault
+from truenewton.estimation.reciprocity.gate import BY_ML
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, with_error
@@ -89,10 +90,13 @@ class Verdict:
         'sound', 'limited', 'not to be used'; of data that give none 'no alpha'.
     faults
         What is wrong, the gravest first, each with what to do about it; none of a sound one.
+    notes
+        What is worth knowing and not wrong: why a better method was no use.
     """
 
     level: Level
     faults: tuple[Fault, ...] = ()
+    notes: tuple[Fault, ...] = ()
 
     def __str__(self) -> str:
         if not self.faults:
@@ -103,7 +107,8 @@ class Verdict:
     @property
     def values(self) -> dict[str, Any]:
         """The same for a script."""
-        return {"level": str(self.level), "faults": [fault._asdict() for fault in self.faults]}
+        faults, notes = ([each._asdict() for each in some] for some in (self.faults, self.notes))
+        return {"level": str(self.level), "faults": faults, "notes": notes}
 
 
 def verdict_on(calibration: Calibration) -> Verdict:
@@ -111,7 +116,7 @@ def verdict_on(calibration: Calibration) -> Verdict:
     grave = list(dict.fromkeys(_grave(calibration)))
     faults = tuple(dict.fromkeys((*grave, *_limits(calibration))))
     level = Level.UNUSABLE if grave else Level.LIMITED if faults else Level.SOUND
-    return Verdict(level, faults)
+    return Verdict(level, faults, tuple(each for each in _warned(calibration) if _is_note(each)))
 
 
 def refuse_unusable(calibration: Calibration, *, force: bool, path: object = None) -> None:
@@ -228,7 +233,7 @@ def _limits(c: Calibration) -> Iterator[Fault]:
                 "trust smooth patterns of alpha the least; cycles under known weights would hold"
                 " them",
             )
-    warned = c.diagnosis.warnings if c.diagnosis is not None else ()
+    warned = [each for each in _warned(c) if not _is_note(each)]
     yield from warned
     fit = c.goodness
     said = any(fault.startswith(MISFIT) for fault, _ in warned)
@@ -260,6 +265,15 @@ def _limits(c: Calibration) -> Iterator[Fault]:
                 f"actuator {c.layout.id[k]} stands off the others: alpha is {alpha}",
                 "look at its coil, magnet and wiring",
             )
+
+
+def _warned(c: Calibration) -> tuple[Fault, ...]:
+    return c.diagnosis.warnings if c.diagnosis is not None else ()
+
+
+def _is_note(warning: Fault) -> bool:
+    """Tell what limits nothing: `ml` is as sound where reciprocity does not hold."""
+    return warning.fault.startswith(BY_ML)
 
 
 def _row_faults(c: Calibration) -> Iterator[Fault]:

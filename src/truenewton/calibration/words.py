@@ -45,8 +45,9 @@ def row(name: str, value: str, note: str = "") -> str:
 
 
 def verdict_lines(verdict: Verdict, but: Fault | None = None) -> Iterator[str]:
-    """Yield the level of a verdict and a line for each of its faults, but for one said already."""
+    """Yield the level of a verdict, its notes, and its faults but for one said already."""
     yield row("verdict", f"{verdict.level}{', by the common scale' * (verdict.faults == (but,))}")
+    yield from (f"  {'; '.join(filter(None, note))}" for note in verdict.notes)
     yield from warning_lines(fault for fault in verdict.faults if fault != but)
 
 

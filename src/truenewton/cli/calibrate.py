@@ -37,7 +37,7 @@ def run(
         summary_values,
     )
     from truenewton.calibration.written import lacking, suffix_of
-    from truenewton.cli.terminal import about, print_result
+    from truenewton.cli.terminal import about, busy, print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
     from truenewton.records.campaign import Campaign
@@ -47,7 +47,7 @@ def run(
     refuse_existing(output, overwrite=overwrite)
     data = read_data(*paths)
     motion = options.motion_of(mirror, data)
-    with about(paths):
+    with busy("calibrating"), about(paths):
         calibration = calibrate(data, method, population=population, motion=motion)
         refuse_unusable(calibration, force=force)
     if output is not None:

@@ -18,7 +18,7 @@ def run(
     from truenewton.calibration.result import Calibration
     from truenewton.calibration.survey import survey
     from truenewton.calibration.words import summary_lines, summary_values
-    from truenewton.cli.terminal import print_result
+    from truenewton.cli.terminal import busy, print_result
     from truenewton.reading import read
 
     data = read(*paths)
@@ -27,7 +27,7 @@ def run(
         headline = f"a calibration, method {data.method}, scale {data.scale}"
         lines = [headline, *summary_lines(data)]
     else:
-        values, lines = survey(
-            data, method, population=population, motion=options.motion_of(mirror, data)
-        )
+        motion = options.motion_of(mirror, data)
+        with busy("trying to calibrate"):
+            values, lines = survey(data, method, population=population, motion=motion)
     print_result(lines, values=values if json else None, schema="info")

@@ -15,7 +15,7 @@ METHOD = typer.Option(
     None,
     metavar="[ml|svd|reciprocity|auto]",
     help="ml, maximum likelihood; svd, the paper's; reciprocity; auto, reciprocity where it holds,"
-    " else ml. ml unless given; with --mirror auto.",
+    " else ml. Unless given, auto of a matrix and with --mirror, else ml.",
 )
 POPULATION = typer.Option(
     False, "--population", help="Take alpha for samples of one normal population (ml)."

@@ -61,6 +61,8 @@ def verdict(findings: Findings) -> Headline:
     sentence = (
         f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c.alpha))}."
     )
+    for note in c.verdict.notes:
+        sentence += f" {_sentence(note.fault)} {_sentence(note.remedy)}"
     return _headline(c.verdict, sentence, _numbers(c))
 
 

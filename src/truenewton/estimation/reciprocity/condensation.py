@@ -14,34 +14,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.matrix_faults import condensed
+from truenewton.estimation.matrix_faults import condensed, pair_ratios
 from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.sight import Places
 
-NEIGHBOURS = 12  # whose forces an actuator's displacement tells best
 FAR = 4.0  # times the median asymmetry of a row: beyond it an actuator is left free
+CURED = 2.0  # times less asymmetry that a typical row has with one of them free
 MOST = 0.03  # of the actuators, and two at least, may be left free
 CANDIDATES = 8  # that are tried: neighbours of a bad actuator stand out as well
-ROUNDS = 50  # of medians, each of which reaches one neighbour further
 
 
 def odd_actuators(stiffness: Array) -> NDArray[np.int64]:
     """Return which actuators of an (n, n) K_c are apart from the others; one more than may be left.
 
     Rows and columns are made alike, robustly, as far as one factor for each actuator can. While the
-    asymmetry of a row stands out, that actuator among the worst goes whose absence leaves least.
+    asymmetry of a row stands out, or all have less without one of the worst, that one goes whose
+    absence leaves least.
     """
-    n, rest = len(stiffness), stiffness
-    at, found = np.arange(n), list[int]()
-    while len(found) <= max(2, int(MOST * n)):
-        size = _asymmetry(rest)
-        if not size.max() > FAR * np.median(size):
+    at, rest = np.arange(len(stiffness)), stiffness
+    found, size = list[int](), _asymmetry(stiffness)
+    while len(found) <= max(2, int(MOST * len(stiffness))):
+        tried = np.argsort(-size)[:CANDIDATES]
+        left = [_asymmetry(_without(rest, int(k))) for k in tried]
+        best = int(np.argmin([np.sum(each**2) for each in left]))
+        usual = np.median(size)
+        if not (size.max() > FAR * usual or usual > CURED * np.median(left[best])):
             break
-        worst = np.argsort(-size)[:CANDIDATES]
-        without = [_without(rest, int(k)) for k in worst]
-        best = int(np.argmin([np.sum(_asymmetry(each) ** 2) for each in without]))
-        found.append(int(at[worst[best]]))
-        at, rest = np.delete(at, worst[best]), without[best]
+        found.append(int(at[tried[best]]))
+        at, rest = np.delete(at, tried[best]), _without(rest, int(tried[best]))
+        size = left[best]
     return np.sort(np.array(found, dtype=np.int64))
 
 
@@ -56,8 +57,8 @@ def kept(stiffness: Array) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
 
 
 def _asymmetry(stiffness: Array) -> Array:
-    """Return (n,) rms asymmetry of each row over the root of its own stiffness."""
-    alike = np.exp(_factors(stiffness))[:, None] * stiffness
+    """Return (n,) rms asymmetry of each row, made alike, in terms of a typical element."""
+    alike = np.exp(pair_ratios(stiffness)[0])[:, None] * stiffness
     own = np.median(np.abs(alike), axis=1)  # that of a bad one may be anything
     typical = np.median(own) or np.inf  # 0 where most do not feel each other
     return np.asarray(np.sqrt(np.mean((alike - alike.T) ** 2, axis=1)) / typical)
@@ -68,27 +69,6 @@ def _without(stiffness: Array, k: int) -> Array:
     keep = np.arange(len(stiffness)) != k
     taken = np.outer(stiffness[keep, k], stiffness[k, keep]) / stiffness[k, k]
     return np.asarray(stiffness[np.ix_(keep, keep)] - taken)
-
-
-def _factors(stiffness: Array) -> Array:
-    """Return (n,) log u such that diag(u) K_c is nearly symmetric: medians over neighbours."""
-    n = len(stiffness)
-    with np.errstate(all="ignore"):
-        ratio = np.log(stiffness / stiffness.T)  # NaN where the signs differ
-    near = _nearest(np.where(np.isfinite(ratio), stiffness, 0.0))
-    step = np.nan_to_num(np.take_along_axis(ratio, near, axis=1), posinf=0.0, neginf=0.0)
-    factors = np.zeros(n)
-    for _ in range(ROUNDS):
-        factors = 0.5 * (factors + np.median(factors[near] - step, axis=1))
-        factors -= np.median(factors)
-    return factors
-
-
-def _nearest(stiffness: Array) -> NDArray[np.int64]:
-    """Return (n, k) the actuators on whose forces each one's displacement tells most, both ways."""
-    strength = np.abs(stiffness * stiffness.T)
-    np.fill_diagonal(strength, 0.0)
-    return np.asarray(np.argsort(-strength, axis=1)[:, : min(NEIGHBOURS, len(stiffness) - 1)])
 
 
 def condensed_regression(regressed: Regressed, keep: NDArray[np.bool_]) -> Regressed:

@@ -22,6 +22,7 @@ APART = 6.0  # chi2 per degree of freedom between balance alone and reciprocity 
 BLOCK = 1.5  # chi2 per degree of freedom of a block, where the noise is known
 FARTHEST = 1.2e-3  # rms offset of the sensors along an axis [m]
 REMEDY = "give the mirror (--mirror) if not given, and check places and order of the sensors"
+BY_ML = "alpha is by ml, not by reciprocity"
 BLOCKS = ("balance", "rigid motions", "reciprocity")
 
 
@@ -115,9 +116,7 @@ def doubts(against: Iterable[Fault]) -> tuple[Fault, ...]:
 
 def instead(against: Iterable[Fault]) -> tuple[Fault, ...]:
     """Say of an answer by `ml` why it is not by reciprocity."""
-    return tuple(
-        Fault(f"alpha is by ml, not by reciprocity: {fault}", remedy) for fault, remedy in against
-    )
+    return tuple(Fault(f"{BY_ML}: {fault}", remedy) for fault, remedy in against)
 
 
 def left_free(ids: NDArray[np.int64]) -> Iterator[Fault]:
