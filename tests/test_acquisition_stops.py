@@ -485,7 +485,7 @@ def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_p
     assert err.count("\n") == 1
 
 
-def test_ctrl_c_at_the_command_is_one_line_and_exit_code_2(tmp_path):
+def test_ctrl_c_at_the_command_is_one_line_and_exit_code_130(tmp_path):
     plan, output = plan_file(tmp_path, cycles=400), tmp_path / "c"
     process = subprocess.Popen(
         [sys.executable, "-m", "truenewton", "acquire", plan, "-o", output],
@@ -497,7 +497,7 @@ def test_ctrl_c_at_the_command_is_one_line_and_exit_code_2(tmp_path):
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
-    assert process.returncode == 2
+    assert process.returncode == 130
     assert err.count("\n") == 1
     assert err.startswith(f"truenewton: {output}: stopped as asked, before shape ")
     assert err.endswith("the mirror is at rest, what was taken is kept; the same command goes on\n")
@@ -528,27 +528,30 @@ def test_nobody_at_a_terminal_must_say_yes(inside, tmp_path, monkeypatch):
     assert "'ring' is not on: the sum of the forces changed by" in err
 
 
-def test_the_person_at_the_terminal_is_asked_again(inside, tmp_path, monkeypatch):
+def test_the_person_at_the_terminal_is_asked_again(inside, tmp_path, monkeypatch, capsys):
     class Hands(StubBench):
         put_on = None
 
-    hands, asked = Hands(), []
+    hands, asked, told = Hands(), [], []
 
-    def answer(question):
-        asked.append(question)
+    def answer():
+        told.append(capsys.readouterr())
+        asked.append(told[-1].err.splitlines()[-1])
         hands.load = LOADS[1] if len(asked) == 3 else LOADS[0]
 
     monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", lambda plan, beside: hands)
     monkeypatch.setattr("builtins.input", answer)
     monkeypatch.setattr("sys.stdin", type("Terminal", (), {"isatty": lambda self: True})())
-    code, out, _ = inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c")
+    code, out, _ = inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c", "--json")
     assert code == 0
+    assert json.loads(out)["loads"] == ["bare", "ring"]  # what people are told stands apart
+    assert [each.out for each in told] == ["", "", ""]
     assert asked == [
         "Take every weight off the mirror ('bare'), then press Enter: ",
         "Put 'ring' on the mirror (0.05 N), then press Enter: ",
         "Put 'ring' on the mirror (0.05 N), then press Enter: ",
     ]
-    assert "'ring' is not on: the sum of the forces changed by" in out
+    assert "'ring' is not on: the sum of the forces changed by" in told[2].err
 
 
 def test_the_bar_shows_how_far_it_is(inside, tmp_path, monkeypatch, capsys):

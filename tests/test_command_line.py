@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from astropy.io import fits
+from balanced import p45_bench
 
 import truenewton
 
@@ -201,22 +202,104 @@ def test_quiet_prints_what_was_written_and_what_is_wrong(inside, folder, tmp_pat
     assert {line.split(": ")[0] for line in drawn} == {"written"}
 
 
+def told(page, first):
+    """Return the keys that a table of docs/json.md gives by what stands first in its rows."""
+    rows = [line.split("|")[1:3] for line in page.splitlines() if re.match(first, line)]
+    bare = {name.strip(): re.sub(r"\([^)]*\)", "", keys) for name, keys in rows}
+    return {name: re.findall(r"`(\w+)`", keys) for name, keys in bare.items()}
+
+
 def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_path):
     page = (ROOT / "docs" / "json.md").read_text()
-    rows = [line.split("|")[1:3] for line in page.splitlines() if line.startswith("| true")]
-    told = {schema.strip(): re.findall(r"`(\w+)`", keys) for schema, keys in rows}
+    top, within = told(page, r"\| truenewton\."), told(page, r"\| \w+: ")
+    top["truenewton.recalibrate/1"][:0] = top["truenewton.calibrate/1"]
     alpha, drawn, written = (tmp_path / name for name in ("alpha.fits", "drawn", "page.html"))
+    plan, cool, matrix = (tmp_path / name for name in ("plan.toml", "cool", "matrix.npy"))
+    inside("plan", "--new", "-o", plan)
+    plan.write_text(plan.read_text().replace("cycles = 4", "cycles = 2"))
+    inside("simulate", "p45", "-o", cool, "--cycles", "2", "--temperature", "10")
+    truth = p45_bench().truth
+    np.save(matrix, truth.stiffness / truth.alpha[:, None])
+    seen = set()
     for schema, words in {
         "truenewton.calibrate/1": ("calibrate", folder, "-o", alpha),
+        "truenewton.recalibrate/1": ("recalibrate", folder, "--known", alpha, "--actuators", "3"),
         "truenewton.info/1, of a campaign": ("info", folder),
+        "truenewton.track/1": ("track", alpha, cool, "--accuracy", "0.005"),
+        "truenewton.modes/1": ("modes", folder),
+        "truenewton.plan/1": ("plan", plan, "--target", "1e-4"),
+        "truenewton.acquire/1": ("acquire", plan, "-o", tmp_path / "day", "--yes"),
+        "truenewton.import/1": ("import", matrix, "--mirror", "p45"),
         "truenewton.figures/1": ("figures", alpha, "-o", drawn),
         "truenewton.report/1": ("report", alpha, "-o", written),
+        "truenewton.prove/1": ("prove",),
+        "truenewton.mirrors/1": ("mirrors",),
+        "truenewton.mirror/1": ("mirrors", "p45"),
     }.items():
         values = json.loads(inside(*words, "--json")[1])
-        assert list(values) == ["schema", *told[schema]]
+        assert list(values) == ["schema", *top[schema]], schema
         assert values["schema"] == schema.split(",")[0]
+        for key, value in values.items():
+            part = value[0] if value and isinstance(value, list) else value
+            name = f"{re.split('[./]', schema)[1]}: {key}"
+            if name in within:
+                assert list(part) == within[name], name
+                seen.add(name)
+            elif isinstance(part, dict):  # of a name of its own, or told elsewhere
+                assert key in ("found", "invalid", "mirrors") or f"calibrate: {key}" in within
+    assert seen == set(within)
     values = json.loads(inside("info", alpha, "--json")[1])
-    assert list(values) == ["schema", "holds", *told["truenewton.calibrate/1"]]
+    assert list(values) == ["schema", "holds", *top["truenewton.calibrate/1"]]
+
+
+def test_quiet_is_known_to_all_that_print(inside):
+    from truenewton.cli.main import EXAMPLES
+
+    for name in EXAMPLES.keys() - {"serve"}:  # which says where it is
+        assert "-q, --quiet" in inside(name, "--help")[1], name
+
+
+def test_a_reader_of_errors_that_goes_away_does_not_hide_the_exit_code():
+    script = f"{shlex.quote(sys.executable)} -m truenewton calibrat 2> >(exec true)"
+    assert subprocess.run(["bash", "-c", script], check=False).returncode == 2
+
+
+def test_a_mistyped_command_or_option_is_told_what_was_meant(inside):
+    assert inside("calibrat")[::2] == (
+        2,
+        "truenewton: No such command 'calibrat'. Did you mean 'calibrate', 'recalibrate'?"
+        " See 'truenewton --help'\n",
+    )
+    assert "--json" in inside("calibrate", "x", "--jsno")[2]
+
+
+def test_ctrl_c_while_loading_leaves_no_traceback():
+    code = (
+        "import sys\n"
+        "class Stop:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'typer': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Stop())\n"
+        "from truenewton.__main__ import main\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"")
+
+
+def test_a_shell_completes_commands(tmp_path):
+    """As bash asks: what begins with the last word, one a line."""
+    import os
+
+    asked = {
+        **os.environ, "_TRUENEWTON_COMPLETE": "complete_bash", "COMP_WORDS": "truenewton re",
+        "COMP_CWORD": "1",
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "truenewton"], capture_output=True, text=True, check=False, env=asked
+    )
+    assert done.stdout.split() == ["recalibrate", "report"]
+    assert done.stderr == ""
 
 
 def imported(*words):
@@ -307,8 +390,6 @@ def test_every_command_and_example_in_the_readme_runs(tmp_path, monkeypatch, ins
 
 def write_feedforward(path):
     """Write what a working mirror has on disk: here from the simulated P45."""
-    from balanced import p45_bench
-
     from truenewton.bench.simulated.static import START
 
     truth = p45_bench().truth

@@ -27,6 +27,7 @@ def run(
         False, "--yes", help="Take every load for put on, and ask nobody; the forces are checked."
     ),
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Run a plan on a bench into OUTPUT; the same command resumes what was stopped."""
     from truenewton.acquisition.acquire import acquire
@@ -45,7 +46,7 @@ def run(
     if complete:
         refuse_other_plan(output, wanted, beside)
     else:
-        bench, terminal = chosen_bench(wanted, beside), Terminal(yes)
+        bench, terminal = chosen_bench(wanted, beside), Terminal(yes, apart=json or quiet)
         try:
             operator = None if isinstance(bench, Operator) else terminal
             acquire(bench, wanted, output, beside=beside, operator=operator, onlooker=terminal)
@@ -65,8 +66,13 @@ def run(
         "cycles": wanted.cycles,
         "invalid": {name: invalid for name, (invalid, _) in rows.items() if invalid},
     }
-    line = f"{output}: complete{already}, {loads} x {cycles}{_not_valid(rows)}"
-    print_result([line], values=values if json else None, schema="acquire")
+    not_valid = _not_valid(rows)
+    if quiet and not_valid:
+        say(f"{output}: complete{not_valid}", stream=sys.stderr)
+    line = f"{output}: complete{already}, {loads} x {cycles}{not_valid}"
+    written = (output,) if quiet else ()
+    as_values = values if json else None
+    print_result([line], *written, values=as_values, schema="acquire", quiet=quiet)
 
 
 def _not_valid(rows: dict[str, tuple[int, int]]) -> str:
@@ -86,11 +92,13 @@ def _not_valid(rows: dict[str, tuple[int, int]]) -> str:
 class Terminal:
     """The person at the terminal: looks on, and puts the loads on, or takes them for put on.
 
-    One progress bar on standard error, where a person looks at it, and lines beside it.
+    One progress bar on standard error, where a person looks at it, and lines beside it: on
+    standard output, or apart from it, where that is for a script.
     """
 
-    def __init__(self, yes: bool) -> None:
+    def __init__(self, yes: bool, *, apart: bool = False) -> None:
         self._yes = yes
+        self._stream = sys.stderr if apart else sys.stdout
         self._bar: Any = None
 
     def put_on(self, load: Load) -> None:
@@ -109,13 +117,15 @@ class Terminal:
         if load.tilt:
             what += f", tilted by {load.tilt:g} deg"
         if self._yes:
-            say(f"{what}: taken for done")
+            self.say(f"{what}: taken for done")
         elif sys.stdin is None or not sys.stdin.isatty():
             raise BenchFault(
                 f"somebody must {what}", remedy="run it at a terminal, or give --yes where it is on"
             )
         else:
-            input(printable(f"{what[0].upper()}{what[1:]}, then press Enter: "))
+            question = f"{what[0].upper()}{what[1:]}, then press Enter: "
+            print(printable(question), end="", file=self._stream, flush=True)
+            input()
 
     def progress(self, now: Progress) -> None:
         """Draw the bar: what is done, figures, and the time that is left."""
@@ -143,7 +153,7 @@ class Terminal:
     def say(self, line: str) -> None:
         """Print a line above the bar."""
         if self._bar is None:
-            say(line)
+            say(line, stream=self._stream)
         else:
             self._bar.console.print(printable(line), markup=False, highlight=False)
 

@@ -18,6 +18,7 @@ def run(
     ),
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
     overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Show the whole story on a simulated P45: campaign, calibration, truth, report, figures."""
     from truenewton.bench.simulated.static import run_cycles, static_bench
@@ -25,7 +26,7 @@ def run(
     from truenewton.calibration.figures import write_figures
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.words import summary_lines
-    from truenewton.cli.terminal import say
+    from truenewton.cli import terminal
     from truenewton.files.outputs import folder_beside
     from truenewton.mirrors.known import p45
     from truenewton.reading import read_data
@@ -34,6 +35,10 @@ def run(
     from truenewton.report.page.page import write_report
     from truenewton.studies.scoring import score
     from truenewton.studies.words import truth_lines
+
+    def say(*lines: object) -> None:
+        if not quiet:
+            terminal.say(*lines)
 
     with folder_beside(output, OURS, overwrite=overwrite) as work:
         bench, campaign = static_bench(p45(), seed), work / "p45"
@@ -64,3 +69,5 @@ def run(
         written = write_figures(calibration, work / "figures")
         names = ", ".join(path.stem for path in written[::2])
         say(f"   {output / 'figures'}: {names} (PDF, PNG)")
+    if quiet:
+        terminal.say(f"written: {output}")

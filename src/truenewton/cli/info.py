@@ -13,6 +13,7 @@ def run(
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Say what files hold, and whether alpha can be had from them."""
     from truenewton.calibration.result import Calibration
@@ -30,4 +31,4 @@ def run(
         motion = options.motion_of(mirror, data)
         with busy("trying to calibrate"):
             values, lines = survey(data, method, population=population, motion=motion)
-    print_result(lines, values=values if json else None, schema="info")
+    print_result(lines, values=values if json else None, schema="info", quiet=quiet)

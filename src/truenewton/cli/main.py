@@ -15,11 +15,12 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from truenewton.errors import TrueNewtonError, printable
+from truenewton.errors import Interrupted, TrueNewtonError, printable
 
-# The base of what typer raises for a wrong command line; it comes from click, or from typer's own
-# copy of it, as the version has it.
+# The base of what typer raises for a wrong command line, which typer itself does not export:
+# ClickException of its own copy of click.
 CommandLineError: Any = typer.BadParameter.__mro__[2]
+STOPPED = 130  # as a shell says of a command that Ctrl-C ended
 # Of numbers that each are sound, and together are not: what is absurd by itself is refused as it is
 # read, by name.
 BROKEN = "the calculation broke down"
@@ -99,7 +100,7 @@ def main() -> None:
     """Run the command line.
 
     Exit code 0; 1 where a check that was asked for fails; 2 with one line on standard error where
-    the input or the output is at fault.
+    the input or the output is at fault; 130 with one line where it was interrupted.
     """
     for stream in (sys.stdout, sys.stderr):
         # A terminal that lacks a character, or a file name that is no text, shall not stop us.
@@ -111,16 +112,22 @@ def main() -> None:
             # What overflows or has no value in an array is no result: it ends as an error does.
             warnings.filterwarnings("error", "(?!coroutine)", RuntimeWarning)
             code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False)
+        if code == STOPPED:  # what the command line's library makes of Ctrl-C
+            raise KeyboardInterrupt
         code = code or 0
         if sys.stdout is not None:  # as where a shell closed it
             sys.stdout.flush()
+    except Interrupted as stopped:
+        code = _refuse(str(stopped), STOPPED)
     except TrueNewtonError as error:
         code = _refuse(str(error))
     except CommandLineError as error:
         command = " ".join(["truenewton", *(word for word in sys.argv[1:2] if word in EXAMPLES)])
-        code = _refuse(f"{error.format_message().rstrip('.')}; see '{command} --help'")
+        fault = error.format_message().rstrip(".")
+        see = " See" if fault.endswith("?") else "; see"  # it asks what was meant
+        code = _refuse(f"{fault}{see} '{command} --help'")
     except (typer.Abort, KeyboardInterrupt):
-        code = _refuse("interrupted; nothing was left half-written")
+        code = _refuse("interrupted; nothing was left half-written", STOPPED)
     except BrokenPipeError:
         code = _reader_gone()
     except SystemExit as left:
@@ -155,6 +162,7 @@ def _reader_gone() -> int:
     return 0
 
 
-def _refuse(line: str) -> int:
-    print(f"truenewton: {printable(' '.join(line.split()))}", file=sys.stderr)
-    return 2
+def _refuse(line: str, code: int = 2) -> int:
+    with contextlib.suppress(BrokenPipeError):  # as where standard error is read by `head` too
+        print(f"truenewton: {printable(' '.join(line.split()))}", file=sys.stderr)
+    return code

@@ -23,9 +23,10 @@ def run(
     ),
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """List the known mirrors with the sources of their numbers, or draw one."""
-    from truenewton.cli.terminal import print_result, say, table_lines
+    from truenewton.cli.terminal import print_result, table_lines
     from truenewton.figures.maps import plot_layout
     from truenewton.figures.writing import write_figure
     from truenewton.mirrors.file import mirror_from
@@ -44,6 +45,7 @@ def run(
             [*table_lines(title, head, *rows), more],
             values=values if json else None,
             schema="mirrors",
+            quiet=quiet,
         )
         return
     known = mirror_from(mirror)
@@ -53,12 +55,11 @@ def run(
     if source:
         text = (inspect.getdoc(source) or "").split("Parameters\n")[0]
         lines += ["", *(f"  {line}".rstrip() for line in text.split("\n")[2:])]
-    path = (output or Path(f"{known.name.lower()}.png")) if plot else None
-    if path:
-        write_figure(plot_layout(known.layout), path, overwrite=overwrite)
-    print_result(lines, values=numbers if json else None, schema="mirror")
-    if path and not json:
-        say(path)
+    drawn: list[Path] = []
+    if plot:
+        drawn.append(output or Path(f"{known.name.lower()}.png"))
+        write_figure(plot_layout(known.layout), drawn[0], overwrite=overwrite)
+    print_result(lines, *drawn, values=numbers if json else None, schema="mirror", quiet=quiet)
 
 
 def _row(mirror: Mirror) -> tuple[str, ...]:

@@ -23,6 +23,7 @@ def run(
     ),
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Predict errors, time, forces and gap of a campaign, and what to change for a wanted error."""
     if new == (path is not None):
@@ -53,7 +54,7 @@ def run(
     said = (*lines(outlook), *way_lines(target, ways))
     drawn = () if plot is None else (plot,)
     as_values = values(outlook, target, ways) if json else None
-    print_result(said, *drawn, values=as_values, schema="plan")
+    print_result(said, *drawn, values=as_values, schema="plan", quiet=quiet)
 
 
 def _new(output: Path | None, overwrite: bool) -> None:

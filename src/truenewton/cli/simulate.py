@@ -18,12 +18,13 @@ def run(
     fidelity: str = options.FIDELITY,
     temperature: float = typer.Option(20.0, min=-50.0, max=80.0, help="Of the magnets [deg C]."),
     overwrite: bool = options.OVERWRITE,
+    quiet: bool = options.QUIET,
 ) -> None:
     """Simulate a campaign with and without the ring: OUTPUT, and its truth in OUTPUT.truth.fits."""
     from truenewton.bench.simulated.bench import FIDELITIES
     from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
     from truenewton.bench.simulated.truth import truth_path, write_truth
-    from truenewton.cli.terminal import say, track
+    from truenewton.cli.terminal import print_result, track
     from truenewton.files.outputs import refuse_existing, together
     from truenewton.mirrors.file import mirror_from
     from truenewton.records.file import write_campaign
@@ -41,8 +42,9 @@ def run(
                        overwrite=overwrite)  # fmt: skip
         write_truth(bench.truth, truth_path(output), overwrite=overwrite)
     shapes = 2 * len(bench.shapes)
-    say(
+    line = (
         f"{output}: {bench.mirror.name}, {counted(bench.loads, 'load')} x"
         f" {counted(cycles, 'cycle')} x {counted(shapes, 'shape')};"
         f" truth in {truth_path(output).name}"
     )
+    print_result([line], *((output, truth_path(output)) if quiet else ()), quiet=quiet)

@@ -8,7 +8,7 @@ import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TextIO, TypeVar
 
 from truenewton.errors import (
     NotConverged,
@@ -22,10 +22,10 @@ from truenewton.errors import (
 Item = TypeVar("Item")
 
 
-def say(*lines: object) -> None:
+def say(*lines: object, stream: TextIO | None = None) -> None:
     """Print lines, whatever the names in them hold; the only place that prints to people."""
     for line in lines:
-        print(printable(str(line)), flush=True)
+        print(printable(str(line)), file=stream, flush=True)
 
 
 @contextlib.contextmanager

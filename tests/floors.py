@@ -1,0 +1,20 @@
+"""Prints the floors of pyproject.toml as pip's constraints: `make test-floors` installs them."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+
+def floors(pyproject: Path) -> list[str]:
+    """Return name==version of each requirement, of all extras too, in alphabetical order."""
+    project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"].values()
+    requirements = [*project["dependencies"], *(each for extra in extras for each in extra)]
+    found = {re.fullmatch(r"([\w.-]+)>=([\w.]+)(,<.*)?", each) for each in requirements}
+    return sorted(f"{each[1]}=={each[2]}" for each in found if each is not None)
+
+
+if __name__ == "__main__":
+    print("\n".join(floors(Path(__file__).parents[1] / "pyproject.toml")))
