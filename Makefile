@@ -34,6 +34,7 @@ lint: .venv-test/ready
 
 types: .venv-test/ready
 	.venv-test/bin/mypy
+	.venv-test/bin/python docs/examples.py
 
 contracts: .venv-test/ready
 	.venv-test/bin/lint-imports

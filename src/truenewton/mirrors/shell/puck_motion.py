@@ -29,12 +29,25 @@ def puck_motion(glass: HeldGlass) -> Array:
 def motion_for(mirror: Mirror, layout: Layout) -> Array:
     """Return (n, n) `puck_motion` of a mirror whose actuators are those of data.
 
+    Parameters
+    ----------
+    mirror
+        The glass and its actuators.
+    layout
+        The n actuators of the data.
+
     Raises
     ------
     CampaignMismatch
         They are not.
     GeometryError
         What `held_glass` raises.
+
+    Examples
+    --------
+    >>> motion = tn.motion_for(tn.mirrors.p45(), campaign.layout)
+    >>> tn.calibrate(campaign, motion=motion).method
+    'reciprocity'
     """
     if not mirror.layout.same_actuators_as(layout):
         raise CampaignMismatch(
