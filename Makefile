@@ -19,6 +19,7 @@ test-all: .venv-test/ready
 # The site, into docs/_build; what its tutorials show is computed here.
 docs: .venv-docs/ready
 	.venv-docs/bin/python -m sphinx --quiet --fail-on-warning --keep-going --nitpicky docs docs/_build
+	.venv-docs/bin/python docs/searched.py docs/_build
 
 # Against the published opticalib: 0.7 GB, so it is not part of `make test-all`.
 test-opticalib: .venv-opticalib/ready
@@ -34,6 +35,7 @@ lint: .venv-test/ready
 
 types: .venv-test/ready
 	.venv-test/bin/mypy
+	.venv-test/bin/python docs/examples.py
 
 contracts: .venv-test/ready
 	.venv-test/bin/lint-imports

@@ -55,6 +55,9 @@ _HOMES = {
 }
 intersphinx_mapping = {name: (url, f"inventories/{name}.inv") for name, url in _HOMES.items()}
 
+copybutton_prompt_text = r">>> |\.\.\. "
+copybutton_prompt_is_regexp = True
+
 html_theme = "pydata_sphinx_theme"
 html_title = "truenewton"
 html_static_path = ["static"]

@@ -10,6 +10,8 @@ from docutils import nodes
 from sphinx.addnodes import download_reference, pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
+from sphinx.search import languages
+from sphinx.search.en import SearchEnglish
 from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.nodes import make_refnode
@@ -43,6 +45,12 @@ def _command(name: str, command: Any) -> list[str]:
         lines += [f"`{spelling}`", f": {text}", ""]
     example = command.epilog.splitlines()[-1].strip()
     return [*lines, "For example:", "", "```sh", example, "```", ""]
+
+
+class Search(SearchEnglish):
+    """English; but some of its least words are columns of files, and are searched for."""
+
+    stopwords = SearchEnglish.stopwords - {"after", "against", "my", "what"}
 
 
 class SourceLinks(SphinxPostTransform):
@@ -102,6 +110,7 @@ def documented_elsewhere(
 
 def setup(sphinx: Sphinx) -> dict[str, bool]:
     """Register all of it."""
+    languages["en"] = Search
     sphinx.add_directive("command-line", CommandLine)
     sphinx.add_post_transform(SourceLinks)
     sphinx.connect("source-read", pages_of_the_root)

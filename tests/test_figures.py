@@ -1,10 +1,12 @@
 """The figures show what they should, in files a journal takes."""
 
+import matplotlib
 import numpy as np
 import pytest
 from balanced import campaign_of, p45_campaign
 from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 from PIL import Image
 from step_response import plot_step_responses
 
@@ -13,6 +15,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import OutputExists
 from truenewton.figures.maps import plot_layout, plot_map
 from truenewton.figures.style import COLUMN
+from truenewton.mirrors.known import p45
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +121,27 @@ def test_figures_2_5_and_6_as_pdf_and_png_at_column_width(calibration, tmp_path)
             with Image.open(path) as image:
                 assert image.width == pytest.approx(COLUMN * 300, abs=2)
                 assert len(image.convert("L").getcolors()) > 50  # not an empty page
+
+
+def test_fonts_are_truetype_where_the_user_saves(calibration, tmp_path):
+    before = matplotlib.rcParams["pdf.fonttype"]
+    for name, ax in (("own", plot_map(calibration.layout, calibration.alpha)),
+                     ("pyplot", calibration.plot_map())):  # fmt: skip
+        ax.figure.savefig(tmp_path / f"{name}.pdf")
+        written = (tmp_path / f"{name}.pdf").read_bytes()
+        assert b"/CIDFontType2" in written
+        assert b"/Type3" not in written
+    assert matplotlib.rcParams["pdf.fonttype"] == before == 3
+
+
+def test_fig_2_shows_the_edges_of_the_glass_where_they_are_known():
+    mirror = p45()
+    ax = plot_layout(mirror.layout, edges=mirror.shell.seen_edges())
+    radii = {round(float(np.hypot(*patch.get_xy().T).max()), 2)
+             for patch in ax.patches if isinstance(patch, Polygon)}  # fmt: skip
+    # r along the glass is R sin(r / R) from the axis.
+    assert radii == {round(1955.0 * np.sin(r / 1955.0), 2) for r in (27.5, 120.005)}
+    assert ax.get_xlim()[1] > 120.0
 
 
 def test_the_same_calibration_draws_the_same_bytes(calibration, tmp_path):

@@ -137,6 +137,7 @@ def test_the_command_lists_tells_and_draws(inside, tmp_path, monkeypatch, mine):
     assert code == 0
     assert "weight                -2.92" in told
     assert "[paper]" in told
+    assert ">>>" not in told
     assert (tmp_path / "p45.png").read_bytes().startswith(b"\x89PNG")
     assert inside("mirrors", "p45", "--plot")[0] == 2
     assert json.loads(inside("mirrors", mine, "--json")[1])["actuators"] == 6

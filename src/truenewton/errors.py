@@ -30,6 +30,14 @@ class TrueNewtonError(Exception):
         The file or folder concerned, if any.
     got, want
         The offending value and what was expected instead, if they can be told.
+
+    Examples
+    --------
+    >>> try:
+    ...     tn.read("nowhere.fits")
+    ... except tn.errors.TrueNewtonError as error:
+    ...     print(error.path, "|", error.fault)
+    nowhere.fits | cannot be read (No such file or directory)
     """
 
     def __init__(

@@ -61,6 +61,11 @@ def read(*paths: AnyPath | Iterable[AnyPath]) -> Campaign | StiffnessMatrix | Ca
     -----
     TrueNewtonWarning
         A calibration is not to be used, or its data show what was not taken out of them.
+
+    Examples
+    --------
+    >>> tn.read("day")
+    <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
     """
     every = fits_paths(_flat(paths))
     whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
@@ -108,9 +113,19 @@ def read_data(*paths: AnyPath) -> Campaign | StiffnessMatrix:
 def read_campaign(*paths: AnyPath | Iterable[AnyPath]) -> Campaign:
     """Read a campaign, as ``read``, and nothing else.
 
+    Parameters
+    ----------
+    paths
+        Folders of cycle files and single files, or lists of them.
+
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch
+
+    Examples
+    --------
+    >>> tn.read_campaign("day/bare-001.fits", "day/ring-001.fits")
+    <Campaign of P45: 45 actuators, 2 cycles under bare, ring>
     """
     data = read(*paths)
     if not isinstance(data, Campaign):
@@ -121,9 +136,20 @@ def read_campaign(*paths: AnyPath | Iterable[AnyPath]) -> Campaign:
 def read_stiffness(path: AnyPath) -> StiffnessMatrix:
     """Read a stiffness file.
 
+    Parameters
+    ----------
+    path
+        The stiffness file.
+
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch
+
+    Examples
+    --------
+    >>> tn.write_stiffness(matrix, "feedforward.fits")
+    >>> tn.read_stiffness("feedforward.fits")
+    <StiffnessMatrix of P45: 45 actuators>
     """
     data = read(path)
     if not isinstance(data, StiffnessMatrix):
@@ -134,9 +160,20 @@ def read_stiffness(path: AnyPath) -> StiffnessMatrix:
 def read_calibration(path: AnyPath) -> Calibration:
     """Read a calibration file.
 
+    Parameters
+    ----------
+    path
+        The calibration, as `Calibration.write` writes it.
+
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch
+
+    Examples
+    --------
+    >>> calibration.write("alpha.fits")
+    >>> tn.read_calibration("alpha.fits").method
+    'ml'
     """
     data = read(path)
     if not isinstance(data, Calibration):

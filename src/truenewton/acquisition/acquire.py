@@ -55,10 +55,8 @@ def acquire(
         For the cycle files; made where it is not there.
     beside
         The folder relative to which files that the plan names stand.
-    operator
-        Who puts the loads on; the bench itself if it can.
-    onlooker
-        Who is told how it goes; nobody unless told.
+    operator, onlooker
+        Who puts the loads on, the bench if it can; who is told how it goes, nobody unless told.
 
     Returns
     -------
@@ -77,12 +75,16 @@ def acquire(
         Someone stopped it (Ctrl-C; a second one raises KeyboardInterrupt at once).
     OutputExists, OutputFailed, UnreadableFile, FormatError
         The folder cannot be used.
+
+    Examples
+    --------
+    >>> plan = tn.CampaignPlan("p45", (tn.Load("bare"),), 1, shapes=tn.PlannedShapes(count=8))
+    >>> [file.name for file in tn.acquire(tn.SimulatedBench(tn.mirrors.p45()), plan, "one-cycle")]
+    ['bare-001.fits']
     """
     mirror = planned_mirror(plan, beside)
     _check_agreement(bench, mirror)
-    operator = operator or (bench if isinstance(bench, Operator) else None)
-    if operator is None:
-        raise BenchFault("nobody puts the loads on", remedy="give an operator")
+    operator = operator or _operator_of(bench)
     with Interruption() as interruption, locked(folder) as folder:
         plan, shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
@@ -109,6 +111,12 @@ def acquire(
             with _at_rest_in_the_end(run):
                 take_all(run)
         return files
+
+
+def _operator_of(bench: Bench) -> Operator:
+    if not isinstance(bench, Operator):
+        raise BenchFault("nobody puts the loads on", remedy="give an operator")
+    return bench
 
 
 def _check_agreement(bench: Bench, mirror: Mirror) -> None:

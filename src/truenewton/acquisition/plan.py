@@ -47,6 +47,11 @@ class PlannedShapes:
     force
         Largest force of an actuator that a shape may take, static forces aside [N]: true by the
         model, commanded by a measured matrix.
+
+    Examples
+    --------
+    >>> tn.PlannedShapes(count=20, stroke=0.5e-6)  # the 20 softest, at half a micrometre
+    PlannedShapes(source='modes', count=20, stroke=5e-07, force=0.3)
     """
 
     source: str = "modes"
@@ -74,6 +79,12 @@ class MirrorLimits:
         Smallest distance from the reference plate [m].
     temperature
         Lowest and highest [deg C].
+
+    Examples
+    --------
+    >>> limits = tn.MirrorLimits(force=0.4, gap=40e-6)
+    >>> limits.saturation
+    0.8
     """
 
     force: float = 0.6
@@ -99,6 +110,11 @@ class AssumedDrift:
         Change of the zeros of all force readings in an hour [N].
     remounting
         Standard deviation by which the zeros of all move at each change of load [N].
+
+    Examples
+    --------
+    >>> tn.AssumedDrift(alpha=0.001)  # calm weather
+    AssumedDrift(alpha=0.001, zero=1e-05, remounting=1e-05)
     """
 
     alpha: float = 3e-3
@@ -158,6 +174,13 @@ class CampaignPlan:
         What the choice of turns reckons with; for the prediction only.
     sensors
         What the prediction of reciprocity reckons with.
+
+    Examples
+    --------
+    >>> loads = tn.Load("bare"), tn.Load("ring", -0.289, 0.005, tool="ring A")
+    >>> plan = tn.CampaignPlan("p45", loads, cycles=2, turns=2)  # bare, ring, bare
+    >>> plan.limits.force
+    0.6
     """
 
     mirror: str
@@ -241,9 +264,20 @@ def _wrong(name: str, got: Any, remedy: str) -> FormatError:
 def read_plan(path: str | os.PathLike[str]) -> CampaignPlan:
     """Read a plan (TOML); files that it names stand relative to it.
 
+    Parameters
+    ----------
+    path
+        The plan.
+
     Raises
     ------
     UnreadableFile, FormatError, LimitExceeded
+
+    Examples
+    --------
+    >>> plan = tn.read_plan("day.toml")
+    >>> [load.name for load in plan.loads], plan.cycles
+    (['bare', 'ring'], 4)
     """
     if Path(path).is_dir() or os.fspath(path).endswith(SUFFIXES):
         raise FormatError(

@@ -78,6 +78,24 @@ class OpticalibMirror:
     ----------
     instrument, layout, gap, gradients
         As of `Bench` and `Graded`: those of the mirror.
+
+    Examples
+    --------
+    >>> class Device:
+    ...     n_acts, shape = 45, np.zeros(45)
+    ...
+    ...     def set_shape(self, cmd: np.ndarray, differential: bool = False) -> None:
+    ...         self.shape = cmd
+    ...
+    ...     def get_shape(self) -> np.ndarray:
+    ...         return self.shape
+    ...
+    ...     def get_force(self) -> np.ndarray:
+    ...         return 1e5 * self.shape
+    >>> bench = tn.OpticalibMirror(Device(), tn.mirrors.p45(), settling=0.0)
+    >>> bench.command(tn.Shape(tn.Load("bare"), 1, 1, 1, np.full(45, 1e-7)))
+    >>> bench.read(samples=4).force[:3]
+    array([0.01, 0.01, 0.01])
     """
 
     def __init__(self, device: DeformableMirror, mirror: Mirror, *, settling: float = 0.2) -> None:

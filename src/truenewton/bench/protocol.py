@@ -28,6 +28,12 @@ class Shape:
         +1 or -1.
     position
         (n,) displacement along +z from rest, by the sensors [m].
+
+    Examples
+    --------
+    >>> rest = tn.Shape(tn.Load("bare"), cycle=1, number=0, sign=1, position=np.zeros(45))
+    >>> rest.number
+    0
     """
 
     load: Load
@@ -64,6 +70,14 @@ class Reading:
     BenchFault
         What should be numbers is none, or what should be a standard deviation; or no file takes
         the time.
+
+    Examples
+    --------
+    >>> bench = tn.SimulatedBench(tn.mirrors.p45())
+    >>> bench.command(tn.Shape(tn.Load("bare"), 1, 1, 1, np.zeros(45)))
+    >>> reading = bench.read(samples=16)
+    >>> reading.force.shape, reading.settled
+    ((45,), True)
     """
 
     time: datetime.datetime
@@ -112,6 +126,11 @@ class Status:
         What it says of itself, one line; a fault where it is not ready.
     counter
         As in `Reading`.
+
+    Examples
+    --------
+    >>> tn.SimulatedBench(tn.mirrors.p45()).status().ready
+    True
     """
 
     ready: bool

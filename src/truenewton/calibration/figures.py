@@ -105,11 +105,28 @@ def write_figures(
 ) -> list[Path]:
     """Write figures 2, 5 and 6, and more by name, as PDF and PNG into a folder; return the paths.
 
-    With ``numbers`` each actuator of figure 6 bears alpha as a number, not its name alone.
+    Parameters
+    ----------
+    calibration
+        Whose alpha is drawn.
+    folder
+        For the figures; made where it is not there.
+    more
+        Further figures by name: what draws each and returns its axes.
+    numbers
+        Each actuator of figure 6 bears alpha as a number, not its name alone.
+    overwrite
+        Replace figures that stand there.
 
     Raises
     ------
     OutputExists, OutputFailed
+
+    Examples
+    --------
+    >>> files = tn.write_figures(calibration, "figures", numbers=True)
+    >>> [file.name for file in files if file.suffix == ".pdf"]
+    ['fig2-actuators.pdf', 'fig5-alpha.pdf', 'fig6-alpha-map.pdf']
     """
     figures: dict[str, Callable[[], Axes]] = {
         "fig2-actuators": lambda: plot_layout(calibration.layout),

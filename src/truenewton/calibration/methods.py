@@ -146,8 +146,8 @@ def calibrate(
         sensors read; 'auto', reciprocity where it holds, else 'ml', which the verdict notes. Unless
         given, 'auto' of a matrix and with ``motion``, else 'ml' (docs/decisions/0021).
     population
-        Take the actuators for samples of one normal population, whose spread the data give: pulls
-        what the data hardly hold toward the mean. With 'ml' only; the result names it.
+        Take the actuators for samples of one normal population of unknown spread: pulls what the
+        data hardly hold toward the mean. With 'ml' only; the result names it.
     motion
         What the sensors see of all actuators by a model of the glass, from `motion_for`; or (n, n)
         displacements where forces act for those seen. With 'reciprocity' and 'auto' only.
@@ -158,15 +158,18 @@ def calibrate(
         The data cannot fix alpha; the message says what is missing.
     TooManyOutliers, NotConverged
         The data do not fit together.
-    UnknownName
+    UnknownName, TypeError
         There is no such method, or it takes no such data.
-    TypeError
-        The data are neither.
 
     Warns
     -----
     TrueNewtonWarning
         The verdict is 'not to be used', or the data show what was not taken out of them.
+
+    Examples
+    --------
+    >>> tn.calibrate(campaign)
+    <Calibration of P45: 45 actuators, alpha 0.715 .. 1.1, typical error 0.016, ...>
     """
     method, known = asked(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
@@ -243,7 +246,6 @@ def calibration_of(
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
     read_rows(campaign, (cycle_errors.take, *readers))
-    matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
         date=min(c.date for c in cycles),
@@ -267,7 +269,7 @@ def calibration_of(
             for c, less in zip(cycles, lost, strict=True)
             if c.source
         )
-        + (_matrix_source(matrix) if matrix else ()),
+        + _matrix_source(campaign.stiffness),
         rejected_rows=estimate.rejected,
         effects=estimate.effects,
         unseen=estimate.unseen,
@@ -308,8 +310,8 @@ def _from_stiffness(
     )
 
 
-def _matrix_source(matrix: StiffnessMatrix) -> tuple[Source, ...]:
-    if matrix.source is None:
+def _matrix_source(matrix: StiffnessMatrix | None) -> tuple[Source, ...]:
+    if matrix is None or matrix.source is None:
         return ()
     modes = len(stiffness_svd.elastic_modes(matrix))
     return (replace(matrix.source, file=Path(matrix.source.file).name, rows=modes),)

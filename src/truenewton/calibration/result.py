@@ -95,6 +95,16 @@ class Calibration:
         Of elastic modes, fitted and held out; empty but for a stiffness file.
     sensors
         Gains and places of the sensors by reciprocity; empty by other methods.
+
+    Examples
+    --------
+    >>> calibration.alpha.shape
+    (45,)
+    >>> print(calibration.verdict.level)
+    limited
+    >>> worst = np.argmax(calibration.error / calibration.alpha)
+    >>> f"{calibration.error[worst] / calibration.alpha[worst]:.1%}"
+    '1.7%'
     """
 
     instrument: str

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
 
 def run(
     mirror: str = typer.Argument("", help="A mirror to tell more of: its name, or a TOML file."),
-    plot: bool = typer.Option(False, "--plot", help="Draw its actuators (figure 2) as PNG."),
+    plot: bool = typer.Option(
+        False, "--plot", help="Draw its actuators and glass (figure 2) as PNG."
+    ),
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Name of the drawing; MIRROR.png unless told."
     ),
@@ -53,12 +56,13 @@ def run(
     lines = [f"  {name:<22}{value}" for name, value in numbers.items()]
     source = KNOWN.get(mirror.lower(), ring if mirror.lower().startswith("ring") else None)
     if source:
-        text = (inspect.getdoc(source) or "").split("Parameters\n")[0]
+        text = re.split(r"\n\w+\n---", inspect.getdoc(source) or "")[0]
         lines += ["", *(f"  {line}".rstrip() for line in text.split("\n")[2:])]
     drawn: list[Path] = []
     if plot:
         drawn.append(output or Path(f"{known.name.lower()}.png"))
-        write_figure(plot_layout(known.layout), drawn[0], overwrite=overwrite)
+        figure = plot_layout(known.layout, edges=known.shell.seen_edges())
+        write_figure(figure, drawn[0], overwrite=overwrite)
     print_result(lines, *drawn, values=numbers if json else None, schema="mirror", quiet=quiet)
 
 

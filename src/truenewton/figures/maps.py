@@ -5,12 +5,13 @@ Drawn at the width of a journal's column. Every call takes axes or makes its own
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Polygon
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -67,10 +68,15 @@ def name_point(ax: Axes, name: object, x: float, y: float, points: int = 3, **lo
                 va="center", **looks)  # fmt: skip
 
 
-def plot_layout(layout: Layout, ax: Axes | None = None) -> Axes:
-    """Draw the actuators with their names, rings and axes (paper, fig. 2)."""
+def plot_layout(layout: Layout, ax: Axes | None = None, edges: Sequence[Array] = ()) -> Axes:
+    """Draw the actuators with their names, rings and axes (paper, fig. 2).
+
+    With them the edges of the glass, (vertices, 2) polygons [m], where they are known.
+    """
     with styled_axes(ax, 1.0) as ax:
-        _frame(layout, ax)
+        _frame(layout, ax, max((np.hypot(*edge.T).max() for edge in edges), default=0.0))
+        for edge in edges:
+            ax.add_patch(Polygon(edge / MILLIMETRE, fill=False, color=INK, linewidth=0.8, zorder=0))
         _mark_view(ax)
         ax.add_collection(
             PatchCollection(_circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
@@ -138,12 +144,12 @@ def plot_map(
     return ax
 
 
-def _frame(layout: Layout, ax: Axes) -> None:
-    """Draw rings and axes, in millimetres, seen along -z."""
+def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
+    """Draw rings and axes, in millimetres, seen along -z, of a glass that reaches so far [m]."""
     for radius in ring_radii(layout):
         ax.add_patch(Circle((0, 0), radius, fill=False, color=FAINT, linewidth=0.4, zorder=0))
     farthest = np.hypot(layout.x, layout.y).max() / MILLIMETRE
-    reach = 1.08 * (farthest + dot_radius(layout))
+    reach = 1.08 * max(farthest + dot_radius(layout), glass / MILLIMETRE)
     arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
     for name, (x, y), ha, va in (("$x$", (reach, 0.0), "right", "bottom"),
                                  ("$y$", (0.0, reach), "left", "top")):  # fmt: skip

@@ -34,9 +34,20 @@ STYLE: Any = {
     "axes.linewidth": 0.6,
     "lines.linewidth": 0.8,
 }
+# Fonts are embedded when a figure is saved, not when it is drawn. Journals take TrueType (42).
+FONTS: Any = {"pdf.fonttype": 42, "ps.fonttype": 42}
 LONGEST = 40  # letters of a label; longer ones would leave no room for the axes
 NAMED = 100  # up to so many actuators bear their names
 _ON_SCREEN: ContextVar[bool] = ContextVar("on_screen", default=False)
+
+
+class ColumnFigure(Figure):
+    """A figure whose fonts are embedded as TrueType, whoever saves it and whatever is set."""
+
+    def savefig(self, fname: Any, **kwargs: Any) -> None:
+        """Save it as any figure."""
+        with mpl.rc_context(FONTS):
+            super().savefig(fname, **kwargs)
 
 
 def new_figure(height: float) -> Figure:
@@ -45,8 +56,8 @@ def new_figure(height: float) -> Figure:
     if _ON_SCREEN.get():
         from matplotlib import pyplot
 
-        return pyplot.figure(figsize=size, layout="constrained")
-    figure = Figure(figsize=size, layout="constrained")
+        return pyplot.figure(figsize=size, layout="constrained", FigureClass=ColumnFigure)
+    figure = ColumnFigure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 

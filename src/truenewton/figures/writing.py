@@ -27,8 +27,6 @@ REFERENCE = re.compile(r"^(url\()?#")  # of one element of an SVG to another
 NEEDLESS = re.compile(r"(?<=\.\d\d)\d+")  # decimals, of points of 1/72 inch
 # Identifiers of an SVG are random without a salt of one's own.
 SVG_STYLE: Any = {"svg.hashsalt": "truenewton"}
-# Fonts are embedded when a figure is written, not when it is drawn. Journals take TrueType (42).
-FILE_STYLE: Any = {**SVG_STYLE, "pdf.fonttype": 42}
 PAGE_STYLE: Any = {**SVG_STYLE, "svg.fonttype": "none", "font.sans-serif": ["DejaVu Sans"]}
 SVG_DPI = 72  # an SVG measures in points
 PAGE_DPI = 150  # of what is a picture within a figure of a page
@@ -123,7 +121,7 @@ def _marks(artist: Artist) -> float:
 
 def _save(figure: Figure, path: Path) -> None:
     """Save a figure without a date in it: the same data give the same bytes."""
-    with mpl.rc_context(FILE_STYLE):
+    with mpl.rc_context(SVG_STYLE):
         figure.savefig(path, dpi=300, metadata=UNDATED.get(path.suffix, {}))
 
 

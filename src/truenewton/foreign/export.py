@@ -88,10 +88,16 @@ def export_supervisor(
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch, NotToBeUsed, OutputExists, OutputFailed
+
+    Examples
+    --------
+    >>> from astropy.io import fits
+    >>> fits.writeto("ff_matrix.fits", matrix.stiffness)
+    >>> fits.writeto("ff_list.fits", layout.id)
+    >>> done = tn.export_supervisor(".", calibration, "in-true-newtons")
     """
     refuse_unusable(calibration, force=force)
-    folder = Path(folder)
-    channels = channels_of(folder)
+    channels = channels_of(folder := Path(folder))
     alpha = _alpha_of(channels, calibration, folder)
     stored = read_stored(folder / MATRIX)
     matrix = only_array(folder / MATRIX).values

@@ -68,8 +68,7 @@ def stiffness_from(
     ----------
     matrix
         (n, n) forces of actuators, in rows, per displacement of sensors: an array, Quantity, file
-        (FITS, .npy, .npz, CSV or text, HDF5, YAML, .mat, .sav), or folder of a supervisor or of
-        opticalib.
+        (FITS, .npy, .npz, CSV, text, HDF5, YAML, .mat, .sav), supervisor's or opticalib's folder.
     coordinates
         (n, 2) or (2, n) positions: an array, Quantity, layout, file, or folder of a supervisor's
         configuration; None where they stand beside the matrix.
@@ -81,16 +80,20 @@ def stiffness_from(
         Rings of a known mirror, for a supervisor's folder.
     ids, dataset
         (n,) names of rows, or a file of them; name of the matrix in a file of several.
-    shell
-        Which of several shells, from 1.
-    transpose
-        The file holds the transposed matrix.
+    shell, transpose
+        Which of several shells, from 1; the file holds the transposed matrix.
     date, instrument
         When it was measured (UTC), and the mirror's name.
 
     Raises
     ------
     UnreadableFile, FormatError, GeometryError, RankDeficient
+
+    Examples
+    --------
+    >>> k, positions = -matrix.stiffness, 1e3 * np.stack([layout.x, layout.y])
+    >>> tn.stiffness_from(k, positions, lengths="mm", instrument="P45").matrix
+    <StiffnessMatrix of P45: 45 actuators>
     """
     given = read_given(matrix, coordinates, mirror, dataset, Surface(lengths, curvature, arc))
     try:
@@ -108,22 +111,20 @@ def stiffness_from(
         raise located(error, given.path or None) from None
     try:
         of = _layout(positions)
-        name = instrument or given.name
-        record = StiffnessMatrix(name, when, of, k)
+        record = StiffnessMatrix(instrument or given.name, when, of, k)
         judged = judge(record)
     except TrueNewtonError as error:
         raise located(error, given.where or given.path or None) from None
     record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))
-    told = ", transposed as told" if transpose else ""
     lines = [
-        ("matrix", f"{len(k)} x {len(k)}{part}, {unit_line}{told}"),
+        ("matrix", f"{len(k)} x {len(k)}{part}, {unit_line}{', transposed as told' * transpose}"),
         ("sign", sign),
         ("positions", f"{Path(given.where).name or 'given'}: {', '.join(positions.notes)}"),
     ]
     if lost.any():
         lines.append(("left out", f"{np.count_nonzero(lost)} that are off and stand nowhere"))
     lines += [*judged.lines, ("date", f"{when:%Y-%m-%d %H:%M:%S} ({how})")]
-    headline = f"{name}: {of.n} actuators, from {given.path or 'arrays'}{given.kind}"
+    headline = f"{record.instrument}: {of.n} actuators, from {given.path or 'arrays'}{given.kind}"
     return Imported(record, (headline, *(f"  {what:<13}{how}" for what, how in lines)))
 
 

@@ -139,6 +139,16 @@ class Shell:
         loops = [] if outline is None else [outline.edge, *outline.holes]
         return [np.stack(self.along(*np.reshape(loop, (-1, 2)).T), axis=1) for loop in loops]
 
+    def seen_edges(self) -> list[Array]:
+        """Return the edge and the holes as seen along the axis, (vertices, 2) each [m]."""
+        if self.outline is not None:
+            return [np.reshape(loop, (-1, 2)) for loop in (self.outline.edge, *self.outline.holes)]
+        turn = np.linspace(0.0, 2 * np.pi, 361)
+        circle, bend = np.stack([np.cos(turn), np.sin(turn)], axis=1), 1 / self.radius_of_curvature
+        return [
+            r * np.sinc(r * bend / np.pi) * circle for r in (self.outer_radius, self.inner_radius)
+        ]
+
     def along(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Return (n,) positions along the glass [m], R asin(r / R) from the axis, of (n,) x and y.
 

@@ -83,7 +83,19 @@ class MirrorNumbers:
 
 @dataclass(frozen=True, kw_only=True)
 class Mirror(MirrorNumbers):
-    """What is known of a mirror before it is measured: its numbers and its actuators."""
+    """What is known of a mirror before it is measured: its numbers and its actuators.
+
+    Attributes
+    ----------
+    layout
+        The actuators; all else as of `MirrorNumbers`.
+
+    Examples
+    --------
+    >>> half = dataclasses.replace(tn.mirrors.p45(), name="HALF", alpha_range=(0.45, 0.55))
+    >>> half.name, half.layout.n
+    ('HALF', 45)
+    """
 
     layout: Layout
 
@@ -123,6 +135,12 @@ def p45() -> Mirror:
     120.005 mm and 1955 mm of curvature [conf]; bias 97 mN an actuator, magnets 2.75 g [conf of LBT,
     same design]; its air film open at the edges only [guess]. The paper takes it for flat, nz = 1;
     here nz = 0.9998 to 0.9986.
+
+    Examples
+    --------
+    >>> mirror = tn.mirrors.p45()
+    >>> mirror.weight, mirror.added_weight, mirror.added_weight_error
+    (-2.92, -0.289, 0.005)
     """
     return _lbt_rings(
         "P45",
@@ -145,6 +163,11 @@ def lbt672() -> Mirror:
     curvature 1955 mm, shell 27.5 to 455.5 mm, 1.6 mm thick, bias 97 mN [conf]; weight about -44 N
     [derived]; alpha scatters by 2-5 % [derived from measured matrices]; a weight tool of -0.5 N, as
     much as its three wedges may bring to the inner ring, and all uncertainties [guess].
+
+    Examples
+    --------
+    >>> tn.mirrors.lbt672().layout
+    <Layout of 672 actuators>
     """
     return _lbt_rings("LBT672", 14, 455.5e-3, weight=-44.0)
 
@@ -155,6 +178,11 @@ def mag585() -> Mirror:
     The first 13 rings of LBT672, 585 actuators, shell 27.5 to 425.35 mm, 1.6 mm thick, bias 97 mN,
     gap 60 um [conf]; alpha scatters by 3 % [derived]; the weight is that of shell and magnets; the
     weight tool and all uncertainties [guess].
+
+    Examples
+    --------
+    >>> tn.mirrors.mag585().gap
+    6e-05
     """
     return _lbt_rings("MAG585", 13, 425.35e-3, alpha_range=(0.95, 1.05), gap=60e-6)
 
@@ -167,6 +195,11 @@ def mmt336() -> Mirror:
     [guess]; no bias magnets [paper: they were new on P45]; gap 40 um, alpha within 5 %, a tool of
     -0.5 N, sensors of 3.5 to 6 mm that fit between the outermost ring and the edge, pucks of 3 mm,
     all uncertainties [guess]; the weight is that of shell and magnets.
+
+    Examples
+    --------
+    >>> tn.mirrors.mmt336().bias_force
+    0.0
     """
     radii = [42.1, 73.4, 104.8, 136.1, 167.5, 198.8, 230.1, 261.5, 290.8, 313.1]
     curvature, counts = 1.7, [6, 12, 18, 24, 30, 36, 42, 48, 60, 60]
@@ -202,6 +235,11 @@ def ring(actuators: int) -> Mirror:
     ------
     UnknownName
         There is no such member.
+
+    Examples
+    --------
+    >>> tn.mirrors.ring(1170).name
+    'RING1170'
     """
     if not 4 <= actuators <= MOST_ACTUATORS:
         raise UnknownName(
@@ -234,10 +272,20 @@ KNOWN = {make.__name__: make for make in (p45, mmt336, mag585, lbt672)}
 def mirror(name: str) -> Mirror:
     """Return the mirror called ``name``; case does not count.
 
+    Parameters
+    ----------
+    name
+        'p45', 'mmt336', 'mag585', 'lbt672' or 'ring4' to 'ring5352'.
+
     Raises
     ------
     UnknownName
         No mirror is called so.
+
+    Examples
+    --------
+    >>> tn.mirrors.mirror("LBT672").layout.n
+    672
     """
     known = name.lower()
     if known in KNOWN:

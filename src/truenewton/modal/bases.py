@@ -31,6 +31,12 @@ def zernike_modes(x: Array, y: Array) -> Array:
     ------
     GeometryError
         The first 8 n Zernikes do not span the actuators: two of them (nearly) coincide.
+
+    Examples
+    --------
+    >>> modes = tn.zernike_modes(layout.x / 0.12, layout.y / 0.12)
+    >>> np.allclose(modes[:, 0], 45**-0.5)  # piston
+    True
     """
     n = len(x)
     modes, count = np.empty((n, n)), 0
@@ -67,6 +73,18 @@ def karhunen_loeve_modes(covariance: Array) -> Array:
 
     These are the eigenvectors of an (n, n) covariance whose rows have no mean, as
     `wavefront_covariance` gives it; in equals, and in sign, the same on every machine.
+
+    Parameters
+    ----------
+    covariance
+        (n, n) [m^2], the mean of each row 0.
+
+    Examples
+    --------
+    >>> covariance = tn.wavefront_covariance(layout.x, layout.y, tn.Atmosphere(seeing=0.8))
+    >>> modes = tn.karhunen_loeve_modes(covariance)
+    >>> np.allclose(modes.T @ modes, np.eye(45))
+    True
     """
     n = len(covariance)
     # Piston moves from the eigenvalue 0 to the far end, and keeps off the faintest modes.

@@ -49,6 +49,12 @@ class Budget:
     ------
     FormatError
         A limit that is not positive.
+
+    Examples
+    --------
+    >>> stiffness_modes = tn.find_modes(campaign, calibration).after.costs[0]
+    >>> stiffness_modes.modes_within(tn.Budget(power=0.1))
+    41
     """
 
     power: float = np.inf

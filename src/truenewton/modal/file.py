@@ -167,9 +167,26 @@ def write_modes(
     per true displacement in true and in commanded Newtons; and MODES.ff_v_matrix.fits (the modes),
     MODES.ff_matrix.fits (commanded) and MODES.ff_matrix_true.fits, one plain matrix each.
 
+    Parameters
+    ----------
+    findings
+        From `find_modes`.
+    path
+        MODES.fits.
+    limits
+        Of power and force; how many modes keep within them is written, too.
+    overwrite
+        Replace files that stand.
+
     Raises
     ------
     OutputExists, OutputFailed
+
+    Examples
+    --------
+    >>> files = tn.write_modes(tn.find_modes(campaign, calibration), "modes.fits")
+    >>> [file.name for file in files[:3]]
+    ['modes.fits', 'modes.true.fits', 'modes.commanded.fits']
     """
     paths = modes_paths(path)
     base, stiffness = findings.after, findings.after.stiffness

@@ -52,6 +52,14 @@ class ModalFindings:
         Of the modes before with those after.
     sources
         The files that the stiffness is from.
+
+    Examples
+    --------
+    >>> found = tn.find_modes(campaign, calibration)
+    >>> found
+    <ModalFindings of P45: 45 modes>
+    >>> found.after.modes.stiffness.shape
+    (45,)
     """
 
     measured: MeasuredStiffness | None
@@ -152,6 +160,13 @@ def find_modes(
         Data and calibration are of two mirrors.
     UnknownName
         An ID that no enabled actuator has, or that is both off and slaved.
+
+    Examples
+    --------
+    >>> found = tn.find_modes(campaign, calibration, tn.Atmosphere(seeing=0.8))
+    >>> stiffness, zernike, karhunen_loeve = found.after.costs
+    >>> stiffness.residual.shape  # for 1, 2, ... modes
+    (45,)
     """
     if calibration is not None:
         refuse_unusable(calibration, force=force)

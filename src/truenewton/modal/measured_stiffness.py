@@ -84,12 +84,22 @@ class MeasuredStiffness:
 def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     """Find commanded force per reading from the cycles that hold POSITION; others take no part.
 
+    Parameters
+    ----------
+    campaign
+        With POSITION.
+
     Raises
     ------
     RankDeficient
         No POSITION, or elastic motions that no shape holds.
     TooManyOutliers
         So many rows stand off from their repeats that the rest cannot be trusted.
+
+    Examples
+    --------
+    >>> tn.measured_stiffness(campaign).matrix
+    <StiffnessMatrix of P45: 45 actuators>
     """
     reader = motion_reader(sift(replace(campaign, stiffness=None)))
     read_rows(campaign, (reader.take,))

@@ -172,6 +172,11 @@ def true_stiffness(
         Too few actuators are left, or they do not hold those that are off.
     FormatError
         Sensor gains that cannot be.
+
+    Examples
+    --------
+    >>> [f"{tn.true_stiffness(matrix, alpha).asymmetry:.2%}" for alpha in (None, calibration)]
+    ['6.75%', '0.11%']
     """
     if calibration is not None:
         matrix = as_calibrated(matrix, calibration.effects)
@@ -185,8 +190,7 @@ def true_stiffness(
     seen = seen_motion(layout, gain, offset)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = np.linalg.solve(seen.T, (alpha[:, None] * matrix.used_stiffness).T).T
-    apart, together = k - k.T, k + k.T
-    symmetric = 0.5 * together
+    apart, together, symmetric = k - k.T, k + k.T, 0.5 * (k + k.T)
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
     own = rigid.T @ symmetric @ rigid
     coupling = symmetric @ rigid - rigid @ own  # Q K R

@@ -39,6 +39,11 @@ class Atmosphere:
     ------
     FormatError
         A seeing or an outer scale that cannot be.
+
+    Examples
+    --------
+    >>> tn.Atmosphere(seeing=0.8, outer_scale=25.0)
+    Atmosphere(seeing=0.8, outer_scale=25.0)
     """
 
     seeing: float
@@ -128,6 +133,15 @@ def wavefront_covariance(x: Array, y: Array, atmosphere: Atmosphere) -> Array:
     ----------
     x, y
         (n,) points in the entrance pupil [m].
+    atmosphere
+        The turbulence.
+
+    Examples
+    --------
+    >>> x, y = 2.1 * layout.x / 0.24, 2.1 * layout.y / 0.24  # on a pupil of 2.1 m
+    >>> covariance = tn.wavefront_covariance(x, y, tn.Atmosphere(seeing=0.8))
+    >>> f"{1e6 * np.sqrt(np.diag(covariance).mean()):.1f} um rms"
+    '0.6 um rms'
     """
     C = squareform(structure_function(pdist(np.column_stack([x, y])), atmosphere))
     C *= -0.5

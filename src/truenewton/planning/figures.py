@@ -5,12 +5,10 @@ from __future__ import annotations
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from truenewton.arrays import Array
-from truenewton.figures.style import ACCENT, COLUMN, FAINT, INK, STYLE
+from truenewton.figures.style import ACCENT, FAINT, INK, STYLE, new_figure
 from truenewton.planning.outlook import Curve, Outlook
 
 
@@ -26,8 +24,7 @@ def plot_outlook(outlook: Outlook, target: float | None = None) -> Axes:
     heaviest = max(abs(load.added) for load in plan.loads)
     with mpl.rc_context(STYLE):
         count = 2 if by_weight.values.size else 1
-        figure = Figure(figsize=(COLUMN, 0.62 * COLUMN), layout="constrained")
-        FigureCanvasAgg(figure)
+        figure = new_figure(0.62)
         panels: list[Axes] = list(figure.subplots(1, count, sharey=True, squeeze=False)[0])
         first, *second = panels
         _panel(first, outlook.against_cycles.values, outlook.against_cycles, plan.cycles, target)

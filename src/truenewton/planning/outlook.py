@@ -169,10 +169,21 @@ class Outlook:
 def read_outlook(path: str | os.PathLike[str]) -> Outlook:
     """Predict what the plan in a file will give.
 
+    Parameters
+    ----------
+    path
+        The plan (TOML).
+
     Raises
     ------
     TrueNewtonError
         The plan or a file that it names is at fault, or asks more than its limits allow.
+
+    Examples
+    --------
+    >>> outlook = tn.read_outlook("day.toml")
+    >>> outlook.prediction.error.shape
+    (45,)
     """
     plan = read_plan(path)
     try:

@@ -19,7 +19,7 @@ from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import UNUSABLE_BEFORE, Level, warn_of
 from truenewton.chance import chi2_sf, t_sf
-from truenewton.errors import FormatError, RankDeficient, UnknownName
+from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
 from truenewton.estimation.diagnosis import Diagnosis, FoundEffect, RejectedRow, ScaleError
 from truenewton.estimation.estimate import Scale
@@ -31,7 +31,6 @@ from truenewton.estimation.problem import Problem, with_noise_from_minimum
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import scale_error_from_readings
-from truenewton.reading import read
 from truenewton.recalibration.known import (
     EARLIER,
     EarlierCalibration,
@@ -46,6 +45,7 @@ from truenewton.recalibration.short_run import (
     inverse_of,
     posed_problem,
     pulls_of,
+    run_from,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
@@ -125,8 +125,15 @@ def recalibrate(
     RankDeficient
         Too little data, or too many have moved.
     TooManyOutliers, NotConverged
+
+    Examples
+    --------
+    >>> short_run = tn.Campaign(campaign.cycles[:1])
+    >>> new = tn.recalibrate(short_run, calibration, [17])
+    >>> new.asked, new.moved
+    ((17,), ())
     """
-    data = _run_from(campaign)
+    data = run_from(campaign)
     before = known_from(known, data, force=force)
     ids = data.layout.id[data.layout.enabled]
     new = _new(data, before, actuators)
@@ -212,15 +219,6 @@ def _who_moved(
                 got=len(moved),
                 want=MOST * len(stay),
             )
-
-
-def _run_from(campaign: Campaign | str | os.PathLike[str]) -> Campaign:
-    data = campaign if isinstance(campaign, Campaign) else read(campaign)
-    if not isinstance(data, Campaign):
-        raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
-    if data.stiffness is not None:
-        raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
-    return data
 
 
 def _with_faults(

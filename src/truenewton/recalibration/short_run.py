@@ -16,6 +16,7 @@ estimated as tracking does it from days (`tracking.scatter`); the prior then is
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,7 +25,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import NotConverged, RankDeficient
+from truenewton.errors import FormatError, NotConverged, RankDeficient
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.identifiability import load_fault
 from truenewton.estimation.minimum import Minimum
@@ -40,12 +41,24 @@ from truenewton.estimation.problem import (
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.weights import WeightErrors
 from truenewton.linalg import inverse_of_positive, mirrored
+from truenewton.reading import read
 from truenewton.recalibration.known import EarlierCalibration
+from truenewton.records.campaign import Campaign
 from truenewton.tracking.scatter import Scatter, scatter_of
 
 LOOSE = 0.2  # relative, of a prior that lets everyone move: bad rows are judged by it
 SCALE_HELD = 1e-4  # of the common scale in it
 SMALL = 1e-6  # part of the prior's variance below which the run says nothing
+
+
+def run_from(campaign: Campaign | str | os.PathLike[str]) -> Campaign:
+    """Return the run from a campaign or its path; refuse what is no run of cycles alone."""
+    data = campaign if isinstance(campaign, Campaign) else read(campaign)
+    if not isinstance(data, Campaign):
+        raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
+    if data.stiffness is not None:
+        raise FormatError("a stiffness matrix stands among the cycles", remedy="leave it out")
+    return data
 
 
 def posed_problem(known: EarlierCalibration, sifted: Sifted, errors: WeightErrors) -> Problem:

@@ -45,6 +45,13 @@ class Campaign:
     ------
     CampaignMismatch
         Cycles that disagree on the mirror, a weight or the actuators, or stand twice.
+
+    Examples
+    --------
+    >>> campaign
+    <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
+    >>> tn.Campaign(campaign.cycles[:1]).loads
+    (Load(name='bare', added=0.0, added_error=0.0, tool=None, tilt=0.0, tilt_error=0.0),)
     """
 
     cycles: tuple[Cycle, ...]

@@ -89,6 +89,13 @@ class Cycle:
     ------
     FormatError
         Rows that count hold what they may not.
+
+    Examples
+    --------
+    >>> cycle = campaign.cycles[0]
+    >>> cycle.load.name, cycle.force.shape
+    ('bare', (90, 45))
+    >>> stronger = dataclasses.replace(cycle, force=0.9 * np.asarray(cycle.force))
     """
 
     instrument: str

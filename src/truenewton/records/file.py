@@ -148,7 +148,27 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
 
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a cycle file."""
+    """Write a cycle file.
+
+    Parameters
+    ----------
+    cycle
+        One run through all shapes.
+    path
+        The file.
+    overwrite
+        Replace a file that stands.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+
+    Examples
+    --------
+    >>> tn.write_cycle(campaign.cycles[0], "bare.fits")
+    >>> tn.read_campaign("bare.fits")
+    <Campaign of P45: 45 actuators, 1 cycle under bare>
+    """
     write_fits(path, CYCLE, cycle, overwrite=overwrite)
 
 
@@ -163,9 +183,24 @@ def write_campaign(
 ) -> None:
     """Write cycles as LOAD-CYCLE.fits into a folder, which is complete or not there.
 
+    Parameters
+    ----------
+    cycles
+        Of one mirror; a campaign, too.
+    folder
+        To be made.
+    overwrite
+        Replace a folder that stands.
+
     Raises
     ------
     OutputExists, OutputFailed
+
+    Examples
+    --------
+    >>> tn.write_campaign(campaign, "copy")
+    >>> tn.read_campaign("copy")
+    <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
     """
     with folder_beside(folder, SUFFIXES, overwrite=overwrite) as temporary:
         for cycle in cycles:
@@ -175,7 +210,25 @@ def write_campaign(
 def write_stiffness(
     matrix: StiffnessMatrix, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
-    """Write a stiffness file."""
+    """Write a stiffness file.
+
+    Parameters
+    ----------
+    matrix
+        (n, n) [N/m] with its actuators.
+    path
+        The file.
+    overwrite
+        Replace a file that stands.
+
+    Raises
+    ------
+    OutputExists, OutputFailed
+
+    Examples
+    --------
+    >>> tn.write_stiffness(matrix, "feedforward.fits")
+    """
     write_fits(path, STIFFNESS, matrix, overwrite=overwrite)
 
 

@@ -35,6 +35,12 @@ class StiffnessMatrix:
     displaced
         'read' where displacements are those that the sensors read, 'true' where what is known of
         the sensors is in them already.
+
+    Examples
+    --------
+    >>> date = datetime.datetime(2026, 11, 22, tzinfo=datetime.UTC)
+    >>> tn.StiffnessMatrix("P45", date, layout, truth.stiffness)
+    <StiffnessMatrix of P45: 45 actuators>
     """
 
     instrument: str

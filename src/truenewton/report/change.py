@@ -99,10 +99,21 @@ def change(one: Calibration, other: Calibration) -> Change:
     variance E_STAT_i^2 + (E_STAT'_i / r)^2. The errors of the weights move all alphas together, so
     they are in r and not in the change.
 
+    Parameters
+    ----------
+    one, other
+        Before and after.
+
     Raises
     ------
     CampaignMismatch
         The calibrations are not of the same actuators.
+
+    Examples
+    --------
+    >>> moved = tn.change(calibration, warm)
+    >>> f"{moved.ratio:.2f}, and beside it {len(moved.changed)} actuators"
+    '0.99, and beside it 0 actuators'
     """
     a, b = one.layout, other.layout
     # Which are enabled may differ, and what was taken for their direction.

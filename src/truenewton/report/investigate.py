@@ -125,6 +125,12 @@ def investigate(
     ------
     UnknownName
         There is no such method, or it takes no such data.
+
+    Examples
+    --------
+    >>> findings = tn.investigate(campaign)
+    >>> findings.faults, findings.modes
+    ((), <ModalFindings of P45: 45 modes>)
     """
     if isinstance(data, Calibration):
         return Findings(data, data)

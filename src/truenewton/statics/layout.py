@@ -37,6 +37,14 @@ class Layout:
     ------
     GeometryError
         Duplicate names, two actuators at one place, values that are not finite, none enabled.
+
+    Examples
+    --------
+    >>> layout = tn.layout([0.0, 0.1, -0.1], [0.1, 0.0, 0.0], enabled=[True, True, False])
+    >>> layout
+    <Layout of 3 actuators, 1 disabled>
+    >>> layout.nz
+    array([1., 1., 1.])
     """
 
     id: NDArray[np.int64]
@@ -158,8 +166,29 @@ def layout(
 ) -> Layout:
     """Make a layout; names count from 1, forces point along +z, all enabled, unless told.
 
-    ``x``, ``y`` and their errors are (n,) numbers in metres or Quantities of any length; the others
-    (n,) too.
+    Parameters
+    ----------
+    x, y
+        (n,) positions: numbers [m], or Quantities of any length.
+    id
+        (n,) integer names.
+    nz
+        (n,) cosines between the forces and +z.
+    enabled
+        (n,) false where an actuator takes no part.
+    x_error, y_error
+        (n,) standard uncertainties of x and y, as these.
+
+    Raises
+    ------
+    GeometryError
+        What cannot be a layout.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> tn.layout([0, 100, -100] * u.mm, [100, 0, 0] * u.mm, id=[7, 8, 9]).x
+    array([ 0. ,  0.1, -0.1])
     """
     n = np.size(x)
     return Layout(
@@ -196,6 +225,11 @@ def rings(
         Cosine between force and +z on each ring; 1 when not given.
     turned
         Angle by which each ring is turned, counter-clockwise [rad]; 0 when not given.
+
+    Examples
+    --------
+    >>> tn.rings([0.04, 0.07], [9, 15])
+    <Layout of 24 actuators>
     """
     start = 0.5 * np.pi + (np.asarray(turned) if len(turned) else np.zeros(len(counts)))
     angle = np.concatenate(
@@ -229,6 +263,12 @@ def spherical_rings(
         Radius of curvature R [m].
     turned
         As in `rings`.
+
+    Examples
+    --------
+    >>> shell = tn.spherical_rings([0.02, 0.04], [9, 15], radius=1.955)
+    >>> shell.nz[[0, -1]].round(4)
+    array([0.9998, 0.9992])
     """
     t = np.asarray(polar_angles, dtype=float)
     return rings(list(radius * np.sin(t)), counts, nz=list(np.cos(t)), turned=turned)

@@ -26,6 +26,11 @@ class Load:
         Name of the weight; loads with the same tool share one error of their weight.
     tilt, tilt_error
         Angle between optical axis and vertical, and its standard uncertainty [deg].
+
+    Examples
+    --------
+    >>> tn.Load("ring", added=-0.289, added_error=0.005, tool="ring A").added
+    -0.289
     """
 
     name: str

@@ -101,9 +101,20 @@ TRACKING = FileFormat(
 def read_tracking(path: str | os.PathLike[str]) -> Tracking:
     """Read a tracking file.
 
+    Parameters
+    ----------
+    path
+        The tracking file, as `Tracking.write` writes it.
+
     Raises
     ------
     UnreadableFile, FormatError
+
+    Examples
+    --------
+    >>> tn.track(calibration, warm).write("track.fits")
+    >>> tn.read_tracking("track.fits")
+    <Tracking of P45: 2 calibrations, temperature>
     """
     return tracking_from(read_fits(path))
 

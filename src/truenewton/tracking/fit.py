@@ -59,6 +59,12 @@ def track(*given: Given, force: bool = False) -> Tracking:
         Files that cannot be tracked, or not together.
     RankDeficient
         One calibration only, or all at one temperature on one day.
+
+    Examples
+    --------
+    >>> tracking = tn.track(calibration, warm)
+    >>> f"{100 * np.mean(tracking.coefficient):.2f} % per kelvin"
+    '-0.10 % per kelvin'
     """
     days = gathered(given, force=force)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)

@@ -126,6 +126,14 @@ class Tracking:
     common_scatter, scatter_degrees
         The same of all actuators together, and its degrees of freedom; 0 where there are no more
         days than unknowns, and nothing is known of either.
+
+    Examples
+    --------
+    >>> tracking = tn.track(calibration, warm)
+    >>> tracking.effects
+    ('temperature',)
+    >>> tracking.alpha_at(temperature=25.0).alpha.shape
+    (45,)
     """
 
     instrument: str

@@ -37,6 +37,12 @@ class Validity:
     reach, reach_until
         The temperatures of the days, and the last date that they tell of: no promise goes beyond.
         None where the effect is not known.
+
+    Examples
+    --------
+    >>> validity = tn.validity_of(tn.track(calibration, warm), accuracy=0.005)
+    >>> validity.until is None  # nothing tells the drift
+    True
     """
 
     accuracy: float
@@ -56,6 +62,19 @@ def validity_of(tracking: Tracking, accuracy: float) -> Validity:
     scatter of its day and of the other; the mean over actuators of the square of all is a parabola
     in T - T_last and in t - t_last. So is that of what the law itself is uncertain by, and of the
     scatter of a day about it, in T - T0 and t - t0.
+
+    Parameters
+    ----------
+    tracking
+        The law.
+    accuracy
+        Wanted: standard uncertainty relative to alpha, root mean square over actuators.
+
+    Examples
+    --------
+    >>> validity = tn.validity_of(tn.track(calibration, warm), accuracy=0.005)
+    >>> "from {:.0f} to {:.0f} deg C".format(*validity.temperatures or ())
+    'from 25 to 30 deg C'
     """
     t, last = tracking, tracking.days[-1]
     on, form = np.isfinite(t.alpha), _law_variance(t)

@@ -54,6 +54,14 @@ def connect(choice: BenchChoice, folder: str | os.PathLike[str] = ".") -> OpcUaB
         server refuses us.
     UnreadableFile, FormatError
         Keys that cannot be used.
+
+    Examples
+    --------
+    >>> plan = tn.read_plan("day.toml")
+    >>> tn.connect(plan.bench)  # of a plan for a simulated bench
+    Traceback (most recent call last):
+        ...
+    truenewton.errors.BenchFault: OPC UA needs bench.address; give it in the plan; ...
     """
     require_asyncua()
     from truenewton.bench.opcua.client import OpcUaBench

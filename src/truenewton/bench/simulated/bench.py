@@ -51,6 +51,12 @@ class SimulatedBench:
     ----------
     instrument, layout, gap, gradients
         As of `Bench` and `Graded`.
+
+    Examples
+    --------
+    >>> bench = tn.SimulatedBench(tn.mirrors.p45(), seed=1, force_noise=1e-4)
+    >>> bench.instrument, bench.layout.n
+    ('P45', 45)
     """
 
     @taking_units(force_noise="N")

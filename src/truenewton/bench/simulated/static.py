@@ -111,10 +111,14 @@ def static_bench(
 
     Raises
     ------
-    GeometryError
-        A shell or actuators that cannot be.
-    LimitExceeded
-        The static forces alone are too large.
+    GeometryError, LimitExceeded
+        A shell or actuators that cannot be; static forces that are too large by themselves.
+
+    Examples
+    --------
+    >>> bench = tn.static_bench(tn.mirrors.p45(), seed=1, force_noise=1e-4)
+    >>> bench.truth.loads
+    ('bare', 'ring')
     """
     random = np.random.default_rng([seed, 0])
     layout, n = mirror.layout, mirror.layout.n
@@ -131,12 +135,8 @@ def static_bench(
         external.append(weight_on(mirror, weight, q, cosine=cosine, off_centre=centre, bias=bias))
     load_force = np.array([forces_under(glass, each) for each in external])
     k = np.array([external_resultants(mirror, each) for each in external])
-    coils = Coils(
-        alpha,
-        bias_gradient=mirror.bias_gradient,
-        coil_gradient=mirror.coil_gradient,
-        temperature=temperature,
-    )
+    coils = Coils(alpha, bias_gradient=mirror.bias_gradient,
+                  coil_gradient=mirror.coil_gradient, temperature=temperature)  # fmt: skip
     sensors = draw_sensors(n, mirror.gap, random)
     warm = gain(coils)[:, 0]
     room = _room_for_shapes(mirror, warm, load_force, force_noise, force_limit)
@@ -278,10 +278,25 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
     In a loop, from `loop_of`, all shapes of a cycle go together, a row that has not settled is
     marked as not valid, and what noise the forces have is left to their repeats to tell.
 
+    Parameters
+    ----------
+    bench
+        From `static_bench`.
+    cycles
+        Of each load.
+    loop
+        From `loop_of`; shapes are held exactly where None.
+
     Raises
     ------
     LoopUnstable, BenchFault
         In a loop only.
+
+    Examples
+    --------
+    >>> bench = tn.static_bench(tn.mirrors.p45(), seed=1)
+    >>> [(cycle.load.name, cycle.number) for cycle in tn.run_cycles(bench, 2)]
+    [('bare', 1), ('bare', 2), ('ring', 1), ('ring', 2)]
     """
     shape, sign, position = rows_of_cycle(bench)
     mirror, start, time = bench.mirror, START, SECONDS_PER_SHAPE * np.arange(1.0, len(shape) + 1)

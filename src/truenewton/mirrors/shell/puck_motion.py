@@ -47,12 +47,25 @@ def motion_for(mirror: Mirror, layout: Layout) -> Array:
         (6, n, n): `puck_motion` and `displaced_readings`. (1, n, n) where the latter are not known:
         of a sensor that touches its puck, another's or an edge.
 
+    Parameters
+    ----------
+    mirror
+        The glass and its actuators.
+    layout
+        The n actuators of the data.
+
     Raises
     ------
     CampaignMismatch
         The actuators are others.
     GeometryError
         What `held_glass` raises.
+
+    Examples
+    --------
+    >>> motion = tn.motion_for(tn.mirrors.p45(), campaign.layout)
+    >>> tn.calibrate(campaign, motion=motion).method
+    'reciprocity'
     """
     if not mirror.layout.same_actuators_as(layout):
         raise CampaignMismatch(

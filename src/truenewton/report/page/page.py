@@ -55,6 +55,10 @@ def write_report(
     Raises
     ------
     OutputExists, OutputFailed
+
+    Examples
+    --------
+    >>> tn.write_report("report.html", tn.change(calibration, warm))
     """
     with file_beside(path, overwrite=overwrite) as temporary:
         text = page(findings, command)
