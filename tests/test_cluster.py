@@ -57,6 +57,12 @@ def folder(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def alone(folder):
+    """What one machine finds."""
+    return tn.calibrate(tn.read(folder))
+
+
 @pytest.fixture
 def small_tasks(monkeypatch):
     """Cut the work into many tasks."""
@@ -90,8 +96,8 @@ def sum_of(one, other):
     return one + other
 
 
-def test_two_workers_find_what_one_machine_finds(workers, folder, small_tasks):
-    one = tn.calibrate(tn.read(folder))
+def test_two_workers_find_what_one_machine_finds(workers, folder, alone, small_tasks):
+    one = alone
     campaign = tn.read(folder, client=workers)
     other = tn.calibrate(campaign, client=workers)
     assert {row.against for row in one.rejected_rows} == {"repeats"}
@@ -130,7 +136,9 @@ def test_a_file_that_no_worker_can_read_gives_the_same_line(
     assert str(here.value).startswith("c/bare-002.fits: ")
 
 
-def test_a_file_of_another_kind_or_with_a_fault_gives_the_same_line(workers, folder, tmp_path):
+def test_a_file_of_another_kind_or_with_a_fault_gives_the_same_line(
+    workers, folder, alone, tmp_path
+):
     write_campaign(tn.read(folder), tmp_path / "c")
     cycle = tn.read(folder).cycles[1]
     wrong = object.__new__(type(cycle))
@@ -144,7 +152,7 @@ def test_a_file_of_another_kind_or_with_a_fault_gives_the_same_line(workers, fol
 
     assert line(workers) == line(None)
     assert "bare-002.fits: WEIGHT is 3" in line(None)
-    tn.calibrate(tn.read(folder)).write(tmp_path / "c/alpha.fits")
+    alone.write(tmp_path / "c/alpha.fits")
     assert line(workers) == line(None)
     assert "alpha.fits: is a calibration file among others" in line(None)
 

@@ -26,6 +26,8 @@ class BlockRows:
         (m,) hours since the mean of all cycles.
     sampled
         (m,) whether their deviations are kept.
+    printed
+        (m,) their labels, SHAPE times SIGN, where prints are taken of them; else 0.
     weight
         Of a row.
     balanced
@@ -37,6 +39,7 @@ class BlockRows:
     at: slice | NDArray[np.int64]
     hour: Array
     sampled: NDArray[np.bool_]
+    printed: NDArray[np.int64]
     weight: float
     balanced: BalancedRows
 
@@ -61,6 +64,7 @@ class BlockRows:
             at=at[kept],
             hour=self.hour[kept],
             sampled=self.sampled[kept],
+            printed=self.printed[kept],
         )
 
 
@@ -83,6 +87,7 @@ class DistinctRows:
             at=slice(None) if whole else self.group[first:end] - block.start,  # a slice: no copy
             hour=self.rows.hour[first:end],
             sampled=self.rows.sampled[first:end],
+            printed=self.rows.printed[first:end],
         )
 
 

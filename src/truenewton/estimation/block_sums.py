@@ -100,7 +100,9 @@ class BlockSums:
         (n,) largest distance of a row from its group's mean, as seen from the rest of the group and
         divided by its noise over that of a row of weight 1 [N].
     sample
-        (m, n) deviations of some rows, see `deviations`.
+        (m, n) deviations of some rows from the others of their groups, at weight 1 [N].
+    printed
+        Rows of which prints are taken: of some files the index, labels and (m, n) readings [N].
     """
 
     block: int
@@ -109,6 +111,7 @@ class BlockSums:
     scatter: Array
     furthest: Array
     sample: Array
+    printed: list[tuple[int, NDArray[np.int64], Array]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +262,20 @@ def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSum
             further = np.ones(1)
         here = np.sqrt(apart.max(axis=0, initial=0.0) * further[0])
         np.maximum(furthest, here, out=furthest)
-    return BlockSums(block.index, mean, known, scatter, furthest, np.concatenate(sample)), by_file
+    sums = BlockSums(
+        block.index, mean, known, scatter, furthest, np.concatenate(sample), _printed(read)
+    )
+    return sums, by_file
+
+
+def _printed(read: list[ReadRows]) -> list[tuple[int, NDArray[np.int64], Array]]:
+    """Return the rows of which prints are taken, with their labels, by part of a file."""
+    return [
+        (part.cycle_index, part.printed[some], force[some])
+        for part, force, _ in read
+        for some in [part.printed != 0]
+        if some.any()
+    ]
 
 
 def mean_displacement(block: GroupBlock) -> tuple[int, Array]:

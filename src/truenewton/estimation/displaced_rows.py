@@ -95,8 +95,8 @@ class BalancedRows:
         """Read some rows; return c (1 + COILGRAD z), (m, n), and A (BIASGRAD z), (m, 3)."""
         position = None
         if self.position is not None and self.displaced:
-            position = self._used(self.position, rows)
-        return self.of(self._used(self.force, rows), position)
+            position = self.used(self.position, rows)
+        return self.of(self.used(self.force, rows), position)
 
     def of(self, force: Array, position: Array | None) -> tuple[Array, Array | None]:
         """Return the same of (m, n) forces [N] and readings [m], None where they do not count."""
@@ -109,9 +109,10 @@ class BalancedRows:
         """Read (m, n) displacements of some rows [m]."""
         if self.position is None:
             raise ValueError("there is no POSITION")
-        return self._used(self.position, rows) - self.zero
+        return self.used(self.position, rows) - self.zero
 
-    def _used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
+    def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
+        """Return FORCE [N] or POSITION [m] of some rows, (m, n)."""
         chosen = values[rows]
         return chosen if self.enabled.all() else chosen[:, self.enabled]
 

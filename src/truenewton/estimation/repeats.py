@@ -38,7 +38,7 @@ from truenewton.estimation.displaced_rows import (
 )
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.rounding_steps import rounding_steps
-from truenewton.estimation.row_prints import RowPrints, printed, together
+from truenewton.estimation.row_prints import RowPrints
 from truenewton.files.stored_rows import BLOCK_BYTES
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
@@ -118,6 +118,8 @@ class RepeatSums:
     samples
         (m, n) deviations of some repeated rows of each block; together they stand evenly among all
         rows.
+    prints
+        Of some rows: copies, readings that freeze, and rounding are known by them.
     stale
         Whether what was left out has emptied a group or moved the reference: the sums must be made
         of the rest anew.
@@ -131,7 +133,10 @@ class RepeatSums:
         self._reference = common_reference(campaign) if reference is None else reference
         self._labels, first, groups_of_rows = row_groups(campaign)
         self._coming = np.argsort(first)  # groups, as they come
-        self._layers = list(self._distinct(groups_of_rows))
+        codes = np.prod(self._labels[:, 1:], axis=1)
+        self.prints = RowPrints(codes)
+        printed = np.where(np.isin(codes, self.prints.labels), codes, 0)
+        self._layers = list(self._distinct(groups_of_rows, printed))
         groups, n = len(first), int(campaign.layout.enabled.sum())
         self._groups = self._cut(groups, n)
         self._left = dict[int, GroupBlock]()  # blocks without some of their rows
@@ -146,10 +151,13 @@ class RepeatSums:
 
         self._by_file: FileSums = divided(sums_of, self._runs(n), take, added, client)
 
-    def _distinct(self, groups: Sequence[NDArray[np.int64]]) -> Iterator[DistinctRows]:
+    def _distinct(
+        self, groups: Sequence[NDArray[np.int64]], printed: NDArray[np.int64]
+    ) -> Iterator[DistinctRows]:
         """Yield rows of each file that are in no group twice, in the order of the groups.
 
-        ``groups`` holds (N,) that of each row that counts.
+        ``groups`` holds (N,) that of each row that counts, ``printed`` (g,) labels of those of
+        which prints are taken.
         """
         campaign, turn = self.campaign, np.argsort(self._coming)
         a, weights, hour = enabled_arms(campaign.layout), row_weights(campaign), hours(campaign)
@@ -165,6 +173,7 @@ class RepeatSums:
                     slice(None),
                     hour[k][rows],
                     rows % stride == 0,
+                    printed[group[rows]],
                     weights[k],
                     balanced,
                 )
@@ -209,14 +218,8 @@ class RepeatSums:
         self._mean[groups], self._known[groups] = sums.mean, sums.known
         self._scatter_of[block], self.furthest[block] = sums.scatter, sums.furthest
         self.samples[block] = sums.sample
-
-    @cached_property
-    def prints(self) -> RowPrints:
-        """Of some rows: copies, readings that freeze, and rounding are known by them."""
-        codes = np.prod(self._labels[self._coming, 1:], axis=1)
-        first = {layer.rows.cycle_index: layer for layer in self._layers[::-1]}
-        layers = [(first[k].rows, codes[first[k].group]) for k in sorted(first)]
-        return together(each(printed(codes), layers, self.client))
+        for file, codes, force in sums.printed:
+            self.prints.take(file, codes, force)
 
     @cached_property
     def step(self) -> Array:

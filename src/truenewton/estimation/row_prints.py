@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
-from functools import partial, reduce
+from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.block_rows import BlockRows
 
 PRINTED = 48  # labels whose rows are looked at
 KEPT = 16  # labels whose rows are kept, of each file
@@ -29,8 +28,15 @@ def _some(labels: NDArray[np.int64], most: int) -> NDArray[np.int64]:
 class RowPrints:
     """Readings of one row of each file under some labels, SHAPE times SIGN.
 
+    Parameters
+    ----------
+    codes
+        (g,) labels of the groups of rows.
+
     Attributes
     ----------
+    labels
+        (m,) those under which rows are looked at.
     taken
         Digests by file and label.
     longest
@@ -40,11 +46,15 @@ class RowPrints:
     readings
         (n,) those of some of the rows [N], by file and label.
     of_first
-        (n,) readings of the rows of the first file [N].
+        (n,) readings of the rows of one file [N].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, codes: NDArray[np.int64]) -> None:
+        self.labels = _some(np.unique(codes), PRINTED)
+        self._kept = {*_some(self.labels, KEPT).tolist()}
+        self._before = dict[int, Array]()
         self.taken: dict[tuple[int, int], bytes] = {}
+        self._run: dict[int, NDArray[np.int64]] = {}
         self.longest: dict[int, NDArray[np.int64]] = {}
         self.limit: dict[int, Array] = {}
         self.at_limit: dict[int, NDArray[np.int64]] = {}
@@ -62,65 +72,25 @@ class RowPrints:
         """Return how many rows of a file were looked at."""
         return sum(of == file for of, _ in self.taken)
 
-    def take(self, file: int, codes: NDArray[np.int64], force: Array, kept: set[int]) -> None:
-        """Take the prints of the rows of a file.
-
-        Parameters
-        ----------
-        file
-            Which one.
-        codes, force
-            (m,) labels; (m, n) readings [N].
-        kept
-            Labels whose readings are kept.
-        """
-        run = np.zeros(force.shape[1], np.int64)
-        self.longest[file] = run
-        for row, (code, readings) in enumerate(zip(codes.tolist(), force, strict=True)):
-            if code in kept:
-                self.readings[file, code] = readings.astype(np.float32)
-            digest = hashlib.sha1(readings.tobytes(), usedforsecurity=False).digest()
-            self.taken[file, code] = digest
-            if row:
-                run = np.where(readings == force[row - 1], run + 1, 0)
-                self.longest[file] = np.maximum(self.longest[file], run)
-        size = np.abs(force)
-        self.limit[file] = size.max(axis=0)
-        self.at_limit[file] = np.count_nonzero(size == self.limit[file], axis=0)
-        if file == 0:
-            self.of_first = list(force)
-
-
-def printed(codes: NDArray[np.int64]) -> Callable[[tuple[BlockRows, NDArray[np.int64]]], RowPrints]:
-    """Return what takes the prints of rows of one file, given (g,) labels of all groups.
-
-    It takes rows that stand in no group twice, and their (m,) labels.
-    """
-    labels = _some(np.unique(codes), PRINTED)
-    return partial(_prints_of, labels=labels, kept=_some(labels, KEPT))
-
-
-def _prints_of(
-    rows: tuple[BlockRows, NDArray[np.int64]],
-    labels: NDArray[np.int64],
-    kept: NDArray[np.int64],
-) -> RowPrints:
-    every, codes = rows
-    chosen, prints = np.isin(codes, labels), RowPrints()
-    if chosen.any():
-        force = every.without(~chosen).read()[0]
-        prints.take(every.cycle_index, codes[chosen], force, {*kept.tolist()})
-    return prints
-
-
-def together(files: Iterable[RowPrints]) -> RowPrints:
-    """Put the prints of all files together."""
-    every = RowPrints()
-    for prints in files:
-        every.taken |= prints.taken
-        every.longest |= prints.longest
-        every.limit |= prints.limit
-        every.at_limit |= prints.at_limit
-        every.readings |= prints.readings
-        every.of_first += prints.of_first
-    return every
+    def take(self, file: int, codes: NDArray[np.int64], force: Array) -> None:
+        """Take the prints of (m, n) rows of a file [N], which have (m,) of the labels."""
+        for code, readings in zip(codes.tolist(), force, strict=True):
+            key = file, code
+            if key in self.taken:
+                continue
+            if code in self._kept:
+                self.readings[key] = readings.astype(np.float32)
+            self.taken[key] = hashlib.sha1(readings.tobytes(), usedforsecurity=False).digest()
+            if file not in self._before:
+                self._run[file], self.longest[file] = np.zeros((2, len(readings)), np.int64)
+                self.at_limit[file] = np.zeros(len(readings), np.int64)
+                self.limit[file] = np.zeros(len(readings))
+            else:
+                run = np.where(readings == self._before[file], self._run[file] + 1, 0)
+                self._run[file], self.longest[file] = run, np.maximum(self.longest[file], run)
+            self._before[file], size, limit = readings.copy(), np.abs(readings), self.limit[file]
+            at_limit = self.at_limit[file] + (size == limit)
+            self.at_limit[file] = np.where(size > limit, 1, at_limit)
+            self.limit[file] = np.maximum(size, limit)
+            if file == next(iter(self._before)):
+                self.of_first.append(self._before[file])
