@@ -2,8 +2,8 @@
 
     python benchmarks/passes.py [--actuators 45 672] [--against PATH/TO/OTHER/src]
 
-Rows are counted where they are taken: those of FORCE that `Cycle.used` hands out, over those that
-there are in the files. A report is what `truenewton report` does but reading the files: the
+Rows are counted where they are taken: those of FORCE that `used` of a reader hands out, over those
+that there are in the files. A report is what `truenewton report` does but reading the files: the
 campaign investigated and its page written. Times are the least of three, of the processor. With
 --against, the sources of another version are measured as well, each version by a process of its
 own on the same files, and the ratios are printed.
@@ -42,16 +42,22 @@ def counting_rows(campaign: Any) -> list[int]:
     """Return a list to which every taking of rows of FORCE adds their number."""
     import truenewton as tn
 
-    forces, used = {id(cycle.force) for cycle in campaign.cycles}, tn.Cycle.used
-    taken: list[int] = []
+    forces, taken = {id(cycle.force) for cycle in campaign.cycles}, list[int]()
 
-    def counted(cycle: Any, values: Any, rows: Any) -> Any:
-        chosen = used(cycle, values, rows)
-        if id(values) in forces:
-            taken.append(len(chosen))
-        return chosen
+    def counting(used: Callable[..., Any]) -> Callable[..., Any]:
+        def counted(reader: Any, values: Any, rows: Any) -> Any:
+            chosen = used(reader, values, rows)
+            if id(values) in forces:
+                taken.append(len(chosen))
+            return chosen
 
-    tn.Cycle.used = counted  # type: ignore[method-assign]
+        return counted
+
+    from truenewton.estimation.displaced_rows import BalancedRows
+
+    for reader in (tn.Cycle, BalancedRows):
+        if hasattr(reader, "used"):  # of another version it goes through Cycle
+            reader.used = counting(reader.used)  # type: ignore[method-assign]
     return taken
 
 

@@ -9,6 +9,7 @@ from balanced import campaign_of
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation import repeats
+from truenewton.estimation.displaced_rows import BalancedRows
 from truenewton.mirrors.known import p45
 from truenewton.modal.findings import find_modes
 from truenewton.recalibration.fit import recalibrate
@@ -22,15 +23,19 @@ def passes(monkeypatch):
     """Return a function that counts the rows of FORCE read by a step, over those there are."""
 
     def counted(campaign, step):
-        forces, used, taken = {id(c.force) for c in campaign.cycles}, Cycle.used, []
+        forces, taken = {id(c.force) for c in campaign.cycles}, []
 
-        def counting(cycle, values, rows):
-            chosen = used(cycle, values, rows)
-            taken.append(len(chosen) if id(values) in forces else 0)
-            return chosen
+        def counting(used):
+            def counted(reader, values, rows):
+                chosen = used(reader, values, rows)
+                taken.append(len(chosen) if id(values) in forces else 0)
+                return chosen
+
+            return counted
 
         with monkeypatch.context() as patch:
-            patch.setattr(Cycle, "used", counting)
+            for reader in (Cycle, BalancedRows):
+                patch.setattr(reader, "used", counting(reader.used))
             step(campaign)
         return sum(taken) / sum(int(c.valid.sum()) for c in campaign.cycles)
 

@@ -112,6 +112,10 @@ class NotConverged(TrueNewtonError, ArithmeticError):
     """An iteration that does not settle."""
 
 
+class ClusterFailed(TrueNewtonError, RuntimeError):
+    """A cluster that is not there, or whose workers cannot do their part."""
+
+
 class BenchFault(TrueNewtonError, RuntimeError):
     """A bench that stopped itself, went away, or gives no sound readings."""
 

@@ -5,16 +5,22 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.errors import FormatError
+from truenewton.cluster import Client, each
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
+from truenewton.files.stored_rows import StoredRows
 from truenewton.records.campaign import Campaign
+from truenewton.records.cycle import Cycle
 from truenewton.records.fault import Fault
-from truenewton.records.file import campaign_from, fits_paths, stiffness_from
+from truenewton.records.file import cycle_from, fits_paths, stiffness_from
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 AnyPath = str | os.PathLike[str]
@@ -39,7 +45,59 @@ FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to 
 }
 
 
-def read(*paths: AnyPath | Iterable[AnyPath]) -> Campaign | StiffnessMatrix | Calibration:
+class Opened(NamedTuple):
+    """A file that was read, and the cycle in it, or what is wrong with that; None of other files.
+
+    The fault is raised once all files are known: one that does not belong here is said first.
+    """
+
+    file: FitsFile
+    cycle: Cycle | TrueNewtonError | None
+
+    def require_cycle(self) -> Cycle:
+        """Return the cycle."""
+        if isinstance(self.cycle, TrueNewtonError):
+            raise self.cycle
+        return cycle_from(self.file) if self.cycle is None else self.cycle
+
+
+def _opened(path: AnyPath, *, whole: bool) -> Opened:
+    file, cycle = read_fits(path, whole=whole), None
+    if "MEASUREMENTS" in file.extensions:
+        try:
+            cycle = cycle_from(file)
+        except TrueNewtonError as error:
+            return Opened(file, error)
+    return Opened(file, cycle)
+
+
+def _opened_by_worker(names: tuple[str, str]) -> Opened:
+    """Open a file whose rows stay in it, given its absolute path, and the name to call it by."""
+    path, name = names
+    try:
+        file = replace(read_fits(path, whole=False), path=name)
+        if "MEASUREMENTS" not in file.extensions:
+            return Opened(file, None)
+        cycle = cycle_from(file)
+        if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
+            raise FormatError(
+                "is gzipped, or its FORCE or POSITION has TSCAL or TDIM: no worker can read parts",
+                remedy="unpack it and write plain numbers, or calibrate without a cluster",
+                path=name,
+            )
+        cycle.stroke  # noqa: B018  # reads POSITION, here rather than where all files are wanted
+        return Opened(file, cycle)
+    except TrueNewtonError as error:
+        if error.path == path:
+            error = error.changed(path=name)
+        if isinstance(error, UnreadableFile):
+            raise error from None
+        return Opened(file, error)
+
+
+def read(
+    *paths: AnyPath | Iterable[AnyPath], client: Client | None = None
+) -> Campaign | StiffnessMatrix | Calibration:
     """Read cycle files, a stiffness file, or a calibration.
 
     Parameters
@@ -47,6 +105,9 @@ def read(*paths: AnyPath | Iterable[AnyPath]) -> Campaign | StiffnessMatrix | Ca
     paths
         Folders of cycle files and single files, or lists of them; a stiffness file may stand among
         cycle files.
+    client
+        A `dask.distributed.Client`, whose workers read the files, a file each, and leave rows where
+        they are (docs/cluster.md).
 
     Returns
     -------
@@ -55,7 +116,7 @@ def read(*paths: AnyPath | Iterable[AnyPath]) -> Campaign | StiffnessMatrix | Ca
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch
+    UnreadableFile, FormatError, CampaignMismatch, ClusterFailed
 
     Warns
     -----
@@ -68,8 +129,13 @@ def read(*paths: AnyPath | Iterable[AnyPath]) -> Campaign | StiffnessMatrix | Ca
     <Campaign of P45: 45 actuators, 4 cycles under bare, ring>
     """
     every = fits_paths(_flat(paths))
-    whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
-    files = [read_fits(path, whole=whole) for path in every]
+    if client is None:
+        whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
+        opened = list(each(partial(_opened, whole=whole), every))
+    else:
+        names = [(str(path.absolute()), str(path)) for path in every]
+        opened = list(each(_opened_by_worker, names, client))
+    files = [one.file for one in opened]
     if len(files) == 1:
         if "CALIBRATION" in files[0].extensions:
             calibration = calibration_from(files[0])
@@ -91,18 +157,18 @@ def read(*paths: AnyPath | Iterable[AnyPath]) -> Campaign | StiffnessMatrix | Ca
             raise FormatError(
                 faults[0].fault, remedy=faults[0].remedy.format(other), path=file.path
             )
-    campaign = campaign_from(file for file in files if file not in matrices)
+    campaign = Campaign(tuple(one.require_cycle() for one in opened if one.file not in matrices))
     return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
 
 
-def read_data(*paths: AnyPath) -> Campaign | StiffnessMatrix:
+def read_data(*paths: AnyPath, client: Client | None = None) -> Campaign | StiffnessMatrix:
     """Read what can be calibrated: as ``read``, but a calibration is refused.
 
     Raises
     ------
     UnreadableFile, FormatError, CampaignMismatch
     """
-    data = read(*paths)
+    data = read(*paths, client=client)
     if isinstance(data, Calibration):
         raise FormatError(
             "is a calibration already", remedy="give cycle files or a stiffness file", path=paths[0]
@@ -110,7 +176,7 @@ def read_data(*paths: AnyPath) -> Campaign | StiffnessMatrix:
     return data
 
 
-def read_campaign(*paths: AnyPath | Iterable[AnyPath]) -> Campaign:
+def read_campaign(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> Campaign:
     """Read a campaign, as ``read``, and nothing else.
 
     Parameters
@@ -127,7 +193,7 @@ def read_campaign(*paths: AnyPath | Iterable[AnyPath]) -> Campaign:
     >>> tn.read_campaign("day/bare-001.fits", "day/ring-001.fits")
     <Campaign of P45: 45 actuators, 2 cycles under bare, ring>
     """
-    data = read(*paths)
+    data = read(*paths, client=client)
     if not isinstance(data, Campaign):
         raise _another(data, "campaign", "give cycle files or their folder", paths)
     return data

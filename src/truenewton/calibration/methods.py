@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, spread, spread_square
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
+from truenewton.cluster import Client
+from truenewton.errors import (
+    FormatError,
+    NotConverged,
+    RankDeficient,
+    TrueNewtonError,
+    UnknownName,
+    located,
+)
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.effects.words import effect_warnings
@@ -134,6 +142,7 @@ def calibrate(
     *,
     population: bool = False,
     motion: Array | None = None,
+    client: Client | None = None,
 ) -> Calibration:
     """Find alpha of every actuator.
 
@@ -151,9 +160,14 @@ def calibrate(
     motion
         What the sensors see of all actuators by a model of the glass, from `motion_for`; or (n, n)
         displacements where forces act for those seen. With 'reciprocity' and 'auto' only.
+    client
+        A `dask.distributed.Client`, whose workers read the rows of a campaign that ``read`` was
+        given the same client for (docs/cluster.md).
 
     Raises
     ------
+    ClusterFailed
+        The workers cannot do their part.
     RankDeficient
         The data cannot fix alpha; the message says what is missing.
     TooManyOutliers, NotConverged
@@ -173,7 +187,10 @@ def calibrate(
     """
     method, known = asked(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
-        made = calibration_of(data, METHODS[method].of_cycles(sift(data), known))
+        if client is not None:
+            _require_stored(data)
+        estimate = METHODS[method].of_cycles(sift(data, client), known)
+        made = calibration_of(data, estimate, client=client)
     elif isinstance(data, StiffnessMatrix):
         try:
             sifted = sift_matrix(data)
@@ -187,6 +204,17 @@ def calibrate(
         )
     warn_of(made)
     return made
+
+
+def _require_stored(campaign: Campaign) -> None:
+    """Refuse a campaign whose rows no worker can read."""
+    for cycle in campaign.cycles:
+        if isinstance(cycle.force, np.ndarray):
+            raise FormatError(
+                "its rows are in the memory of this process, where no worker can read them",
+                remedy="read the campaign with read(..., client=client) as well",
+                path=cycle.name,
+            )
 
 
 def asked(
@@ -237,7 +265,10 @@ def refusals(error: TrueNewtonError, sifted: Sifted | None) -> tuple[Fault, ...]
 
 
 def calibration_of(
-    campaign: Campaign, estimate: Estimate, readers: Sequence[RowReader] = ()
+    campaign: Campaign,
+    estimate: Estimate,
+    readers: Sequence[RowReader] = (),
+    client: Client | None = None,
 ) -> Calibration:
     """Return an estimate as a calibration; the rows are read for E_CYCLE, and for more readers."""
     layout, cycles, on = campaign.layout, campaign.cycles, campaign.layout.enabled
@@ -245,7 +276,10 @@ def calibration_of(
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
-    read_rows(campaign, (cycle_errors.take, *readers))
+    if readers:
+        read_rows(campaign, (cycle_errors.take, *readers))
+    else:
+        cycle_errors.read(client)
     return Calibration(
         instrument=campaign.instrument,
         date=min(c.date for c in cycles),

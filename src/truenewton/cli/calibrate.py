@@ -22,6 +22,7 @@ def run(
     method: str | None = options.METHOD,
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
+    cluster: str | None = options.CLUSTER,
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
@@ -38,6 +39,7 @@ def run(
     )
     from truenewton.calibration.written import lacking, suffix_of
     from truenewton.cli.terminal import about, busy, print_result
+    from truenewton.cluster import connected
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import read_data
     from truenewton.records.campaign import Campaign
@@ -45,11 +47,14 @@ def run(
     if output is not None:
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
-    data = read_data(*paths)
-    motion = options.motion_of(mirror, data)
-    with busy("calibrating"), about(paths):
-        calibration = calibrate(data, method, population=population, motion=motion)
-        refuse_unusable(calibration, force=force)
+    with connected(cluster) as client:
+        data = read_data(*paths, client=client)
+        motion = options.motion_of(mirror, data)
+        with busy("calibrating"), about(paths):
+            calibration = calibrate(
+                data, method, population=population, motion=motion, client=client
+            )
+            refuse_unusable(calibration, force=force)
     if output is not None:
         calibration.write(output, overwrite=overwrite)
     lines = [*summary_lines(calibration), *imbalance_lines(calibration.imbalances)]

@@ -37,6 +37,9 @@ FIDELITY = typer.Option(
     help="static: shapes are held exactly; loop: in closed loop, sample by sample.",
 )
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")
+CLUSTER = typer.Option(
+    None, "--cluster", metavar="ADDRESS", help="Let the workers of a dask scheduler read the files."
+)
 PATHS = typer.Argument(
     ..., metavar="PATH...", help="Cycle files or their folder, a stiffness file, or a calibration."
 )

@@ -20,7 +20,8 @@ files, in the order in which data pass through them:
     cycles_svd       the paper's method: E alpha' = r by singular value decomposition
     cycle_errors     the paper's error: each cycle solved alone
     displaced_rows   rows of a cycle as they balance, displacements and gradients put to use
-    block_rows       rows of a cycle, read a block of groups at a time
+    block_rows       rows of a cycle in a block of groups, and what reads them
+    block_sums       sums over such rows, here or by a cluster's workers
     repeats          rows by the group that they repeat, a block of groups after the other
     pooling          rows pooled over loads and signs: what shapes share besides repeats
     moments          repeats put together: number, mean, scatter

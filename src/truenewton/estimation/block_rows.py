@@ -1,10 +1,9 @@
-"""Rows of a cycle, read a block of groups at a time: no group twice, in the order of the groups."""
+"""Rows of a cycle, a block of groups at a time: no group twice, in the order of the groups."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,59 +14,81 @@ from truenewton.estimation.displaced_rows import BalancedRows
 
 @dataclass(frozen=True, eq=False)
 class BlockRows:
-    """Rows of one cycle that were read of a block of groups, no group twice.
+    """Rows of one cycle in a block of groups, no group twice: where they stand, not yet read.
 
     Attributes
     ----------
-    cycle_index, rows
-        The cycle, and (m,) which of its rows that count.
+    cycle_index, row
+        The cycle, and (m,) rows of its MEASUREMENTS.
     at
         (m,) their groups, from the first of the block.
-    force, known
-        (m, n) c (1 + COILGRAD z) [N], and (m, 3) A (BIASGRAD z) or None.
+    hour
+        (m,) hours since the mean of all cycles.
+    sampled
+        (m,) whether their deviations are kept.
+    printed
+        (m,) their labels, SHAPE times SIGN, where prints are taken of them; else 0.
     weight
         Of a row.
+    balanced
+        What reads them.
     """
 
     cycle_index: int
-    rows: NDArray[np.int64]
+    row: NDArray[np.int64]
     at: slice | NDArray[np.int64]
-    force: Array
-    known: Array | None
+    hour: Array
+    sampled: NDArray[np.bool_]
+    printed: NDArray[np.int64]
     weight: float
+    balanced: BalancedRows
+
+    @property
+    def where(self) -> slice | NDArray[np.int64]:
+        """The rows, as a slice where they follow each other."""
+        row = self.row
+        follow = bool((np.diff(row) == 1).all())
+        return slice(int(row[0]), int(row[-1]) + 1) if follow and row.size else row
+
+    def read(self) -> tuple[Array, Array | None]:
+        """Return (m, n) c (1 + COILGRAD z) [N], and (m, 3) A (BIASGRAD z) or None."""
+        return self.balanced.at(self.where)
 
     def without(self, lost: NDArray[np.bool_]) -> BlockRows:
         """Return the rows that are not (m,) lost."""
-        known = None if self.known is None else self.known[~lost]
-        at = np.arange(len(lost))[~lost] if isinstance(self.at, slice) else self.at[~lost]
-        return replace(self, rows=self.rows[~lost], at=at, force=self.force[~lost], known=known)
+        at = np.arange(len(lost)) if isinstance(self.at, slice) else self.at
+        kept = ~lost
+        return replace(
+            self,
+            row=self.row[kept],
+            at=at[kept],
+            hour=self.hour[kept],
+            sampled=self.sampled[kept],
+            printed=self.printed[kept],
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class DistinctRows:
-    """Rows of a cycle in none of which a group stands twice, in the order of their groups."""
+    """Rows of a cycle in none of which a group stands twice, in the order of their (m,) groups."""
 
-    cycle_index: int
-    balanced: BalancedRows
-    rows: NDArray[np.int64]
+    rows: BlockRows
     group: NDArray[np.int64]
-    weight: float
-
-    @cached_property
-    def inorder(self) -> bool:
-        """Whether the rows follow each other."""
-        return bool((np.diff(self.rows) == 1).all())
 
     def within(self, block: slice) -> BlockRows | None:
-        """Read the rows of a block of groups; None where none stands in it."""
+        """Return the rows of a block of groups; None where none stands in it."""
         first, end = self.group.searchsorted((block.start, block.stop)).tolist()
         if first == end:
             return None
         whole = end - first == block.stop - block.start
-        at = slice(None) if whole else self.group[first:end] - block.start  # a slice copies nothing
-        rows = self.rows[first:end]
-        force, known = self.balanced.at(slice(rows[0], rows[-1] + 1) if self.inorder else rows)
-        return BlockRows(self.cycle_index, rows, at, force, known, self.weight)
+        return replace(
+            self.rows,
+            row=self.rows.row[first:end],
+            at=slice(None) if whole else self.group[first:end] - block.start,  # a slice: no copy
+            hour=self.rows.hour[first:end],
+            sampled=self.rows.sampled[first:end],
+            printed=self.rows.printed[first:end],
+        )
 
 
 def distinct(group: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:

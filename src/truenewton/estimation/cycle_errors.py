@@ -8,7 +8,8 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpocon, dpotrf
 
 from truenewton.arrays import Array
-from truenewton.estimation.row_readers import RowBlock
+from truenewton.cluster import Client, each
+from truenewton.estimation.row_readers import RowBlock, read_rows
 from truenewton.estimation.systems import system_c
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign
@@ -32,6 +33,7 @@ class CycleErrors:
     def __init__(self, campaign: Campaign, solution: Array) -> None:
         self._a, n = enabled_arms(campaign.layout), int(campaign.layout.enabled.sum())
         unknowns = Unknowns(n, len(campaign.loads))
+        self._campaign, self._solution = campaign, solution
         weights, bias_force = campaign.effective_weights.tolist(), float(solution[unknowns.bias])
         torques = solution[unknowns.torques].reshape(-1, 2).tolist()
         self._external = [(weights[k], bias_force, *torques[k]) for k in campaign.load_index]
@@ -52,6 +54,21 @@ class CycleErrors:
                 self._alphas.append(alpha)
             self._square[:], self._total[:] = 0.0, 0.0
 
+    def read(self, client: Client | None = None) -> None:
+        """Read the rows of all cycles; with a client its workers do, a cycle each."""
+        if client is None:
+            read_rows(self._campaign, (self.take,))
+            return
+        campaign, n = self._campaign, len(self._total)
+        unknowns = Unknowns(n, len(campaign.loads))
+        torques = self._solution[unknowns.torques].reshape(-1, 2)
+        alone = (
+            (cycle, np.concatenate([self._solution[: n + 1], torques[k]]))
+            for cycle, k in zip(campaign.cycles, campaign.load_index, strict=True)
+        )
+        for alphas in each(_alphas_of, alone, client):
+            self._alphas += alphas
+
     def _from_square(self, external: tuple[float, ...]) -> Array | None:
         """Solve C' C alpha = C' p in place; None where it is close to singular."""
         a, square = self._a, self._square
@@ -70,6 +87,14 @@ class CycleErrors:
         if count < 2:
             return np.full(len(self._total), np.nan)
         return np.asarray(3.0 * np.std(self._alphas, axis=0, ddof=1) / np.sqrt(count))
+
+
+def _alphas_of(cycle_and_solution: tuple[Cycle, Array]) -> list[Array]:
+    """Read a cycle alone; return its (n,) alpha, if it has one."""
+    cycle, solution = cycle_and_solution
+    errors = CycleErrors(Campaign((cycle,)), solution)
+    errors.read()
+    return errors._alphas
 
 
 def from_rows(cycle: Cycle, a: Array, external: tuple[float, ...]) -> Array | None:

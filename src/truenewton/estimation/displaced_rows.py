@@ -9,14 +9,13 @@ counts from the mean of each cycle instead; and where most sensors do, all do.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.files.stored_rows import Rows
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 
@@ -33,22 +32,17 @@ def common_reference(campaign: Campaign) -> Array:
     return _reference(displaced)
 
 
-def displacements(
-    campaign: Campaign,
-) -> tuple[Callable[[NDArray[np.int64]], Array], ...] | None:
-    """Return for each cycle what reads displacements of some rows that count, (m, n) [m].
+def rest_positions(campaign: Campaign) -> tuple[Array, ...] | None:
+    """Return for each cycle (n,) readings from which its displacements count [m].
 
     Whether gradients are declared or not; None where a cycle has no POSITION.
     """
     if any(cycle.position is None for cycle in campaign.cycles):
         return None
     reference = _reference(list(campaign.cycles))
-
-    def reader(cycle: Cycle) -> Callable[[NDArray[np.int64]], Array]:
-        zero = np.where(np.isnan(reference), cycle.rest_position, reference)
-        return lambda rows: cycle.used(cycle.position, rows) - zero  # type: ignore[arg-type]
-
-    return tuple(map(reader, campaign.cycles))
+    if not np.isnan(reference).any():
+        return (reference,) * len(campaign.cycles)
+    return tuple(_from_own_mean(reference, cycle) for cycle in campaign.cycles)
 
 
 def _reference(displaced: list[Cycle]) -> Array:
@@ -67,44 +61,85 @@ def is_displaced(cycle: Cycle) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class BalancedRows:
-    """The valid rows of a cycle, what POSITION says of them taken into account.
+    """The rows of a cycle, what POSITION says of them taken into account.
 
     Attributes
     ----------
-    cycle
-        The cycle.
+    force, position
+        (N, all) commanded forces [N] and readings [m], or where they stay in their file; None
+        without POSITION.
+    enabled
+        (all,) which of the actuators take part, n of them.
     a
-        (3, n) arms of its enabled actuators.
-    reference
-        (n,) readings from which displacements count [m], of `common_reference`; NaN where they
-        count from the mean of the cycle.
+        (3, n) arms of these.
+    zero
+        (n,) readings from which displacements count [m].
+    coil, bias
+        COILGRAD [1/m] and BIASGRAD [N/m], 0 without.
     """
 
-    cycle: Cycle
+    force: Rows
+    position: Rows | None
+    enabled: NDArray[np.bool_]
     a: Array
-    reference: Array
+    zero: Array
+    coil: float
+    bias: float
+
+    @property
+    def displaced(self) -> bool:
+        """Whether POSITION has a say in the balance."""
+        return self.position is not None and bool(self.coil or self.bias)
 
     def at(self, rows: slice | NDArray[np.int64]) -> tuple[Array, Array | None]:
         """Read some rows; return c (1 + COILGRAD z), (m, n), and A (BIASGRAD z), (m, 3)."""
-        cycle = self.cycle
         position = None
-        if cycle.position is not None and is_displaced(cycle):
-            position = cycle.used(cycle.position, rows)
-        return self.of(cycle.used(cycle.force, rows), position)
+        if self.position is not None and self.displaced:
+            position = self.used(self.position, rows)
+        return self.of(self.used(self.force, rows), position)
 
     def of(self, force: Array, position: Array | None) -> tuple[Array, Array | None]:
         """Return the same of (m, n) forces [N] and readings [m], None where they do not count."""
         if position is None:
             return force, None
-        z = position - self.cycle_reference
-        cycle = self.cycle
-        coil, bias = cycle.coil_gradient or 0.0, cycle.bias_gradient or 0.0
-        return force * (1.0 + coil * z), bias * z @ self.a.T
+        z = position - self.zero
+        return force * (1.0 + self.coil * z), self.bias * z @ self.a.T
 
-    @cached_property
-    def cycle_reference(self) -> Array:
-        """(n,) ``reference``, that of the cycle itself where it is NaN [m]."""
-        anew = np.isnan(self.reference)
-        if not anew.any():
-            return self.reference
-        return np.where(anew, self.cycle.rest_position, self.reference)
+    def displacement(self, rows: slice | NDArray[np.int64]) -> Array:
+        """Read (m, n) displacements of some rows [m]."""
+        if self.position is None:
+            raise ValueError("there is no POSITION")
+        return self.used(self.position, rows) - self.zero
+
+    def used(self, values: Rows, rows: slice | NDArray[np.int64]) -> Array:
+        """Return FORCE [N] or POSITION [m] of some rows, (m, n)."""
+        chosen = values[rows]
+        return chosen if self.enabled.all() else chosen[:, self.enabled]
+
+
+def balanced_rows(cycle: Cycle, a: Array, reference: Array) -> BalancedRows:
+    """Return the rows of a cycle as they balance.
+
+    Parameters
+    ----------
+    cycle, a
+        The cycle, and (3, n) arms of its enabled actuators.
+    reference
+        (n,) readings from which displacements count [m], of `common_reference`; NaN where they
+        count from the mean of the cycle.
+    """
+    return BalancedRows(
+        cycle.force,
+        cycle.position,
+        cycle.layout.enabled,
+        a,
+        _from_own_mean(reference, cycle) if is_displaced(cycle) else reference,
+        cycle.coil_gradient or 0.0,
+        cycle.bias_gradient or 0.0,
+    )
+
+
+def _from_own_mean(reference: Array, cycle: Cycle) -> Array:
+    """Return (n,) a reference [m], that of the cycle itself where it is NaN."""
+    anew = np.isnan(reference)
+    return np.where(anew, cycle.rest_position, reference) if anew.any() else reference

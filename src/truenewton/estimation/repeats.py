@@ -1,26 +1,40 @@
 """Rows by the group that they repeat, a block of groups after the other.
 
 Rows with the same load, SHAPE and SIGN are a group. Groups are worked through in the order in which
-they come, so that rows are read where they stand; a block after the other, so that all rows of a
-group are in the cache, and of those on disk no more in memory, while their mean and then their
-deviations from it are taken. Where rows are left out, their blocks alone are read again.
+they come, so that rows are read where they stand; a block after the other (`block_sums`), so that
+all rows of a group are in the cache, and of those on disk no more in memory, while their mean and
+then their deviations from it are taken. Where rows are left out, their blocks alone are read again.
+Blocks know nothing of each other: a cluster's workers take some of them each.
 """
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.cluster import Client, divided, each
 from truenewton.estimation.block_rows import BlockRows, DistinctRows, distinct
+from truenewton.estimation.block_sums import (
+    BlockSums,
+    FileSums,
+    GroupBlock,
+    WithoutWorst,
+    added,
+    mean_displacement,
+    sums_of,
+    without_worst,
+)
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.displaced_rows import (
-    BalancedRows,
+    balanced_rows,
     common_reference,
-    displacements,
     is_displaced,
+    rest_positions,
 )
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.rounding_steps import rounding_steps
@@ -32,6 +46,7 @@ from truenewton.statics.arms import enabled_arms
 
 WEIGHED_NOISE = 1e-3  # of a reading that counts once [N]
 MOST_DISPLACED = 2**24  # means of displacements that are taken
+BLOCKS_OF_TASK = 4  # full ones, which are read at once: some tenths of a second
 SAMPLE_ROWS = 1000  # whose deviations are held: they tell a variance of three degrees to 3 %
 
 
@@ -85,16 +100,24 @@ def row_groups(
 class RepeatSums:
     """Sums over the rows of each group of a campaign, which are read a block of groups at a time.
 
+    Parameters
+    ----------
+    campaign
+        The campaign.
+    reference
+        (n,) readings from which displacements count [m]; its `common_reference` unless given.
+    client
+        A dask cluster that does the sums; done here without.
+
     Attributes
     ----------
     campaign
         The campaign.
     furthest
-        (blocks, n) largest distance of a row from its group's mean, as seen from the rest of the
-        group and divided by its noise over that of a row of weight 1 [N].
+        (blocks, n) largest distance of a row from its group's mean, see `BlockSums`.
     samples
-        (m, n) deviations of some repeated rows of each block, see `deviations`; together they stand
-        evenly among all rows.
+        (m, n) deviations of some repeated rows of each block; together they stand evenly among all
+        rows.
     prints
         Of some rows: copies, readings that freeze, and rounding are known by them.
     stale
@@ -102,39 +125,101 @@ class RepeatSums:
         of the rest anew.
     """
 
-    def __init__(self, campaign: Campaign, reference: Array | None = None) -> None:
-        self.campaign, self.stale = campaign, False
+    def __init__(
+        self, campaign: Campaign, reference: Array | None = None, client: Client | None = None
+    ) -> None:
+        self.campaign, self.client, self.stale = campaign, client, False
         self._moments: Moments | None = None
         self._reference = common_reference(campaign) if reference is None else reference
-        self._lost = list[RejectedRow]()
         self._labels, first, groups_of_rows = row_groups(campaign)
         self._coming = np.argsort(first)  # groups, as they come
-        turn = np.argsort(self._coming)
-        a, weights = enabled_arms(campaign.layout), row_weights(campaign)
-        self._layers = [
-            DistinctRows(k, balanced, rows, turn[group[rows]], weights[k])
-            for k, (cycle, group) in enumerate(zip(campaign.cycles, groups_of_rows, strict=True))
-            for balanced in [BalancedRows(cycle, a, self._reference)]
-            for rows in distinct(turn[group])
-        ]
-        groups, n = len(first), a.shape[1]
-        self._number, self._weight = np.zeros(groups, dtype=np.int64), np.zeros(groups)
-        for layer in self._layers:
-            self._number[layer.group] += 1
-            self._weight[layer.group] += layer.weight
-        self._stride = max(1, self._number.sum() // SAMPLE_ROWS)
+        codes = np.prod(self._labels[:, 1:], axis=1)
+        self.prints = RowPrints(codes)
+        printed = np.where(np.isin(codes, self.prints.labels), codes, 0)
+        self._layers = list(self._distinct(groups_of_rows, printed))
+        groups, n = len(first), int(campaign.layout.enabled.sum())
+        self._groups = self._cut(groups, n)
+        self._left = dict[int, GroupBlock]()  # blocks without some of their rows
+        count = len(self._groups)
         self._mean, self._known = np.empty((groups, n)), np.zeros((groups, 3))
-        most = int(np.clip(BLOCK_BYTES // (8 * n * self._number.max()), 1, ROWS_AT_ONCE))
-        starts = range(0, groups, most)
-        self._blocks = [slice(start, min(start + most, groups)) for start in starts]
-        self._scatter, self._scatter_of = np.zeros(n), np.zeros((len(starts), n))
-        self._hours = hours(campaign)
-        self._zero, self._gain = np.zeros((2, len(campaign.cycles) + 1, n))
-        self.furthest = np.zeros((len(starts), n))
-        self.prints = RowPrints(np.prod(self._labels[self._coming, 1:], axis=1))
-        self.samples = [np.empty((0, n))] * len(starts)
-        for block in range(len(starts)):
-            self._sum(block, self.read(block))
+        self._scatter_of, self.furthest = np.zeros((2, count, n))
+        self.samples = [np.empty((0, n))] * count
+
+        def take(several: list[BlockSums]) -> None:
+            for sums in several:
+                self._keep(sums)
+
+        self._by_file: FileSums = divided(sums_of, self._runs(n), take, added, client)
+
+    def _distinct(
+        self, groups: Sequence[NDArray[np.int64]], printed: NDArray[np.int64]
+    ) -> Iterator[DistinctRows]:
+        """Yield rows of each file that are in no group twice, in the order of the groups.
+
+        ``groups`` holds (N,) that of each row that counts, ``printed`` (g,) labels of those of
+        which prints are taken.
+        """
+        campaign, turn = self.campaign, np.argsort(self._coming)
+        a, weights, hour = enabled_arms(campaign.layout), row_weights(campaign), hours(campaign)
+        stride = max(1, sum(map(len, groups)) // SAMPLE_ROWS)
+        for k, (cycle, group) in enumerate(zip(campaign.cycles, groups, strict=True)):
+            balanced = balanced_rows(cycle, a, self._reference)
+            balanced = replace(balanced, enabled=campaign.layout.enabled)  # one array for all files
+            counting = np.flatnonzero(cycle.valid)
+            for rows in distinct(turn[group]):
+                every = BlockRows(
+                    k,
+                    counting[rows],
+                    slice(None),
+                    hour[k][rows],
+                    rows % stride == 0,
+                    printed[group[rows]],
+                    weights[k],
+                    balanced,
+                )
+                yield DistinctRows(every, turn[group[rows]])
+
+    def _cut(self, groups: int, n: int) -> list[slice]:
+        """Cut the groups into blocks, as they come."""
+        number = np.zeros(groups, dtype=np.int64)
+        for layer in self._layers:
+            number[layer.group] += 1
+        most = int(np.clip(BLOCK_BYTES // (8 * n * number.max()), 1, ROWS_AT_ONCE))
+        return [slice(at, min(at + most, groups)) for at in range(0, groups, most)]
+
+    def _block(self, index: int) -> GroupBlock:
+        """Return a block, with the rows that are not left out."""
+        if index in self._left:
+            return self._left[index]
+        some = self._groups[index]
+        parts = (layer.within(some) for layer in self._layers)
+        here = tuple(part for part in parts if part is not None)
+        heaviest = max(layer.rows.weight for layer in self._layers)
+        return GroupBlock(index, some.stop - some.start, here, heaviest)
+
+    def _every_block(self) -> Iterator[GroupBlock]:
+        return map(self._block, range(len(self._groups)))
+
+    def _runs(self, n: int) -> Iterator[list[GroupBlock]]:
+        """Yield the blocks, some after each other at a time, as one task reads them."""
+        run, size = list[GroupBlock](), 0
+        for block in self._every_block():
+            run.append(block)
+            size += 8 * n * int(block.number.sum())
+            if size > BLOCKS_OF_TASK * BLOCK_BYTES:
+                yield run
+                run, size = [], 0
+        if run:
+            yield run
+
+    def _keep(self, sums: BlockSums) -> None:
+        """Put the sums of a block to the others."""
+        block, groups = sums.block, self._coming[self._groups[sums.block]]
+        self._mean[groups], self._known[groups] = sums.mean, sums.known
+        self._scatter_of[block], self.furthest[block] = sums.scatter, sums.furthest
+        self.samples[block] = sums.sample
+        for file, codes, force in sums.printed:
+            self.prints.take(file, codes, force)
 
     @cached_property
     def step(self) -> Array:
@@ -153,11 +238,11 @@ class RepeatSums:
         return Moments(
             loads=self.campaign.loads,
             labels=self._labels,
-            rows=self._number[turn],
-            weight=self._weight[turn],
+            rows=np.concatenate([block.number for block in self._every_block()])[turn],
+            weight=np.concatenate([block.weight for block in self._every_block()])[turn],
             mean=self._mean,
             known=self._known,
-            scatter=self._scatter,
+            scatter=self._scatter_of.sum(axis=0),
             reference=self._reference,
             within=self._within(turn),
             step=self.step,
@@ -165,22 +250,20 @@ class RepeatSums:
 
     def _within(self, turn: NDArray[np.int64]) -> WithinGroups:
         """Return how rows of one group differ; (g,) groups in order, among those as they come."""
-        weight, hours = np.zeros((2, len(self.campaign.cycles), len(self._number)))
-        square = np.zeros(len(self._number))
-        for layer in self._layers:
-            k, counted = layer.cycle_index, self._counted(layer)
-            group, hour = layer.group[counted], self._hours[k][layer.rows[counted]]
-            weight[k, group] += layer.weight
-            hours[k, group] += layer.weight * hour
-            square[group] += layer.weight * hour**2
+        files, n = len(self.campaign.cycles), self._mean.shape[1]
+        weight, hours = np.zeros((2, files, len(turn)))
+        square = np.zeros(len(turn))
+        for block, groups in zip(self._every_block(), self._groups, strict=True):
+            for part in block.parts:
+                k, at = part.cycle_index, np.arange(groups.start, groups.stop)[part.at]
+                weight[k, at] += part.weight
+                hours[k, at] += part.weight * part.hour
+                square[at] += part.weight * part.hour**2
+        zero, gain = np.zeros((2, files + 1, n))
+        for k, sums in self._by_file.items():
+            zero[k], gain[k] = sums  # those by hour stand last, as `HOURS` says
         weight, hours, square = weight[:, turn], hours[:, turn], square[turn]
-        return WithinGroups(weight, hours, square, self._mean, self._zero, self._gain)
-
-    def _counted(self, layer: DistinctRows) -> NDArray[np.bool_]:
-        """Return (m,) which rows of a layer are not left out."""
-        lost = [row.row for row in self._lost if row.cycle == layer.cycle_index]
-        every = np.flatnonzero(self.campaign.cycles[layer.cycle_index].valid)
-        return np.asarray(~np.isin(every[layer.rows], lost))
+        return WithinGroups(weight, hours, square, self._mean, zero, gain)
 
     def displacement(self) -> Array | None:
         """Return (g, n) mean displacements of the groups in their order [m]; None without POSITION.
@@ -189,110 +272,55 @@ class RepeatSums:
         """
         if self._mean.size > MOST_DISPLACED:
             return None
-        moved = displacements(self.campaign)
-        if moved is None:
+        zeros = rest_positions(self.campaign)
+        if zeros is None:
             return None
-        total, rows = np.zeros_like(self._mean), np.zeros(len(self._number))
-        for layer in self._layers:
-            counted = self._counted(layer)
-            group = layer.group[counted]
-            total[group] += layer.weight * moved[layer.cycle_index](layer.rows[counted])
-            rows[group] += layer.weight
-        return np.asarray((total / rows[:, None])[np.argsort(self._coming)])
+        of_file = {
+            rows.cycle_index: replace(rows.balanced, zero=zeros[rows.cycle_index])
+            for rows in (layer.rows for layer in self._layers)
+        }
+        blocks = (
+            replace(
+                block,
+                parts=tuple(replace(p, balanced=of_file[p.cycle_index]) for p in block.parts),
+            )
+            for block in self._every_block()
+        )
+        mean = np.empty_like(self._mean)
+        for block, values in each(mean_displacement, blocks, self.client):
+            mean[self._coming[self._groups[block]]] = values
+        return mean
 
-    def read(self, block: int) -> list[BlockRows]:
-        """Read the rows of a block of groups that are not left out."""
-        parts = (layer.within(self._blocks[block]) for layer in self._layers)
-        return [self._without(part, self._lost) for part in parts if part is not None]
+    def leave_out_worst(
+        self, blocks: Sequence[int], noise: Array, limit: float
+    ) -> list[RejectedRow]:
+        """Leave out the worst row of each group of some blocks that has one too far out.
 
-    def _without(self, part: BlockRows, rejected: list[RejectedRow]) -> BlockRows:
-        here = [row.row for row in rejected if row.cycle == part.cycle_index]
-        return part.without(np.isin(self.row(part), here)) if here else part
+        Of two rows both. The rest is summed anew, unless all of it has to be.
 
-    def row(self, part: BlockRows) -> NDArray[np.int64]:
-        """Return (m,) rows of MEASUREMENTS."""
-        return np.flatnonzero(self.campaign.cycles[part.cycle_index].valid)[part.rows]
-
-    def group(self, block: int, part: BlockRows) -> NDArray[np.int64]:
-        """Return (m,) which of the groups, as they come."""
-        return np.arange(len(self._number))[self._blocks[block]][part.at]
-
-    def number(self, block: int, part: BlockRows) -> NDArray[np.int64]:
-        """Return (m,) the number of rows in the groups of some rows."""
-        return self._number[self._blocks[block]][part.at]
-
-    def deviations(self, block: int, part: BlockRows) -> Array:
-        """Return (m, n) deviations of rows from the others of their groups, at weight 1 [N].
-
-        The mean holds the row itself: seen from the others it lies further out, so that these have
-        the variance of a reading of weight 1. 0 for a row without others.
+        Parameters
+        ----------
+        blocks
+            Which of them.
+        noise, limit
+            (n,) noise of a reading of weight 1 [N], and how many times that is too far.
         """
-        mean = self._mean[self._coming[self._blocks[block]]]
-        further = np.sqrt(self._further(block, part.weight))
-        return np.asarray((part.force - mean[part.at]) * further[part.at][:, None])
+        rejected = list[RejectedRow]()
 
-    def _further(self, block: int, weight: float) -> Array:
-        """Return, for each group, how much larger the square of a deviation is for the others."""
-        total = self._weight[self._blocks[block]]
-        return np.asarray(weight * total / np.where(total > weight, total - weight, np.inf))
+        def take(left: WithoutWorst | None) -> None:
+            if left is None:
+                return
+            rejected.extend(left.rejected)
+            self._left[left.block.index] = left.block
+            displaced = any(is_displaced(self.campaign.cycles[r.cycle]) for r in left.rejected)
+            self.stale |= displaced or left.sums is None
+            if left.sums is not None and not self.stale:
+                self._keep(left.sums)
 
-    def leave_out(self, block: int, read: list[BlockRows], rejected: list[RejectedRow]) -> None:
-        """Leave some rows out of what was read of a block, and sum the rest anew."""
-        self._lost += rejected
-        self._moments = None
-        rest = [self._without(part, rejected) for part in read]
-        number, weight = self._number[self._blocks[block]], self._weight[self._blocks[block]]
-        number[:], weight[:] = 0, 0.0
-        for part in rest:
-            number[part.at] += 1
-            weight[part.at] += part.weight
-        displaced = any(is_displaced(self.campaign.cycles[row.cycle]) for row in rejected)
-        self.stale |= displaced or not number.all()
-        if not self.stale:
-            mean = self._mean[self._coming[self._blocks[block]]]
-            for part in read:
-                self._differ(part, part.force - mean[part.at], mean, -1.0)
-            self._sum(block, rest)
-            self._scatter = self._scatter_of.sum(axis=0)
-
-    def _differ(self, part: BlockRows, apart: Array, mean: Array, times: float) -> None:
-        """Add, so many times, how rows of a cycle are (m, n) apart from the means of their groups.
-
-        ``mean`` is (groups, n) of the block [N].
-        """
-        hour, weight = self._hours[part.cycle_index][part.rows], times * part.weight
-        for sums, values in ((self._zero, apart), (self._gain, apart * mean[part.at])):
-            sums[part.cycle_index] += weight * (np.ones(len(hour)) @ values)
-            sums[-1] += weight * (hour @ values)  # products of two rows at once take longer
-
-    def _sum(self, block: int, read: list[BlockRows]) -> None:
-        """Sum over the rows that were read of a block of groups."""
-        groups, n = self._blocks[block], len(self._scatter)
-        weight, heaviest = self._weight[groups], max(layer.weight for layer in self._layers)
-        centre, known = np.zeros((len(weight), n)), np.zeros((len(weight), 3))
-        for part in read:
-            self.prints.take(part.cycle_index, self.group(block, part), part.force)
-            share = part.weight / heaviest
-            centre[part.at] += part.force if share == 1.0 else share * part.force
-            if part.known is not None:
-                known[part.at] += part.weight * part.known
-        centre *= (heaviest / weight)[:, None]
-        self._mean[self._coming[groups]] = centre
-        self._known[self._coming[groups]] = known / weight[:, None]
-        self._scatter_of[block], self.furthest[block], sample = 0.0, 0.0, []
-        for part in reversed(read):  # the last are in the cache still
-            further = self._further(block, part.weight)
-            apart = part.force - centre[part.at]
-            chosen = (part.rows % self._stride == 0) & (self.number(block, part) > 1)
-            sample.append(apart[chosen] * np.sqrt(further[part.at][chosen])[:, None])
-            self._differ(part, apart, centre, 1.0)
-            apart *= apart
-            scatter = part.weight * (np.ones(len(apart)) @ apart)
-            self._scatter += scatter
-            self._scatter_of[block] += scatter
-            if not (further == further[0]).all():
-                apart *= further[part.at][:, None]
-                further = np.ones(1)
-            furthest = np.sqrt(apart.max(axis=0, initial=0.0) * further[0])
-            np.maximum(self.furthest[block], furthest, out=self.furthest[block])
-        self.samples[block] = np.concatenate(sample)
+        ids = self.campaign.layout.id[self.campaign.layout.enabled]
+        function = partial(without_worst, noise=noise, limit=limit, ids=ids)
+        if blocks:
+            some = map(self._block, blocks)
+            change = divided(function, some, take, added, self.client)
+            self._by_file, self._moments = added(self._by_file, change), None
+        return rejected

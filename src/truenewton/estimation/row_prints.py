@@ -36,6 +36,8 @@ class RowPrints:
 
     Attributes
     ----------
+    labels
+        (m,) those under which rows are looked at.
     taken
         Digests by file and label.
     longest
@@ -49,9 +51,8 @@ class RowPrints:
     """
 
     def __init__(self, codes: NDArray[np.int64]) -> None:
-        labels = np.unique(codes)
-        self._codes, self._chosen = codes, np.isin(codes, _some(labels, PRINTED))
-        self._kept = {*_some(_some(labels, PRINTED), KEPT).tolist()}
+        self.labels = _some(np.unique(codes), PRINTED)
+        self._kept = {*_some(self.labels, KEPT).tolist()}
         self._before = dict[int, Array]()
         self.taken: dict[tuple[int, int], bytes] = {}
         self._run: dict[int, NDArray[np.int64]] = {}
@@ -72,14 +73,13 @@ class RowPrints:
         """Return how many rows of a file were looked at."""
         return sum(of == file for of, _ in self.taken)
 
-    def take(self, file: int, groups: NDArray[np.int64], force: Array) -> None:
-        """Take the prints of (m, n) rows of a file [N], which stand in (m,) groups."""
-        for row in np.flatnonzero(self._chosen[groups]).tolist():
-            key = file, int(self._codes[groups[row]])
+    def take(self, file: int, codes: NDArray[np.int64], force: Array) -> None:
+        """Take the prints of (m, n) rows of a file [N], which have (m,) of the labels."""
+        for code, readings in zip(codes.tolist(), force, strict=True):
+            key = file, code
             if key in self.taken:
                 continue
-            readings = force[row]
-            if key[1] in self._kept:
+            if code in self._kept:
                 self.readings[key] = readings.astype(np.float32)
             self.taken[key] = hashlib.sha1(readings.tobytes(), usedforsecurity=False).digest()
             if file not in self._before:

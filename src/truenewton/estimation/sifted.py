@@ -18,8 +18,8 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.chance import t_isf
+from truenewton.cluster import Client
 from truenewton.errors import TooManyOutliers, TrueNewtonError
-from truenewton.estimation.block_rows import BlockRows
 from truenewton.estimation.copied_files import copied_files
 from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.file_labels import (
@@ -78,18 +78,18 @@ class Sifted:
     clipped: tuple[FoundEffect, ...] = ()
 
 
-def sift(campaign: Campaign) -> Sifted:
+def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
     """Read a campaign and leave out rows that lie far from their repeats.
 
     FORCE is read once, and once more what stands in the same blocks as rows left out; all of it
-    where the mean of POSITION, or two lone repeats, went with them.
+    where the mean of POSITION, or two lone repeats, went with them. With a client its workers read.
 
     Raises
     ------
     TooManyOutliers
         A cycle would lose all its rows.
     """
-    sums = RepeatSums(campaign)
+    sums = RepeatSums(campaign, client=client)
     prints = sums.prints
     units = files_in_other_units(campaign, prints)
     apart = files_apart(campaign, prints)
@@ -111,7 +111,9 @@ def sift(campaign: Campaign) -> Sifted:
         accidents, refusal = False, error
     if not accidents:
         try:
-            sums, sound, rejected = _left_out(RepeatSums(campaign), campaign, accidents=False)
+            sums, sound, rejected = _left_out(
+                RepeatSums(campaign, client=client), campaign, accidents=False
+            )
             if refusal is not None and _gross(sums):
                 raise refusal
         except TooManyOutliers as error:
@@ -165,8 +167,9 @@ def _left_out(
         rejected += worst
         campaign = without(campaign, worst)
         if sums.stale:
+            client = sums.client
             del sums  # there is no room for two where the mirror is large
-            sums = RepeatSums(campaign)
+            sums = RepeatSums(campaign, client=client)
     return sums, campaign, rejected
 
 
@@ -226,9 +229,9 @@ def without(campaign: Campaign, rows: list[RejectedRow]) -> Campaign:
 
 def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
     """Leave out the worst row of each group that has one too far out; both rows of a pair."""
-    moments, rejected = sums.moments, list[RejectedRow]()
+    moments = sums.moments
     if moments.repeats < 2:
-        return rejected
+        return []
     noise, robust = _noises(sums)
     # The median is less sure than the scatter: it counts where spikes have swollen that.
     noise = np.where(accidents & (noise > 1.5 * robust), robust, noise)
@@ -238,33 +241,7 @@ def _leave_out_worst(sums: RepeatSums, *, accidents: bool) -> list[RejectedRow]:
     suspicious = np.flatnonzero((sums.furthest > limit * noise).any(axis=1))
     if suspicious.size:  # noise of rounding
         noise = np.maximum(noise, 1e-12 * max(moments.mean.max(), -moments.mean.min()))
-    for block in suspicious.tolist():
-        read = sums.read(block)
-        if worst := _worst_rows(sums, block, read, noise, limit):
-            sums.leave_out(block, read, worst)
-            rejected += worst
-    return rejected
-
-
-def _worst_rows(
-    sums: RepeatSums, block: int, read: list[BlockRows], noise: Array, limit: float
-) -> list[RejectedRow]:
-    """Return the worst row of each group of a block that has one too far out; or a pair."""
-    ids = sums.campaign.layout.id[sums.campaign.layout.enabled]
-    worst: dict[int, RejectedRow] = {}
-    pairs: list[RejectedRow] = []
-    for part in read:
-        sigmas = np.abs(sums.deviations(block, part)) / noise
-        group, number, rows = sums.group(block, part), sums.number(block, part), sums.row(part)
-        for at in np.flatnonzero(sigmas.max(axis=1, initial=0.0) > limit).tolist():
-            i, g = int(sigmas[at].argmax()), int(group[at])
-            far = float(sigmas[at, i])
-            row = RejectedRow(part.cycle_index, int(rows[at]), int(ids[i]), far, "repeats")
-            if number[at] == 2:
-                pairs.append(row)
-            elif g not in worst or worst[g].sigmas < far:
-                worst[g] = row
-    return [*worst.values(), *pairs]
+    return sums.leave_out_worst(suspicious.tolist(), noise, limit)
 
 
 def _noises(sums: RepeatSums) -> tuple[Array, Array]:

@@ -66,7 +66,7 @@ class StoredRows:
     stride: int
     shape: tuple[int, int]
     stored: np.dtype[Any]
-    in_unit: Callable[[Array], Array] = lambda values: values
+    in_unit: Callable[[Array], Array] = np.asarray
     largest: dict[bytes, Array] = field(default_factory=dict, init=False, repr=False)
 
     dtype = np.dtype(np.float64)

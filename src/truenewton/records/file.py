@@ -105,6 +105,14 @@ def cycle_from(file: FitsFile) -> Cycle:
     FormatError
         The file breaks the contract of a cycle file.
     """
+    if "MEASUREMENTS" not in file.extensions:
+        there = ", ".join(name for name in file.extensions if name != PRIMARY)
+        raise FormatError(
+            "there is no table MEASUREMENTS",
+            remedy=f"there is {there or 'a plain image'}; a campaign holds cycle files only, a"
+            " stiffness file an image STIFFNESS: `truenewton import` makes one of a matrix",
+            path=file.path,
+        )
     layout = layout_from(file)  # what is wrong with it comes first: FORCE has its width
     known = {"layout": layout, "source": Source(file.path, file.sha256)}
     return file.filled(Cycle, file.values(CYCLE) | known)
@@ -239,15 +247,4 @@ def campaign_from(files: Iterable[FitsFile]) -> Campaign:
     ------
     FormatError, CampaignMismatch
     """
-    cycles = []
-    for file in files:
-        if "MEASUREMENTS" not in file.extensions:
-            there = ", ".join(name for name in file.extensions if name != PRIMARY)
-            raise FormatError(
-                "there is no table MEASUREMENTS",
-                remedy=f"there is {there or 'a plain image'}; a campaign holds cycle files only, a"
-                " stiffness file an image STIFFNESS: `truenewton import` makes one of a matrix",
-                path=file.path,
-            )
-        cycles.append(cycle_from(file))
-    return Campaign(tuple(cycles))
+    return Campaign(tuple(map(cycle_from, files)))

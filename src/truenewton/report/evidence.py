@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.diagnosis import NoiseSource
-from truenewton.estimation.displaced_rows import BalancedRows, is_displaced
+from truenewton.estimation.displaced_rows import balanced_rows, is_displaced
 from truenewton.estimation.identifiability import balance_spectrum, centred_means
 from truenewton.estimation.imbalance import imbalance_covariance, squared_distances
 from truenewton.estimation.moments import chosen_groups
@@ -124,7 +124,7 @@ class RowImbalance:
 
     def __init__(self, sifted: Sifted, alpha: Array) -> None:
         campaign, a = sifted.campaign, enabled_arms(sifted.campaign.layout)
-        self._balanced = [BalancedRows(c, a, sifted.moments.reference) for c in campaign.cycles]
+        self._balanced = [balanced_rows(c, a, sifted.moments.reference) for c in campaign.cycles]
         self._arms = (a, a * alpha)
         self._parts: list[Array] = []
 

@@ -1,0 +1,212 @@
+"""What a calibration by a dask cluster takes, against the number of files and of actuators.
+
+    python benchmarks/scale.py [--actuators 45,132,336] [--files 4,8,16] [--workers 2] [--figure]
+
+For each size a campaign of FORCE, POSITION and both gradients is written into a temporary folder
+and read and calibrated by processes of their own: a client and its workers, of which CPU time (the
+machine may have other work) and the peak of memory above an idle process are printed, then how both
+grow. `--figure` draws docs/images/scale.png. At last what a year of telemetry of a mirror of
+`--segments` x `--segment` actuators at `--rate` readings per second would take, by what was
+measured; nothing of that size is run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from memory import LOADS, UNIT
+
+ROOT = Path(__file__).parent.parent
+YEAR = 365.25 * 86400.0  # [s]
+NIGHT = 0.35  # of the time that a telescope's loop is closed
+TELEMETRY = 2 * 4  # bytes of a reading: FORCE and POSITION as 32-bit numbers
+STORED = 2 * 8  # bytes, as `write_cycle` stores them
+
+
+def used() -> tuple[float, float]:
+    """Return CPU time [s] and peak of memory [bytes] of this process."""
+    own = resource.getrusage(resource.RUSAGE_SELF)
+    return own.ru_utime + own.ru_stime, float(UNIT * own.ru_maxrss)
+
+
+def warm() -> None:
+    """Import what a task needs."""
+    import truenewton.calibration.methods
+    import truenewton.reading  # noqa: F401
+
+
+def run(folder: Path, workers: int) -> None:
+    """Calibrate a campaign by workers; print what it took, as JSON."""
+    from distributed import Client, LocalCluster
+
+    import truenewton as tn
+
+    with (
+        LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        warm()
+        client.run(warm)
+        before, start = {"client": used(), **client.run(used)}, time.perf_counter()
+        tn.calibrate(tn.read(folder, client=client), client=client)
+        wall = time.perf_counter() - start
+        after = {"client": used(), **client.run(used)}
+    took = {who: [b - a for a, b in zip(before[who], after[who], strict=True)] for who in before}
+    print(json.dumps({"wall": wall, "client": took.pop("client"), "workers": list(took.values())}))
+
+
+def measure(n: int, files: int, workers: int) -> dict[str, Any]:
+    """Make a campaign, calibrate it in processes of their own, and return what that took."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "campaign"
+        memory = Path(__file__).with_name("memory.py")
+        make = ["--make", folder, "--actuators", n, "--cycles", files // LOADS]
+        subprocess.run(
+            [sys.executable, memory, *map(str, make)], check=True, stderr=subprocess.DEVNULL
+        )
+        size = sum(path.stat().st_size for path in folder.iterdir())
+        done = subprocess.run(
+            [sys.executable, __file__, "--run", folder, "--workers", str(workers)],
+            check=True,
+            stdout=subprocess.PIPE,
+        )
+    took = json.loads(done.stdout.splitlines()[-1])
+    cpu, peak = np.array(took["workers"]).T
+    found = {
+        "actuators": n,
+        "files": files,
+        "bytes": size,
+        "client_cpu": took["client"][0],
+        "client_peak": took["client"][1],
+        "worker_cpu": float(cpu.sum()),
+        "worker_peak": float(peak.max()),
+    }
+    print(
+        f"{n:6d} actuators {files:4d} files {1e-6 * size:8.1f} MB"
+        f"   client {found['client_cpu']:7.2f} s {1e-6 * found['client_peak']:7.1f} MB"
+        f"   workers {found['worker_cpu']:7.2f} s, largest {1e-6 * found['worker_peak']:7.1f} MB"
+        f"   wall {took['wall']:.1f} s",
+        flush=True,
+    )
+    return found
+
+
+QUANTITIES = {
+    "client_cpu": "CPU time of the client",
+    "worker_cpu": "CPU time of all workers",
+    "client_peak": "memory of the client",
+    "worker_peak": "memory of the largest worker",
+}
+
+
+def exponents(rows: list[dict[str, Any]], by: str) -> None:
+    """Print how what was measured grows with one of the sizes."""
+    if len(rows) < 2:
+        return
+    x = np.log([row[by] for row in rows])
+    for key, words in QUANTITIES.items():
+        y = np.log(np.maximum([row[key] for row in rows], 1e-9))
+        slopes = np.diff(y) / np.diff(x)
+        print(
+            f"  {words:30s} grows as {by}^{np.polyfit(x, y, 1)[0]:.2f}"
+            f" (from step to step {', '.join(f'{s:.2f}' for s in slopes)})"
+        )
+
+
+def draw(by_actuators: list[dict[str, Any]], by_files: list[dict[str, Any]]) -> None:
+    """Draw docs/images/scale.png."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, 2, figsize=(8.0, 6.0), sharex="col", layout="constrained")
+    for column, (rows, by) in enumerate(((by_actuators, "actuators"), (by_files, "files"))):
+        x = [row[by] for row in rows]
+        for row, (key, unit) in enumerate((("cpu", 1.0), ("peak", 1e-6))):
+            for who, mark in (("client", "o-"), ("worker", "s--")):
+                axes[row, column].loglog(x, [unit * r[f"{who}_{key}"] for r in rows], mark)
+        axes[1, column].set_xlabel(by)
+        axes[1, column].set_xticks(x, [str(value) for value in x], minor=False)
+        axes[1, column].minorticks_off()
+    axes[0, 0].set_ylabel("CPU time [s]")
+    axes[1, 0].set_ylabel("memory above an idle process [MB]")
+    axes[0, 0].legend(["client", "workers together; the largest"])
+    figure.savefig(ROOT / "docs" / "images" / "scale.png", dpi=120)
+
+
+def on_paper(last: dict[str, Any], options: argparse.Namespace) -> None:
+    """Print what a year of telemetry takes, by the bytes that workers took in a second."""
+    n = options.segments * options.segment
+    speed = last["bytes"] / last["worker_cpu"]
+    seconds = NIGHT * YEAR
+    raw = TELEMETRY * n * options.rate * seconds
+    print(
+        f"A year of {options.segments} x {options.segment} actuators at {options.rate:g}"
+        f" readings a second, {100 * NIGHT:.0f} per cent of the time:\n"
+        f"  raw, FORCE and POSITION of 32 bit: {1e-6 * TELEMETRY * n * options.rate:.0f} MB a"
+        f" second, {1e-15 * raw:.2f} PB a year"
+    )
+    for period in (1.0 / options.rate, 1.0, 10.0):
+        size = STORED * n * seconds / period
+        hours = size / speed / 3600.0
+        print(
+            f"  a row for {period:g} s: {1e-12 * size:9.2f} TB in cycle files, {hours:9.0f} hours"
+            f" of one worker, {hours / 24 / options.nodes:7.2f} days of {options.nodes}"
+        )
+    shapes = LOADS * 2 * options.segment
+    print(
+        f"  the client holds {1e-6 * 8 * shapes * options.segment:.0f} MB of means of a segment,"
+        f" {LOADS} loads x {2 * options.segment} shapes, however long the year"
+        f"\n  (at {1e-6 * speed:.0f} MB of files a second of a worker's CPU, as measured at"
+        f" {last['actuators']} actuators and {last['files']} files)"
+    )
+
+
+def numbers(text: str) -> list[int]:
+    """Return the numbers of a list with commas."""
+    return [int(word) for word in text.split(",")]
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336])
+    parser.add_argument("--files", type=numbers, default=[4, 8, 16])
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--figure", action="store_true")
+    parser.add_argument("--segments", type=int, default=6)
+    parser.add_argument("--segment", type=int, default=892)
+    parser.add_argument("--rate", type=float, default=1000.0)
+    parser.add_argument("--nodes", type=int, default=64, help="workers of the year")
+    parser.add_argument("--run", type=Path, help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.run:
+        run(options.run, options.workers)
+        return
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    middle = options.actuators[len(options.actuators) // 2]
+    by_actuators = [measure(n, options.files[0], options.workers) for n in options.actuators]
+    exponents(by_actuators, "actuators")
+    same = [row for row in by_actuators if row["actuators"] == middle]
+    by_files = same + [measure(middle, files, options.workers) for files in options.files[1:]]
+    exponents(by_files, "files")
+    on_paper(by_actuators[-1], options)
+    if options.figure:
+        draw(by_actuators, by_files)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,148 @@
+"""Pure tasks, done here one after the other, or by the workers of a dask cluster.
+
+One whose worker dies is done again by another, with the same result; what it refuses, it refuses
+as it would here.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import reduce
+from operator import itemgetter
+from typing import Any, Protocol, TypeVar
+
+from truenewton.errors import ClusterFailed, TrueNewtonError
+
+Item = TypeVar("Item")
+Own = TypeVar("Own")
+Shared = TypeVar("Shared")
+
+FAN = 8  # results that are added at once
+PATIENCE = "10s"  # for a scheduler to answer
+
+
+class Client(Protocol):
+    """What is asked of a `dask.distributed.Client`."""
+
+    def map(self, func: Callable[..., Any], *iterables: Any, pure: bool = ...) -> Any:
+        """Do something with each item; return futures."""
+
+    def submit(self, func: Callable[..., Any], *args: Any, pure: bool = ...) -> Any:
+        """Do one thing; return a future."""
+
+
+def each(
+    function: Callable[[Item], Own], items: Iterable[Item], client: Client | None = None
+) -> Iterator[Own]:
+    """Yield what a function returns for each item, in order.
+
+    Raises
+    ------
+    ClusterFailed
+        The workers cannot do it; what the function raises comes through, the first in order.
+    """
+    if client is None:
+        yield from map(function, items)
+        return
+    futures = deque(client.map(function, list(items), pure=False))
+    while futures:
+        yield _result(futures.popleft())
+
+
+def divided(
+    function: Callable[[Item], tuple[Own, Shared]],
+    items: Iterable[Item],
+    take: Callable[[Own], None],
+    add: Callable[[Shared, Shared], Shared],
+    client: Client | None = None,
+) -> Shared:
+    """Do something with each of some items; of the pairs that come back, add up the second ones.
+
+    Parameters
+    ----------
+    function
+        Of an item to what is its own, and what is shared.
+    take
+        Is given each one's own, in order.
+    add
+        Two shared ones; on workers as a tree, so that none of them travels far.
+
+    Raises
+    ------
+    ClusterFailed
+    """
+    if client is None:
+        total: Shared | None = None
+        for item in items:
+            own, shared = function(item)
+            take(own)
+            total = shared if total is None else add(total, shared)
+        return total  # type: ignore[return-value]
+    both = client.map(function, list(items), pure=False)
+    own_parts, parts = (client.map(itemgetter(k), both, pure=False) for k in (0, 1))
+    del both
+    while len(parts) > 1:
+        several = (parts[start : start + FAN] for start in range(0, len(parts), FAN))
+        parts = [client.submit(_added, add, some, pure=False) for some in several]
+    futures = deque(own_parts)
+    del own_parts
+    while futures:
+        take(_result(futures.popleft()))
+    result: Shared = _result(parts[0])
+    return result
+
+
+def _added(add: Callable[[Shared, Shared], Shared], parts: list[Shared]) -> Shared:
+    return reduce(add, parts)
+
+
+def _result(future: Any) -> Any:
+    """Return what a worker has found; what is wrong with the cluster itself becomes one line."""
+    try:
+        return future.result()
+    except TrueNewtonError:
+        raise
+    except Exception as error:
+        text = str(error).strip().splitlines()
+        raise ClusterFailed(
+            f"the workers cannot do their part: {type(error).__name__}"
+            + (f", {text[0]}" if text else ""),
+            remedy="give them the same truenewton, dask and numpy as here, the same files under"
+            " the same paths, and memory",
+        ) from error
+
+
+@contextmanager
+def connected(address: str | None) -> Iterator[Client | None]:
+    """Connect to the scheduler at an address, as tcp://host:8786; to none without one.
+
+    Raises
+    ------
+    ClusterFailed
+        No scheduler answers, or dask is missing here.
+    """
+    if address is None:
+        yield None
+        return
+    try:
+        distributed: Any = importlib.import_module("distributed")
+    except ModuleNotFoundError as error:
+        raise ClusterFailed(
+            f"--cluster needs dask, and there is no {error.name}",
+            remedy="install the extra: pip install 'truenewton[cluster]'",
+        ) from None
+    try:
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise ClusterFailed(
+            f"no dask scheduler answers at {address}",
+            remedy="start one with `dask scheduler`, and give the address that it prints, as"
+            " tcp://host:8786",
+        ) from error
+    try:
+        yield client
+    finally:
+        client.close()

@@ -1,0 +1,225 @@
+"""Files read by the workers of a dask cluster: the same numbers, whatever happens to a worker."""
+
+import os
+import pickle
+import signal
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from balanced import campaign_of
+from test_files import same
+
+import truenewton as tn
+from truenewton import cluster, errors
+from truenewton.errors import ClusterFailed, FormatError, TrueNewtonError, UnreadableFile
+from truenewton.estimation import repeats
+from truenewton.records.file import write_campaign, write_cycle
+
+ERRORS = [
+    kind
+    for kind in vars(errors).values()
+    if isinstance(kind, type) and issubclass(kind, TrueNewtonError)
+]
+
+
+@pytest.fixture(scope="module")
+def workers():
+    """Two worker processes, and their client."""
+    distributed = pytest.importorskip("distributed", reason="dask, extra `cluster`, is missing")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as local,
+        distributed.Client(local, set_as_default=False) as client,
+    ):
+        yield client
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A campaign with gradients, positions, several noises, and rows that do not belong."""
+    random = np.random.default_rng(3)
+    campaign, _ = campaign_of(seed=12, noise=1e-4, cycles=3, disabled=(5,), invalid=(3, 20))
+    cycles = []
+    for k, cycle in enumerate(campaign.cycles):
+        force, position = cycle.force.copy(), 1e-7 * random.standard_normal(cycle.force.shape)
+        force[7 + k, 2] += 0.05  # a spike against its repeats
+        position[[3, 20]] = np.nan
+        gradients = {"coil_gradient": 600.0, "bias_gradient": 31.0 if k else None}
+        noise = (1e-4, 2e-4)[k % 2]
+        cycles.append(
+            replace(cycle, force=force, position=position, force_error=noise, **gradients)
+        )
+    path = tmp_path_factory.mktemp("cluster") / "c"
+    write_campaign(cycles, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def alone(folder):
+    """What one machine finds."""
+    return tn.calibrate(tn.read(folder))
+
+
+@pytest.fixture
+def small_tasks(monkeypatch):
+    """Cut the work into many tasks."""
+    monkeypatch.setattr(repeats, "BLOCK_BYTES", 800)
+
+
+@pytest.mark.parametrize("kind", ERRORS, ids=lambda kind: kind.__name__)
+def test_errors_cross_from_machine_to_machine(kind):
+    one = kind("is\nwrong", remedy="mend it", path="c.fits", got=(1, 2), want=3.0)
+    other = pickle.loads(pickle.dumps(one))
+    assert type(other) is kind
+    assert str(other) == str(one) == "c.fits: is\\nwrong; mend it"
+    assert vars(other) == vars(one)
+
+
+def test_here_and_on_workers_tasks_are_added_the_same_way(workers):
+    taken = []
+
+    def total(client):
+        return cluster.divided(divmod_of_7, range(12), taken.append, sum_of, client)
+
+    assert total(None) == total(workers) == sum(k % 7 for k in range(12))
+    assert taken[:12] == taken[12:] == [k // 7 for k in range(12)]
+
+
+def divmod_of_7(item):
+    return divmod(item, 7)
+
+
+def sum_of(one, other):
+    return one + other
+
+
+def test_two_workers_find_what_one_machine_finds(workers, folder, alone, small_tasks):
+    one = alone
+    campaign = tn.read(folder, client=workers)
+    other = tn.calibrate(campaign, client=workers)
+    assert {row.against for row in one.rejected_rows} == {"repeats"}
+    assert other.rejected_rows == one.rejected_rows
+    for name in ("alpha", "reading_error", "cycle_error"):
+        assert getattr(other, name) == pytest.approx(getattr(one, name), rel=1e-9, nan_ok=True)
+    assert other.sources == one.sources
+    assert [c.name for c in campaign] == [c.name for c in tn.read(folder)]
+
+
+def test_a_command_prints_the_same(workers, folder, inside):
+    address = workers.scheduler.address
+    assert inside("calibrate", folder, "--cluster", address) == inside("calibrate", folder)
+
+
+DAMAGES = {
+    "a byte is another": lambda raw: raw[:9000] + bytes([raw[9000] ^ 1]) + raw[9001:],
+    "cut short": lambda raw: raw[:9000],
+    "empty": lambda raw: b"",
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_file_that_no_worker_can_read_gives_the_same_line(
+    workers, folder, tmp_path, monkeypatch, damage
+):
+    write_campaign(tn.read(folder), tmp_path / "c")
+    bad = tmp_path / "c/bare-002.fits"
+    bad.write_bytes(damage(bad.read_bytes()))
+    monkeypatch.chdir(tmp_path)  # which no worker knows of
+    with pytest.raises(UnreadableFile) as here:
+        tn.read("c")
+    with pytest.raises(UnreadableFile) as there:
+        tn.read("c", client=workers)
+    assert str(there.value) == str(here.value)
+    assert str(here.value).startswith("c/bare-002.fits: ")
+
+
+def test_a_file_of_another_kind_or_with_a_fault_gives_the_same_line(
+    workers, folder, alone, tmp_path
+):
+    write_campaign(tn.read(folder), tmp_path / "c")
+    cycle = tn.read(folder).cycles[1]
+    wrong = object.__new__(type(cycle))
+    vars(wrong).update(vars(cycle) | {"weight": 3.0})
+    write_cycle(wrong, tmp_path / "c/bare-002.fits", overwrite=True)
+
+    def line(client):
+        with pytest.raises(FormatError) as refused:
+            tn.read(tmp_path / "c", client=client)
+        return str(refused.value)
+
+    assert line(workers) == line(None)
+    assert "bare-002.fits: WEIGHT is 3" in line(None)
+    alone.write(tmp_path / "c/alpha.fits")
+    assert line(workers) == line(None)
+    assert "alpha.fits: is a calibration file among others" in line(None)
+
+
+def test_a_file_that_changes_while_in_use_is_refused(workers, folder, tmp_path):
+    write_campaign(tn.read(folder), tmp_path / "c")
+    campaign = tn.read(tmp_path / "c", client=workers)
+    os.utime(tmp_path / "c/ring-001.fits", ns=(1, 1))
+    with pytest.raises(UnreadableFile, match=r"ring-001.fits: was changed while it was in use; "):
+        tn.calibrate(campaign, client=workers)
+
+
+def test_what_no_worker_can_read_is_refused(workers, folder, tmp_path):
+    with pytest.raises(FormatError, match=r"bare-001.fits: its rows are in the memory of this pro"):
+        tn.calibrate(tn.read(folder), client=workers)
+    cycle = tn.read(folder).cycles[0]
+    write_cycle(cycle, tmp_path / "packed.fits.gz")
+    with pytest.raises(FormatError, match=r"packed.fits.gz: is gzipped, or .*; unpack it"):
+        tn.read(tmp_path, client=workers)
+
+
+def test_a_worker_that_is_killed_changes_nothing(workers, folder, monkeypatch, small_tasks):
+    """What it had done and not yet handed over is done again by the other one."""
+    whole = tn.calibrate(tn.read(folder, client=workers), client=workers)
+    victim, kept = next(iter(workers.run(os.getpid).values())), []
+    keep = repeats.RepeatSums._keep
+
+    def keep_and_kill(self, sums):
+        kept.append(sums.block)
+        if len(kept) == 2:
+            os.kill(victim, signal.SIGKILL)
+        keep(self, sums)
+
+    monkeypatch.setattr(repeats.RepeatSums, "_keep", keep_and_kill)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("logging.Logger.handle", lambda *_: None)  # dask tells of it at length
+        again = tn.calibrate(tn.read(folder, client=workers), client=workers)
+    assert len(kept) > 10
+    assert same(again, whole)
+    assert victim not in workers.run(os.getpid).values()
+
+
+def test_a_cluster_that_is_not_there(monkeypatch, folder):
+    pytest.importorskip("distributed", reason="dask, extra `cluster`, is missing")
+    monkeypatch.setattr(cluster, "PATIENCE", "0.2s")
+    with (
+        pytest.raises(ClusterFailed, match=r"no dask scheduler answers at tcp://127.0.0.1:1; st"),
+        cluster.connected("tcp://127.0.0.1:1"),
+    ):
+        pass
+    with pytest.raises(ClusterFailed, match="no dask scheduler"), cluster.connected("nonsense:x"):
+        pass
+
+
+def test_without_dask_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with (
+        pytest.raises(ClusterFailed, match=r"--cluster needs .*'truenewton\[cluster\]'"),
+        cluster.connected("tcp://127.0.0.1:8786"),
+    ):
+        pass
+
+
+def test_what_is_wrong_with_a_worker_is_one_line(workers):
+    with pytest.raises(ClusterFailed, match=r"cannot do their part: ModuleNotFoundError, No mod"):
+        list(cluster.each(needs_what_is_not_there, [1], workers))
+
+
+def needs_what_is_not_there(_):
+    import truenewton_of_another_version  # noqa: F401
