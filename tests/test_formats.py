@@ -7,6 +7,7 @@ import pytest
 
 from truenewton.bench.simulated.truth import TRUTH
 from truenewton.calibration.file import CALIBRATION
+from truenewton.calibration.segment_file import SEGMENTED
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
 from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
@@ -26,6 +27,7 @@ FORMATS = {
     "Mirrors in several segments": FileFormat(extensions=(SEGMENTS,)),
     "The stiffness file": STIFFNESS,
     "The calibration file": CALIBRATION,
+    "The calibration of several segments": SEGMENTED,
     "The tracking file": TRACKING,
     "The modal base": MODES,
     "The truth of a simulation": TRUTH,

@@ -13,6 +13,7 @@ def run(
     paths: list[Path] = options.PATHS,
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the figures."),
     numbers: bool = typer.Option(False, "--numbers", help="Write alpha into the map of fig. 6."),
+    segment: int | None = options.SEGMENT,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
@@ -22,13 +23,13 @@ def run(
     from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import RankDeficient
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import read
+    from truenewton.reading import read_one
     from truenewton.report.figures import still_figures
     from truenewton.report.investigate import investigate
 
     refuse_existing(output, overwrite=overwrite)
     with busy("drawing"), about(paths):
-        findings = investigate(read(*paths))
+        findings = investigate(read_one(*paths, segment=segment))
         if findings.calibration is None:
             fault, remedy = findings.faults[0]
             raise RankDeficient(fault, remedy=remedy)

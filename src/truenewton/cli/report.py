@@ -20,6 +20,7 @@ def run(
     method: str | None = options.METHOD,
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
+    segment: int | None = options.SEGMENT,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
@@ -29,7 +30,7 @@ def run(
     from truenewton.cli.terminal import busy, print_result
     from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import read, read_calibrations
+    from truenewton.reading import read_calibrations, read_one
     from truenewton.report.change import Change, change
     from truenewton.report.investigate import Findings, investigate
     from truenewton.report.page.page import write_report
@@ -41,16 +42,17 @@ def run(
         )
     refuse_existing(output, overwrite=overwrite)
     with busy("looking into it"):
-        pair = read_calibrations(*paths) if len(paths) == 2 else ()
+        pair = read_calibrations(*paths, segment=segment) if len(paths) == 2 else ()
         if pair:
             findings: Findings | Change = change(*pair)
         else:
-            data = read(*paths)
+            data = read_one(*paths, segment=segment)
             known = None if isinstance(data, Calibration) else options.motion_of(mirror, data)
             findings = investigate(data, method, population=population, motion=known)
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method else []
     words += ["--population"] if population else []
+    words += [] if segment is None else ["--segment", str(segment)]
     words += ["--mirror", mirror] if mirror else []
     write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
     judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)

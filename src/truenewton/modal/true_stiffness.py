@@ -38,6 +38,7 @@ from truenewton.modal.actuator_roles import (
     off_and_slaved,
     seen_motion,
 )
+from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
 from truenewton.statics.arms import arms, arms_in_units_of_rms
@@ -173,6 +174,7 @@ def true_stiffness(
     FormatError
         Sensor gains that cannot be.
     """
+    refuse_segments(matrix)
     if calibration is not None:
         matrix = as_calibrated(matrix, calibration.effects)
     on = matrix.layout.enabled

@@ -31,7 +31,7 @@ from truenewton.estimation.problem import Problem, with_noise_from_minimum
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import scale_error_from_readings
-from truenewton.reading import read
+from truenewton.reading import read_one
 from truenewton.recalibration.known import (
     EARLIER,
     EarlierCalibration,
@@ -215,7 +215,7 @@ def _who_moved(
 
 
 def _run_from(campaign: Campaign | str | os.PathLike[str]) -> Campaign:
-    data = campaign if isinstance(campaign, Campaign) else read(campaign)
+    data = campaign if isinstance(campaign, Campaign) else read_one(campaign)
     if not isinstance(data, Campaign):
         raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
     if data.stiffness is not None:

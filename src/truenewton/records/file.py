@@ -225,12 +225,12 @@ def write_stiffness(
     write_fits(path, STIFFNESS, matrix, overwrite=overwrite)
 
 
-def campaign_from(files: Iterable[FitsFile]) -> Campaign:
-    """Return the campaign that cycle files make together.
+def cycles_from(files: Iterable[FitsFile]) -> tuple[Cycle, ...]:
+    """Return the cycles of files that hold nothing else.
 
     Raises
     ------
-    FormatError, CampaignMismatch
+    FormatError
     """
     cycles = []
     for file in files:
@@ -243,4 +243,14 @@ def campaign_from(files: Iterable[FitsFile]) -> Campaign:
                 path=file.path,
             )
         cycles.append(cycle_from(file))
-    return Campaign(tuple(cycles))
+    return tuple(cycles)
+
+
+def campaign_from(files: Iterable[FitsFile]) -> Campaign:
+    """Return the campaign that cycle files make together.
+
+    Raises
+    ------
+    FormatError, CampaignMismatch
+    """
+    return Campaign(cycles_from(files))
