@@ -297,12 +297,37 @@ def test_commands_take_segments(folder, inside, tmp_path):
     code, said, _ = inside("calibrate", folder, "--segment", 2, "-o", tmp_path / "two.fits")
     assert code == 0
     assert isinstance(tn.read(tmp_path / "two.fits"), tn.Calibration)
-    for words in (["figures", out], ["recalibrate", folder, "--known", out, "--actuators", "101"]):
+    for words in (
+        ["export", folder, "--calibration", out],
+        ["recalibrate", folder, "--known", out, "--actuators", "101"],
+    ):
         code, _, wrong = inside(*words, "-o", tmp_path / "x.fits")
         assert code == 2
         assert wrong.count("\n") == 1
         assert "has 3 segments, and this takes one at a time; choose it by its number" in wrong
     assert isinstance(read_one(out, segment=3), tn.Calibration)
+
+
+def test_the_report_has_a_section_for_each_segment(folder, data, inside, tmp_path):
+    page = tmp_path / "report.html"
+    code, said, _ = inside("report", folder, "-o", page)
+    text = page.read_text()
+    assert code == 0
+    assert "3 of 3 segments" in said
+    for number in (1, 2, 3):
+        assert f'id="title-segment-{number}"' in text
+        assert f'href="#title-segment-{number}"' in text
+    assert 'data-key="segment"' in text
+    write = tn.calibrate(spoilt(data, 3, np.zeros_like))
+    tn.write_report(page, write, overwrite=True)
+    assert "FORCE is zero throughout" in page.read_text()
+
+
+def test_figures_show_all_segments(whole, inside, tmp_path):
+    whole.write(tmp_path / "alpha.fits")
+    code, _, _ = inside("figures", tmp_path / "alpha.fits", "-o", tmp_path / "figures")
+    assert code == 0
+    assert (tmp_path / "figures" / "fig6-alpha-map.png").stat().st_size > 10_000
 
 
 def test_json_of_segments(folder, inside):

@@ -160,6 +160,12 @@ class SegmentedCalibration:
         return replace(self, segments=kept, refused={**self.refused, **named})
 
     @property
+    def scale(self) -> str:
+        """What fixes the common scale, if the same of all segments; else 'several'."""
+        scales = {one.scale for one in self.segments.values()}
+        return scales.pop() if len(scales) == 1 else "several"
+
+    @property
     def date(self) -> datetime.datetime:
         """When the data begin (UTC)."""
         return min(one.date for one in self.segments.values())

@@ -274,3 +274,15 @@ def ring_of(layout: Layout) -> NDArray[np.int64]:
     ring = np.empty(layout.n, dtype=np.int64)
     ring[order] = np.cumsum(steps)
     return ring if ring.max() < layout.n // 2 else np.zeros(layout.n, dtype=np.int64)
+
+
+def group_of(layout: Layout) -> NDArray[np.int64]:
+    """Return (n,) to which group of its kind, see `group_name`, each actuator belongs, from 0."""
+    if layout.segments:
+        return np.searchsorted(layout.segments, np.asarray(layout.segment))
+    return ring_of(layout)
+
+
+def group_name(layout: Layout) -> str:
+    """Return by what actuators are grouped for people: 'segment', or 'ring' of a single body."""
+    return "segment" if layout.segments else "ring"
