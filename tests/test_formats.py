@@ -7,9 +7,10 @@ import pytest
 
 from truenewton.bench.simulated.truth import TRUTH
 from truenewton.calibration.file import CALIBRATION
-from truenewton.files.format import REQUIRED, ImageFormat
+from truenewton.calibration.segment_file import SEGMENTED
+from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
-from truenewton.records.file import CYCLE, STIFFNESS
+from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
 from truenewton.tracking.file import TRACKING
 
 DOCS = Path(__file__).parents[1] / "docs" / "files.md"
@@ -23,8 +24,10 @@ KINDS = {
 }
 FORMATS = {
     "The cycle file": CYCLE,
+    "Mirrors in several segments": FileFormat(extensions=(SEGMENTS,)),
     "The stiffness file": STIFFNESS,
     "The calibration file": CALIBRATION,
+    "The calibration of several segments": SEGMENTED,
     "The tracking file": TRACKING,
     "The modal base": MODES,
     "The truth of a simulation": TRUTH,

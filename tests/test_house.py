@@ -59,7 +59,7 @@ def test_docstrings_of_arrays_give_shapes_or_units():
     bare = []
     for path in house.modules():
         for function in outermost(ast.parse(path.read_text(encoding="utf-8"))):
-            if function.name.startswith("_"):
+            if function.name.startswith("_") or "@overload" in ast.unparse(function):
                 continue
             types = ast.unparse(function.args) + ast.unparse(function.returns or ast.Constant(None))
             text = ast.get_docstring(function) or ""

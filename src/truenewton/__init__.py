@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.figures import write_figures as write_figures
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
+    from truenewton.calibration.segmented import SegmentedCalibration as SegmentedCalibration
     from truenewton.foreign.export import export_supervisor as export_supervisor
     from truenewton.foreign.importing import stiffness_from as stiffness_from
     from truenewton.mirrors.shell.puck_motion import motion_for as motion_for
@@ -61,6 +62,8 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.records.file import write_campaign as write_campaign
     from truenewton.records.file import write_cycle as write_cycle
     from truenewton.records.file import write_stiffness as write_stiffness
+    from truenewton.records.segment import Segment as Segment
+    from truenewton.records.segmented import SegmentedData as SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix as StiffnessMatrix
     from truenewton.report.change import change as change
     from truenewton.report.investigate import investigate as investigate
@@ -95,6 +98,7 @@ _NAMES = {
     "calibration.figures": ["write_figures"],
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
+    "calibration.segmented": ["SegmentedCalibration"],
     "foreign.export": ["export_supervisor"],
     "foreign.importing": ["stiffness_from"],
     "mirrors.shell.puck_motion": ["motion_for"],
@@ -111,6 +115,8 @@ _NAMES = {
     "records.campaign": ["Campaign"],
     "records.cycle": ["Cycle"],
     "records.file": ["write_campaign", "write_cycle", "write_stiffness"],
+    "records.segment": ["Segment"],
+    "records.segmented": ["SegmentedData"],
     "records.stiffness_matrix": ["StiffnessMatrix"],
     "report.change": ["change"],
     "report.investigate": ["investigate"],

@@ -7,13 +7,17 @@ from collections.abc import Iterable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, overload
+
+import numpy as np
 
 from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segment_file import segmented_from
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client, each
-from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.files.stored_rows import StoredRows
@@ -21,14 +25,19 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.fault import Fault
 from truenewton.records.file import cycle_from, fits_paths, stiffness_from
+from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 AnyPath = str | os.PathLike[str]
 IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
+Body = Campaign | StiffnessMatrix | Calibration  # of a mirror in one piece
+Read = Body | SegmentedData | SegmentedCalibration
 KINDS: dict[type, tuple[str, str]] = {  # what paths hold, and what reads it
     Campaign: ("cycles", "read_campaign"),
     StiffnessMatrix: ("a stiffness matrix", "read_stiffness"),
     Calibration: ("a calibration", "read_calibration"),
+    SegmentedData: ("data of several segments", "read"),
+    SegmentedCalibration: ("a calibration of several segments", "read"),
 }
 FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to do with it
     "TRUTH": Fault("is the truth of a simulation", "give the campaign beside it"),
@@ -95,9 +104,7 @@ def _opened_by_worker(names: tuple[str, str]) -> Opened:
         return Opened(file, error)
 
 
-def read(
-    *paths: AnyPath | Iterable[AnyPath], client: Client | None = None
-) -> Campaign | StiffnessMatrix | Calibration:
+def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> Read:
     """Read cycle files, a stiffness file, or a calibration.
 
     Parameters
@@ -112,7 +119,8 @@ def read(
     Returns
     -------
     Campaign, StiffnessMatrix or Calibration
-        By what the files hold.
+        By what the files hold; of a mirror in several segments SegmentedData or
+        SegmentedCalibration.
 
     Raises
     ------
@@ -138,11 +146,12 @@ def read(
     files = [one.file for one in opened]
     if len(files) == 1:
         if "CALIBRATION" in files[0].extensions:
-            calibration = calibration_from(files[0])
+            calibration = any_calibration_from(files[0])
             warn_of(calibration)
             return calibration
         if "STIFFNESS" in files[0].extensions:
-            return stiffness_from(files[0])
+            matrix = stiffness_from(files[0])
+            return SegmentedData(stiffness=matrix) if matrix.layout.segments else matrix
     matrices = [file for file in files if "STIFFNESS" in file.extensions]
     for file in files:
         faults = [fault for name, fault in FOREIGN.items() if name in file.extensions]
@@ -157,11 +166,77 @@ def read(
             raise FormatError(
                 faults[0].fault, remedy=faults[0].remedy.format(other), path=file.path
             )
-    campaign = Campaign(tuple(one.require_cycle() for one in opened if one.file not in matrices))
-    return replace(campaign, stiffness=stiffness_from(matrices[0])) if matrices else campaign
+    cycles = tuple(one.require_cycle() for one in opened if one.file not in matrices)
+    beside = stiffness_from(matrices[0]) if matrices else None
+    if cycles and cycles[0].layout.segments:
+        return SegmentedData(cycles, beside)
+    return Campaign(cycles, beside)
 
 
-def read_data(*paths: AnyPath, client: Client | None = None) -> Campaign | StiffnessMatrix:
+def any_calibration_from(file: FitsFile) -> Calibration | SegmentedCalibration:
+    """Return the calibration that a file holds, of one body or of several segments.
+
+    Raises
+    ------
+    FormatError
+    """
+    return segmented_from(file) if "SEGMENTS" in file.extensions else calibration_from(file)
+
+
+@overload
+def of_segment(
+    data: Calibration | SegmentedCalibration, number: int | None, path: object
+) -> Calibration: ...
+@overload
+def of_segment(
+    data: Campaign | StiffnessMatrix | SegmentedData, number: int | None, path: object
+) -> Campaign | StiffnessMatrix: ...
+@overload
+def of_segment(data: Read, number: int | None, path: object) -> Body: ...
+def of_segment(data: Read, number: int | None, path: object) -> Body:
+    """Return what concerns one segment; what is of a mirror in one piece as it is, None for that.
+
+    Raises
+    ------
+    FormatError
+        There are several segments and none is chosen, or one is chosen of a mirror in one piece.
+    UnknownName, GeometryError, RankDeficient
+        There is no such segment, or nothing of it.
+    """
+    if isinstance(data, SegmentedData | SegmentedCalibration):
+        if number is None:
+            raise FormatError(
+                f"has {len(data.numbers)} segments, and this takes one at a time",
+                remedy=f"choose it by its number: --segment {data.numbers[0]}, or"
+                f" segment({data.numbers[0]}) in Python",
+                path=path,
+            )
+        try:
+            return data.segment(number)
+        except TrueNewtonError as error:
+            raise located(error, path) from None
+    alone = (
+        isinstance(data, Calibration)
+        or number in np.unique(np.asarray(data.layout.segment)).tolist()
+    )
+    if number is not None and not alone:
+        raise FormatError("is of a mirror in one piece", remedy="leave --segment out", path=path)
+    return data
+
+
+def read_one(*paths: AnyPath, segment: int | None = None) -> Body:
+    """Read what is of one body, as ``read``; of a mirror in several segments that of one.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch, UnknownName, GeometryError, RankDeficient
+    """
+    return of_segment(read(*paths), segment, paths[0])
+
+
+def read_data(
+    *paths: AnyPath, client: Client | None = None
+) -> Campaign | StiffnessMatrix | SegmentedData:
     """Read what can be calibrated: as ``read``, but a calibration is refused.
 
     Raises
@@ -169,7 +244,7 @@ def read_data(*paths: AnyPath, client: Client | None = None) -> Campaign | Stiff
     UnreadableFile, FormatError, CampaignMismatch
     """
     data = read(*paths, client=client)
-    if isinstance(data, Calibration):
+    if isinstance(data, Calibration | SegmentedCalibration):
         raise FormatError(
             "is a calibration already", remedy="give cycle files or a stiffness file", path=paths[0]
         )
@@ -223,8 +298,8 @@ def read_stiffness(path: AnyPath) -> StiffnessMatrix:
     return data
 
 
-def read_calibration(path: AnyPath) -> Calibration:
-    """Read a calibration file.
+def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibration:
+    """Read a calibration file; of a mirror in several segments, which `read` takes whole, one.
 
     Parameters
     ----------
@@ -233,7 +308,7 @@ def read_calibration(path: AnyPath) -> Calibration:
 
     Raises
     ------
-    UnreadableFile, FormatError, CampaignMismatch
+    UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
 
     Examples
     --------
@@ -241,14 +316,14 @@ def read_calibration(path: AnyPath) -> Calibration:
     >>> tn.read_calibration("alpha.fits").method
     'ml'
     """
-    data = read(path)
+    data = read_one(path, segment=segment)
     if not isinstance(data, Calibration):
         raise _another(data, "calibration", "give what `calibrate -o` wrote", [path])
     return data
 
 
 def _another(
-    data: Campaign | StiffnessMatrix | Calibration,
+    data: Read,
     wanted: str,
     remedy: str,
     paths: Iterable[AnyPath | Iterable[AnyPath]],
@@ -269,8 +344,10 @@ def _flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:
     ]
 
 
-def read_calibrations(*paths: AnyPath) -> tuple[Calibration, ...]:
+def read_calibrations(*paths: AnyPath, segment: int | None = None) -> tuple[Calibration, ...]:
     """Read several calibrations; none where one of the paths holds something else.
+
+    Of mirrors in several segments that of one.
 
     Raises
     ------
@@ -279,4 +356,4 @@ def read_calibrations(*paths: AnyPath) -> tuple[Calibration, ...]:
     files = [read_fits(path) for path in paths if not Path(path).is_dir()]
     if len(files) < len(paths) or any("CALIBRATION" not in file.extensions for file in files):
         return ()
-    return tuple(map(calibration_from, files))
+    return tuple(of_segment(any_calibration_from(file), segment, file.path) for file in files)

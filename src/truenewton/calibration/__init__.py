@@ -1,12 +1,18 @@
 """The result of a calibration, and the door to every method.
 
-methods       the door: data and a method in, a calibration out
-result        the calibration: alpha, errors, covariance, and how they came about
-file          the calibration file (docs/files.md)
-written       a calibration as a file, in the form that its name ends in
-figures       alpha with errors (paper, fig. 5), and all figures of a calibration as files
-scale_faults  what is wrong with the common scale: unit, weights, their errors
-verdict       sound, limited, or not to be used: one verdict for all who ask
-words         a calibration in words and numbers: terminal, page, script
-survey        what data hold, before anything is calibrated
+methods        the door: data and a method in, a calibration out
+result         the calibration: alpha, errors, covariance, and how they came about
+numbers        the numbers of an estimate where a calibration keeps them
+segments       segments calibrated side by side, in processes of their own
+workers        such processes
+segmented      the calibration of a mirror in several segments
+segment_file   its file
+segment_words  the same in words and numbers
+file           the calibration file (docs/files.md)
+written        a calibration as a file, in the form that its name ends in
+figures        alpha with errors (paper, fig. 5), and all figures of a calibration as files
+scale_faults   what is wrong with the common scale: unit, weights, their errors
+verdict        sound, limited, or not to be used: one verdict for all who ask
+words          a calibration in words and numbers: terminal, page, script
+survey         what data hold, before anything is calibrated
 """

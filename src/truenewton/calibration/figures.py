@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import typical
 from truenewton.figures.maps import (
@@ -26,7 +27,7 @@ from truenewton.figures.style import ACCENT, CURVES, INK, NAMED, legend_above, s
 from truenewton.figures.writing import write_drawn
 
 
-def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
+def plot_actuators(calibration: Calibration | SegmentedCalibration, ax: Axes | None = None) -> Axes:
     """Draw alpha per actuator, ring by ring, with error bars (paper, fig. 5).
 
     The bars are three standard uncertainties from the readings (3 E_STAT), the paper's level. The
@@ -65,7 +66,7 @@ def plot_actuators(calibration: Calibration, ax: Axes | None = None) -> Axes:
     return ax
 
 
-def plot_errors(calibration: Calibration, ax: Axes | None = None) -> Axes:
+def plot_errors(calibration: Calibration | SegmentedCalibration, ax: Axes | None = None) -> Axes:
     """Draw the errors of alpha per actuator, ring by ring, relative to alpha.
 
     E_SYST from the weights and E_STAT from the readings at one sigma, E_CYCLE from the scatter of
@@ -96,7 +97,7 @@ def plot_errors(calibration: Calibration, ax: Axes | None = None) -> Axes:
 
 
 def write_figures(
-    calibration: Calibration,
+    calibration: Calibration | SegmentedCalibration,
     folder: str | os.PathLike[str],
     *,
     more: Mapping[str, Callable[[], Axes]] | None = None,

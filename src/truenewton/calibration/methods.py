@@ -7,13 +7,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread, spread_square
+from truenewton.arrays import Array, spread
+from truenewton.calibration.numbers import Imbalances, common, from_stiffness, matrix_source
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.segments import calibrate_segments
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
 from truenewton.errors import (
@@ -39,11 +41,10 @@ from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
+from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
-
-Imbalances = tuple[stiffness_svd.Imbalance, ...]
 
 
 class Known(NamedTuple):
@@ -136,20 +137,32 @@ METHODS = {
 }
 
 
+@overload
 def calibrate(
-    data: Campaign | StiffnessMatrix,
+    data: Campaign | StiffnessMatrix, method: str | None = None, *,
+    population: bool = False, motion: Array | None = None, processes: int | None = None,
+) -> Calibration: ...  # fmt: skip
+@overload
+def calibrate(
+    data: SegmentedData, method: str | None = None, *,
+    population: bool = False, motion: Array | None = None, processes: int | None = None,
+) -> SegmentedCalibration: ...  # fmt: skip
+def calibrate(
+    data: Campaign | StiffnessMatrix | SegmentedData,
     method: str | None = None,
     *,
     population: bool = False,
     motion: Array | None = None,
     client: Client | None = None,
-) -> Calibration:
+    processes: int | None = None,
+) -> Calibration | SegmentedCalibration:
     """Find alpha of every actuator.
 
     Parameters
     ----------
     data
-        A campaign under two loads at least, or a measured stiffness matrix (relative alpha).
+        A campaign under two loads at least, or a measured stiffness matrix (relative alpha); of a
+        mirror in several segments each is calibrated by itself.
     method
         'ml', maximum likelihood; 'svd', the paper's; 'reciprocity', which makes use of what the
         sensors read; 'auto', reciprocity where it holds, else 'ml', which the verdict notes. Unless
@@ -163,13 +176,16 @@ def calibrate(
     client
         A `dask.distributed.Client`, whose workers read the rows of a campaign that ``read`` was
         given the same client for (docs/cluster.md).
+    processes
+        How many segments are calibrated at once, each in a process of its own; unless given, as
+        many as there are processors, or one where segments are small or there is a client.
 
     Raises
     ------
     ClusterFailed
         The workers cannot do their part.
     RankDeficient
-        The data cannot fix alpha; the message says what is missing.
+        The data cannot fix alpha, of no segment; the message says what is missing.
     TooManyOutliers, NotConverged
         The data do not fit together.
     UnknownName, TypeError
@@ -186,6 +202,9 @@ def calibrate(
     <Calibration of P45: 45 actuators, alpha 0.715 .. 1.1, typical error 0.016, ...>
     """
     method, known = asked(data, method, population=population, motion=motion)
+    if isinstance(data, SegmentedData):
+        one = partial(calibrate, method=method, population=population, client=client)
+        return calibrate_segments(data, one, motion, 1 if client is not None else processes)
     if isinstance(data, Campaign):
         if client is not None:
             _require_stored(data)
@@ -197,10 +216,11 @@ def calibrate(
             found = METHODS[method].of_stiffness(sifted, known)
         except (RankDeficient, NotConverged) as error:
             raise located(error, data.source and Path(data.source.file).name) from None
-        made = _from_stiffness(sifted.matrix, *found)
+        made = from_stiffness(sifted.matrix, *found)
     else:
         raise TypeError(
-            f"cannot calibrate a {type(data).__name__}; give a Campaign or StiffnessMatrix"
+            f"cannot calibrate a {type(data).__name__}; give a Campaign, StiffnessMatrix or"
+            " SegmentedData"
         )
     warn_of(made)
     return made
@@ -218,7 +238,7 @@ def _require_stored(campaign: Campaign) -> None:
 
 
 def asked(
-    data: Campaign | StiffnessMatrix,
+    data: Campaign | StiffnessMatrix | SegmentedData,
     method: str | None,
     *,
     population: bool,
@@ -237,7 +257,8 @@ def asked(
         )
     if population and method not in ("ml", "svd"):
         raise UnknownName("a population goes with ml only", remedy="use ml", got=method)
-    if method == "svd" and (population or (isinstance(data, Campaign) and data.stiffness)):
+    both = not isinstance(data, StiffnessMatrix) and data.cycles and data.stiffness
+    if method == "svd" and (population or both):
         raise UnknownName(
             "svd takes neither a population nor a stiffness matrix beside cycles", remedy="use ml"
         )
@@ -303,82 +324,9 @@ def calibration_of(
             for c, less in zip(cycles, lost, strict=True)
             if c.source
         )
-        + _matrix_source(campaign.stiffness),
+        + matrix_source(campaign.stiffness),
         rejected_rows=estimate.rejected,
         effects=estimate.effects,
         unseen=estimate.unseen,
-        **_common(estimate, on),
+        **common(estimate, on),
     )
-
-
-def _from_stiffness(
-    matrix: StiffnessMatrix, estimate: Estimate, imbalances: Imbalances
-) -> Calibration:
-    on = matrix.layout.enabled
-    # B is not to be had from elastic forces.
-    reading, systematic = (
-        np.pad(covariance, (0, 1), constant_values=np.nan)
-        for covariance in (estimate.reading_covariance, estimate.systematic_covariance)
-    )
-    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
-    return Calibration(
-        instrument=matrix.instrument,
-        date=matrix.date,
-        date_end=matrix.date,
-        layout=matrix.layout,
-        loads=(),
-        cycle_error=np.full(matrix.layout.n, np.nan),
-        bias_force=float("nan"),
-        torque_y=np.empty(0),
-        torque_x=np.empty(0),
-        weight=float("nan"),
-        weight_error=float("nan"),
-        temperature=float("nan"),
-        shapes_used=len(stiffness_svd.elastic_modes(matrix)),
-        rejected=0,
-        invalid=0,
-        sources=_matrix_source(matrix),
-        effects=estimate.effects,
-        imbalances=imbalances,
-        **_common(estimate, on),
-    )
-
-
-def _matrix_source(matrix: StiffnessMatrix | None) -> tuple[Source, ...]:
-    if matrix is None or matrix.source is None:
-        return ()
-    modes = len(stiffness_svd.elastic_modes(matrix))
-    return (replace(matrix.source, file=Path(matrix.source.file).name, rows=modes),)
-
-
-def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
-    """Return what is the same for all data, spread over all actuators."""
-    n, goodness = int(on.sum()), estimate.goodness
-    reading, systematic = estimate.reading_covariance, estimate.systematic_covariance
-    return {
-        "method": estimate.method,
-        "scale": estimate.scale.value,
-        "alpha": spread(estimate.values[:n], on),
-        "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
-        "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
-        "covariance": _spread_square(reading + systematic, on),
-        "systematic_covariance": _spread_square(systematic, on),
-        "condition": estimate.condition,
-        "solved_condition": estimate.solved_condition,
-        "rank": estimate.rank,
-        "noise": estimate.noise,
-        "degrees_of_freedom": goodness.degrees_of_freedom if goodness else None,
-        "chi2": estimate.declared_chi2,
-        "diagnosis": estimate.diagnosis,
-        "goodness": goodness,
-        "scale_errors": estimate.scale_errors,
-        "sensors": estimate.sensors,
-    }
-
-
-def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
-    """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
-    rest = np.ones(len(values) - int(on.sum()), dtype=bool)
-    out = spread_square(values, np.concatenate([on, rest]))
-    out.setflags(write=False)  # so that the calibration need not copy it
-    return out

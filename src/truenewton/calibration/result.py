@@ -197,6 +197,11 @@ class Calibration:
         return verdict_on(self)
 
     @property
+    def doubtful(self) -> bool:
+        """Whether its data show what was not taken out of them."""
+        return any(not effect.corrected for effect in self.effects)
+
+    @property
     def error(self) -> Array:
         """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
         return np.asarray(np.hypot(self.reading_error, self.systematic_error))

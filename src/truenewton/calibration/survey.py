@@ -17,12 +17,20 @@ from truenewton.calibration.methods import (
 )
 from truenewton.calibration.verdict import Level, Verdict
 from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
-from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.errors import (
+    FormatError,
+    GeometryError,
+    NotConverged,
+    RankDeficient,
+    TooManyOutliers,
+)
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, elastic_count, modal_stiffness
 from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
+from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, with_error
 
@@ -75,6 +83,42 @@ def survey(
         lines.append(f"  {enough}")
         lines += verdict_lines(verdict)
     return values, lines
+
+
+def survey_segments(
+    data: SegmentedData,
+    method: str | None = None,
+    *,
+    population: bool = False,
+    motion: Array | None = None,
+) -> tuple[dict[str, Any], list[str]]:
+    """Return what data of several segments hold, for scripts and for people: each by itself.
+
+    Parameters as of `survey`; ``motion`` is (n, n) of all segments.
+    """
+    parts, lines = [], [f"data of {data.instrument}: {counted(data.numbers, 'segment')}"]
+    levels = []
+    for number in data.numbers:
+        own = np.asarray(data.layout.segment) == number
+        of_it = None if motion is None else motion[np.ix_(own, own)]
+        try:
+            body = data.segment(number)
+            values, told = survey(body, method, population=population, motion=of_it)
+        except (FormatError, GeometryError) as error:
+            verdict = Verdict(Level.NONE, (Fault(error.fault, error.remedy),))
+            values = {"verdict": verdict.values}
+            told = [f"segment {number}", f"  not enough for alpha: {error.fault}; {error.remedy}"]
+        levels.append(values["verdict"]["level"])
+        parts.append({"segment": number, **values})
+        lines += told
+    good = sum(level in (Level.SOUND, Level.LIMITED) for level in levels)
+    lines[0] += f" of {counted(data.layout.n, 'actuator')}, {good} with enough for alpha"
+    return {
+        "holds": "segments",
+        "instrument": data.instrument,
+        "actuators": data.layout.n,
+        "segments": parts,
+    }, lines
 
 
 def _survey_campaign(

@@ -29,6 +29,7 @@ from truenewton.rounding import percent, with_error
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
+    from truenewton.calibration.segmented import SegmentedCalibration
 
 FAR = 5.0  # robust standard deviations, for an actuator off the others
 FEW = 0.03  # of the actuators, and two at least, may be dead or reversed: else all are in doubt
@@ -80,6 +81,9 @@ class Level(StrEnum):
     NONE = "no alpha"
 
 
+GRAVITIES = (Level.SOUND, Level.LIMITED, Level.UNUSABLE, Level.NONE)
+
+
 @dataclass(frozen=True)
 class Verdict:
     """What to think of a calibration.
@@ -119,29 +123,52 @@ def verdict_on(calibration: Calibration) -> Verdict:
     return Verdict(level, faults, tuple(each for each in _warned(calibration) if _is_note(each)))
 
 
-def refuse_unusable(calibration: Calibration, *, force: bool, path: object = None) -> None:
+def verdict_on_segments(c: SegmentedCalibration) -> Verdict:
+    """Judge a mirror in several segments: each fault names its segment, the gravest first.
+
+    It can be used as long as a segment can; it is sound where all are.
+    """
+    judged = {number: one.verdict for number, one in c.segments.items()}
+    judged |= {number: Verdict(Level.NONE, faults) for number, faults in c.refused.items()}
+    worst_first = sorted(
+        judged, key=lambda number: (-GRAVITIES.index(judged[number].level), number)
+    )
+    faults = []
+    for number in worst_first:
+        level = judged[number].level
+        of = f"segment {number}" + (f", {level}" if level in GRAVITIES[2:] else "")
+        faults += [Fault(f"{of}: {fault}", remedy) for fault, remedy in judged[number].faults]
+    levels = {one.level for one in judged.values()}
+    if not levels & {Level.SOUND, Level.LIMITED}:
+        return Verdict(Level.UNUSABLE, tuple(faults))
+    return Verdict(Level.SOUND if levels == {Level.SOUND} else Level.LIMITED, tuple(faults))
+
+
+def refuse_unusable(
+    calibration: Calibration | SegmentedCalibration, *, force: bool, path: object = None
+) -> None:
     """Raise `NotToBeUsed` where a calibration is not to be used, unless forced.
 
     Raises
     ------
     NotToBeUsed
     """
-    verdict = verdict_on(calibration)
+    verdict = calibration.verdict
     if verdict.level == Level.UNUSABLE and not force:
         fault, remedy = verdict.faults[0]
         remedy = f"{remedy}; --anyway, or force=True, takes it all the same"
         raise NotToBeUsed(f"{verdict.level}: {fault}", remedy=remedy, path=path)
 
 
-def warn_of(calibration: Calibration, stacklevel: int = 3) -> None:
+def warn_of(calibration: Calibration | SegmentedCalibration, stacklevel: int = 3) -> None:
     """Warn in Python of what is not to be used, and of effects that were not taken out.
 
     Warns
     -----
     TrueNewtonWarning
     """
-    verdict = verdict_on(calibration)
-    if verdict.level == Level.UNUSABLE or any(not e.corrected for e in calibration.effects):
+    verdict = calibration.verdict
+    if verdict.level == Level.UNUSABLE or calibration.doubtful:
         warnings.warn(f"{calibration.instrument}: {verdict}", TrueNewtonWarning, stacklevel)
 
 

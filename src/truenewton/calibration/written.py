@@ -9,11 +9,14 @@ import numpy as np
 
 from truenewton.calibration.file import ACTUATORS, CALIBRATION
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segment_file import ALPHA, SEGMENTED, versions_of
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.errors import OutputExists, OutputFailed
 from truenewton.files.fits import write_fits
 from truenewton.files.format import columns_of, header_of
 from truenewton.files.outputs import file_beside
 
+AnyCalibration = Calibration | SegmentedCalibration
 WHOLE = (".fits", ".fits.gz")
 LACKS = {  # of the other forms, and what they leave out
     ".ecsv": "the table and the verdict; no covariance",
@@ -45,7 +48,7 @@ def suffix_of(path: str | os.PathLike[str]) -> str:
     )
 
 
-def lacking(calibration: Calibration, path: str | os.PathLike[str]) -> str:
+def lacking(calibration: AnyCalibration, path: str | os.PathLike[str]) -> str:
     """Return what a file of that name does not tell of a calibration; empty where it tells all."""
     lacks = LACKS.get(suffix_of(path), "")
     if not lacks:
@@ -57,7 +60,7 @@ def lacking(calibration: Calibration, path: str | os.PathLike[str]) -> str:
 
 
 def write_calibration(
-    calibration: Calibration, path: str | os.PathLike[str], *, overwrite: bool = False
+    calibration: AnyCalibration, path: str | os.PathLike[str], *, overwrite: bool = False
 ) -> None:
     """Write a calibration in the form that the name ends in.
 
@@ -66,6 +69,10 @@ def write_calibration(
     OutputExists, OutputFailed
     """
     suffix = suffix_of(path)
+    if suffix in WHOLE and isinstance(calibration, SegmentedCalibration):
+        parts = versions_of(calibration)
+        write_fits(path, SEGMENTED, calibration, overwrite=overwrite, **parts)
+        return
     if suffix in WHOLE:
         write_fits(path, CALIBRATION, calibration, overwrite=overwrite)
         return
@@ -77,16 +84,18 @@ def write_calibration(
             _write_table(calibration, temporary, suffix)
 
 
-def _write_table(calibration: Calibration, path: Path, suffix: str) -> None:
+def _write_table(calibration: AnyCalibration, path: Path, suffix: str) -> None:
     """Write the table with all digits; ECSV holds units, keywords and the verdict's faults, too."""
     from astropy.table import Column, Table
 
-    table = Table()
-    for name, _, unit, values in columns_of(calibration, ACTUATORS):
-        if name != "NZ":
+    table, several = Table(), isinstance(calibration, SegmentedCalibration)
+    for name, _, unit, values in columns_of(calibration, ALPHA if several else ACTUATORS):
+        if name not in ("NZ", "ENABLED"):
             table[name] = Column(values, unit=unit)
     if suffix == ".ecsv":
-        for name, value, _ in header_of(calibration, CALIBRATION):  # YAML knows plain types alone
+        for name, value, _ in header_of(
+            calibration, SEGMENTED if several else CALIBRATION
+        ):  # YAML knows plain types alone
             table.meta[name] = str(value) if isinstance(value, str) else np.asarray(value).item()
         faults = calibration.verdict.faults
         table.meta["FAULTS"] = ["; ".join(filter(None, fault)) for fault in faults]

@@ -23,6 +23,10 @@ def run(
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
     cluster: str | None = options.CLUSTER,
+    segment: int | None = options.SEGMENT,
+    processes: int | None = typer.Option(
+        None, min=1, help="Segments calibrated at once; as many as processors unless given."
+    ),
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
@@ -30,6 +34,7 @@ def run(
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
     from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.segment_words import segmented_lines, segmented_values
     from truenewton.calibration.verdict import refuse_unusable
     from truenewton.calibration.words import (
         imbalance_lines,
@@ -41,32 +46,46 @@ def run(
     from truenewton.cli.terminal import about, busy, print_result
     from truenewton.cluster import connected
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import read_data
+    from truenewton.reading import of_segment, read_data
     from truenewton.records.campaign import Campaign
+    from truenewton.records.segmented import SegmentedData
 
     if output is not None:
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
+    schema, values = "calibrate", None
     with connected(cluster) as client:
         data = read_data(*paths, client=client)
+        if segment is not None:
+            data = of_segment(data, segment, paths[0])
         motion = options.motion_of(mirror, data)
-        with busy("calibrating"), about(paths):
-            calibration = calibrate(
-                data, method, population=population, motion=motion, client=client
-            )
-            refuse_unusable(calibration, force=force)
+        with about(paths):
+            if isinstance(data, SegmentedData):
+                with busy(f"calibrating {len(data.numbers)} segments"):
+                    whole = calibrate(
+                        data,
+                        method,
+                        population=population,
+                        motion=motion,
+                        client=client,
+                        processes=processes,
+                    )
+                refuse_unusable(whole, force=force)
+                whole = whole if force else whole.without_unusable()
+                lines, schema = [*segmented_lines(whole)], "calibrate-segments"
+                values = segmented_values(whole) if json else None
+            else:
+                with busy("calibrating"):
+                    made = calibrate(
+                        data, method, population=population, motion=motion, client=client
+                    )
+                refuse_unusable(made, force=force)
+                lines = [*summary_lines(made), *imbalance_lines(made.imbalances)]
+                if isinstance(data, Campaign):
+                    lines += rejected_lines(data, made.rejected_rows)
+                values = summary_values(made) if json else None
     if output is not None:
-        calibration.write(output, overwrite=overwrite)
-    lines = [*summary_lines(calibration), *imbalance_lines(calibration.imbalances)]
-    if isinstance(data, Campaign):
-        lines += rejected_lines(data, calibration.rejected_rows)
-    if output is not None and (lacks := lacking(calibration, output)):
-        lines.append(lacks)
-    values = summary_values(calibration) if json else None
-    print_result(
-        lines,
-        output,
-        values=values,
-        schema="calibrate",
-        quiet=quiet,
-    )
+        found = whole if isinstance(data, SegmentedData) else made
+        found.write(output, overwrite=overwrite)
+        lines += filter(None, [lacking(found, output)])
+    print_result(lines, output, values=values, schema=schema, quiet=quiet)

@@ -29,7 +29,7 @@ def run(
     from truenewton.cli import terminal
     from truenewton.files.outputs import folder_beside
     from truenewton.mirrors.known import p45
-    from truenewton.reading import read_data
+    from truenewton.reading import read_campaign
     from truenewton.records.file import write_campaign
     from truenewton.report.investigate import investigate
     from truenewton.report.page.page import write_report
@@ -48,7 +48,7 @@ def run(
         say(f"   {output / 'p45'}", "")
 
         say("2. The calibration, by maximum likelihood")
-        data = read_data(campaign)
+        data = read_campaign(campaign)
         findings = investigate(data)  # reads the rows once for all that is told of them
         calibration = findings.calibration
         assert calibration is not None  # the campaign is sound

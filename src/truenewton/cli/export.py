@@ -15,6 +15,7 @@ def run(
     ),
     calibration: Path = typer.Option(..., help="Calibration file, its IDs the channels."),
     output: Path = typer.Option(..., "-o", "--output", help="Folder to write the five files to."),
+    segment: int | None = options.SEGMENT,
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     quiet: bool = options.QUIET,
@@ -27,7 +28,6 @@ def run(
 
     refuse_existing(output, overwrite=overwrite)
     with busy("exporting"):
-        lines = export_supervisor(
-            folder, read_calibration(calibration), output, overwrite=overwrite, force=anyway
-        )
+        one = read_calibration(calibration, segment=segment)
+        lines = export_supervisor(folder, one, output, overwrite=overwrite, force=anyway)
     print_result(lines, output, quiet=quiet)

@@ -41,6 +41,7 @@ def run(
         None, "-o", "--output", help="Modal base to write; matrices are written beside it."
     ),
     figures: Path | None = typer.Option(None, "--figures", help="Folder for the figures."),
+    segment: int | None = options.SEGMENT,
     anyway: bool = options.ANYWAY,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
@@ -57,7 +58,7 @@ def run(
     from truenewton.modal.findings import find_modes
     from truenewton.modal.turbulence import Atmosphere
     from truenewton.modal.words import lines, values
-    from truenewton.reading import read_calibration, read_data
+    from truenewton.reading import of_segment, read_calibration, read_data
     from truenewton.records.file import SUFFIXES
 
     if output is not None and not output.name.endswith(SUFFIXES):
@@ -69,8 +70,8 @@ def run(
     more: list[Path] = []
     with busy("finding modes"), about(paths):
         modes = find_modes(
-            read_data(*paths),
-            None if calibration is None else read_calibration(calibration),
+            of_segment(read_data(*paths), segment, paths[0]),
+            None if calibration is None else read_calibration(calibration, segment=segment),
             atmosphere,
             diameter=diameter,
             radius=radius,

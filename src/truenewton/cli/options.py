@@ -9,6 +9,7 @@ import typer
 if TYPE_CHECKING:
     from truenewton.arrays import Array
     from truenewton.records.campaign import Campaign
+    from truenewton.records.segmented import SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 METHOD = typer.Option(
@@ -29,6 +30,9 @@ ANYWAY = typer.Option(
 FORCE = typer.Option(  # which is a number to `modes`
     False, "--force", "--anyway", help="Go on though the verdict on alpha is 'not to be used'."
 )
+SEGMENT = typer.Option(
+    None, "--segment", help="Number of one segment, which is taken alone (mirrors in segments)."
+)
 JSON = typer.Option(False, "--json", help="Print figures as JSON, for scripts.")
 QUIET = typer.Option(False, "-q", "--quiet", help="Print only what was written and what is wrong.")
 FIDELITY = typer.Option(
@@ -45,7 +49,7 @@ PATHS = typer.Argument(
 )
 
 
-def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix) -> Array | None:
+def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedData) -> Array | None:
     """Return what sensors see of the glass of data, None without --mirror.
 
     Raises

@@ -18,6 +18,7 @@ def run(
         ..., "--actuators", help="IDs that were replaced, as 17,18; or auto: find who changed."
     ),
     output: Path | None = typer.Option(None, "-o", "--output", help="Calibration file to write."),
+    segment: int | None = options.SEGMENT,
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
@@ -29,7 +30,7 @@ def run(
     from truenewton.cli.terminal import about, print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import read_data
+    from truenewton.reading import read_one
     from truenewton.recalibration.fit import recalibrate
     from truenewton.recalibration.words import lines, values
     from truenewton.records.campaign import Campaign
@@ -39,7 +40,7 @@ def run(
     if output is not None:
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
-    data = read_data(*paths)
+    data = read_one(*paths, segment=segment)
     if not isinstance(data, Campaign):
         raise FormatError("holds no cycles", remedy="give the run after the change", path=paths[0])
     with about(paths):

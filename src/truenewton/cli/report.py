@@ -20,20 +20,24 @@ def run(
     method: str | None = options.METHOD,
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
+    segment: int | None = options.SEGMENT,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
     quiet: bool = options.QUIET,
 ) -> None:
     """Put verdict, map, residuals and inputs on one page; or what changed between two."""
+    from truenewton.calibration.methods import calibrate
     from truenewton.calibration.result import Calibration
-    from truenewton.cli.terminal import busy, print_result
+    from truenewton.calibration.segmented import SegmentedCalibration
+    from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import read, read_calibrations
+    from truenewton.reading import of_segment, read, read_calibrations
+    from truenewton.records.segmented import SegmentedData
     from truenewton.report.change import Change, change
     from truenewton.report.investigate import Findings, investigate
     from truenewton.report.page.page import write_report
-    from truenewton.report.verdict import verdict, verdict_on_change
+    from truenewton.report.verdict import headline_of
 
     if output.suffix.lower() not in (".html", ".htm"):
         raise OutputFailed(
@@ -41,19 +45,29 @@ def run(
         )
     refuse_existing(output, overwrite=overwrite)
     with busy("looking into it"):
-        pair = read_calibrations(*paths) if len(paths) == 2 else ()
+        pair = read_calibrations(*paths, segment=segment) if len(paths) == 2 else ()
         if pair:
-            findings: Findings | Change = change(*pair)
+            findings: Findings | Change | SegmentedCalibration = change(*pair)
         else:
             data = read(*paths)
-            known = None if isinstance(data, Calibration) else options.motion_of(mirror, data)
-            findings = investigate(data, method, population=population, motion=known)
+            data = data if segment is None else of_segment(data, segment, paths[0])
+            if isinstance(data, Calibration | SegmentedCalibration):
+                known = None
+            else:
+                known = options.motion_of(mirror, data)
+            if isinstance(data, SegmentedCalibration):
+                findings = data
+            elif isinstance(data, SegmentedData):
+                with about(paths):
+                    findings = calibrate(data, method, population=population, motion=known)
+            else:
+                findings = investigate(data, method, population=population, motion=known)
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method else []
     words += ["--population"] if population else []
+    words += [] if segment is None else ["--segment", str(segment)]
     words += ["--mirror", mirror] if mirror else []
     write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
-    judged = verdict_on_change(findings) if isinstance(findings, Change) else verdict(findings)
-    lines = list(judged.lines())
+    lines = list(headline_of(findings).lines())
     values = {"verdict": lines[0], "lines": lines[1:], "written": str(output)}
     print_result(lines, output, values=values if json else None, schema="report", quiet=quiet)

@@ -18,6 +18,7 @@ def run(
     accuracy: float | None = typer.Option(
         None, help="Wanted, relative to alpha (0.005): says when to calibrate again."
     ),
+    segment: int | None = options.SEGMENT,
     force: bool = options.FORCE,
     overwrite: bool = options.OVERWRITE,
     json: bool = options.JSON,
@@ -36,7 +37,7 @@ def run(
     if accuracy is not None and not 1e-9 <= accuracy <= 1:
         raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
     refuse_existing(output, figures, overwrite=overwrite)
-    tracking = track(*paths, force=force)
+    tracking = track(*paths, force=force, segment=segment)
     validity = None if accuracy is None else validity_of(tracking, accuracy)
     drawn: list[Path] = []
     with together():

@@ -23,6 +23,7 @@ from truenewton.estimation.matrix_faults import (
 )
 from truenewton.estimation.matrix_order import order_effects
 from truenewton.records.fault import Fault
+from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms
@@ -71,6 +72,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         Rows are in another order or of another sign, more than one pushes unseen, or none feels
         another.
     """
+    refuse_segments(matrix)
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
     if len(k) > 1 and np.count_nonzero(k) == np.count_nonzero(np.diag(k)):
         raise RankDeficient(

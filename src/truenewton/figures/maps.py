@@ -17,29 +17,36 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, styled_axes
 from truenewton.rounding import significant
-from truenewton.statics.layout import Layout, ring_of
+from truenewton.statics.layout import Layout, group_name, group_of, ring_of
 
 LEAST_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
 
 
 def numbers_by_ring(layout: Layout) -> NDArray[np.int64]:
-    """Return (n,) the number of each actuator, counted from 1 ring by ring from the centre."""
-    return np.argsort(np.argsort(ring_of(layout), kind="stable")) + 1
+    """Return (n,) the number of each actuator, counted from 1 ring by ring from the centre.
+
+    Of a mirror in several segments, segment by segment.
+    """
+    return np.argsort(np.argsort(group_of(layout), kind="stable")) + 1
 
 
 def ring_edges(layout: Layout) -> Array:
     """Return (rings - 1,) where rings part on an axis of actuators, counted from 1 ring by ring."""
-    return np.asarray(np.cumsum(np.bincount(ring_of(layout)))[:-1] + 0.5)
+    return np.asarray(np.cumsum(np.bincount(group_of(layout)))[:-1] + 0.5)
 
 
 def ring_label(layout: Layout) -> str:
     """Return what an axis of actuators ring by ring is called."""
+    if layout.segments:
+        return "actuator, segment by segment"
     return "actuator, ring by ring from the centre" if ring_edges(layout).size else "actuator"
 
 
 def ring_radii(layout: Layout) -> list[float]:
     """Return the mean radius of each ring [mm]; none where actuators stand on no rings."""
+    if layout.segments:
+        return []
     radius, ring = np.hypot(layout.x, layout.y) / MILLIMETRE, ring_of(layout)
     return [float(radius[ring == k].mean()) for k in range(ring.max() + 1) if ring.any()]
 
@@ -53,11 +60,12 @@ def mark_rings(ax: Axes, layout: Layout) -> None:
 
 def name_rings(ax: Axes, layout: Layout) -> None:
     """Write the numbers of the rings above an axis of actuators, where there is room for them."""
-    counts = np.bincount(ring_of(layout))
+    counts, kind = np.bincount(group_of(layout)), group_name(layout)
+    names = layout.segments or tuple(range(1, counts.size + 1))
     ends = np.cumsum(counts)
-    for ring, (count, end) in enumerate(zip(counts, ends, strict=True), start=1):
+    for ring, count, end in zip(names, counts, ends, strict=True):
         if counts.size > 1 and count >= LEAST_RING * layout.n:
-            name = f"ring {ring}" if count >= WIDE_RING * layout.n else str(ring)
+            name = f"{kind} {ring}" if count >= WIDE_RING * layout.n else str(ring)
             ax.text(end - 0.5 * (count - 1), 0.985, name, transform=ax.get_xaxis_transform(),
                     ha="center", va="top", fontsize=6.0, color=INK)  # fmt: skip
 

@@ -6,7 +6,7 @@ import datetime
 import math
 import warnings
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
@@ -63,12 +63,15 @@ class FitsFile:
     extensions
         Tables and images by upper-case EXTNAME, that of the primary HDU as PRIMARY; or what is
         wrong with one, raised when it is asked for.
+    versions
+        The extensions of each EXTVER as if they were a file, with the header of the first of them.
     """
 
     path: str
     sha256: str
     header: Mapping[str, Any]
     extensions: Mapping[str, Table | Image | TrueNewtonError]
+    versions: Mapping[int, FitsFile] = field(default_factory=dict)
 
     def filled(self, kind: type[Record], values: dict[str, Any]) -> Record:
         """Return a record filled from `values`; what it refuses names the file."""

@@ -13,7 +13,7 @@ import io
 import os
 import warnings
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from io import BufferedIOBase, BufferedReader
 from typing import Any
 
@@ -79,11 +79,10 @@ def read_fits(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
                 _refuse_damage(caught, path)
                 for hdu in hdus:
                     verify_checksums(stream, hdu, path)
-                header = hdus[0].header
-                _refuse_doubles(header.keys(), "keywords", path)
-                plain = {k: v for k, v in header.items() if not isinstance(v, fits.card.Undefined)}
-                extensions = _extensions(hdus, path, stream, state)
-                return FitsFile(path, digest.hexdigest(), plain, extensions)
+                _refuse_doubles(hdus[0].header.keys(), "keywords", path)
+                plain = _plain(hdus[0].header)
+                extensions, versions = _extensions(hdus, path, stream, state)
+                return FitsFile(path, digest.hexdigest(), plain, extensions, versions)
     except (UnreadableFile, FormatError):
         raise
     except Exception as error:
@@ -116,31 +115,56 @@ def _refuse_damage(caught: list[warnings.WarningMessage], path: str) -> None:
             raise UnreadableFile(fault, remedy="fetch it again", path=path)
 
 
+def _plain(header: Any) -> dict[str, Any]:
+    return {k: v for k, v in header.items() if not isinstance(v, fits.card.Undefined)}
+
+
+Extensions = dict[str, Table | Image | TrueNewtonError]
+
+
 def _extensions(
     hdus: Any, path: str, stream: BufferedIOBase, state: tuple[int, int] | None
-) -> dict[str, Table | Image | TrueNewtonError]:
-    """Copy everything out of open HDUs; what is wrong with an extension waits until asked for."""
-    extensions: dict[str, Table | Image | TrueNewtonError] = {}
+) -> tuple[Extensions, dict[int, FitsFile]]:
+    """Copy everything out of open HDUs, and once more those of each EXTVER as a file of their own.
+
+    What is wrong with an extension waits until asked for.
+    """
+    extensions: Extensions = {}
+    versions: dict[int, tuple[dict[str, Any], Extensions]] = {}
     if hdus[0].data is not None and hdus[0].is_image:
         extensions[PRIMARY] = Image(_native(hdus[0].data), str(hdus[0].header.get("BUNIT", "")))
     for hdu in hdus[1:]:
-        name = str(hdu.name).upper()
-        if name in extensions:
-            extensions[name] = FormatError(f"there are two {name}", remedy="keep one", path=path)
-            continue
-        try:
-            _refuse_doubles(hdu.header.keys(), "keywords", path)
-            if isinstance(hdu, fits.BinTableHDU):
-                extensions[name] = _table(hdu, path, stream, state)
-            elif isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
-                extensions[name] = Image(_native(hdu.data), str(hdu.header.get("BUNIT", "")))
-        except TrueNewtonError as error:
-            extensions[name] = error
-        except Exception:
-            extensions[name] = UnreadableFile(
-                f"{name} is damaged", remedy="fetch the file again", path=path
-            )
-    return extensions
+        name, twins, version = str(hdu.name).upper(), [extensions], hdu.header.get("EXTVER")
+        if isinstance(version, int):
+            twins.append(versions.setdefault(version, (_plain(hdu.header), {}))[1])
+        double = FormatError(f"there are two {name}", remedy="keep one", path=path)
+        new = [each for each in twins if name not in each]
+        held = _held(hdu, name, path, stream, state) if new else None
+        for each in twins:
+            if each not in new:
+                each[name] = double
+            elif held is not None:
+                each[name] = held
+    return extensions, {
+        version: FitsFile(path, "", header, own) for version, (header, own) in versions.items()
+    }
+
+
+def _held(
+    hdu: Any, name: str, path: str, stream: BufferedIOBase, state: tuple[int, int] | None
+) -> Table | Image | TrueNewtonError | None:
+    """Return what an extension holds, or what is wrong with it; None of what is no concern."""
+    try:
+        _refuse_doubles(hdu.header.keys(), "keywords", path)
+        if isinstance(hdu, fits.BinTableHDU):
+            return _table(hdu, path, stream, state)
+        if isinstance(hdu, fits.ImageHDU) and hdu.data is not None:
+            return Image(_native(hdu.data), str(hdu.header.get("BUNIT", "")))
+    except TrueNewtonError as error:
+        return error
+    except Exception:
+        return UnreadableFile(f"{name} is damaged", remedy="fetch the file again", path=path)
+    return None
 
 
 def _refuse_doubles(names: Iterable[str], what: str, path: str) -> None:
@@ -174,7 +198,13 @@ def _native(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def write_fits(
-    path: str | os.PathLike[str], form: FileFormat, record: Any, *, overwrite: bool = False
+    path: str | os.PathLike[str],
+    form: FileFormat,
+    record: Any,
+    *,
+    versions: Mapping[int, Any] | None = None,
+    of_version: FileFormat | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write a record in a format, with checksums, beside its target and then renamed.
 
@@ -184,6 +214,9 @@ def write_fits(
         The target; gzipped where it ends in .gz.
     form, record
         What holds the attributes that the format names.
+    versions, of_version
+        More records, each by its EXTVER, all in one format; their keywords stand in the header of
+        their first extension.
 
     Raises
     ------
@@ -192,22 +225,12 @@ def write_fits(
         A keyword holds what no FITS header can.
     """
     matrix = None if form.matrix is None else _pixels(record, form.matrix)
-    parts = [
-        _hdu(record, part)
-        for part in form.extensions
-        if not (isinstance(part, TableFormat) and part.optional and not value_of(record, part.of))
-    ]
-    hdus = fits.HDUList([fits.PrimaryHDU(matrix), *parts])
-    for key, value, comment in header_of(record, form):
-        try:
-            hdus[0].header.append(_card(key, value, comment), end=True)
-        except ValueError:
-            raise FormatError(
-                f"{key} is {value!r}",
-                remedy="a FITS header holds finite numbers and ASCII text",
-                path=path,
-                got=value,
-            ) from None
+    hdus = fits.HDUList([fits.PrimaryHDU(matrix), *_parts(record, form)])
+    _add_cards(hdus[0], record, form, path)
+    for version, one in (versions or {}).items():
+        parts = _parts(one, of_version or form, version)
+        _add_cards(parts[0], one, of_version or form, path)
+        hdus.extend(parts)
     for hdu in hdus:
         # astropy would note the time of writing: the same data shall give the same bytes.
         hdu.add_checksum(when="data unit checksum")
@@ -221,6 +244,28 @@ def write_fits(
         file.write(whole.getbuffer())
 
 
+def _parts(record: Any, form: FileFormat, version: int | None = None) -> list[Any]:
+    """Return the extensions of a record, but for those that are optional and have nothing."""
+    return [
+        _hdu(record, part, version)
+        for part in form.extensions
+        if not (isinstance(part, TableFormat) and part.optional and not value_of(record, part.of))
+    ]
+
+
+def _add_cards(hdu: Any, record: Any, form: FileFormat, path: str | os.PathLike[str]) -> None:
+    for key, value, comment in header_of(record, form):
+        try:
+            hdu.header.append(_card(key, value, comment), end=True)
+        except ValueError:
+            raise FormatError(
+                f"{key} is {value!r}",
+                remedy="a FITS header holds finite numbers and ASCII text",
+                path=path,
+                got=value,
+            ) from None
+
+
 def _card(key: str, value: Any, comment: str) -> Any:
     """Return a header card; astropy alone would cut a number to 20 characters."""
     if isinstance(value, float) and len(repr(float(value))) > 20:
@@ -229,14 +274,15 @@ def _card(key: str, value: Any, comment: str) -> Any:
     return fits.Card(key, value, comment)
 
 
-def _hdu(record: Any, extension: TableFormat | ImageFormat) -> Any:
+def _hdu(record: Any, extension: TableFormat | ImageFormat, version: int | None) -> Any:
     if isinstance(extension, TableFormat):
         columns = [
             fits.Column(name=name, format=form, unit=unit, array=values)
             for name, form, unit, values in columns_of(record, extension)
         ]
-        return fits.BinTableHDU.from_columns(columns, name=extension.name)
-    hdu = fits.ImageHDU(_pixels(record, extension.attribute), name=extension.name)
+        return fits.BinTableHDU.from_columns(columns, name=extension.name, ver=version)
+    pixels = _pixels(record, extension.attribute)
+    hdu = fits.ImageHDU(pixels, name=extension.name, ver=version)
     if extension.unit:
         hdu.header["BUNIT"] = extension.unit
     return hdu

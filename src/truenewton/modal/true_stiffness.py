@@ -21,7 +21,7 @@ shell model that knows nothing of it, by up to a third for the softest (docs/sti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -38,6 +38,7 @@ from truenewton.modal.actuator_roles import (
     off_and_slaved,
     seen_motion,
 )
+from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
 from truenewton.statics.arms import arms, arms_in_units_of_rms
@@ -178,10 +179,11 @@ def true_stiffness(
     >>> [f"{tn.true_stiffness(matrix, alpha).asymmetry:.2%}" for alpha in (None, calibration)]
     ['6.75%', '0.11%']
     """
+    refuse_segments(matrix)
     if calibration is not None:
         matrix = as_calibrated(matrix, calibration.effects)
     on = matrix.layout.enabled
-    layout = _some(matrix.layout, on)
+    layout = matrix.layout.part(on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
     of_sensors = None if matrix.displaced == "true" else calibration
     gain, offset = matched_sensors(layout, of_sensors)
@@ -199,7 +201,7 @@ def true_stiffness(
     shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
     stiffness = shapes.T @ forces
     return TrueStiffness(
-        layout=_some(layout, ~(floats | follows)),
+        layout=layout.part(~(floats | follows)),
         stiffness=0.5 * (stiffness + stiffness.T),
         calibrated=calibration is not None,
         enabled=layout,
@@ -251,9 +253,3 @@ def _following(
         forces[:, ~slaves] + forces[:, slaves] @ answer,
         acting_stiffness,
     )
-
-
-def _some(layout: Layout, chosen: NDArray[np.bool_]) -> Layout:
-    """Return the actuators of a layout that are chosen, (n,)."""
-    columns = {field.name: getattr(layout, field.name) for field in fields(layout)}
-    return replace(layout, **{k: v[chosen] for k, v in columns.items() if v is not None})

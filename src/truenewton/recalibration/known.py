@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from truenewton.arrays import Array, spread
-from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import Level, Verdict, refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
@@ -18,9 +17,11 @@ from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive
+from truenewton.reading import any_calibration_from, of_segment
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import Source
+from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
 from truenewton.tracking.file import tracking_from
@@ -93,7 +94,7 @@ def known_from(
     loads: tuple[Load, ...] = ()
     sources: tuple[Source, ...] = ()
     if not isinstance(given, Calibration | Tracking):
-        name, given = os.fspath(given), _read(given)
+        name, given = os.fspath(given), _read(given, campaign.layout)
     same_instrument = given.instrument == campaign.instrument
     if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(
@@ -144,7 +145,7 @@ def known_from(
     )
 
 
-def _read(path: str | os.PathLike[str]) -> Calibration | Tracking:
+def _read(path: str | os.PathLike[str], layout: Layout) -> Calibration | Tracking:
     remedy = "give --known the file that `calibrate -o` or `track -o` wrote"
     if Path(path).is_dir():
         raise FormatError("is a folder", remedy=remedy, path=os.fspath(path))
@@ -152,7 +153,8 @@ def _read(path: str | os.PathLike[str]) -> Calibration | Tracking:
     if "TRACKING" in file.extensions:
         return tracking_from(file)
     if "CALIBRATION" in file.extensions:
-        return calibration_from(file)
+        number = None if layout.segment is None else int(layout.segment[0])
+        return of_segment(any_calibration_from(file), number, os.fspath(path))
     raise FormatError("is no calibration", remedy=remedy, path=os.fspath(path))
 
 

@@ -41,7 +41,7 @@ from truenewton.estimation.problem import (
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.weights import WeightErrors
 from truenewton.linalg import inverse_of_positive, mirrored
-from truenewton.reading import read
+from truenewton.reading import read_one
 from truenewton.recalibration.known import EarlierCalibration
 from truenewton.records.campaign import Campaign
 from truenewton.tracking.scatter import Scatter, scatter_of
@@ -53,7 +53,7 @@ SMALL = 1e-6  # part of the prior's variance below which the run says nothing
 
 def run_from(campaign: Campaign | str | os.PathLike[str]) -> Campaign:
     """Return the run from a campaign or its path; refuse what is no run of cycles alone."""
-    data = campaign if isinstance(campaign, Campaign) else read(campaign)
+    data = campaign if isinstance(campaign, Campaign) else read_one(campaign)
     if not isinstance(data, Campaign):
         raise FormatError("holds no cycles", remedy="give the run after the change", path=campaign)
     if data.stiffness is not None:

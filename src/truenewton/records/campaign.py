@@ -58,35 +58,15 @@ class Campaign:
     stiffness: StiffnessMatrix | None = None
 
     def __post_init__(self) -> None:
-        if not self.cycles:
-            raise CampaignMismatch("there are no cycle files", remedy="give at least one")
-        ordered = sorted(self.cycles, key=_campaign_order)
-        object.__setattr__(self, "cycles", tuple(ordered))
-        first_of_load: dict[str, Cycle] = {}
-        seen: dict[tuple[str, int], Cycle] = {}
-        for cycle in ordered:
-            _agree(ordered[0], cycle, OF_MIRROR, "calibrate files of one campaign only")
-            if differ := ordered[0].layout.difference(cycle.layout):
-                one = "calibrate files of one campaign only"
-                raise _mismatch(ordered[0], cycle, f"the ACTUATORS table ({differ})", one)
-            of_load = f"correct it, or LOAD: both say '{cycle.load.name}'"
-            _agree(first_of_load.setdefault(cycle.load.key, cycle), cycle, OF_LOAD, of_load)
-            double = seen.setdefault((cycle.load.key, cycle.number), cycle)
-            if double is not cycle:
+        for cycle in self.cycles[:1]:
+            if pieces := cycle.layout.segments:
                 raise CampaignMismatch(
-                    f"LOAD '{cycle.load.name}' has CYCLE {cycle.number} twice",
-                    remedy=f"leave one out, or number it anew (the other is {double.name})",
+                    f"has {len(pieces)} segments, which balance each by itself",
+                    remedy="give its cycles to SegmentedData",
                     path=cycle.name,
                 )
-        matrix = self.stiffness
-        if matrix is not None and not (
-            matrix.instrument == self.instrument and matrix.layout.same_as(self.layout)
-        ):
-            raise CampaignMismatch(
-                f"disagrees with {ordered[0].name} on INSTRUME or the ACTUATORS table",
-                remedy="give the stiffness matrix of the same mirror",
-                path=matrix.source.file if matrix.source else "stiffness matrix",
-            )
+        object.__setattr__(self, "cycles", ordered_cycles(self.cycles))
+        refuse_foreign(self.stiffness, self.cycles[0])
 
     def __repr__(self) -> str:
         loads = ", ".join(load.name for load in self.loads)
@@ -165,6 +145,57 @@ def load_temperatures(campaign: Campaign) -> Array:
     )
 
 
+def ordered_cycles(cycles: Iterable[Cycle]) -> tuple[Cycle, ...]:
+    """Return cycles of one mirror by load, the bare one first, then by number.
+
+    Raises
+    ------
+    CampaignMismatch
+        They disagree on the mirror, a weight or the actuators, or one stands twice.
+    """
+    ordered = sorted(cycles, key=_campaign_order)
+    if not ordered:
+        raise CampaignMismatch("there are no cycle files", remedy="give at least one")
+    first, first_of_load = ordered[0], dict[str, Cycle]()
+    seen: dict[tuple[str, int], Cycle] = {}
+    of_mirror = "calibrate files of one campaign only"
+    for cycle in ordered:
+        of_load = f"correct it, or LOAD: both say '{cycle.load.name}'"
+        before = first_of_load.setdefault(cycle.load.key, cycle)
+        _agree(first, cycle, {} if first.segments else OF_MIRROR, of_mirror)
+        if differ := first.layout.difference(cycle.layout):
+            raise _mismatch(first, cycle, f"the ACTUATORS table ({differ})", of_mirror)
+        _agree_on_segments(first, cycle, "weight", of_mirror)
+        _agree_on_segments(before, cycle, "added", of_load)
+        _agree(first, cycle, OF_MIRROR, of_mirror)
+        _agree(before, cycle, OF_LOAD, of_load)
+        double = seen.setdefault((cycle.load.key, cycle.number), cycle)
+        if double is not cycle:
+            raise CampaignMismatch(
+                f"LOAD '{cycle.load.name}' has CYCLE {cycle.number} twice",
+                remedy=f"leave one out, or number it anew (the other is {double.name})",
+                path=cycle.name,
+            )
+    return tuple(ordered)
+
+
+def refuse_foreign(matrix: StiffnessMatrix | None, cycle: Cycle) -> None:
+    """Refuse a stiffness matrix that is not of a cycle's mirror.
+
+    Raises
+    ------
+    CampaignMismatch
+    """
+    if matrix is not None and not (
+        matrix.instrument == cycle.instrument and matrix.layout.same_as(cycle.layout)
+    ):
+        raise CampaignMismatch(
+            f"disagrees with {cycle.name} on INSTRUME or the ACTUATORS table",
+            remedy="give the stiffness matrix of the same mirror",
+            path=matrix.source.file if matrix.source else "stiffness matrix",
+        )
+
+
 def _campaign_order(cycle: Cycle) -> tuple[Any, ...]:
     load = cycle.load
     return (load.added != 0.0, load.tilt != 0.0, load.key, cycle.number)
@@ -181,3 +212,13 @@ def _agree(one: Cycle, other: Cycle, keywords: dict[str, str], remedy: str) -> N
         a, b = map(attrgetter(attribute), (one, other))
         if a != b:
             raise _mismatch(one, other, f"{keyword} ({b} and {a})", remedy)
+
+
+def _agree_on_segments(one: Cycle, other: Cycle, part: str, remedy: str) -> None:
+    """Refuse two cycles of the same segments that differ in weight, or in added."""
+    for pair in zip(one.segments, other.segments, strict=True):
+        a, b = ((getattr(each, part), getattr(each, f"{part}_error")) for each in pair)
+        if a != b:
+            names = f"{part.upper()} or E_{part.upper()} of segment {pair[0].number}"
+            values = f"{b[0]:g} +- {b[1]:g} and {a[0]:g} +- {a[1]:g}"
+            raise _mismatch(one, other, f"{names} ({values})", remedy)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import leverage
 from truenewton.figures.maps import plot_map
@@ -118,6 +119,26 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
         ]  # fmt: skip
     layers += _sensor_layers(c)
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
+
+
+def segment_layers(c: SegmentedCalibration) -> tuple[Layer, ...]:
+    """Return what is known of the actuators of all segments; NaN where a segment does not tell."""
+    of_segments: dict[str, dict[int, Layer]] = {}
+    for number, one in c.segments.items():
+        for layer in calibration_layers(one, None):
+            of_segments.setdefault(layer.key, {})[number] = layer
+    made = []
+    for parts in of_segments.values():
+        values, errors = np.full((2, c.layout.n), np.nan)
+        for number, layer in parts.items():
+            own = c.layout.segment == number
+            values[own] = layer.values
+            if layer.errors is not None:
+                errors[own] = layer.errors
+        first = next(iter(parts.values()))
+        known = None if first.errors is None else errors
+        made.append(replace(first, values=values, errors=known))
+    return tuple(made)
 
 
 def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:

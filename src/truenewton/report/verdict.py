@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import Level, Verdict
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import scale_total, typical
@@ -64,6 +65,39 @@ def verdict(findings: Findings) -> Headline:
     for note in c.verdict.notes:
         sentence += f" {_sentence(note.fault)} {_sentence(note.remedy)}"
     return _headline(c.verdict, sentence, _numbers(c))
+
+
+def headline_of(findings: Findings | Change | SegmentedCalibration) -> Headline:
+    """Say the verdict on whatever a page is made of."""
+    if isinstance(findings, Change):
+        return verdict_on_change(findings)
+    if isinstance(findings, SegmentedCalibration):
+        return verdict_on_whole(findings)
+    return verdict(findings)
+
+
+def verdict_on_whole(c: SegmentedCalibration) -> Headline:
+    """Say the verdict on a mirror in several segments."""
+    known = np.isfinite(c.alpha)
+    error = typical(c.error[known], c.alpha[known])
+    sentence = (
+        f"Alpha of {len(c.segments)} of {counted(c.numbers, 'segment')} of {c.instrument} is known"
+        f" ({counted(int(known.sum()), 'actuator')}), typically to {percent(error)}."
+    )
+    errors = {n: typical(one.error, one.alpha) for n, one in c.segments.items()}
+    worst = max(errors, key=lambda n: errors[n])
+    low, high = (int(find(c.alpha)) for find in (np.nanargmin, np.nanargmax))
+    ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
+    levels = [c.segments[n].verdict.level if n in c.segments else Level.NONE for n in c.numbers]
+    sound = sum(level == Level.SOUND for level in levels)
+    numbers = (
+        ("alpha", f"{ends[0]} to {ends[1]}", f"actuators {c.layout.id[low]} and"
+         f" {c.layout.id[high]}, true N / commanded N"),
+        ("typical error of alpha", percent(error),
+         f"one sigma; {percent(errors[worst])} on segment {worst}, the largest"),
+        ("sound segments", f"{sound} of {len(levels)}", "each has a section below"),
+    )  # fmt: skip
+    return _headline(c.verdict, sentence, numbers)
 
 
 def _headline(

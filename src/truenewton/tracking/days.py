@@ -18,7 +18,7 @@ from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.estimate import Scale
 from truenewton.linalg import factor_of
-from truenewton.reading import read
+from truenewton.reading import read_one
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Cycle
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -52,8 +52,12 @@ class DatedCalibration:
         return c.date + (c.date_end - c.date) / 2
 
 
-def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
+def gathered(
+    given: Iterable[Given], *, force: bool = False, segment: int | None = None
+) -> tuple[DatedCalibration, ...]:
     """Read and calibrate what is given; return the calibrations in the order of time.
+
+    Of mirrors in several segments that of one, by its number.
 
     Raises
     ------
@@ -63,7 +67,7 @@ def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalib
         The verdict on one of them, unless forced.
     """
     days = sorted(
-        (day for item in given for day in _dated(item)),
+        (day for item in given for day in _dated(item, segment)),
         key=lambda day: (day.date, day.calibration.temperature),
     )
     for day in days:
@@ -91,9 +95,9 @@ def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalib
     return tuple(days)
 
 
-def _dated(item: Given) -> list[DatedCalibration]:
+def _dated(item: Given, segment: int | None) -> list[DatedCalibration]:
     if not isinstance(item, Campaign | Calibration):
-        name, data = os.fspath(item), read(item)
+        name, data = os.fspath(item), read_one(item, segment=segment)
     else:
         start = item.date if isinstance(item, Calibration) else item.cycles[0].date
         name, data = f"{item.instrument} of {start:%Y-%m-%d}", item

@@ -39,7 +39,7 @@ FEW = 3  # degrees of freedom, below which a common scatter is hardly told
 MOST = 0.25  # of the actuators that may leave the family, or there is none
 
 
-def track(*given: Given, force: bool = False) -> Tracking:
+def track(*given: Given, force: bool = False, segment: int | None = None) -> Tracking:
     """Find how alpha varies with temperature and time.
 
     Parameters
@@ -50,6 +50,8 @@ def track(*given: Given, force: bool = False) -> Tracking:
         apart.
     force
         Take calibrations whose verdict is 'not to be used', too.
+    segment
+        Number of the segment that is tracked, of files of a mirror in several.
 
     Raises
     ------
@@ -66,7 +68,7 @@ def track(*given: Given, force: bool = False) -> Tracking:
     >>> f"{100 * np.mean(tracking.coefficient):.2f} % per kelvin"
     '-0.10 % per kelvin'
     """
-    days = gathered(given, force=force)
+    days = gathered(given, force=force, segment=segment)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(

@@ -28,11 +28,12 @@ from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.figures.maps import dot_radius, numbers_by_ring, ring_edges, ring_label, ring_radii
 from truenewton.figures.style import ACCENT, ALARM, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
-from truenewton.statics.layout import Layout, ring_of
+from truenewton.statics.layout import Layout, group_name, group_of
 
 FONT = "system-ui, sans-serif"
 CROWDED = 1000  # beyond so many actuators, outlines would be all that is seen
@@ -43,7 +44,7 @@ def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSour
     """Return what all views of the actuators share: positions, values and texts of every layer."""
     columns: dict[str, Any] = {
         "id": layout.id.astype(np.int32),
-        "ring": (ring_of(layout) + 1).astype(np.int32),
+        group_name(layout): _shown_groups(layout),
         "x": layout.x / MILLIMETRE,
         "y": layout.y / MILLIMETRE,
         "number": numbers_by_ring(layout).astype(np.int32),
@@ -54,6 +55,12 @@ def actuator_source(layout: Layout, layers: tuple[Layer, ...]) -> ColumnDataSour
         columns[layer.key] = np.array(layer.values)
         columns[f"{layer.key}_text"] = list(layer.texts)
     return ColumnDataSource(columns, name="actuators")
+
+
+def _shown_groups(layout: Layout) -> Any:
+    """Return (n,) the ring of each actuator from 1, or the number of its segment."""
+    shown = np.asarray(layout.segment) if layout.segments else group_of(layout) + 1
+    return shown.astype(np.int32)
 
 
 def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ...]) -> Plot:
@@ -83,7 +90,7 @@ def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ..
                    title_text_font_style="normal", title_text_font=FONT,
                    major_label_text_font=FONT)  # fmt: skip
     plot.add_layout(bar, "below")
-    _add_actuator_tools(plot, dots, layers)
+    _add_actuator_tools(plot, dots, layout, layers)
     return plot
 
 
@@ -93,7 +100,9 @@ def palette(layer: Layer) -> tuple[str, ...]:
 
 
 def alpha_by_ring(
-    source: ColumnDataSource, calibration: Calibration, layers: tuple[Layer, ...]
+    source: ColumnDataSource,
+    calibration: Calibration | SegmentedCalibration,
+    layers: tuple[Layer, ...],
 ) -> Plot:
     """Return alpha per actuator, ring by ring, with bars of three errors from the readings."""
     plot, layout = _empty_plot(), calibration.layout
@@ -131,7 +140,7 @@ def _actuator_points(
     plot.xaxis.axis_label = ring_label(layout)
     plot.x_range.range_padding = 0.04  # the first and the last dot shall not be cut
     plot.y_range.range_padding = 0.15
-    _add_actuator_tools(plot, dots, layers)
+    _add_actuator_tools(plot, dots, layout, layers)
 
 
 def _empty_plot(**size: Any) -> Plot:
@@ -150,9 +159,10 @@ def _empty_plot(**size: Any) -> Plot:
     return plot
 
 
-def _add_actuator_tools(plot: Plot, dots: Any, layers: tuple[Layer, ...]) -> None:
+def _add_actuator_tools(plot: Plot, dots: Any, layout: Layout, layers: tuple[Layer, ...]) -> None:
     """Let the pointer tell of an actuator in full, and select actuators in all views."""
-    tooltips = [("actuator", "@id"), ("ring", "@ring"), ("x, y", "@x{0.0}, @y{0.0} mm")]
+    group = group_name(layout)
+    tooltips = [("actuator", "@id"), (group, f"@{group}"), ("x, y", "@x{0.0}, @y{0.0} mm")]
     tooltips += [(layer.name, f"@{layer.key}_text {layer.unit}".rstrip()) for layer in layers]
     plot.add_tools(
         HoverTool(renderers=[dots], tooltips=tooltips, visible=False),

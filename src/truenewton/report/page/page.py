@@ -13,6 +13,8 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
+from truenewton.calibration.segment_words import segmented_headline
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.words import headline, summary_rows
 from truenewton.figures.writing import inline_svg
 from truenewton.files.outputs import file_beside
@@ -24,8 +26,9 @@ from truenewton.report.page.actuator_plots import palette
 from truenewton.report.page.modal_sections import modal_sections
 from truenewton.report.page.section import TextTable
 from truenewton.report.page.sections import evidence_sections, times
-from truenewton.report.page.views import Actuators, calibration_views, change_views
-from truenewton.report.verdict import verdict, verdict_on_change
+from truenewton.report.page.segments import segment_sections
+from truenewton.report.page.views import Actuators, calibration_views, change_views, segment_views
+from truenewton.report.verdict import verdict, verdict_on_change, verdict_on_whole
 
 # Bokeh's script, which stands in the page; only what figures need.
 BOKEH = Resources(mode="inline", components=["bokeh"], minified=True)
@@ -34,7 +37,7 @@ LIBRARIES = ("numpy", "scipy", "astropy", "matplotlib", "bokeh")
 
 def write_report(
     path: str | os.PathLike[str],
-    findings: Findings | Change,
+    findings: Findings | Change | SegmentedCalibration,
     *,
     command: str = "",
     overwrite: bool = False,
@@ -46,7 +49,7 @@ def write_report(
     path
         The page, HTML.
     findings
-        From `investigate`, or `change` for two calibrations.
+        From `investigate`, or `change` for two calibrations; or a mirror in several segments.
     command
         The command that makes the page again, if there is one.
     overwrite
@@ -66,8 +69,20 @@ def write_report(
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-def page(findings: Findings | Change, command: str = "") -> str:
+def page(findings: Findings | Change | SegmentedCalibration, command: str = "") -> str:
     """Return the page as HTML."""
+    if isinstance(findings, SegmentedCalibration):
+        sources = {s.sha256: s for one in findings.segments.values() for s in one.sources}
+        return _rendered(
+            title=f"{findings.instrument}: calibration of its segments",
+            heading=segmented_headline(findings),
+            verdict=verdict_on_whole(findings),
+            actuators=segment_views(findings),
+            sections=tuple(segment_sections(findings)),
+            drawn={},
+            tables=(_files(tuple(sources.values()), "Files"),),
+            command=command,
+        )
     if isinstance(findings, Change):
         return _rendered(
             title=f"{findings.one.instrument}: what changed",
@@ -138,6 +153,7 @@ def _payload(actuators: Actuators) -> dict[str, Any]:
     return {
         "documents": {"report": document.to_json(deferred=False)},
         "places": [{"docid": "report", "roots": hosts, "root_ids": list(hosts)}],
+        "group": actuators.group,
         "layers": [
             {name: getattr(layer, name) for name in ("key", "name", "unit", "title", "meaning")}
             | {"low": layer.limits[0], "high": layer.limits[1], "palette": list(palette(layer))}

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import typical
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
-from truenewton.report.layers import Layer, calibration_layers
+from truenewton.report.layers import Layer, calibration_layers, segment_layers
 from truenewton.report.page.actuator_plots import (
     Plot,
     actuator_source,
@@ -20,7 +21,7 @@ from truenewton.report.page.actuator_plots import (
     mirror_map,
 )
 from truenewton.rounding import counted, percent, to_digits
-from truenewton.statics.layout import Layout, ring_of
+from truenewton.statics.layout import Layout, group_name, ring_of
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,11 @@ class Actuators:
     layers: tuple[Layer, ...]
     views: tuple[View, View]
 
+    @property
+    def group(self) -> str:
+        """By what the second figure and the table group them: 'ring' or 'segment'."""
+        return group_name(self.layout)
+
 
 def calibration_views(findings: Findings, c: Calibration) -> Actuators:
     """Return the views of alpha."""
@@ -60,6 +66,23 @@ def calibration_views(findings: Findings, c: Calibration) -> Actuators:
         View("map", "Map of the mirror", mirror_map(source, c.layout, layers),
              _map_caption(c.layout, _extremes(c))),
         View("rings", "Alpha by ring", alpha_by_ring(source, c, layers), _ring_caption(c)),
+    )  # fmt: skip
+    return Actuators(c.layout, layers, views)
+
+
+def segment_views(c: SegmentedCalibration) -> Actuators:
+    """Return the views of alpha of all segments."""
+    layers = segment_layers(c)
+    source = actuator_source(c.layout, layers)
+    means = ", ".join(f"{n}: {np.nanmean(one.alpha):.3f}" for n, one in c.segments.items())
+    caption = (
+        "Alpha of each actuator, segment by segment. Bars: three standard uncertainties from the"
+        f" readings (3 E_STAT). Means of the segments: {means}."
+    )
+    views = (
+        View("map", "Map of the mirror", mirror_map(source, c.layout, layers),
+             _map_caption(c.layout)),
+        View("rings", "Alpha by segment", alpha_by_ring(source, c, layers), caption),
     )  # fmt: skip
     return Actuators(c.layout, layers, views)
 

@@ -24,6 +24,7 @@
   const mapper = models.get_model_by_name("colours");
   const bar = models.get_model_by_name("bar");
   const layers = payload.layers;
+  const group = payload.group;
   const data = (key) => source.get_column(key);
   const ids = [...data("id")];
   const all = ids.map((_, k) => k);
@@ -58,7 +59,7 @@
   };
   const describe = (k) => {
     const table = document.createElement("table");
-    const lines = [["actuator", ids[k]], ["ring", data("ring")[k]],
+    const lines = [["actuator", ids[k]], [group, data(group)[k]],
       ["x, y", `${data("x")[k].toFixed(1)}, ${data("y")[k].toFixed(1)} mm`],
       ...layers.map((layer) => [layer.name, `${data(`${layer.key}_text`)[k]} ${layer.unit}`])];
     for (const [name, value] of lines) {
@@ -81,7 +82,7 @@
 
   // The table: filtered, sorted, a hundred rows at a time.
   const body = document.querySelector("#actuators tbody");
-  const fields = ["id", "ring", "x", "y", ...layers.map((layer) => layer.key)];
+  const fields = ["id", group, "x", "y", ...layers.map((layer) => layer.key)];
   const STEP = 100;
   let shown = STEP, sortKey = "id", down = false, matching = all;
   const tests = { "<": (a, b) => a < b, ">": (a, b) => a > b, "<=": (a, b) => a <= b,
@@ -109,7 +110,7 @@
   };
   const row = (k, marked) => {
     const line = document.createElement("tr");
-    const texts = [ids[k], data("ring")[k], data("x")[k].toFixed(1), data("y")[k].toFixed(1),
+    const texts = [ids[k], data(group)[k], data("x")[k].toFixed(1), data("y")[k].toFixed(1),
       ...layers.map((layer) => data(`${layer.key}_text`)[k])];
     texts.forEach((text, j) => line.append(cell(j ? "td" : "th", text)));
     line.firstChild.scope = "row";

@@ -1,0 +1,94 @@
+"""The numbers of an estimate where a calibration keeps them, spread over all actuators."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array, spread, spread_square
+from truenewton.calibration.result import Calibration
+from truenewton.estimation import stiffness_svd
+from truenewton.estimation.estimate import Estimate
+from truenewton.records.source import Source
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+
+Imbalances = tuple[stiffness_svd.Imbalance, ...]
+
+
+def from_stiffness(
+    matrix: StiffnessMatrix, estimate: Estimate, imbalances: Imbalances
+) -> Calibration:
+    """Return an estimate from a stiffness matrix as a calibration."""
+    on = matrix.layout.enabled
+    # B is not to be had from elastic forces.
+    reading, systematic = (
+        np.pad(covariance, (0, 1), constant_values=np.nan)
+        for covariance in (estimate.reading_covariance, estimate.systematic_covariance)
+    )
+    estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
+    return Calibration(
+        instrument=matrix.instrument,
+        date=matrix.date,
+        date_end=matrix.date,
+        layout=matrix.layout,
+        loads=(),
+        cycle_error=np.full(matrix.layout.n, np.nan),
+        bias_force=float("nan"),
+        torque_y=np.empty(0),
+        torque_x=np.empty(0),
+        weight=float("nan"),
+        weight_error=float("nan"),
+        temperature=float("nan"),
+        shapes_used=len(stiffness_svd.elastic_modes(matrix)),
+        rejected=0,
+        invalid=0,
+        sources=matrix_source(matrix),
+        effects=estimate.effects,
+        imbalances=imbalances,
+        **common(estimate, on),
+    )
+
+
+def matrix_source(matrix: StiffnessMatrix | None) -> tuple[Source, ...]:
+    """Return the file of a matrix, its elastic modes for rows; nothing where it has none."""
+    if matrix is None or matrix.source is None:
+        return ()
+    modes = len(stiffness_svd.elastic_modes(matrix))
+    return (replace(matrix.source, file=Path(matrix.source.file).name, rows=modes),)
+
+
+def common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return what is the same for all data, spread over all actuators, (n,)."""
+    n, goodness = int(on.sum()), estimate.goodness
+    reading, systematic = estimate.reading_covariance, estimate.systematic_covariance
+    return {
+        "method": estimate.method,
+        "scale": estimate.scale.value,
+        "alpha": spread(estimate.values[:n], on),
+        "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
+        "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
+        "covariance": _spread_square(reading + systematic, on),
+        "systematic_covariance": _spread_square(systematic, on),
+        "condition": estimate.condition,
+        "solved_condition": estimate.solved_condition,
+        "rank": estimate.rank,
+        "noise": estimate.noise,
+        "degrees_of_freedom": goodness.degrees_of_freedom if goodness else None,
+        "chi2": estimate.declared_chi2,
+        "diagnosis": estimate.diagnosis,
+        "goodness": goodness,
+        "scale_errors": estimate.scale_errors,
+        "sensors": estimate.sensors,
+    }
+
+
+def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
+    """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
+    rest = np.ones(len(values) - int(on.sum()), dtype=bool)
+    out = spread_square(values, np.concatenate([on, rest]))
+    out.setflags(write=False)  # so that the calibration need not copy it
+    return out

@@ -1,0 +1,128 @@
+"""The calibration file of a mirror in several segments (docs/files.md).
+
+Alpha of all actuators stands in one table; what is known of each segment stands beside it as in a
+calibration file of its own, its extensions under its number as EXTVER.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from truenewton.calibration.file import CALIBRATION, calibration_from
+from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.verdict import Level
+from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.files.content import FitsFile
+from truenewton.files.format import Column, FileFormat, Keyword, TableFormat
+from truenewton.records.fault import Fault
+from truenewton.records.file import ENABLED, ID, INSTRUMENT, NZ, X, Y
+from truenewton.statics.layout import Layout
+
+ALPHA = TableFormat(
+    "ALPHA",
+    (
+        ID,
+        X,
+        Y,
+        Column("SEGMENT", "layout.segment", kind="int"),
+        Column("ALPHA", "alpha"),
+        Column("E_ALPHA", lambda c: c.error),
+        Column("E_STAT", lambda c: c.reading_error),
+        Column("E_SYST", lambda c: c.systematic_error),
+        Column("E_CYCLE", lambda c: c.cycle_error),
+        NZ,
+        ENABLED,
+    ),
+)
+
+
+def _each(value: Callable[[Calibration], Any], none: Any) -> Callable[[SegmentedCalibration], Any]:
+    """Return what gives, segment by segment, a value of its calibration, or another if refused."""
+    return lambda c: [value(c.segments[n]) if n in c.segments else none for n in c.numbers]
+
+
+SEGMENTED = FileFormat(
+    (
+        INSTRUMENT,
+        Keyword("DATE-OBS", lambda c: c.date, "UTC, start of the data", kind="date"),
+        Keyword("DATE-END", lambda c: c.date_end, "UTC, end of the data", kind="date"),
+        Keyword("VERDICT", lambda c: str(c.verdict.level), "of all segments", kind="str"),
+    ),
+    (
+        ALPHA,
+        TableFormat(
+            "SEGMENTS",
+            (
+                Column("SEGMENT", lambda c: c.numbers, kind="int"),
+                Column(
+                    "VERDICT",
+                    _each(lambda one: str(one.verdict.level), str(Level.NONE)),
+                    kind="str",
+                ),
+                Column("METHOD", _each(lambda one: one.method, ""), kind="str"),
+                Column("SCALE", _each(lambda one: one.scale, ""), kind="str"),
+                Column("NSHAPES", _each(lambda one: one.shapes_used, 0), kind="int"),
+                Column("NREJECT", _each(lambda one: one.rejected, 0), kind="int"),
+                Column("BIAS", _each(lambda one: one.bias_force, np.nan), "N"),
+                Column("E_BIAS", _each(lambda one: one.bias_force_error, np.nan), "N"),
+                Column("NOISE", _each(lambda one: one.noise, np.nan), "N"),
+                Column(
+                    "FITCHI2",
+                    _each(lambda one: one.goodness.chi2 if one.goodness else np.nan, np.nan),
+                ),
+                Column("DOF", _each(lambda one: one.degrees_of_freedom or 0, 0), kind="int"),
+            ),
+        ),
+        TableFormat(
+            "REFUSED",
+            (
+                Column("SEGMENT", "segment", kind="int"),
+                Column("FAULT", "fault", kind="str"),
+                Column("REMEDY", "remedy", kind="str"),
+            ),
+            of="refusals",
+            optional=True,
+        ),
+    ),
+)
+
+
+def segmented_from(file: FitsFile) -> SegmentedCalibration:
+    """Return the calibration of all segments that a file holds.
+
+    Raises
+    ------
+    FormatError
+        The file breaks the contract of such a calibration file.
+    """
+    values = file.values(SEGMENTED)
+    alpha = values.pop("alpha")
+    values["layout"] = file.filled(Layout, values["layout"])
+    rows = values.pop("refusals", {"segment": np.empty(0, dtype=int), "fault": (), "remedy": ()})
+    refused: dict[int, tuple[Fault, ...]] = {}
+    for number, *fault in zip(rows["segment"].tolist(), rows["fault"], rows["remedy"], strict=True):
+        refused[number] = (*refused.get(number, ()), Fault(*fault))
+    segments = {}
+    for number, version in file.versions.items():
+        try:
+            segments[number] = calibration_from(version)
+        except TrueNewtonError as error:
+            raise error.changed(fault=f"of segment {number}, {error.fault}") from None
+    try:
+        made = SegmentedCalibration(**values, segments=segments, refused=refused)
+    except TrueNewtonError as error:
+        raise located(error, file.path) from None
+    if not np.array_equal(made.alpha, alpha, equal_nan=True):
+        raise FormatError(
+            "ALPHA is not that of the segments", remedy="calibrate again", path=file.path
+        )
+    return made
+
+
+def versions_of(calibration: SegmentedCalibration) -> Mapping[str, Any]:
+    """Return what `write_fits` is told of the segments."""
+    return {"versions": calibration.segments, "of_version": CALIBRATION}

@@ -1,0 +1,239 @@
+"""The calibration of a mirror in several segments: one for each, and all of them together."""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.calibration.result import Calibration
+from truenewton.errors import FormatError, RankDeficient, UnknownName
+from truenewton.files.format import quantities
+from truenewton.records.fault import Fault
+from truenewton.records.notebook import html_table
+from truenewton.rounding import counted
+from truenewton.statics.layout import Layout
+
+if TYPE_CHECKING:
+    from astropy.table import QTable
+    from matplotlib.axes import Axes
+
+    from truenewton.calibration.verdict import Verdict
+
+
+class Refusal(NamedTuple):
+    """Why a segment gave no alpha, and what to do about it."""
+
+    segment: int
+    fault: str
+    remedy: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SegmentedCalibration:
+    """True Newtons per commanded Newton of all segments, each calibrated by itself.
+
+    Arrays over actuators are in the order of ``layout``, NaN where an actuator is disabled, or its
+    segment gave no alpha.
+
+    Attributes
+    ----------
+    instrument
+        The mirror.
+    layout
+        The n actuators of all segments.
+    segments
+        The calibration of each segment that gave alpha, by its number.
+    refused
+        Why the others did not, each with its remedy, by number.
+    """
+
+    instrument: str
+    layout: Layout
+    segments: Mapping[int, Calibration]
+    refused: Mapping[int, tuple[Fault, ...]]
+
+    def __post_init__(self) -> None:
+        numbers = sorted((*self.segments, *self.refused))
+        if not self.segments or tuple(numbers) != self.layout.segments:
+            raise FormatError(
+                "SEGMENTS does not name each segment of the actuators once",
+                remedy="calibrate again",
+                got=tuple(numbers),
+                want=self.layout.segments,
+            )
+        for number, one in self.segments.items():
+            if not np.array_equal(one.layout.id, self.layout.id[self.layout.segment == number]):
+                raise FormatError(
+                    f"the actuators of segment {number} are not those of the mirror",
+                    remedy="calibrate again",
+                )
+        for name in ("segments", "refused"):
+            ordered = dict(sorted(getattr(self, name).items()))
+            object.__setattr__(self, name, MappingProxyType(ordered))
+
+    def __repr__(self) -> str:
+        no = f", {len(self.refused)} refused" if self.refused else ""
+        alpha = self.alpha[np.isfinite(self.alpha)]
+        return (
+            f"<SegmentedCalibration of {self.instrument}: {counted(self.numbers, 'segment')}{no},"
+            f" {counted(int(alpha.size), 'actuator')},"
+            f" alpha {alpha.min():.3g} .. {alpha.max():.3g}>"
+        )
+
+    def _repr_html_(self) -> str:
+        from truenewton.calibration.segment_words import segment_rows
+        from truenewton.calibration.words import warning_lines
+
+        return html_table(repr(self)[1:-1], segment_rows(self), warning_lines(self.verdict.faults))
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Of the segments, ascending; also of those refused."""
+        return self.layout.segments
+
+    def segment(self, number: int) -> Calibration:
+        """Return the calibration of one segment.
+
+        Raises
+        ------
+        UnknownName
+            There is no such segment.
+        RankDeficient
+            It gave no alpha; the message says why.
+        """
+        if number in self.refused:
+            fault, remedy = self.refused[number][0]
+            raise RankDeficient(f"segment {number} gave no alpha: {fault}", remedy=remedy)
+        if number not in self.segments:
+            raise UnknownName(
+                f"there is no segment {number}",
+                remedy=f"choose {', '.join(map(str, self.numbers))}",
+                got=number,
+                want=self.numbers,
+            )
+        return self.segments[number]
+
+    @property
+    def verdict(self) -> Verdict:
+        """That of the segments together; each fault names its segment."""
+        from truenewton.calibration.verdict import verdict_on_segments
+
+        return verdict_on_segments(self)
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a segment gave no alpha, or none to be used, or has effects not taken out."""
+        from truenewton.calibration.verdict import Level
+
+        return bool(self.refused) or any(
+            one.doubtful or one.verdict.level == Level.UNUSABLE for one in self.segments.values()
+        )
+
+    @property
+    def refusals(self) -> tuple[Refusal, ...]:
+        """The same as ``refused``, in rows."""
+        return tuple(
+            Refusal(number, *fault) for number, faults in self.refused.items() for fault in faults
+        )
+
+    def without_unusable(self) -> SegmentedCalibration:
+        """Return it without the alpha of segments whose verdict is 'not to be used'.
+
+        Itself where they all are.
+        """
+        from truenewton.calibration.verdict import Level
+
+        judged = {number: one.verdict for number, one in self.segments.items()}
+        out = {n: v.faults for n, v in judged.items() if v.level == Level.UNUSABLE}
+        if not out or len(out) == len(judged):
+            return self
+        named = {n: (Fault(f"{Level.UNUSABLE}: {f[0].fault}", f[0].remedy), *f[1:])
+                 for n, f in out.items()}  # fmt: skip
+        kept = {number: one for number, one in self.segments.items() if number not in out}
+        return replace(self, segments=kept, refused={**self.refused, **named})
+
+    @property
+    def scale(self) -> str:
+        """What fixes the common scale, if the same of all segments; else 'several'."""
+        scales = {one.scale for one in self.segments.values()}
+        return scales.pop() if len(scales) == 1 else "several"
+
+    @property
+    def date(self) -> datetime.datetime:
+        """When the data begin (UTC)."""
+        return min(one.date for one in self.segments.values())
+
+    @property
+    def date_end(self) -> datetime.datetime:
+        """When they end (UTC)."""
+        return max(one.date_end for one in self.segments.values())
+
+    def of_actuators(self, value: Callable[[Calibration], Array]) -> Array:
+        """Return (n,) what each segment has of its actuators; NaN of those refused."""
+        out = np.full(self.layout.n, np.nan)
+        for number, one in self.segments.items():
+            out[self.layout.segment == number] = value(one)
+        return out
+
+    @property
+    def alpha(self) -> Array:
+        """(n,) true Newton / commanded Newton."""
+        return self.of_actuators(lambda one: one.alpha)
+
+    @property
+    def error(self) -> Array:
+        """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
+        return self.of_actuators(lambda one: one.error)
+
+    @property
+    def reading_error(self) -> Array:
+        """(n,) E_STAT, from the noise of the readings."""
+        return self.of_actuators(lambda one: one.reading_error)
+
+    @property
+    def systematic_error(self) -> Array:
+        """(n,) E_SYST, from the weights: of one segment in common."""
+        return self.of_actuators(lambda one: one.systematic_error)
+
+    @property
+    def cycle_error(self) -> Array:
+        """(n,) E_CYCLE, the paper's."""
+        return self.of_actuators(lambda one: one.cycle_error)
+
+    @property
+    def table(self) -> QTable:
+        """One row per actuator: ID, X, Y, SEGMENT, ALPHA and its errors, with units."""
+        from truenewton.calibration.segment_file import ALPHA
+
+        table = quantities(self, ALPHA, without=("NZ", "ENABLED"))
+        table.meta = {"INSTRUME": self.instrument}
+        return table
+
+    def plot_map(self, ax: Axes | None = None) -> Axes:
+        """Draw alpha on the map of the actuators (paper, fig. 6); return the axes."""
+        from truenewton.figures.maps import plot_map
+        from truenewton.figures.style import on_screen
+
+        with on_screen():
+            return plot_map(self.layout, self.alpha, ax)
+
+    def write(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the calibration in the form that the name ends in (docs/files.md).
+
+        ``.fits`` and ``.fits.gz`` hold all of it, ``.ecsv`` the table with units and the verdict,
+        ``.csv`` the table alone, ``.npy`` alpha alone.
+
+        Raises
+        ------
+        OutputExists, OutputFailed
+        """
+        from truenewton.calibration.written import write_calibration
+
+        write_calibration(self, path, overwrite=overwrite)

@@ -1,0 +1,171 @@
+"""What was measured of a mirror in several segments, which balance each by itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.errors import FormatError, UnknownName
+from truenewton.records.campaign import Campaign, ordered_cycles, refuse_foreign
+from truenewton.records.cycle import Cycle
+from truenewton.records.fault import Fault
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import counted, significant
+from truenewton.statics.layout import Layout
+
+# Of what stands between segments: standard deviations by which it is reciprocal, as noise is not;
+# and its rms in terms of that of a segment's own elements, beyond which it is no mere noise either.
+RECIPROCAL, LARGE, ROUNDING = 6.0, 0.3, 1e-9
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SegmentedData:
+    """Cycles of a mirror in several segments, its stiffness matrix, or both.
+
+    Attributes
+    ----------
+    cycles
+        Ordered by load, the bare one first, then by number; empty where there is a matrix alone.
+    stiffness
+        Of all segments; or None.
+
+    Raises
+    ------
+    CampaignMismatch
+        Cycles that disagree on the mirror, a weight or the actuators, or stand twice.
+    FormatError
+        The mirror is in one piece, or nothing was given.
+    """
+
+    cycles: tuple[Cycle, ...] = ()
+    stiffness: StiffnessMatrix | None = None
+
+    def __post_init__(self) -> None:
+        if self.cycles:
+            object.__setattr__(self, "cycles", ordered_cycles(self.cycles))
+            refuse_foreign(self.stiffness, self.cycles[0])
+        elif self.stiffness is None:
+            raise FormatError("there are no data", remedy="give cycles, a stiffness matrix or both")
+        if not self.layout.segments:
+            raise FormatError(
+                "the mirror is in one piece", remedy="make a Campaign, or a StiffnessMatrix, of it"
+            )
+
+    def __repr__(self) -> str:
+        what = counted(self.cycles, "cycle") if self.cycles else "a stiffness matrix"
+        return (
+            f"<SegmentedData of {self.instrument}: {counted(self.numbers, 'segment')},"
+            f" {counted(self.layout.n, 'actuator')}, {what}>"
+        )
+
+    @property
+    def _record(self) -> Cycle | StiffnessMatrix:
+        for record in (*self.cycles[:1], self.stiffness):
+            if record is not None:
+                return record
+        raise AssertionError  # never made
+
+    @property
+    def layout(self) -> Layout:
+        """All actuators."""
+        return self._record.layout
+
+    @property
+    def instrument(self) -> str:
+        """The mirror's name."""
+        return self._record.instrument
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Of the segments, ascending."""
+        return self.layout.segments
+
+    def segment(self, number: int) -> Campaign | StiffnessMatrix:
+        """Return what was measured of one segment: a mirror in one piece.
+
+        Raises
+        ------
+        UnknownName
+            There is no such segment.
+        GeometryError, FormatError
+            It has no actuator that is enabled, or its data hold what they may not.
+        """
+        if number not in self.numbers:
+            raise UnknownName(
+                f"there is no segment {number}",
+                remedy=f"choose {', '.join(map(str, self.numbers))}",
+                got=number,
+                want=self.numbers,
+            )
+        matrix = None if self.stiffness is None else segment_of_matrix(self.stiffness, number)
+        if self.cycles:
+            return Campaign(tuple(cycle.of_segment(number) for cycle in self.cycles), matrix)
+        assert matrix is not None
+        return matrix
+
+
+def segment_of_matrix(matrix: StiffnessMatrix, number: int) -> StiffnessMatrix:
+    """Return the stiffness of one segment of a mirror.
+
+    Raises
+    ------
+    GeometryError, FormatError
+    """
+    chosen = np.asarray(matrix.layout.segment) == number
+    return replace(
+        matrix,
+        instrument=f"{matrix.instrument} segment {number}",
+        layout=matrix.layout.part(chosen),
+        stiffness=matrix.stiffness[np.ix_(chosen, chosen)],
+    )
+
+
+def refuse_segments(matrix: StiffnessMatrix) -> None:
+    """Refuse a stiffness matrix of several segments where one body is wanted.
+
+    Raises
+    ------
+    FormatError
+    """
+    if pieces := matrix.layout.segments:
+        raise FormatError(
+            f"STIFFNESS is of {len(pieces)} segments, which balance each by itself",
+            remedy="give SegmentedData(stiffness=...), or a segment of it",
+            path=matrix.source.file if matrix.source else None,
+        )
+
+
+def coupling_faults(matrix: StiffnessMatrix) -> dict[int, Fault]:
+    """Return, by segment, that it is coupled to others by more than noise; else nothing.
+
+    Segments do not touch, so all that may stand between them is noise: a force that answers a
+    displacement the other way round too (Maxwell-Betti), or one as large as those of a segment
+    itself, is none.
+    """
+    on, segment = matrix.layout.enabled, np.asarray(matrix.layout.segment)
+    faults = {}
+    for number in matrix.layout.segments:
+        own, others = on & (segment == number), on & (segment != number)
+        if not (own.any() and others.any()):
+            continue
+        usual = _rms(matrix.stiffness[np.ix_(own, own)])
+        there = matrix.stiffness[np.ix_(others, own)]
+        back = matrix.stiffness[np.ix_(own, others)].T
+        size = max(_rms(there), _rms(back))
+        if not size > ROUNDING * usual:
+            continue
+        alike = float(np.mean(there * back)) / max(_rms(there) * _rms(back), 1e-300)
+        if alike * np.sqrt(there.size) > RECIPROCAL or size > LARGE * usual:
+            faults[number] = Fault(
+                f"it is coupled to other segments by {significant(size)} N/m rms, where elements of"
+                f" its own are {significant(usual)} N/m rms",
+                "correct SEGMENT, or the order of STIFFNESS; what joins two bodies leaves neither a"
+                " balance of its own",
+            )
+    return faults
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

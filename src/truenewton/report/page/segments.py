@@ -1,0 +1,62 @@
+"""The sections of a mirror in several segments: all in one table, then each by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.verdict import Level
+from truenewton.calibration.words import headline, summary_rows
+from truenewton.estimation.weights import typical
+from truenewton.report.page.section import Section, TextTable
+from truenewton.rounding import counted, percent, with_error
+
+HEAD = ("segment", "verdict", "actuators", "mean alpha", "typical error", "of it from the weights",
+        "B (N)", "noise (mN)", "chi2/DOF", "rejected rows")  # fmt: skip
+
+
+def segment_sections(c: SegmentedCalibration) -> Iterator[Section]:
+    """Yield what is known of the segments: side by side, then one after the other."""
+    rows = tuple(_row(c, number) for number in c.numbers)
+    words = (
+        "Each is a body of its own: it was balanced by itself, with its own weight, B and torques."
+    )
+    words += " A page with the residuals and the modes of one: truenewton report ... --segment 1."
+    table = TextTable(counted(c.numbers, "segment"), HEAD, rows)
+    yield Section("segments", "Segments", (words,), tables=(table,))
+    for number in c.numbers:
+        key, title = f"segment-{number}", f"Segment {number}"
+        if number in c.refused:
+            told = (f"{fault}: {remedy}." for fault, remedy in c.refused[number])
+            yield Section(key, title, ("No alpha.", *told))
+            continue
+        one = c.segments[number]
+        faults = tuple(f"{fault}: {remedy}." for fault, remedy in one.verdict.faults)
+        numbers = TextTable(
+            "All figures", ("figure", "value", "note"), tuple(summary_rows(one)), wraps=True
+        )
+        said = f"{headline(one)}. The verdict: {one.verdict.level}."
+        yield Section(key, title, (said, *faults), tables=(numbers,))
+
+
+def _row(c: SegmentedCalibration, number: int) -> tuple[str, ...]:
+    own = c.layout.segment == number
+    count = str(int(np.count_nonzero(c.layout.enabled[own])))
+    if number in c.refused:
+        return (str(number), str(Level.NONE), count, *[""] * (len(HEAD) - 3))
+    one = c.segments[number]
+    weighed = np.isfinite(one.bias_force)
+    return (
+        str(number),
+        str(one.verdict.level),
+        count,
+        f"{np.nanmean(one.alpha):.4f}",
+        percent(typical(one.error, one.alpha)),
+        percent(typical(one.systematic_error, one.alpha)) if weighed else "",
+        with_error(one.bias_force, one.bias_force_error) if weighed else "",
+        f"{1e3 * one.noise:.3g}" if np.isfinite(one.noise) else "",
+        f"{one.goodness.reduced:.3g}" if one.goodness else "",
+        str(one.rejected),
+    )
