@@ -3,6 +3,7 @@
 known      P45, LBT672, MMT336, ...: numbers with their standing
 glass      glass and sensors: dimensions, outline and material
 file       mirrors that someone else has: TOML and a table
+tables     where actuators stand, points of an outline
 shell/     the elastic shell: what forces hold it, and how it moves
 """
 
