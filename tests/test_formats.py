@@ -7,9 +7,9 @@ import pytest
 
 from truenewton.bench.simulated.truth import TRUTH
 from truenewton.calibration.file import CALIBRATION
-from truenewton.files.format import REQUIRED, ImageFormat
+from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
-from truenewton.records.file import CYCLE, STIFFNESS
+from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
 from truenewton.tracking.file import TRACKING
 
 DOCS = Path(__file__).parents[1] / "docs" / "files.md"
@@ -23,6 +23,7 @@ KINDS = {
 }
 FORMATS = {
     "The cycle file": CYCLE,
+    "Mirrors in several segments": FileFormat(extensions=(SEGMENTS,)),
     "The stiffness file": STIFFNESS,
     "The calibration file": CALIBRATION,
     "The tracking file": TRACKING,

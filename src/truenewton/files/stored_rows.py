@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BufferedIOBase
 from pathlib import Path
 from typing import Any
@@ -51,6 +51,8 @@ class StoredRows:
         Type and byte order in the file.
     in_unit
         Converts values as stored to the unit wanted.
+    chosen
+        (n,) which values of each stored vector are meant, in their order; None where all are.
     largest
         What `largest_in_rows` has found, by the bytes of its ``columns``: rows are read once.
 
@@ -67,6 +69,7 @@ class StoredRows:
     shape: tuple[int, int]
     stored: np.dtype[Any]
     in_unit: Callable[[Array], Array] = lambda values: values
+    chosen: NDArray[np.int64] | None = None
     largest: dict[bytes, Array] = field(default_factory=dict, init=False, repr=False)
 
     dtype = np.dtype(np.float64)
@@ -77,7 +80,8 @@ class StoredRows:
 
     def __getitem__(self, rows: int | slice | NDArray[Any] | list[int]) -> Array:
         at = np.arange(len(self))[rows]
-        every, width = np.atleast_1d(at), self.shape[1]
+        every, chosen = np.atleast_1d(at), self.chosen
+        width = self.shape[1] if chosen is None else int(chosen[-1]) + 1
         try:
             with Path(self.path).open("rb") as file:
                 values = read_rows(file, self.start, self.stride, every, width, self.stored)
@@ -94,6 +98,8 @@ class StoredRows:
             raise UnreadableFile(
                 "was changed while it was in use", remedy="read the campaign again", path=self.path
             )
+        if chosen is not None:
+            values = values[:, chosen]
         values = self.in_unit(values.astype(np.float64, copy=False))
         return values if at.ndim else np.asarray(values[0])
 
@@ -104,6 +110,21 @@ class StoredRows:
 
 
 Rows = Array | StoredRows
+
+
+def columns_of(values: Rows, columns: NDArray[np.bool_]) -> Rows:
+    """Return some columns, (N, n_chosen); what is in a file stays there, and only they are read."""
+    if not isinstance(values, StoredRows):
+        return values[:, columns]
+    at = np.flatnonzero(columns)
+    at = at if values.chosen is None else values.chosen[at]
+    near = at - at[0]
+    return replace(
+        values,
+        start=values.start + int(at[0]) * values.stored.itemsize,
+        shape=(len(values), at.size),
+        chosen=None if near[-1] == at.size - 1 else near,
+    )
 
 
 def largest_in_rows(values: Rows, columns: NDArray[np.bool_]) -> Array:

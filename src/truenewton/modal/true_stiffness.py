@@ -21,7 +21,7 @@ shell model that knows nothing of it, by up to a third for the softest (docs/sti
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -176,7 +176,7 @@ def true_stiffness(
     if calibration is not None:
         matrix = as_calibrated(matrix, calibration.effects)
     on = matrix.layout.enabled
-    layout = _some(matrix.layout, on)
+    layout = matrix.layout.part(on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
     of_sensors = None if matrix.displaced == "true" else calibration
     gain, offset = matched_sensors(layout, of_sensors)
@@ -195,7 +195,7 @@ def true_stiffness(
     shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
     stiffness = shapes.T @ forces
     return TrueStiffness(
-        layout=_some(layout, ~(floats | follows)),
+        layout=layout.part(~(floats | follows)),
         stiffness=0.5 * (stiffness + stiffness.T),
         calibrated=calibration is not None,
         enabled=layout,
@@ -247,9 +247,3 @@ def _following(
         forces[:, ~slaves] + forces[:, slaves] @ answer,
         acting_stiffness,
     )
-
-
-def _some(layout: Layout, chosen: NDArray[np.bool_]) -> Layout:
-    """Return the actuators of a layout that are chosen, (n,)."""
-    columns = {field.name: getattr(layout, field.name) for field in fields(layout)}
-    return replace(layout, **{k: v[chosen] for k, v in columns.items() if v is not None})

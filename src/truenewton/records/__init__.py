@@ -5,6 +5,7 @@ campaign          cycles of one mirror that belong together
 stiffness_matrix  a measured stiffness: commanded force per displacement
 fault             what is wrong, and what mends it
 notebook          results as a notebook shows them
+segment           what a segment of a mirror weighs
 source            the file that data came from, and what of it went into a result
 file              cycle and stiffness files, both ways
 """

@@ -53,6 +53,12 @@ class Campaign:
     def __post_init__(self) -> None:
         if not self.cycles:
             raise CampaignMismatch("there are no cycle files", remedy="give at least one")
+        if pieces := self.cycles[0].layout.segments:
+            raise CampaignMismatch(
+                f"has {len(pieces)} segments, which balance each by itself",
+                remedy="give its cycles to SegmentedData",
+                path=self.cycles[0].name,
+            )
         ordered = sorted(self.cycles, key=_campaign_order)
         object.__setattr__(self, "cycles", tuple(ordered))
         first_of_load: dict[str, Cycle] = {}

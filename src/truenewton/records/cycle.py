@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, freeze, in_units, mask_of
 from truenewton.errors import FormatError
-from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
+from truenewton.files.stored_rows import Rows, StoredRows, blocks, columns_of, largest_in_rows
+from truenewton.records.segment import (
+    Segment,
+    check_mirror_weight,
+    check_segments,
+    lacks_weights,
+    sums_of,
+)
 from truenewton.records.source import Source, check_date
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
@@ -20,10 +27,8 @@ from truenewton.statics.load import (
     LARGEST_FORCE,
     SMALLEST_FORCE,
     Load,
-    check_error,
     check_load,
     check_number,
-    check_weight,
 )
 
 LARGEST_DISPLACEMENT = 1e3  # [m]
@@ -84,6 +89,9 @@ class Cycle:
         GAP [m] and FORCERR [N], or None.
     source
         The file, or None.
+    segments
+        Weights of each segment, by its number; none of a mirror in one piece. ``weight`` and the
+        added weight of ``load`` are those of all segments together.
 
     Raises
     ------
@@ -110,9 +118,11 @@ class Cycle:
     gap: float | None = None
     force_error: float | None = None
     source: Source | None = None
+    segments: tuple[Segment, ...] = ()
 
     def __post_init__(self) -> None:
         in_units(self, UNITS)
+        self._check_segments()
         self._take_masks()
         for name, (dtype, _) in ARRAYS.items():
             if not isinstance(getattr(self, name), StoredRows | None):
@@ -131,14 +141,26 @@ class Cycle:
                 number = np.where(mask, 0, np.asarray(getattr(self, name)))
                 object.__setattr__(self, name, number)
 
+    def _check_segments(self) -> None:
+        if self.layout.segments and not self.segments:
+            raise lacks_weights(self.layout)
+        if self.segments:
+            check_segments(self.segments, self.layout)
+            ordered = tuple(sorted(self.segments)) if self.layout.segments else ()
+            own = (self.weight, self.weight_error, self.load.added, self.load.added_error)
+            sums = sums_of(self.segments)
+            if not np.allclose(own, list(sums.values()), rtol=1e-6, atol=1e-9):
+                raise FormatError(
+                    "WEIGHT or ADDED is not what all segments weigh together",
+                    remedy="give the sums, and of their errors the root of the sum of squares",
+                    got=own,
+                    want=tuple(sums.values()),
+                )
+            object.__setattr__(self, "segments", ordered)
+
     def _check_numbers(self) -> None:
-        weight, noise = self.weight, self.force_error
-        check_weight("WEIGHT", weight)
-        upward = "z points up, so a weight is negative: store " + (
-            f"{-weight:g}" if weight else "it"
-        )
-        check_number("WEIGHT", weight, weight < 0.0, upward, " N")
-        check_error("E_WEIGHT", self.weight_error)
+        noise = self.force_error
+        check_mirror_weight(self.weight, self.weight_error)
         check_load(self.load)
         check_number("CYCLE", self.number, self.number >= 1, "cycles count from 1")
         if noise is not None:
@@ -214,6 +236,28 @@ class Cycle:
     def name(self) -> str:
         """Its file, or its load and number where it has none."""
         return self.source.file if self.source else f"{self.load.name} {self.number}"
+
+    def of_segment(self, number: int) -> Cycle:
+        """Return what concerns one segment, which is a mirror in one piece.
+
+        Raises
+        ------
+        GeometryError, FormatError
+            It has no actuator that is enabled, or its readings hold what they may not.
+        """
+        (own,) = [segment for segment in self.segments if segment.number == number]
+        chosen = np.asarray(self.layout.segment) == number
+        return replace(
+            self,
+            instrument=f"{self.instrument} segment {number}",
+            load=replace(self.load, added=own.added, added_error=own.added_error),
+            weight=own.weight,
+            weight_error=own.weight_error,
+            layout=self.layout.part(chosen),
+            force=columns_of(self.force, chosen),
+            position=None if self.position is None else columns_of(self.position, chosen),
+            segments=(),
+        )
 
     @property
     def used_force(self) -> Array:

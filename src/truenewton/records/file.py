@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable
+from itertools import starmap
 from pathlib import Path
+from typing import Any
 
-from truenewton.errors import FormatError, UnreadableFile
+from truenewton.errors import FormatError, UnreadableFile, located
 from truenewton.files.content import PRIMARY, FitsFile
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.files.outputs import folder_beside
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
+from truenewton.records.segment import Segment, lacks_weights, sums_of
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
@@ -27,7 +30,8 @@ X, Y = (Column(name, f"layout.{name.lower()}", "m") for name in "XY")
 NZ = Column("NZ", "layout.nz", absent=1.0)
 ENABLED = Column("ENABLED", "layout.enabled", kind="bool", absent=True)
 E_X, E_Y = (Column(f"E_{name}", f"layout.{name.lower()}_error", "m", absent=None) for name in "XY")
-ACTUATORS = TableFormat("ACTUATORS", (ID, X, Y, NZ, ENABLED, E_X, E_Y))
+SEGMENT = Column("SEGMENT", "layout.segment", kind="int", absent=None)
+ACTUATORS = TableFormat("ACTUATORS", (ID, X, Y, NZ, ENABLED, E_X, E_Y, SEGMENT))
 
 CYCLE = FileFormat(
     (
@@ -66,6 +70,23 @@ CYCLE = FileFormat(
             ),
         ),
     ),
+)
+SEGMENTS = TableFormat(
+    "SEGMENTS",
+    (
+        Column("SEGMENT", "number", kind="int"),
+        Column("WEIGHT", "weight", "N"),
+        Column("E_WEIGHT", "weight_error", "N"),
+        Column("ADDED", "added", "N"),
+        Column("E_ADDED", "added_error", "N"),
+    ),
+    of="segments",
+)
+OF_SEGMENTS = tuple(column.name for column in SEGMENTS.columns[1:])
+# Of a mirror in several segments: weights stand there, and not in the header.
+SEGMENTED_CYCLE = FileFormat(
+    tuple(keyword for keyword in CYCLE.keywords if keyword.name not in OF_SEGMENTS),
+    (*CYCLE.extensions, SEGMENTS),
 )
 STIFFNESS = FileFormat(
     (
@@ -107,7 +128,32 @@ def cycle_from(file: FitsFile) -> Cycle:
     """
     layout = layout_from(file)  # what is wrong with it comes first: FORCE has its width
     known = {"layout": layout, "source": Source(file.path, file.sha256)}
+    if SEGMENTS.name in file.extensions:
+        return _segmented_cycle(file, known)
+    if layout.segments:
+        raise located(lacks_weights(layout), file.path)
     return file.filled(Cycle, file.values(CYCLE) | known)
+
+
+def _segmented_cycle(file: FitsFile, known: dict[str, Any]) -> Cycle:
+    """Return a cycle whose weights stand in SEGMENTS, and there alone."""
+    if both := [name for name in OF_SEGMENTS if name in file.header]:
+        raise FormatError(
+            f"{' and '.join(both)} stand both in the primary header and in SEGMENTS",
+            remedy="take them out of the header: SEGMENTS says them of each segment",
+            path=file.path,
+        )
+    values = file.values(SEGMENTED_CYCLE)
+    columns = values.pop("segments")
+    if len(columns["number"]) == 0:
+        raise FormatError(
+            "SEGMENTS has no rows", remedy="give one for each segment", path=file.path
+        )
+    segments = tuple(starmap(Segment, zip(*(v.tolist() for v in columns.values()), strict=True)))
+    sums = sums_of(segments)
+    values["weight"], values["weight_error"] = sums["weight"], sums["weight_error"]
+    values["load"] |= {"added": sums["added"], "added_error": sums["added_error"]}
+    return file.filled(Cycle, values | known | {"segments": segments})
 
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
@@ -149,7 +195,7 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
     """Write a cycle file."""
-    write_fits(path, CYCLE, cycle, overwrite=overwrite)
+    write_fits(path, SEGMENTED_CYCLE if cycle.segments else CYCLE, cycle, overwrite=overwrite)
 
 
 def cycle_name(load: Load, number: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,10 @@ from truenewton.arrays import Array, freeze, in_units, taking_units
 from truenewton.errors import GeometryError
 
 FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit has slipped
-UNITS = {"id": "", "x": "m", "y": "m", "nz": "", "enabled": "", "x_error": "m", "y_error": "m"}
+UNITS = {
+    "id": "", "x": "m", "y": "m", "nz": "", "enabled": "", "x_error": "m", "y_error": "m",
+    "segment": "",
+}  # fmt: skip
 MOST_ACTUATORS = 20000
 
 
@@ -32,6 +35,8 @@ class Layout:
         (n,) false where an actuator applies no force and takes no part.
     x_error, y_error
         (n,) standard uncertainties of x and y [m]; None where none is declared.
+    segment
+        (n,) number of the segment that each stands behind, from 1; None of a mirror in one piece.
 
     Raises
     ------
@@ -46,6 +51,7 @@ class Layout:
     enabled: NDArray[np.bool_]
     x_error: Array | None = None
     y_error: Array | None = None
+    segment: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         in_units(self, UNITS)
@@ -54,7 +60,9 @@ class Layout:
         freeze(self, "enabled", dtype=np.bool_)
         errors = [name for name in ("x_error", "y_error") if getattr(self, name) is not None]
         freeze(self, *errors)
-        for name in ("id", "x", "y", "nz", "enabled", *errors):
+        pieces = ["segment"] if self.segment is not None else []
+        freeze(self, *pieces, dtype=np.int64)
+        for name in ("id", "x", "y", "nz", "enabled", *errors, *pieces):
             shape = getattr(self, name).shape
             if shape != (self.n,):
                 raise GeometryError(
@@ -96,11 +104,13 @@ class Layout:
             raise GeometryError(
                 "NZ lies outside 0.01 to 1", remedy="NZ is the cosine between the force and +z"
             )
+        if self.segment is not None and (self.segment < 1).any():
+            raise GeometryError(f"SEGMENT is {self.segment.min()}", remedy="segments count from 1")
         values, count = np.unique(self.id, return_counts=True)
         if (count > 1).any():
             raise GeometryError(
                 f"actuator ID {values[count > 1][0]} stands {count.max()} times",
-                remedy="give every actuator its own ID",
+                remedy="give every actuator its own ID, whatever its segment",
             )
         places, count = np.unique(
             np.round([self.x / 1e-9, self.y / 1e-9]), axis=1, return_counts=True
@@ -114,12 +124,24 @@ class Layout:
 
     def __repr__(self) -> str:
         off = f", {np.count_nonzero(~self.enabled)} disabled" if not self.enabled.all() else ""
-        return f"<Layout of {self.n} actuators{off}>"
+        pieces = f" of {len(self.segments)} segments" if self.segments else ""
+        return f"<Layout of {self.n} actuators{pieces}{off}>"
 
     @property
     def n(self) -> int:
         """Number of actuators, disabled ones included."""
         return int(np.size(self.id))
+
+    @property
+    def segments(self) -> tuple[int, ...]:
+        """Numbers of the segments in ascending order; none of a mirror in one piece."""
+        numbers = () if self.segment is None else np.unique(self.segment).tolist()
+        return tuple(numbers) if len(numbers) > 1 else ()
+
+    def part(self, chosen: NDArray[np.bool_]) -> Layout:
+        """Return the actuators that are chosen, (n,)."""
+        columns = {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **{k: v[chosen] for k, v in columns.items() if v is not None})
 
     def same_as(self, other: Layout) -> bool:
         """Tell whether the actuators are the same and the same ones are enabled."""
@@ -135,6 +157,11 @@ class Layout:
             if differ.size:
                 k = differ[0]
                 return f"{name.upper()} in row {k + 1}: {two[k]:.6g} and {one[k]:.6g}"
+        if self.segments != other.segments:
+            return f"{len(other.segments) or 1} and {len(self.segments) or 1} segments"
+        if self.segment is not None and other.segment is not None and self.segments:
+            for k in np.flatnonzero(self.segment != other.segment)[:1]:
+                return f"SEGMENT in row {k + 1}: {other.segment[k]} and {self.segment[k]}"
         return ""
 
     def same_actuators_as(self, other: Layout) -> bool:
@@ -155,6 +182,7 @@ def layout(
     enabled: ArrayLike | None = None,
     x_error: ArrayLike | None = None,
     y_error: ArrayLike | None = None,
+    segment: ArrayLike | None = None,
 ) -> Layout:
     """Make a layout; names count from 1, forces point along +z, all enabled, unless told.
 
@@ -170,6 +198,7 @@ def layout(
         enabled=np.ones(n, dtype=bool) if enabled is None else enabled,  # type: ignore[arg-type]
         x_error=x_error,  # type: ignore[arg-type]
         y_error=y_error,  # type: ignore[arg-type]
+        segment=segment,  # type: ignore[arg-type]
     )
 
 
