@@ -1,6 +1,9 @@
 """Mirrors of any outline: their file, and the simulated bench on their finite elements."""
 
+import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from scipy.optimize import brentq
 from scipy.special import iv, ivp, jv, jvp
 from shells import influence
 
+import truenewton as tn
 from truenewton.bench.simulated.static import held_command, loop_of, run_cycles, static_bench
 from truenewton.errors import GeometryError
 from truenewton.mirrors.file import mirror_from
@@ -287,3 +291,33 @@ def test_rings_of_fourier_refuse_an_outline():
     at = np.array([0.05]), np.array([0.0])
     with pytest.raises(GeometryError, match="is no ring"):
         influence(shell, at, at)
+
+
+PAGE = Path(__file__).parent.parent / "docs" / "simulated-bench.md"
+
+
+def test_the_hexagon_of_the_page(inside, tmp_path, monkeypatch):
+    """Its three files, and the commands below them; errors of alpha are what they are said to be."""
+    text = PAGE.read_text(encoding="utf-8").split("### Any outline")[1]
+    (mine,) = re.findall(r'```toml\n(name = "HEXAGON".*?)```', text, re.DOTALL)
+    edge, actuators = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)
+    for name, block in (("hexagon.toml", mine), ("edge.csv", edge), ("hexagon.csv", actuators)):
+        (tmp_path / name).write_text(block)
+    monkeypatch.chdir(tmp_path)
+    mirror = mirror_from("hexagon.toml")
+    assert mirror.layout.n == 37
+    assert (0.0, 0.0) in zip(mirror.layout.x, mirror.layout.y, strict=True)
+    (commands,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    for line in commands.splitlines():
+        code, _, said = inside(*line.split()[1:])
+        assert code == 0, said
+    alpha, error = (
+        getattr(tn.read_calibration("hexagon.fits"), name) for name in ("alpha", "error")
+    )
+    miss = (alpha - tn.read_truth("hexagon.truth.fits").alpha) / error
+    assert np.abs(miss).max() < 4
+    plan = inside("plan", "--new")[1].replace('"p45"', '"hexagon.toml"').replace("-0.289", "-0.25")
+    (tmp_path / "plan.toml").write_text(plan)
+    code, planned, said = inside("plan", "plan.toml", "--json")
+    assert code == 0, said
+    assert json.loads(planned)["actuators"] == 37
