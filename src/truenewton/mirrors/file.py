@@ -15,6 +15,7 @@ from truenewton.errors import FormatError, GeometryError, located
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.glass import check_shell
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
+from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
 from truenewton.mirrors.shell.finite_elements.meshing import mesh_size_of
 from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
 from truenewton.mirrors.shell.held_glass import tool_wedges
@@ -33,6 +34,56 @@ class _Written(MirrorNumbers):
     actuators: str
 
 
+@dataclass(frozen=True)
+class _Placed:
+    """A segment as the file of its mirror gives it: the file of its own, and its place."""
+
+    file: str
+    x: float
+    y: float
+    turned: float = 0.0
+
+
+@dataclass(frozen=True)
+class _WrittenSegments:
+    """A mirror in segments as its file gives it."""
+
+    name: str
+    segments: tuple[_Placed, ...]
+
+
+def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
+    """Return a mirror in one piece or in segments: known by its name, or of a TOML file.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    path = Path(name)
+    if str(name).lower() in SEGMENTED:
+        return SEGMENTED[str(name).lower()]()
+    if str(name).lower() not in KNOWN and path.suffix == ".toml" and path.exists():
+        tables = read_toml(path)
+        if "segments" in tables:
+            return _segments_in(tables, path)
+    return mirror_from(name)
+
+
+def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
+    written = filled(_WrittenSegments, tables, path)
+    files = {placed.file for placed in written.segments}
+    # Read once, so that segments of one file are seen to share their glass.
+    made = {file: mirror_from(path.parent / file) for file in sorted(files)}
+    try:
+        return SegmentedMirror(
+            name=written.name,
+            segments=tuple(made[placed.file] for placed in written.segments),
+            places=tuple(Place(one.x, one.y, one.turned) for one in written.segments),
+        )
+    except GeometryError as error:
+        raise located(error, path) from None
+
+
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
     """Return a known mirror by its name, or the one of a TOML file (docs/simulated-bench.md).
 
@@ -41,6 +92,8 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
     path = Path(name)
+    if str(name).lower() in SEGMENTED:
+        raise _is_segmented(str(name))
     if str(name).lower() in KNOWN or not (path.suffix == ".toml" or path.exists()):
         return mirror(str(name))
     if str(name).endswith(SUFFIXES):
@@ -53,7 +106,10 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
 
 
 def _mirror_in(path: Path) -> Mirror:
-    written = filled(_Written, _with_points(read_toml(path), path), path)
+    tables = read_toml(path)
+    if "segments" in tables:
+        raise _is_segmented(str(path))
+    written = filled(_Written, _with_points(tables, path), path)
     _refuse_absurd(written, path)
     for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
                       ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0),
@@ -80,6 +136,13 @@ def _mirror_in(path: Path) -> Mirror:
     except GeometryError as error:
         raise located(error, path) from None
     return made
+
+
+def _is_segmented(name: str) -> FormatError:
+    return FormatError(
+        f"'{name}' is a mirror in segments",
+        remedy="simulate and plan take it; for anything else give the file of one segment",
+    )
 
 
 def _with_points(tables: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -250,7 +250,8 @@ def mirror(name: str) -> Mirror:
         return ring(int(known[4:]))
     raise UnknownName(
         f"no mirror is called '{name}'",
-        remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MOST_ACTUATORS};"
+        remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MOST_ACTUATORS},"
+        " in segments m4 and gmt;"
         " or give a file",
         got=name,
         want=tuple(KNOWN),

@@ -88,6 +88,7 @@ def static_bench(
     force_limit: float = 0.4,
     force_noise: float = 1e-4,
     temperature: float = REFERENCE_TEMPERATURE,
+    glass: HeldGlass | None = None,
 ) -> StaticBench:
     """Draw the truth of a mirror and plan its stiffness modes within stroke and force.
 
@@ -108,6 +109,8 @@ def static_bench(
         Standard deviation of one commanded-force reading [N].
     temperature
         Of magnets and coils [deg C].
+    glass
+        That of the mirror, where it is known already.
 
     Raises
     ------
@@ -125,7 +128,7 @@ def static_bench(
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
     added, tilt = _true_loads(loads, random)
-    glass, external = held_glass(mirror), []
+    glass, external = glass or held_glass(mirror), []
     for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):
         centre = random.normal(0.0, CENTRING_ERROR, 2)
         external.append(weight_on(mirror, weight, q, cosine=cosine, off_centre=centre, bias=bias))
