@@ -1,5 +1,9 @@
 """Mirrors in segments: those that are known, those of files, and their simulation."""
 
+import json
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -164,3 +168,51 @@ def test_what_takes_no_segments_says_so(inside, tiny, monkeypatch, command):
     assert "in segments" in error
     assert len(error.splitlines()) == 1
     assert mirror_from(tiny.with_name("disc.toml")).layout.n == 7
+
+
+def test_a_plan_of_segments_is_that_of_the_worst(inside, tiny):
+    """Each as planned by itself; what acquires takes one segment at a time, and says so."""
+    said = {}
+    text = inside("plan", "--new")[1].replace("-0.289", "-0.1")
+    for name in ("disc", "square", "tiny"):
+        path = tiny.with_name(f"plan-{name}.toml")
+        path.write_text(text.replace('"p45"', f'"{name}.toml"'))
+        code, out, error = inside("plan", path, "--json")
+        assert code == 0, error
+        said[name] = json.loads(out)
+    worst = max(("disc", "square"), key=lambda name: said[name]["typical_error"])
+    assert said["tiny"]["typical_error"] == said[worst]["typical_error"]
+    number = 1 + (worst == "square")
+    assert said["tiny"]["instrument"] == f"TINY segment {number}, the worst of 2 that differ"
+    code, _, error = inside("acquire", path, "-o", tiny.with_name("c"))
+    assert code == 2
+    assert "is a mirror in segments; simulate and plan take it" in error
+
+
+def test_the_wall_of_the_page(tmp_path):
+    """Three hexagons, of one glass, as the page gives them."""
+    text = (Path(__file__).parent.parent / "docs" / "simulated-bench.md").read_text("utf-8")
+    for name in ("HEXAGON", "WALL"):
+        (block,) = re.findall(rf'```toml\n(name = "{name}".*?)```', text, re.DOTALL)
+        (tmp_path / f"{name.lower()}.toml").write_text(block)
+    for name, block in zip(
+        ("edge.csv", "hexagon.csv"),
+        re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL),
+        strict=True,
+    ):
+        (tmp_path / name).write_text(block)
+    wall = whole_mirror_from(tmp_path / "wall.toml")
+    assert wall.layout.n == 111
+    assert wall.layout.segments == (1, 2, 3)
+    assert wall.segments[0] is wall.segments[1] is wall.segments[2]
+
+
+def test_the_command_tells_of_segments(inside, tiny):
+    listed = inside("mirrors")[1]
+    assert re.search(r"M4, 6 x +892", listed)
+    assert re.search(r"GMT, 6 x +675", listed)
+    told = inside("mirrors", tiny)[1]
+    assert "segments 1 at 0.11, 0 m, turned 0 deg, 3 at 0.02, -0.19 m, turned -100 deg:" in told
+    values = json.loads(inside("mirrors", tiny, "--json")[1])
+    assert [one["actuators"] for one in values["segments"]] == [7, 16, 7]
+    assert "[assumed]" in inside("mirrors", "gmt")[1]
