@@ -111,8 +111,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         work = arguments.output or Path(temporary)
         work.mkdir(parents=True, exist_ok=True)
-        first = {id(one): k for k, one in reversed([*enumerate(mirror.segments, 1)])}
-        for number in sorted(first.values()):
+        for _, (number, *_others) in mirror.kinds:
             shared = ("--mirror", arguments.mirror, "--glass", number)
             timed(f"glass of segment {number}", __file__, *shared)
         campaign, calibration = work / "campaign", work / "calibration.fits"

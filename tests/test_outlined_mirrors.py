@@ -298,7 +298,7 @@ PAGE = Path(__file__).parent.parent / "docs" / "simulated-bench.md"
 
 def test_the_hexagon_of_the_page(inside, tmp_path, monkeypatch):
     """Its three files, the commands below them, a plan; alpha is within its errors of the truth."""
-    text = PAGE.read_text(encoding="utf-8").split("### Any outline")[1]
+    text = PAGE.read_text(encoding="utf-8").split("### Any outline")[1].split("### Segments")[0]
     (mine,) = re.findall(r'```toml\n(name = "HEXAGON".*?)```', text, re.DOTALL)
     edge, actuators = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)
     for name, block in (("hexagon.toml", mine), ("edge.csv", edge), ("hexagon.csv", actuators)):

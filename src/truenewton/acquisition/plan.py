@@ -281,8 +281,7 @@ def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> 
     whole = whole_mirror_from(_mirror_of(plan, folder))
     if not isinstance(whole, SegmentedMirror):
         return {whole.name: whole}
-    first = {id(segment): k for k, segment in reversed([*enumerate(whole.segments, 1)])}
-    return {f"{whole.name} segment {k}": whole.segments[k - 1] for k in sorted(first.values())}
+    return {f"{whole.name} segment {alike[0]}": segment for segment, alike in whole.kinds}
 
 
 def _mirror_of(plan: CampaignPlan, folder: str | os.PathLike[str]) -> Path | str:

@@ -41,7 +41,7 @@ def run(
         head = ("name", "actuators", "glass, mm", "thick, mm", "curvature, m", "weight, N")
         rows = [_row(one) for one in (*every, ring(MOST_ACTUATORS))]
         title = "The known mirrors, and the last of the family ring4, ring5, ...:"
-        rows_of_parts = [_row_of_part(one, *kind) for one in whole for kind in _kinds(one)]
+        rows_of_parts = [_row_of_part(one, *kind) for one in whole for kind in one.kinds]
         more = "`truenewton mirrors NAME` tells where the numbers come from."
         values = {
             "mirrors": [_numbers(one) for one in every],
@@ -62,7 +62,7 @@ def run(
         numbers = _numbers_of_whole(known)
         lines = [
             f"  {known.name}: {known.layout.n} actuators",
-            *(line for kind in _kinds(known) for line in _lines_of_part(known, *kind)),
+            *(line for kind in known.kinds for line in _lines_of_part(known, *kind)),
         ]
     else:
         numbers = _numbers(known)
@@ -100,14 +100,6 @@ def _numbers(mirror: Mirror) -> dict[str, object]:
         del shell["outline"]
     del numbers["layout"]
     return {"name": numbers.pop("name"), "actuators": mirror.layout.n, **shell, **numbers}
-
-
-def _kinds(whole: SegmentedMirror) -> list[tuple[Mirror, list[int]]]:
-    """Return the segments that differ, each with the numbers of all that are like it."""
-    numbers: dict[int, list[int]] = {}
-    for k, segment in enumerate(whole.segments, 1):
-        numbers.setdefault(id(segment), []).append(k)
-    return [(whole.segments[alike[0] - 1], alike) for alike in numbers.values()]
 
 
 def _row_of_part(whole: SegmentedMirror, part: Mirror, alike: list[int]) -> tuple[str, ...]:

@@ -221,7 +221,7 @@ def check_glass(mirror: Mirror) -> None:
     if tool_off.any():
         raise GeometryError(
             f"the weight tool, {np.hypot(*wedges[0]):g} m from the axis, stands off the glass",
-            remedy="give as tool_radius that of a circle on the glass",
+            remedy="give as tool_radius that of a circle on the glass, about x = y = 0",
         )
 
 

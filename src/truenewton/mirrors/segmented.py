@@ -91,6 +91,14 @@ class SegmentedMirror:
         self.layout  # noqa: B018  refuses what cannot stand together
 
     @property
+    def kinds(self) -> list[tuple[Mirror, list[int]]]:
+        """The segments that differ, each with the numbers of all that are the same record."""
+        numbers: dict[int, list[int]] = {}
+        for k, segment in enumerate(self.segments, 1):
+            numbers.setdefault(id(segment), []).append(k)
+        return [(self.segments[alike[0] - 1], alike) for alike in numbers.values()]
+
+    @property
     def layout(self) -> Layout:
         """All actuators in the frame of the mirror, named from 1, segment after segment."""
         parts = [segment.layout for segment in self.segments]

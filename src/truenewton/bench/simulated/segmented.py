@@ -69,20 +69,19 @@ def segmented_bench(
     ------
     GeometryError, LimitExceeded
     """
-    glasses: dict[int, HeldGlass] = {}  # of segments that are one record: computed once
-    benches = []
-    for k, segment in enumerate(mirror.segments, 1):
-        if id(segment) not in glasses:
-            glasses[id(segment)] = held_glass(segment)
-        benches.append(
-            static_bench(
-                segment,
-                SEEDS * seed + k,
-                force_noise=force_noise,
-                temperature=temperature,
-                glass=glasses[id(segment)],
-            )
+    glasses: dict[int, HeldGlass] = {}
+    for part, alike in mirror.kinds:
+        glasses |= dict.fromkeys(alike, held_glass(part))
+    benches = [
+        static_bench(
+            segment,
+            SEEDS * seed + k,
+            force_noise=force_noise,
+            temperature=temperature,
+            glass=glasses[k],
         )
+        for k, segment in enumerate(mirror.segments, 1)
+    ]
     most = max(len(bench.shapes) for bench in benches)
     filled = (
         replace(bench, shapes=bench.shapes[np.arange(most) % len(bench.shapes)])
