@@ -19,9 +19,9 @@ from truenewton.files.fits import read_fits
 from truenewton.files.sizes import BLOCK, CARD, check_sizes
 from truenewton.files.toml import read_toml
 from truenewton.linalg import covariance_fault, inverse_of_positive
-from truenewton.mirrors.file import _layout_in
 from truenewton.mirrors.glass import Shell, check_shell
 from truenewton.mirrors.shell.finite_elements.outline import checked_sides
+from truenewton.mirrors.tables import layout_in
 from truenewton.modal.actuator_roles import off_and_slaved
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.pupil import Pupil
@@ -131,14 +131,14 @@ def test_a_table_of_text_is_held_against_what_it_is_to_be(tmp_path, table, said)
     path = tmp_path / "a.csv"
     path.write_text(table)
     with pytest.raises(ValueError, match=r"a\.csv: ") as refused:
-        _layout_in(path)
+        layout_in(path)
     assert said in str(refused.value)
 
 
 def test_words_for_enabled_mean_what_they_say(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("ENABLED,X,Y\nTrue,0.1,0.2\nfalse,0.2,0.3\n")
-    assert _layout_in(path).enabled.tolist() == [True, False]
+    assert layout_in(path).enabled.tolist() == [True, False]
 
 
 def test_a_null_character_is_no_name(tmp_path):

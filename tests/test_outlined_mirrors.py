@@ -1,17 +1,24 @@
 """Mirrors of any outline: their file, and the simulated bench on their finite elements."""
 
+import json
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.linalg import eigh
+from scipy.optimize import brentq
+from scipy.special import iv, ivp, jv, jvp
 from shells import influence
 
+import truenewton as tn
 from truenewton.bench.simulated.static import held_command, loop_of, run_cycles, static_bench
 from truenewton.errors import GeometryError
 from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import ring
+from truenewton.mirrors.shell.air_film import VISCOSITY, film_damping
 from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
 from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
 from truenewton.statics.arms import external_load, resultants
@@ -94,7 +101,68 @@ def test_frequencies_of_a_square():
     assert np.all((excess > -1e-4) & (excess < 2e-3)), excess
 
 
+def hexagon(count, spacing):
+    """Return x, y of the actuators of a hexagon, one of them in the middle."""
+    k = np.arange(-count, count + 1)
+    i, j = (grid.ravel() for grid in np.meshgrid(k, k))
+    keep = np.abs(i + j) <= count
+    return spacing * (i + 0.5 * j)[keep], spacing * np.sqrt(0.75) * j[keep]
+
+
+@pytest.fixture(scope="module")
+def disc():
+    """Return a disc without a hole, an actuator in its middle, and its static shapes."""
+    x, y = hexagon(5, 19e-3)
+    plate = Shell(0.0, 0.1, 1.6e-3, poisson_ratio=0.3)
+    mirror = replace(
+        ROUND, layout=layout(x, y), shell=plate, magnet_mass=0.0, puck_radius=0.0,
+        sensor=Annulus(1e-6, 1e-6), vent_radius=0.0,
+    )  # fmt: skip
+    glass = held_glass(mirror)
+    return glass, static_shapes(glass)
+
+
+def of_free_disc(n, near, nu=0.3):
+    """Return lambda^2 of n nodal diameters (A. W. Leissa, NASA SP-160, 1969, eq. 2.13)."""
+
+    def missing(root):
+        # w = J(k r) + c I(k r): where moment and shear on the edge are 0 for one c
+        moment, shear = [], []
+        for sign, value, slope in ((1, jv, jvp), (-1, iv, ivp)):
+            f, df = value(n, root), root * slope(n, root)
+            moment.append(root**2 * f + sign * (1 - nu) * (df - n**2 * f))
+            shear.append(root**2 * df + sign * (1 - nu) * n**2 * (df - f))
+        return moment[0] * shear[1] - moment[1] * shear[0]
+
+    return brentq(missing, 0.98 * np.sqrt(near), 1.02 * np.sqrt(near)) ** 2
+
+
+def test_frequencies_of_a_disc(disc):
+    """Two, no, three nodal diameters: 5.358, 9.003, 12.44 at nu = 0.3, from above."""
+    glass, shapes = disc
+    plate = glass.mirror.shell
+    K, M = 0.5 * (glass.stiffness + glass.stiffness.T), moving_mass(glass, shapes)[0]
+    per_mass = plate.density * plate.thickness / plate.bending_stiffness
+    got = np.sqrt(eigh(K, M, eigvals_only=True)[3:8] * per_mass) * plate.outer_radius**2
+    exact = np.array([of_free_disc(n, near) for n, near in ((2, 5.358), (0, 9.003), (3, 12.44))])
+    assert exact == pytest.approx([5.358, 9.003, 12.44], rel=1e-4)
+    excess = got / np.repeat(exact, [2, 1, 2]) - 1
+    # Most of it is Guyan's reduction: with 37 actuators it is 3.5 times as much.
+    assert np.all((excess > -1e-4) & (excess < [1e-3, 1e-3, 2e-3, 2e-3, 6e-3])), excess
+
+
+def test_the_film_under_a_disc(disc):
+    """Moved as a whole the film takes 3 pi mu R^4 / 2 h^3 of its velocity."""
+    damping, mirror = film_damping(*disc), disc[0].mirror
+    exact = 1.5 * np.pi * VISCOSITY * mirror.shell.outer_radius**4 / mirror.gap**3
+    assert damping.sum() == pytest.approx(exact, rel=5e-3)
+
+
 L_SHAPE = ((-0.08, -0.08), (0.12, -0.08), (0.12, 0.02), (0.02, 0.02), (0.02, 0.12), (-0.08, 0.12))
+HOLES = (
+    ((0.07, -0.05), (0.09, -0.05), (0.09, -0.03), (0.07, -0.03)),
+    ((-0.03, -0.01), (-0.02, -0.01), (-0.025, 0.0)),
+)
 MINE = f"""
 name = "CORNER"
 actuators = "actuators.csv"
@@ -112,7 +180,7 @@ radius_of_curvature = 2.0
 
 [shell.outline]
 edge = {[list(vertex) for vertex in L_SHAPE]}
-holes = [[[0.07, -0.05], [0.09, -0.05], [0.09, -0.03], [0.07, -0.03]]]
+holes = {[[list(vertex) for vertex in hole] for hole in HOLES]}
 mesh_size = 0.025
 """
 AT = [(-0.06, -0.06), (-0.02, -0.055), (0.045, -0.05), (0.1, -0.06), (0.1, -0.02), (0.04, -0.02),
@@ -129,11 +197,12 @@ def corner(tmp_path):
 
 
 def test_a_corner_on_the_bench(corner):
-    """Area 300 cm2 less 4; forces balance what is written down; the loop finds the same forces."""
+    """Area 300 cm2 less 4.5; forces balance what is written down; the loop finds them too."""
     mirror = mirror_from(corner)
-    assert mirror.shell.mass == pytest.approx(0.0296 * 1.6e-3 * 2530, rel=2e-3)
+    assert mirror.shell.mass == pytest.approx(0.02955 * 1.6e-3 * 2530, rel=2e-3)
     moments = 0.02 * np.array([0.02, -0.03]) + 0.01 * np.array([-0.03, 0.07])
-    centre = (moments - 4e-4 * np.array([0.08, -0.04])) / 0.0296
+    moments -= 4e-4 * np.array([0.08, -0.04]) + 5e-5 * np.array([-0.025, -0.02 / 3])
+    centre = moments / 0.02955
     assert mirror.shell.centroid == pytest.approx(centre, abs=1e-5)
     bench = static_bench(mirror, 1, force_noise=0.0)
     truth = bench.truth
@@ -149,11 +218,57 @@ def test_a_corner_on_the_bench(corner):
     assert np.abs(static.force).max() < 0.4
 
 
+def test_points_of_an_outline_from_a_table(corner):
+    """Of text and of FITS, either way round, in other units too: the same glass."""
+    from astropy.table import QTable
+
+    written = mirror_from(corner).shell
+    points = [(*at, k) for k, loop in enumerate((L_SHAPE[::-1], *HOLES)) for at in loop]
+    table = QTable(rows=points, names=("X", "Y", "LOOP"))
+    table.write(corner.parent / "edge.csv")
+    for name in "XY":
+        table[name] = 1e3 * table[name]
+        table[name].unit = "mm"
+    table.write(corner.parent / "edge.ecsv")
+    table.meta["EXTNAME"] = "OUTLINE"
+    table.write(corner.parent / "edge.fits")
+    start, stop = MINE.index("edge ="), MINE.index("mesh_size")
+    for name in ("edge.csv", "edge.ecsv", "edge.fits"):
+        corner.write_text(f'{MINE[:start]}points = "{name}"\n{MINE[stop:]}')
+        shell = mirror_from(corner).shell
+        assert len(shell.outline.holes) == 2
+        assert (shell.mass, *shell.centroid) == pytest.approx((written.mass, *written.centroid))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("X,Y\n0,0\n1,0\n", "an outline of shape (2, 2)"),
+        ("X,Y\n0,0\n100,0\n0,100\n", "the outline reaches 100 m from the axis; x and y are"),
+        ("X,Y,LOOP\n0,0,1\n", "LOOP holds 1; number the points of the edge 0"),
+        ("X,Y,LOOP\n0,0,a\n", "LOOP holds"),
+        ("X\n0\n", "lacks column 'Y'"),
+        ("X,Y\n" + "".join(f"{np.cos(k)},{np.sin(k)}\n" for k in np.arange(2001) * 3e-3),
+         "an outline of 2001 vertices; thin it to 2000"),
+    ],
+)  # fmt: skip
+def test_tables_that_are_no_outline(corner, table, said):
+    (corner.parent / "edge.csv").write_text(table)
+    start, stop = MINE.index("edge ="), MINE.index("mesh_size")
+    corner.write_text(f'{MINE[:start]}points = "edge.csv"\n{MINE[stop:]}')
+    with pytest.raises(Exception, match=r"(corner\.toml|edge\.csv): ") as refused:
+        mirror_from(corner)
+    assert said in str(refused.value)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
+        ("holes =", 'points = "edge.csv"\nholes =', "has points and"),
+        ("bias_force", "tool_radius = 0.2\nbias_force", "the weight tool, 0.2 m from"),
+        ("bias_force", "tool_radius = -0.2\nbias_force", "tool_radius is -0.2"),
         ("0.01\nouter", "-0.01\nouter", "reaches from -0.01 m"),
-        ("inner_radius = 0.01", "inner_radius = 0.12", "the weight tool, 0.12 m from"),
+        ("inner_radius = 0.01", "inner_radius = 0.12", "the weight tool, 0.1215 m from"),
         ("outer_radius = 0.16", "outer_radius = 0.1", "the outline reaches 0.14"),
         ("mesh_size = 0.025", "mesh_size = 0.0", "mesh size 0 m"),
         ("[0.02, 0.12]", "[0.15, -0.15]", "turns back to"),
@@ -176,3 +291,31 @@ def test_rings_of_fourier_refuse_an_outline():
     at = np.array([0.05]), np.array([0.0])
     with pytest.raises(GeometryError, match="is no ring"):
         influence(shell, at, at)
+
+
+PAGE = Path(__file__).parent.parent / "docs" / "simulated-bench.md"
+
+
+def test_the_hexagon_of_the_page(inside, tmp_path, monkeypatch):
+    """Its three files, the commands below them, a plan; alpha is within its errors of the truth."""
+    text = PAGE.read_text(encoding="utf-8").split("### Any outline")[1].split("### Segments")[0]
+    (mine,) = re.findall(r'```toml\n(name = "HEXAGON".*?)```', text, re.DOTALL)
+    edge, actuators = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)
+    for name, block in (("hexagon.toml", mine), ("edge.csv", edge), ("hexagon.csv", actuators)):
+        (tmp_path / name).write_text(block)
+    monkeypatch.chdir(tmp_path)
+    mirror = mirror_from("hexagon.toml")
+    assert mirror.layout.n == 37
+    assert (0.0, 0.0) in zip(mirror.layout.x, mirror.layout.y, strict=True)
+    (commands,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    for line in commands.splitlines():
+        code, _, said = inside(*line.split()[1:])
+        assert code == 0, said
+    found = tn.read_calibration("hexagon.fits")
+    miss = (found.alpha - tn.read_truth("hexagon.truth.fits").alpha) / found.error
+    assert np.abs(miss).max() < 4
+    plan = inside("plan", "--new")[1].replace('"p45"', '"hexagon.toml"').replace("-0.289", "-0.25")
+    (tmp_path / "plan.toml").write_text(plan)
+    code, planned, said = inside("plan", "plan.toml", "--json")
+    assert code == 0, said
+    assert len(json.loads(planned)["actuators"]["id"]) == 37

@@ -157,7 +157,7 @@ class Day:
         self.zero = np.zeros((1, self.n))
         self.error = self.noise * random.standard_normal(self.z.shape)
         self.carry(1.0, *self.bench.weight)
-        x, y = tool_wedges(mirror.shell)
+        x, y = tool_wedges(mirror)
         centres = random.normal(0.0, CENTRING, (len(set(self.order)), 2))
         self.wedges: list[Points] = [(x + dx, y + dy) for dx, dy in centres]  # of each load
         for load in range(1, len(centres)):

@@ -17,8 +17,9 @@ from truenewton.bench.choice import KINDS, BenchChoice, foreign_keys
 from truenewton.bench.protocol import MOST_SAMPLES
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
-from truenewton.mirrors.file import mirror_from
+from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.records.file import SUFFIXES, cycle_name
 from truenewton.statics.load import Load, check_load
 
@@ -301,5 +302,22 @@ def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> 
     ------
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
+    return mirror_from(_mirror_of(plan, folder))
+
+
+def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> dict[str, Mirror]:
+    """Return the mirror of a plan, or the segments of it that differ; by how to call each.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    whole = whole_mirror_from(_mirror_of(plan, folder))
+    if not isinstance(whole, SegmentedMirror):
+        return {whole.name: whole}
+    return {f"{whole.name} segment {alike[0]}": segment for segment, alike in whole.kinds}
+
+
+def _mirror_of(plan: CampaignPlan, folder: str | os.PathLike[str]) -> Path | str:
     beside = Path(folder) / plan.mirror
-    return mirror_from(beside if beside.is_file() else plan.mirror)
+    return beside if beside.is_file() else plan.mirror

@@ -14,6 +14,7 @@ from truenewton.cli import options
 
 if TYPE_CHECKING:
     from truenewton.mirrors.known import Mirror
+    from truenewton.mirrors.segmented import SegmentedMirror
 
 
 def run(
@@ -32,36 +33,55 @@ def run(
     from truenewton.cli.terminal import print_result, table_lines
     from truenewton.figures.maps import plot_layout
     from truenewton.figures.writing import write_figure
-    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.file import whole_mirror_from
     from truenewton.mirrors.known import KNOWN, MOST_ACTUATORS, ring
+    from truenewton.mirrors.segmented import SEGMENTED, SegmentedMirror
 
     if not mirror:
         if plot or output:
             raise typer.BadParameter("name a mirror to draw")
         every = [make() for make in KNOWN.values()]
+        whole = [make() for make in SEGMENTED.values()]
         head = ("name", "actuators", "glass, mm", "thick, mm", "curvature, m", "weight, N")
         rows = [_row(one) for one in (*every, ring(MOST_ACTUATORS))]
         title = "The known mirrors, and the last of the family ring4, ring5, ...:"
+        rows_of_parts = [_row_of_part(one, *kind) for one in whole for kind in one.kinds]
         more = "`truenewton mirrors NAME` tells where the numbers come from."
-        values = {"mirrors": [_numbers(one) for one in every]}
+        values = {
+            "mirrors": [_numbers(one) for one in every],
+            "segmented": [_numbers_of_whole(one) for one in whole],
+        }
         print_result(
-            [*table_lines(title, head, *rows), more],
+            [
+                *table_lines(title, head, *rows),
+                *table_lines("In segments, of which there are:", head, *rows_of_parts),
+                more,
+            ],
             values=values if json else None,
             schema="mirrors",
             quiet=quiet,
         )
         return
-    known = mirror_from(mirror)
-    numbers = _numbers(known)
-    lines = [f"  {name:<22}{value}" for name, value in numbers.items()]
-    source = KNOWN.get(mirror.lower(), ring if mirror.lower().startswith("ring") else None)
+    known = whole_mirror_from(mirror)
+    if isinstance(known, SegmentedMirror):
+        numbers = _numbers_of_whole(known)
+        lines = [
+            f"  {known.name}: {known.layout.n} actuators",
+            *(line for kind in known.kinds for line in _lines_of_part(known, *kind)),
+        ]
+    else:
+        numbers = _numbers(known)
+        lines = [f"  {name:<22}{value}" for name, value in numbers.items()]
+    makers = KNOWN | SEGMENTED
+    source = makers.get(mirror.lower(), ring if mirror.lower().startswith("ring") else None)
     if source:
         text = re.split(r"\n\w+\n---", inspect.getdoc(source) or "")[0]
         lines += ["", *(f"  {line}".rstrip() for line in text.split("\n")[2:])]
     drawn: list[Path] = []
     if plot:
         drawn.append(output or Path(f"{known.name.lower()}.png"))
-        figure = plot_layout(known.layout, edges=known.shell.seen_edges())
+        glass = known if isinstance(known, SegmentedMirror) else known.shell
+        figure = plot_layout(known.layout, edges=glass.seen_edges())
         write_figure(figure, drawn[0], overwrite=overwrite)
     print_result(lines, *drawn, values=numbers if json else None, schema="mirror", quiet=quiet)
 
@@ -86,3 +106,28 @@ def _numbers(mirror: Mirror) -> dict[str, object]:
         del shell["outline"]
     del numbers["layout"]
     return {"name": numbers.pop("name"), "actuators": mirror.layout.n, **shell, **numbers}
+
+
+def _row_of_part(whole: SegmentedMirror, part: Mirror, alike: list[int]) -> tuple[str, ...]:
+    """Return what is said of segments that are alike, as of a mirror."""
+    return (f"{whole.name}, {len(alike)} x", *_row(part)[1:])
+
+
+def _lines_of_part(whole: SegmentedMirror, part: Mirror, alike: list[int]) -> list[str]:
+    places = ", ".join(
+        f"{k} at {round(at.x, 9):.4g}, {round(at.y, 9):.4g} m, turned {at.turned:g} deg"
+        for k, at in ((k, whole.places[k - 1]) for k in alike)
+    )
+    numbers = _numbers(part)
+    if isinstance(numbers.get("outline"), dict):
+        numbers["outline"] = f"a polygon of {len(part.shell.polygons()[0])} corners"
+    return [f"  segments {places}:", *(f"    {name:<22}{value}" for name, value in numbers.items())]
+
+
+def _numbers_of_whole(whole: SegmentedMirror) -> dict[str, object]:
+    """Return what is known of a mirror in segments, in SI units and degrees."""
+    segments = [
+        {**dataclasses.asdict(place), **_numbers(segment)}
+        for place, segment in zip(whole.places, whole.segments, strict=True)
+    ]
+    return {"name": whole.name, "actuators": whole.layout.n, "segments": segments}

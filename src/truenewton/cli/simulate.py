@@ -22,28 +22,28 @@ def run(
 ) -> None:
     """Simulate a campaign with and without the ring: OUTPUT, and its truth in OUTPUT.truth.fits."""
     from truenewton.bench.simulated.bench import FIDELITIES
-    from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
+    from truenewton.bench.simulated.segmented import bench_of, campaign_on, truth_of
     from truenewton.bench.simulated.truth import truth_path, write_truth
     from truenewton.cli.terminal import print_result, track
     from truenewton.files.outputs import refuse_existing, together
-    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.file import whole_mirror_from
     from truenewton.records.file import write_campaign
     from truenewton.rounding import counted
 
     refuse_existing(output, truth_path(output), overwrite=overwrite)
     if fidelity not in FIDELITIES:
         raise typer.BadParameter(f"there is no fidelity '{fidelity}': static or loop")
-    bench = static_bench(mirror_from(mirror), seed, force_noise=noise, temperature=temperature)
-    total = cycles * len(bench.loads)
-
-    made = run_cycles(bench, cycles, loop_of(bench) if fidelity == "loop" else None)
+    known = whole_mirror_from(mirror)
+    bench = bench_of(known, seed, force_noise=noise, temperature=temperature)
+    truth = truth_of(bench)
+    total, shapes = cycles * len(truth.loads), 2 * len(bench.shapes)
+    made = campaign_on(bench, cycles, fidelity)
     with together():
         write_campaign((next(made) for _ in track(range(total), "simulating")), output,
                        overwrite=overwrite)  # fmt: skip
-        write_truth(bench.truth, truth_path(output), overwrite=overwrite)
-    shapes = 2 * len(bench.shapes)
+        write_truth(truth, truth_path(output), overwrite=overwrite)
     line = (
-        f"{output}: {bench.mirror.name}, {counted(bench.loads, 'load')} x"
+        f"{output}: {bench.mirror.name}, {counted(truth.loads, 'load')} x"
         f" {counted(cycles, 'cycle')} x {counted(shapes, 'shape')};"
         f" truth in {truth_path(output).name}"
     )

@@ -1,8 +1,10 @@
 """The known mirrors, mirrors from files, and the shell between the actuators.
 
 known      P45, LBT672, MMT336, ...: numbers with their standing
+segmented  mirrors of several segments, those that are known among them
 glass      glass and sensors: dimensions, outline and material
 file       mirrors that someone else has: TOML and a table
+tables     where actuators stand, points of an outline
 shell/     the elastic shell: what forces hold it, and how it moves
 """
 

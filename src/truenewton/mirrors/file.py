@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -11,16 +11,18 @@ from typing import Any
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
-from truenewton.files.opening import read_text
+from truenewton.errors import FormatError, GeometryError, located
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.glass import check_shell
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
+from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
+from truenewton.mirrors.shell.finite_elements.meshing import mesh_size_of
 from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
 from truenewton.mirrors.shell.held_glass import tool_wedges
 from truenewton.mirrors.shell.places import SMALLEST_HOLE
-from truenewton.records.file import SUFFIXES, read_layout
-from truenewton.statics.layout import Layout, layout
+from truenewton.mirrors.tables import layout_in, outline_in
+from truenewton.records.file import SUFFIXES
+from truenewton.statics.layout import FARTHEST
 
 MOST = 1e15  # of any number of a mirror, stiff glass included
 
@@ -32,6 +34,56 @@ class _Written(MirrorNumbers):
     actuators: str
 
 
+@dataclass(frozen=True)
+class _Placed:
+    """A segment as the file of its mirror gives it: the file of its own, and its place."""
+
+    file: str
+    x: float
+    y: float
+    turned: float = 0.0
+
+
+@dataclass(frozen=True)
+class _WrittenSegments:
+    """A mirror in segments as its file gives it."""
+
+    name: str
+    segments: tuple[_Placed, ...]
+
+
+def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
+    """Return a mirror in one piece or in segments: known by its name, or of a TOML file.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    path = Path(name)
+    if str(name).lower() in SEGMENTED:
+        return SEGMENTED[str(name).lower()]()
+    if str(name).lower() not in KNOWN and path.suffix == ".toml" and path.exists():
+        tables = read_toml(path)
+        if "segments" in tables:
+            return _segments_in(tables, path)
+    return mirror_from(name)
+
+
+def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
+    written = filled(_WrittenSegments, tables, path)
+    files = {placed.file for placed in written.segments}
+    # Read once, so that segments of one file are seen to share their glass.
+    made = {file: mirror_from(path.parent / file) for file in sorted(files)}
+    try:
+        return SegmentedMirror(
+            name=written.name,
+            segments=tuple(made[placed.file] for placed in written.segments),
+            places=tuple(Place(one.x, one.y, one.turned) for one in written.segments),
+        )
+    except GeometryError as error:
+        raise located(error, path) from None
+
+
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
     """Return a known mirror by its name, or the one of a TOML file (docs/simulated-bench.md).
 
@@ -40,6 +92,8 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
     path = Path(name)
+    if str(name).lower() in SEGMENTED:
+        raise _is_segmented(str(name))
     if str(name).lower() in KNOWN or not (path.suffix == ".toml" or path.exists()):
         return mirror(str(name))
     if str(name).endswith(SUFFIXES):
@@ -52,12 +106,15 @@ def mirror_from(name: str | os.PathLike[str]) -> Mirror:
 
 
 def _mirror_in(path: Path) -> Mirror:
-    written = filled(_Written, read_toml(path), path)
+    tables = read_toml(path)
+    if "segments" in tables:
+        raise _is_segmented(str(path))
+    written = filled(_Written, _with_points(tables, path), path)
     _refuse_absurd(written, path)
     for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
                       ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0),
-                      ("vent_radius", 0.0)):  # fmt: skip
-        value, high = getattr(written, name), 0.0 if low < 0 else np.inf
+                      ("vent_radius", 0.0), ("tool_radius", 0.0)):  # fmt: skip
+        value, high = getattr(written, name) or 0.0, 0.0 if low < 0 else np.inf
         if not low <= value <= high or np.isinf(value):
             raise FormatError(
                 f"{name} is {value:g}",
@@ -73,12 +130,38 @@ def _mirror_in(path: Path) -> Mirror:
         )
     numbers = dict(vars(written))
     actuators = path.parent / numbers.pop("actuators")
-    made = Mirror(layout=_layout_in(actuators), **numbers)
+    made = Mirror(layout=layout_in(actuators), **numbers)
     try:
         check_glass(made)
     except GeometryError as error:
         raise located(error, path) from None
     return made
+
+
+def _is_segmented(name: str) -> FormatError:
+    return FormatError(
+        f"'{name}' is a mirror in segments",
+        remedy="simulate and plan take it; for anything else give the file of one segment",
+    )
+
+
+def _with_points(tables: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return the tables of a mirror, points of its outline read from the file that they name."""
+    shell = tables.get("shell")
+    if not isinstance(shell, dict):
+        return tables
+    outline = shell.get("outline")
+    if not isinstance(outline, dict) or not isinstance(outline.get("points"), str):
+        return tables
+    for twice in {"edge", "holes"} & set(outline):
+        raise FormatError(
+            f"[shell.outline] has points and {twice}",
+            remedy="give the outline here or in a file of points, not both",
+            path=path,
+        )
+    edge, *holes = outline_in(path.parent / outline["points"])
+    own = {key: value for key, value in outline.items() if key != "points"}
+    return {**tables, "shell": {**shell, "outline": {**own, "edge": edge, "holes": holes}}}
 
 
 def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
@@ -87,9 +170,9 @@ def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
         value = getattr(written, field.name)
         if is_dataclass(value):
             _refuse_absurd(value, path, f"{inside}{field.name}.")
-        sizes = np.abs(np.ravel(value)) if isinstance(value, float | tuple) else np.zeros(0)
+        sizes = np.abs(list(_numbers(value)))
         flat = field.default == np.inf and value == np.inf  # no radius of curvature
-        if sizes.dtype.kind == "f" and not (flat or (sizes <= MOST).all()):
+        if not (flat or (sizes <= MOST).all()):
             raise FormatError(
                 f"{inside}{field.name} is {value}",
                 remedy=f"check its unit; numbers are in SI units, up to {MOST:g}",
@@ -97,53 +180,13 @@ def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
             )
 
 
-def _layout_in(path: Path) -> Layout:
-    """Return the actuators of a FITS file, or of a table whose lengths are metres unless it says.
-
-    Its columns are X, Y, and ID, NZ, ENABLED where they stand.
-    """
-    if str(path).endswith(SUFFIXES):
-        return read_layout(path)
-    from astropy.table import QTable
-
-    form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
-    lines = read_text(path).splitlines()
-    try:
-        # Of what overflows or is odd astropy warns; it is refused below, by what it became.
-        with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
-            table = QTable.read(lines, format=form, guess=False)
-            others = {"ID", "NZ", "ENABLED"} & set(table.colnames)
-            columns = {name.lower(): _cells(table, name) for name in ("X", "Y", *others)}
-            return layout(**columns)
-    except TrueNewtonError as error:
-        raise located(error, path) from None
-    except KeyError as error:
-        raise FormatError(f"lacks column {error}", remedy="give X and Y", path=path) from error
-    except Exception as error:
-        raise FormatError(
-            f"is not a table of actuators ({error})",
-            remedy="write columns X and Y as CSV or ECSV, lengths in metres",
-            path=path,
-        ) from error
-
-
-def _cells(table: Any, name: str) -> Any:
-    """Return a column of a table of text, held against what it is to be."""
-    cells = table[name]
-    if np.any(getattr(cells, "mask", False)):
-        raise FormatError(f"{name} has empty cells", remedy="fill them")
-    if name in ("X", "Y"):
-        return cells
-    values = np.asarray(cells)
-    if name == "ENABLED" and values.dtype.kind in "SU":
-        values = np.char.lower(values)
-        known = {"true": True, "false": False}
-        values = np.array([known.get(str(text), 2) for text in values])
-    if name == "ENABLED" and not np.isin(values, (0, 1)).all():
-        raise FormatError("ENABLED holds other words", remedy="write true or false, or 1 or 0")
-    if name == "ID" and values.dtype.kind not in "iu":
-        raise FormatError(f"ID holds {values.dtype}", remedy="write integers")
-    return values
+def _numbers(value: Any) -> Iterator[float]:
+    """Yield the numbers in tuples of tuples, as long as they like."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from _numbers(part)
+    elif isinstance(value, float):
+        yield value
 
 
 def check_glass(mirror: Mirror) -> None:
@@ -154,15 +197,20 @@ def check_glass(mirror: Mirror) -> None:
     GeometryError
     """
     shell = mirror.shell
-    check_shell(shell, 0.0 if shell.outline else SMALLEST_HOLE)
+    check_shell(shell, SMALLEST_HOLE if shell.outline is None and shell.inner_radius else 0.0)
     at = shell.along(mirror.layout.x, mirror.layout.y)
+    wedges = np.stack(tool_wedges(mirror), axis=1)
     r, reach = np.hypot(*at), max(mirror.puck_radius, mirror.sensor.outer_radius)
     if shell.outline is None:
-        off = (r - reach < shell.inner_radius) | (r + reach > shell.outer_radius)
-        where = f"that is from {shell.inner_radius:g} m to {shell.outer_radius:g} m"
+        a, b = shell.inner_radius, shell.outer_radius
+        off = ((r - reach < a) & (a > 0)) | (r + reach > b)
+        where, radius = f"that is from {a:g} m to {b:g} m", np.hypot(*wedges.T)
+        tool_off = (radius < a) | (radius > b)
     else:
-        off = _depth_in_outline(mirror, at) < reach
+        loops = _loops_of(mirror, at)
+        off = depth_inside(loops, np.stack(at, axis=1)) < reach
         where = "bring it further within the outline"
+        tool_off = depth_inside(loops, wedges) < 0
     if off.any():
         i = off.argmax()
         raise GeometryError(
@@ -170,26 +218,32 @@ def check_glass(mirror: Mirror) -> None:
             " sensor reaches off the glass",
             remedy=f"{where}; the sensor reaches {reach:g} m",
         )
+    if tool_off.any():
+        raise GeometryError(
+            f"the weight tool, {np.hypot(*wedges[0]):g} m from the axis, stands off the glass",
+            remedy="give as tool_radius that of a circle on the glass, about x = y = 0",
+        )
 
 
-def _depth_in_outline(mirror: Mirror, at: tuple[Array, Array]) -> Array:
-    """Return (n,) how far from the edges places lie within an outlined glass; negative off it [m].
+def _loops_of(mirror: Mirror, places: tuple[Array, Array]) -> list[Array]:
+    """Return the polygons of an outlined glass, once they can be and keep within its outer radius.
 
-    Refuses polygons that cannot be, that reach beyond the outer radius, or leave no glass for the
-    weight tool.
+    The places of the actuators along the glass tell how fine a mesh will be.
     """
-    shell = mirror.shell
-    assert shell.outline is not None
-    loops = checked_sides(shell.polygons(), shell.outline.mesh_size)
-    furthest = np.hypot(*loops[0].T).max()
+    shell, outline = mirror.shell, mirror.shell.outline
+    assert outline is not None
+    loops = outline.edge, *outline.holes
+    furthest = max((abs(part) for loop in loops for at in loop for part in at), default=0.0)
+    if furthest > FARTHEST:
+        raise GeometryError(
+            f"the outline reaches {furthest:.3g} m from the axis",
+            remedy="x and y are metres; check their unit",
+        )
+    sides = checked_sides(shell.polygons(), mesh_size_of(shell, *places))
+    furthest = float(np.hypot(*sides[0].T).max())
     if furthest > shell.outer_radius:
         raise GeometryError(
             f"the outline reaches {furthest:.6g} m from the axis",
             remedy=f"give an outer radius that it stays within, more than {shell.outer_radius:g} m",
         )
-    if (depth_inside(loops, np.stack(tool_wedges(shell), axis=1)) < 0).any():
-        raise GeometryError(
-            f"the weight tool, {shell.inner_radius:g} m from the axis, stands off the glass",
-            remedy="give as inner radius that of a circle on the glass",
-        )
-    return depth_inside(loops, np.stack(at, axis=1))
+    return sides

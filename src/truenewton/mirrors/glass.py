@@ -66,23 +66,25 @@ class Outline:
     holes
         Polygons, as the edge, where there is no glass.
     mesh_size
-        Length of the sides of the finite elements [m]; a third of the actuators' spacing will do.
+        Length of the sides of the finite elements [m]; a third of the actuators' spacing where it
+        is not given.
     """
 
     edge: Polygon
     holes: tuple[Polygon, ...] = ()
-    mesh_size: float = 0.01
+    mesh_size: float | None = None
 
 
 @dataclass(frozen=True)
 class Shell:
-    """The glass: a thin annulus of even thickness, flat or cut from a sphere, or of any outline.
+    """The glass: a thin annulus or disc of even thickness, flat or spherical, or of any outline.
 
     Attributes
     ----------
     inner_radius, outer_radius, thickness
-        Dimensions [m]; radii along the glass, arcs on a sphere. Where there is an outline, of the
-        circle round which a weight tool stands, and of one that the glass stays within.
+        Dimensions [m]; radii along the glass, arcs on a sphere; an inner radius of 0 makes a full
+        disc. Where there is an outline, of the circle round which a weight tool stands, and of one
+        that the glass stays within.
     young_modulus
         E [Pa]; Zerodur 90.3 GPa [conf].
     poisson_ratio
@@ -146,7 +148,9 @@ class Shell:
         turn = np.linspace(0.0, 2 * np.pi, 361)
         circle, bend = np.stack([np.cos(turn), np.sin(turn)], axis=1), 1 / self.radius_of_curvature
         return [
-            r * np.sinc(r * bend / np.pi) * circle for r in (self.outer_radius, self.inner_radius)
+            r * np.sinc(r * bend / np.pi) * circle
+            for r in (self.outer_radius, self.inner_radius)
+            if r > 0
         ]
 
     def along(self, x: Array, y: Array) -> tuple[Array, Array]:
@@ -184,7 +188,8 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
     if not smallest_hole * b <= a < b < np.inf:
         raise GeometryError(
             f"the glass reaches from {a:.6g} m to {b:.6g} m",
-            remedy="give an inner radius below the outer one; to a full disc a thousandth of it",
+            remedy="give an inner radius below the outer one; 0 makes a full disc, a hole has a"
+            " thousandth at least",
             got=(a, b),
         )
     stiffness, nu = shell.bending_stiffness, shell.poisson_ratio

@@ -51,6 +51,9 @@ class MirrorNumbers:
         that the air film is squeezed out at the edges of the glass alone.
     sensor
         Over which a reading is the mean displacement.
+    tool_radius
+        Of the circle on which the three wedges of the weight tool stand [m]; None for one just
+        outside the inner radius of the shell.
     coil_gradient
         COILGRAD, relative change of a coil's force per displacement along +z [1/m].
     bias_gradient
@@ -70,12 +73,13 @@ class MirrorNumbers:
     puck_radius: float = 5e-3  # [guess]
     vent_radius: float = 0.0
     sensor: Annulus = field(default_factory=Annulus)
+    tool_radius: float | None = None
     coil_gradient: float = 0.0
     bias_gradient: float = 0.0
 
     def __post_init__(self) -> None:
         forces = ("weight", "weight_error", "added_weight", "added_weight_error", "bias_force")
-        lengths = ("gap", "puck_radius", "vent_radius")
+        lengths = ("gap", "puck_radius", "vent_radius", "tool_radius")
         in_units(self, {**dict.fromkeys(forces, "N"), **dict.fromkeys(lengths, "m"),
                         "magnet_mass": "kg", "alpha_range": "", "coil_gradient": "1/m",
                         "bias_gradient": "N/m"})  # fmt: skip
@@ -294,7 +298,8 @@ def mirror(name: str) -> Mirror:
         return ring(int(known[4:]))
     raise UnknownName(
         f"no mirror is called '{name}'",
-        remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MOST_ACTUATORS};"
+        remedy=f"the known ones are {', '.join(KNOWN)}, ring4 to ring{MOST_ACTUATORS},"
+        " in segments m4 and gmt;"
         " or give a file",
         got=name,
         want=tuple(KNOWN),

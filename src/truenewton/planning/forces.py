@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.acquisition.drift import with_turns
-from truenewton.acquisition.plan import CampaignPlan, planned_mirror
+from truenewton.acquisition.plan import CampaignPlan, planned_bodies, planned_mirror
 from truenewton.acquisition.shapes import expected_alpha, model_glass, shapes_and_forces
 from truenewton.arrays import Array
 from truenewton.bench.simulated.static import START
@@ -68,7 +68,23 @@ def prepared(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Prepar
     ------
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
-    mirror = planned_mirror(plan, folder)
+    return _prepared(plan, planned_mirror(plan, folder), folder)
+
+
+def prepared_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> list[Prepared]:
+    """Return `prepared` of a mirror in one piece, or of each of its segments that differ.
+
+    Every segment carries the loads of the plan, and takes its own shapes.
+    """
+    bodies = planned_bodies(plan, folder)
+    worst = f", the worst of {len(bodies)} that differ" if len(bodies) > 1 else ""
+    return [
+        _prepared(plan, replace(body, name=f"{name}{worst}"), folder)
+        for name, body in bodies.items()
+    ]
+
+
+def _prepared(plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str]) -> Prepared:
     shapes, force, given = shapes_and_forces(plan, mirror, folder)
     plan = with_turns(plan, mirror, len(shapes))
     return Prepared(plan, mirror, shapes, force, *holding(mirror), given)

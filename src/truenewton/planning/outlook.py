@@ -25,7 +25,14 @@ from truenewton.estimation.reciprocity.unknowns import Asked, Kind
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import typical
 from truenewton.mirrors.shell.puck_motion import seen_by
-from truenewton.planning.forces import Prepared, Strain, noiseless, prepared, strain, within_limits
+from truenewton.planning.forces import (
+    Prepared,
+    Strain,
+    noiseless,
+    prepared_bodies,
+    strain,
+    within_limits,
+)
 from truenewton.planning.third_load import ThirdLoad, third_load
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -167,7 +174,7 @@ class Outlook:
 
 
 def read_outlook(path: str | os.PathLike[str]) -> Outlook:
-    """Predict what the plan in a file will give.
+    """Predict what the plan in a file will give; of a mirror in segments, to the worst of them.
 
     Parameters
     ----------
@@ -187,7 +194,8 @@ def read_outlook(path: str | os.PathLike[str]) -> Outlook:
     """
     plan = read_plan(path)
     try:
-        return outlook(prepared(plan, Path(path).parent))
+        bodies = map(outlook, prepared_bodies(plan, Path(path).parent))
+        return max(bodies, key=lambda one: typical_errors(one.prediction))
     except TrueNewtonError as error:
         raise located(error, path) from None
 

@@ -2,6 +2,7 @@
 
 bench      the bench behind the same door as hardware
 static     a mirror's truth and its campaigns, every shape held exactly or in a loop
+segmented  a bench for each segment of a mirror, moved together
 record     a shape in closed loop: means over the samples of a record
 loop       sensors, control, DAC, coils and glass, from sample to sample
 noise      random numbers of the rows

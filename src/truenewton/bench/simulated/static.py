@@ -28,6 +28,7 @@ from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.shell.air_film import film_damping
 from truenewton.mirrors.shell.held_glass import (
+    ExternalForces,
     HeldGlass,
     external_resultants,
     forces_under,
@@ -88,6 +89,7 @@ def static_bench(
     force_limit: float = 0.4,
     force_noise: float = 1e-4,
     temperature: float = REFERENCE_TEMPERATURE,
+    glass: HeldGlass | None = None,
 ) -> StaticBench:
     """Draw the truth of a mirror and plan its stiffness modes within stroke and force.
 
@@ -108,11 +110,13 @@ def static_bench(
         Standard deviation of one commanded-force reading [N].
     temperature
         Of magnets and coils [deg C].
+    glass
+        That of the mirror, where it is known already.
 
     Raises
     ------
     GeometryError, LimitExceeded
-        A shell or actuators that cannot be; static forces that are too large by themselves.
+        A shell or actuators that cannot be; static forces that alone are too large.
 
     Examples
     --------
@@ -129,10 +133,8 @@ def static_bench(
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
     added, tilt = _true_loads(loads, random)
-    glass, external = held_glass(mirror), []
-    for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):
-        centre = random.normal(0.0, CENTRING_ERROR, 2)
-        external.append(weight_on(mirror, weight, q, cosine=cosine, off_centre=centre, bias=bias))
+    glass = glass or held_glass(mirror)
+    external = _hung(mirror, weight, added, tilt, bias, random)
     load_force = np.array([forces_under(glass, each) for each in external])
     k = np.array([external_resultants(mirror, each) for each in external])
     coils = Coils(alpha, bias_gradient=mirror.bias_gradient,
@@ -159,6 +161,22 @@ def static_bench(
     room /= 1 + coils.coil_gradient * stroke
     shapes = scaled_modes(stiffness_modes(glass.stiffness).modes.T, by_reading, stroke, room)
     return StaticBench(mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise)
+
+
+def _hung(
+    mirror: Mirror,
+    weight: float,
+    added: Array,
+    tilt: Array,
+    bias: Array,
+    random: np.random.Generator,
+) -> list[ExternalForces]:
+    """Return what acts on the glass under each load, the tool a little off its place."""
+    external = []
+    for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):
+        centre = random.normal(0.0, CENTRING_ERROR, 2)
+        external.append(weight_on(mirror, weight, q, cosine=cosine, off_centre=centre, bias=bias))
+    return external
 
 
 def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:

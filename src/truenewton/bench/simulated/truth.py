@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from truenewton.arrays import Array
 from truenewton.files.fits import read_fits, write_fits
@@ -13,9 +14,31 @@ from truenewton.records.file import ACTUATORS, INSTRUMENT
 from truenewton.statics.layout import Layout
 
 
+class SegmentTruth(NamedTuple):
+    """The true values of one segment under one load.
+
+    Attributes
+    ----------
+    number, load
+        Of the segment, and the name of the load.
+    weight, added, bias_force
+        True P, Q and B [N].
+    torque_y, torque_x
+        M_y and M_x about the origin of the mirror [N m].
+    """
+
+    number: int
+    load: str
+    weight: float
+    added: float
+    bias_force: float
+    torque_y: float
+    torque_x: float
+
+
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The true values behind a simulated campaign.
+    """The true values behind a simulated campaign; of a mirror in segments, summed over them.
 
     Attributes
     ----------
@@ -24,7 +47,8 @@ class Truth:
     alpha
         (n,) true Newton / commanded Newton.
     stiffness
-        (n, n) true force per true displacement [N/m], bias magnets not counted.
+        (n, n) true force per true displacement [N/m], bias magnets not counted. Of a mirror in
+        segments (n, widest): in each row the actuators of its own segment, then zeros.
     sensor_gain
         (n,) true displacement / reading.
     weight
@@ -39,6 +63,8 @@ class Truth:
         (L,) M_y and M_x [N m].
     seed
         What everything random came from.
+    segments
+        Of each segment under each load; none of a mirror in one piece.
 
     Examples
     --------
@@ -60,6 +86,7 @@ class Truth:
     torque_y: Array
     torque_x: Array
     seed: int
+    segments: tuple[SegmentTruth, ...] = ()
 
 
 TRUTH = FileFormat(
@@ -81,6 +108,20 @@ TRUTH = FileFormat(
                 Column("MY", "torque_y", "N m"),
                 Column("MX", "torque_x", "N m"),
             ),
+        ),
+        TableFormat(
+            "SEGMENTS",
+            (
+                Column("SEGMENT", "number", kind="int"),
+                Column("LOAD", "load", kind="str"),
+                Column("WEIGHT", "weight", "N"),
+                Column("ADDED", "added", "N"),
+                Column("BIAS", "bias_force", "N"),
+                Column("MY", "torque_y", "N m"),
+                Column("MX", "torque_x", "N m"),
+            ),
+            of="segments",
+            optional=True,
         ),
         ImageFormat("TRUE_STIFFNESS", "stiffness", "N/m"),
     ),

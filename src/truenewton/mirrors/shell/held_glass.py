@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.glass import Annulus
 from truenewton.mirrors.known import GRAVITY, Mirror
 from truenewton.mirrors.shell.condensation import Condensed, condense, rearming, rigid_motions
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
-from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
+from truenewton.mirrors.shell.finite_elements.meshing import mesh_size_of, shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
 from truenewton.mirrors.shell.places import Points
 from truenewton.statics.arms import arms, resultants
@@ -60,7 +60,7 @@ class HeldGlass:
 
 
 def held_glass(mirror: Mirror) -> HeldGlass:
-    """Return the glass of a mirror: a ring semi-analytically, any outline by finite elements.
+    """Return the glass of a mirror: a ring semi-analytically, discs and outlines by elements.
 
     Raises
     ------
@@ -70,8 +70,8 @@ def held_glass(mirror: Mirror) -> HeldGlass:
     shell = mirror.shell
     places = shell.along(mirror.layout.x, mirror.layout.y)
     free: RoundShell | MeshedShell = RoundShell(shell)
-    if shell.outline is not None:
-        mesh = shell_mesh(shell, *places, mesh_size=shell.outline.mesh_size)
+    if shell.outline is not None or shell.inner_radius == 0:
+        mesh = shell_mesh(shell, *places, mesh_size=mesh_size_of(shell, *places))
         free = MeshedShell(shell, mesh)
     compliance = influence(free, places, places, mirror.sensor, mirror.puck_radius)
     exchange = rearming(rigid_motions(*places), arms(mirror.layout))
@@ -137,7 +137,7 @@ def weight_on(
     bias
         (n,) forces of the bias magnets along the normals [N].
     """
-    x, y = tool_wedges(mirror.shell)
+    x, y = tool_wedges(mirror)
     magnets = np.full(mirror.layout.n, -mirror.magnet_mass * GRAVITY)
     spread = cosine * (weight - magnets.sum())
     return ExternalForces(
@@ -148,10 +148,12 @@ def weight_on(
     )
 
 
-def tool_wedges(shell: Shell) -> Points:
-    """Return x, y [m] of the weight tool's three wedges, 120 degrees apart, at the inner edge."""
+def tool_wedges(mirror: Mirror) -> Points:
+    """Return x, y [m] of the weight tool's three wedges, 120 degrees apart."""
     angle = np.radians([90.0, 210.0, 330.0])
-    radius = shell.inner_radius + WEDGE_MARGIN
+    radius = mirror.tool_radius
+    if radius is None:
+        radius = mirror.shell.inner_radius + WEDGE_MARGIN
     return radius * np.cos(angle), radius * np.sin(angle)
 
 

@@ -26,7 +26,25 @@ from truenewton.mirrors.shell.finite_elements.outline import (
 SMALLEST_ANGLE = 25.0  # of a triangle [deg]
 WIDEST_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
 RELAXATIONS = 12
+FINER_THAN_ACTUATORS = 1 / 3  # mesh size, in spacings
+COARSEST = 1 / 4  # in outer radii
 MOST_ROUNDS = 300  # of refinement; some ten are usual
+
+
+def mesh_size_of(shell: Shell, x: Array, y: Array) -> float:
+    """Return the length of the elements' sides [m]: the outline's own, or by (n,) actuators.
+
+    A third of their spacing, a fourth of the outer radius at most.
+    """
+    if shell.outline is not None and shell.outline.mesh_size is not None:
+        return shell.outline.mesh_size
+    coarsest = COARSEST * shell.outer_radius
+    if np.size(x) < 2:
+        return coarsest
+    places = np.stack([x, y], axis=1)
+    gaps = np.asarray(cKDTree(places).query(places, k=2)[0])
+    spacing = float(np.median(gaps[:, 1]))
+    return min(FINER_THAN_ACTUATORS * spacing, coarsest)
 
 
 def shell_mesh(shell: Shell, x: Array, y: Array, *, mesh_size: float) -> Mesh:

@@ -15,6 +15,7 @@ from truenewton.mirrors.glass import areas_and_moments
 
 SHARPEST_CORNER = 45.0  # [deg]; below, halving one side of a corner crowds the other for ever
 MOST_TRIANGLES = 100_000  # 22 000 of a curved glass take 1.5 GB, and more than in proportion
+MOST_VERTICES = 2000  # of all polygons: elements are no longer than sides
 FINEST = 1e-6  # [m]
 CLOSEST = 0.02  # actuators to one another and to an edge, in mesh sizes
 
@@ -43,6 +44,13 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
             got=mesh_size,
         )
     loops = [np.asarray(polygon, dtype=float) for polygon in polygons]
+    vertices = sum(map(len, loops))
+    if vertices > MOST_VERTICES:
+        raise GeometryError(
+            f"an outline of {vertices} vertices",
+            remedy=f"thin it to {MOST_VERTICES} at most; one every {mesh_size:.2g} m will do",
+            got=vertices,
+        )
     for loop in loops:
         _check_loop(loop)
     area = areas_and_moments(loops)[0]

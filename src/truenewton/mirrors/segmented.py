@@ -1,0 +1,198 @@
+"""Mirrors of several segments: each a mirror in one piece, at its place.
+
+Standing of a number as in `known`: [lit] publications, [derived] computed, [assumed] an engineering
+value that nobody vouches for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from truenewton.arrays import Array, in_units
+from truenewton.errors import GeometryError
+from truenewton.mirrors.glass import Outline, Polygon, Shell
+from truenewton.mirrors.known import GRAVITY, SHARED, Mirror, MirrorNumbers
+from truenewton.mirrors.shell.finite_elements.outline import depth_inside
+from truenewton.statics.layout import Layout, layout, rings
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the frame of a segment lies in that of the mirror.
+
+    Attributes
+    ----------
+    x, y
+        Of its origin [m].
+    turned
+        Counter-clockwise [deg].
+    """
+
+    x: float
+    y: float
+    turned: float = 0.0
+
+    def __post_init__(self) -> None:
+        in_units(self, {"x": "m", "y": "m", "turned": "deg"})
+
+    @property
+    def motion(self) -> Array:
+        """(3, 3) T, from 1, x, y of the segment to those of the mirror; arms and moments alike."""
+        c, s = np.cos(np.radians(self.turned)), np.sin(np.radians(self.turned))
+        return np.array([[1.0, 0.0, 0.0], [self.x, c, -s], [self.y, s, c]])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentedMirror:
+    """A mirror whose segments are bodies of their own, numbered from 1.
+
+    Attributes
+    ----------
+    name
+        As in INSTRUME.
+    segments
+        Each as a mirror in one piece, in a frame of its own.
+    places
+        Of these frames.
+
+    Raises
+    ------
+    GeometryError
+        Fewer than two segments, forces that do not point along +z, gradients or gaps that differ,
+        two actuators at one place.
+    """
+
+    name: str
+    segments: tuple[Mirror, ...]
+    places: tuple[Place, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.segments) < 2:
+            raise GeometryError(
+                f"{self.name} has {len(self.segments)} segments",
+                remedy="give two or more; a mirror in one piece has a file of its own",
+            )
+        for segment in self.segments:
+            if (segment.layout.nz != 1.0).any():
+                # Moments about another point would mix with the total force, which nz scales.
+                raise GeometryError(
+                    f"segment {segment.name} has NZ other than 1",
+                    remedy="leave NZ out: the forces of a segment are taken as vertical",
+                )
+            for name in ("gap", "coil_gradient", "bias_gradient"):
+                if getattr(segment, name) != getattr(self.segments[0], name):
+                    raise GeometryError(
+                        f"{name} of {segment.name} is not that of {self.segments[0].name}",
+                        remedy="give all segments the same: a cycle file holds one",
+                    )
+        self.layout  # noqa: B018  refuses what cannot stand together
+
+    @property
+    def kinds(self) -> list[tuple[Mirror, list[int]]]:
+        """The segments that differ, each with the numbers of all that are the same record."""
+        numbers: dict[int, list[int]] = {}
+        for k, segment in enumerate(self.segments, 1):
+            numbers.setdefault(id(segment), []).append(k)
+        return [(self.segments[alike[0] - 1], alike) for alike in numbers.values()]
+
+    @property
+    def layout(self) -> Layout:
+        """All actuators in the frame of the mirror, named from 1, segment after segment."""
+        parts = [segment.layout for segment in self.segments]
+        counts = [part.n for part in parts]
+        at = [
+            place.motion @ np.stack([np.ones(part.n), part.x, part.y])
+            for place, part in zip(self.places, parts, strict=True)
+        ]
+        _, x, y = np.concatenate(at, axis=1)
+        return layout(
+            x,
+            y,
+            enabled=np.concatenate([part.enabled for part in parts]),
+            segment=np.repeat(np.arange(1, len(parts) + 1), counts),
+        )
+
+    def seen_edges(self) -> list[Array]:
+        """Return the edges of all segments as seen along the axis, (vertices, 2) each [m]."""
+        return [
+            (np.insert(edge, 0, 1.0, axis=1) @ place.motion.T)[:, 1:]
+            for place, segment in zip(self.places, self.segments, strict=True)
+            for edge in segment.shell.seen_edges()
+        ]
+
+
+def m4() -> SegmentedMirror:
+    """Return a mirror like M4 of the Extremely Large Telescope: six petals of 892 actuators.
+
+    6 x 892 actuators behind a flat shell of 2.4 m in six petals of 60 degrees, 1.95 mm thick [lit];
+    the hole of 0.54 m, no gaps between the petals, a triangular lattice of 29.8 mm that puts 892
+    on a petal [derived]; Zerodur, magnets, coils, sensors, bias forces and gap of LBT672, a tool of
+    0.5 N on a circle of 0.1 m about a point of each petal, and all uncertainties [assumed]; the
+    weight is that of shell and magnets.
+    """
+    petal = _petal()
+    turns = [60.0 * k for k in range(6)]
+    places = tuple(
+        Place(float(PETAL_AT * np.cos(turn)), float(PETAL_AT * np.sin(turn)), angle)
+        for angle, turn in zip(turns, np.radians(turns), strict=True)
+    )
+    return SegmentedMirror(name="M4", segments=(petal,) * 6, places=places)
+
+
+def gmt() -> SegmentedMirror:
+    """Return a mirror like the adaptive secondary of the Giant Magellan Telescope: seven segments.
+
+    Circular segments of 1.05 m, 2 mm thick, 672 actuators on the middle one, which has a hole, and
+    675 on the others [lit]; rings of 9 + 6k as LBT672's, 35.1 mm apart, three more actuators where
+    there is no hole, segments 1.09 m apart [derived]; a radius of curvature of 4.2 m and forces
+    along +z [assumed]; Zerodur, magnets, coils, sensors, bias forces and gap of LBT672, a tool of
+    0.5 N on a circle of 0.1 m, all uncertainties [assumed]; the weight is that of shell and
+    magnets.
+    """
+    counts = [9 + 6 * k for k in range(14)]
+    radii = [GMT_SPACING * (1.42 + k) for k in range(14)]
+    ring = Shell(27.5e-3, 0.525, 2e-3, radius_of_curvature=4.2)
+    middle = _segment("GMT-MIDDLE", rings(radii, counts), ring)
+    more = rings([0.48 * GMT_SPACING, *radii], [3, *counts])
+    outer = _segment("GMT-OUTER", more, replace(ring, inner_radius=0.0))
+    angles = np.radians(30.0 + 60.0 * np.arange(6))
+    around = (Place(float(x), float(y)) for x, y in zip(*_circle(1.09, angles), strict=True))
+    return SegmentedMirror(
+        name="GMT", segments=(middle, *(outer,) * 6), places=(Place(0.0, 0.0), *around)
+    )
+
+
+SEGMENTED = {make.__name__: make for make in (m4, gmt)}
+PETAL_INNER, PETAL_OUTER, PETAL_AT = 0.27, 1.2, 0.8  # [m]
+PETAL_LATTICE, PETAL_SHIFT = 29.8e-3, 0.3  # [m], and in units of it
+GMT_SPACING = 35.1e-3  # [m]
+
+
+@cache
+def _petal() -> Mirror:
+    """Return a petal of M4, its frame 0.8 m from the axis, x outward."""
+    outer = np.stack(_circle(PETAL_OUTER, np.radians(np.linspace(-30.0, 30.0, 37))), axis=1)
+    inner = np.stack(_circle(PETAL_INNER, np.radians(np.linspace(30.0, -30.0, 10))), axis=1)
+    edge = np.concatenate([outer, inner]) - [PETAL_AT, 0.0]
+    i, j = np.meshgrid(np.arange(-60, 61), np.arange(-60, 61))
+    lattice = np.stack([np.sqrt(0.75) * i + PETAL_SHIFT, j + 0.5 * (i % 2)], axis=-1)
+    places = PETAL_LATTICE * lattice.reshape(-1, 2)
+    x, y = places[depth_inside([edge], places) >= 14e-3].T
+    outline = Outline(_polygon(edge))
+    return _segment("M4-PETAL", layout(x, y), Shell(0.0, 0.8, 1.95e-3, outline=outline))
+
+
+def _circle(radius: float, angle: Array) -> tuple[Array, Array]:
+    return radius * np.cos(angle), radius * np.sin(angle)
+
+
+def _polygon(vertices: Array) -> Polygon:
+    return tuple((float(x), float(y)) for x, y in vertices)
+
+
+def _segment(name: str, at: Layout, shell: Shell) -> Mirror:
+    weight = -round((shell.mass + MirrorNumbers.magnet_mass * at.n) * GRAVITY, 2)
+    return Mirror(name=name, layout=at, shell=shell, weight=weight, tool_radius=0.1, **SHARED)

@@ -1,0 +1,218 @@
+"""Mirrors in segments: those that are known, those of files, and their simulation."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+import truenewton as tn
+from truenewton.bench.simulated.segmented import bench_of, campaign_on, truth_of
+from truenewton.files.fits import read_fits
+from truenewton.mirrors.file import check_glass, mirror_from, whole_mirror_from
+from truenewton.mirrors.known import GRAVITY
+from truenewton.mirrors.segmented import SEGMENTED
+from truenewton.records.file import cycle_from
+from truenewton.statics.arms import effective_weight, external_load, resultants
+
+WHOLE = """
+name = "TINY"
+segments = [
+    {file = "disc.toml", x = 0.11, y = 0.0},
+    {file = "square.toml", x = -0.1, y = 0.08, turned = 30.0},
+    {file = "disc.toml", x = 0.02, y = -0.19, turned = -100.0},
+]
+"""
+ONE = """
+name = "%s"
+actuators = "%s"
+weight = %g
+weight_error = 0.002
+added_weight = -0.1
+added_weight_error = 0.002
+bias_force = 0.09
+bias_gradient = 31.0
+tool_radius = 0.02
+[shell]
+inner_radius = 0.0
+outer_radius = %g
+thickness = 1.6e-3
+%s
+"""
+SQUARE = "[shell.outline]\nedge = [[-0.08, -0.08], [0.08, -0.08], [0.08, 0.08], [-0.08, 0.08]]"
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    """Return the file of a mirror of two discs of 7 and a square of 16 actuators."""
+    angle = np.radians(60 * np.arange(6))
+    ring = zip(0.05 * np.cos(angle), 0.05 * np.sin(angle), strict=True)
+    at = [(0.0, 0.0), *ring]
+    side = [-0.06, -0.02, 0.02, 0.06]
+    for name, places in (("disc", at), ("square", [(x, y) for x in side for y in side])):
+        rows = "".join(f"{x:.9g},{y:.9g}\n" for x, y in places)
+        (tmp_path / f"{name}.csv").write_text(f"X,Y\n{rows}")
+    (tmp_path / "disc.toml").write_text(ONE % ("DISC", "disc.csv", -0.85, 0.075, ""))
+    (tmp_path / "square.toml").write_text(ONE % ("SQUARE", "square.csv", -1.45, 0.12, SQUARE))
+    path = tmp_path / "tiny.toml"
+    path.write_text(WHOLE)
+    return path
+
+
+@pytest.mark.parametrize(("name", "counts"), [("m4", [892] * 6), ("gmt", [672] + [675] * 6)])
+def test_known_segments_stand_on_their_glass(name, counts):
+    mirror = SEGMENTED[name]()
+    assert np.bincount(mirror.layout.segment)[1:].tolist() == counts
+    for segment in {id(one): one for one in mirror.segments}.values():
+        check_glass(segment)
+        mass = segment.shell.mass + segment.magnet_mass * segment.layout.n
+        assert -segment.weight == pytest.approx(mass * GRAVITY, abs=6e-3)
+    places = np.stack([mirror.layout.x, mirror.layout.y], axis=1)
+    gap = cKDTree(places).query(places, k=2)[0][:, 1]
+    assert gap.min() > 0.025  # sensors of neighbours do not touch, over the edges of segments too
+
+
+def test_places_of_segments(tiny):
+    mirror = whole_mirror_from(tiny)
+    layout, one = mirror.layout, mirror.segments[1].layout
+    assert mirror.segments[0] is mirror.segments[2]
+    assert layout.segment.tolist() == [1] * 7 + [2] * 16 + [3] * 7
+    at = (layout.x + 1j * layout.y)[7:23]
+    assert at == pytest.approx(-0.1 + 0.08j + np.exp(1j * np.pi / 6) * (one.x + 1j * one.y))
+
+
+def test_a_campaign_of_segments(inside, tiny):
+    """Calibrated segment by segment: alpha, B and torques are the truth within their errors."""
+    folder = tiny.with_name("c")
+    assert inside("simulate", tiny, "-o", folder, "--cycles", 3, "--noise", 3e-5)[0] == 0
+    truth = tn.read_truth(tiny.with_name("c.truth.fits"))
+    mirror = whole_mirror_from(tiny)
+    assert truth.layout.same_as(mirror.layout)
+    assert truth.stiffness.shape == (30, 16)
+    files = [folder / name for name in sorted(path.name for path in folder.iterdir())]
+    assert len(files) == 6
+    for number in (1, 2, 3):
+        cycles = [cycle_from(read_fits(file)).of_segment(number) for file in files]
+        found = tn.calibrate(tn.Campaign(tuple(cycles)))
+        own = truth.layout.segment == number
+        assert np.abs((found.alpha - truth.alpha[own]) / found.error).max() < 4
+        rows = [row for row in truth.segments if row.number == number]
+        assert [row.load for row in rows] == ["bare", "ring"]
+        assert abs(found.bias_force - rows[0].bias_force) < 4 * found.bias_force_error
+        torques = np.stack([found.torque_y, found.torque_x], axis=1)
+        true = np.array([(row.torque_y, row.torque_x) for row in rows])
+        assert np.abs((torques - true) / found.torque_errors).max() < 4
+
+
+def test_true_forces_of_each_segment_balance_its_own_load(tiny):
+    """Noiseless, in the frame of the mirror; the sums over segments are those of the truth."""
+    bench = bench_of(whole_mirror_from(tiny), 5, force_noise=0.0, temperature=20.0)
+    truth = truth_of(bench)
+    assert len(bench.shapes) == 16
+    by_load = [[row for row in truth.segments if row.load == load] for load in truth.loads]
+    for cycle, rows in zip(campaign_on(bench, 1), by_load, strict=True):
+        assert cycle.weight == pytest.approx(-0.85 - 1.45 - 0.85)
+        assert cycle.layout.same_as(truth.layout)
+        # Less what the bias magnets change with displacement, which is not the coils' to bear.
+        softer = cycle.force * truth.alpha + 31.0 * truth.sensor_gain * cycle.position
+        for row in rows:
+            own = truth.layout.segment == row.number
+            weight = effective_weight(row.weight, row.added, 0.0)
+            load = external_load(weight, row.bias_force, row.torque_y, row.torque_x)
+            got = resultants(truth.layout.part(own), softer[:, own])
+            assert np.abs(got + load).max() < 1e-7
+    for name in ("bias_force", "torque_y", "torque_x"):
+        total = [sum(getattr(row, name) for row in rows) for rows in by_load]
+        assert getattr(truth, name) == pytest.approx(total if name != "bias_force" else total[0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("x = 0.02, y = -0.19", "x = 0.11, y = 0.0", "two actuators stand at"),
+        ("x = 0.02, ", "", "lacks 'x'; add it"),
+        ('"disc.toml", x = 0.11', '"no.toml", x = 0.11', "no.toml: cannot be read"),
+        ('"disc.toml", x = 0.11', '"tiny.toml", x = 0.11', "is a mirror in segments; simulate"),
+        ("x = 0.11", "x = 110.0", "an actuator stands 110 m from the axis"),
+    ],
+)
+def test_segments_that_cannot_be(inside, tiny, old, new, said):
+    assert old in WHOLE
+    tiny.write_text(WHOLE.replace(old, new, 1))
+    code, _, error = inside("simulate", tiny, "-o", tiny.with_name("c"))
+    assert code == 2
+    assert said in error
+    assert len(error.splitlines()) == 1
+
+
+def test_parts_that_do_not_go_together(inside, tiny):
+    """Another gap, and forces that are not vertical."""
+    disc, table, folder = (tiny.with_name(name) for name in ("disc.toml", "disc.csv", "c"))
+    text = disc.read_text()
+    disc.write_text(text.replace("[shell]", "gap = 70e-6\n[shell]"))
+    assert "gap of SQUARE is not that of DISC" in inside("simulate", tiny, "-o", folder)[2]
+    disc.write_text(text)
+    head, *rows = table.read_text().splitlines()
+    table.write_text("\n".join([f"{head},NZ", *(f"{row},0.99" for row in rows)]))
+    assert "segment DISC has NZ other than 1" in inside("simulate", tiny, "-o", folder)[2]
+
+
+@pytest.mark.parametrize("command", ["serve", "prove", "simulate --fidelity loop -o c"])
+def test_what_takes_no_segments_says_so(inside, tiny, monkeypatch, command):
+    monkeypatch.chdir(tiny.parent)
+    name, *more = command.split()
+    code, _, error = inside(name, tiny, *more)
+    assert code == 2
+    assert "in segments" in error
+    assert len(error.splitlines()) == 1
+    assert mirror_from(tiny.with_name("disc.toml")).layout.n == 7
+
+
+def test_a_plan_of_segments_is_that_of_the_worst(inside, tiny):
+    """Each as planned by itself; what acquires takes one segment at a time, and says so."""
+    said = {}
+    text = inside("plan", "--new")[1].replace("-0.289", "-0.1")
+    for name in ("disc", "square", "tiny"):
+        path = tiny.with_name(f"plan-{name}.toml")
+        path.write_text(text.replace('"p45"', f'"{name}.toml"'))
+        code, out, error = inside("plan", path, "--json")
+        assert code == 0, error
+        said[name] = json.loads(out)
+    worst = max(("disc", "square"), key=lambda name: said[name]["typical_error"])
+    assert said["tiny"]["typical_error"] == said[worst]["typical_error"]
+    number = 1 + (worst == "square")
+    assert said["tiny"]["instrument"] == f"TINY segment {number}, the worst of 2 that differ"
+    code, _, error = inside("acquire", path, "-o", tiny.with_name("c"))
+    assert code == 2
+    assert "is a mirror in segments; simulate and plan take it" in error
+
+
+def test_the_wall_of_the_page(tmp_path):
+    """Three hexagons, of one glass, as the page gives them."""
+    text = (Path(__file__).parent.parent / "docs" / "simulated-bench.md").read_text("utf-8")
+    for name in ("HEXAGON", "WALL"):
+        (block,) = re.findall(rf'```toml\n(name = "{name}".*?)```', text, re.DOTALL)
+        (tmp_path / f"{name.lower()}.toml").write_text(block)
+    for name, block in zip(
+        ("edge.csv", "hexagon.csv"),
+        re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL),
+        strict=True,
+    ):
+        (tmp_path / name).write_text(block)
+    wall = whole_mirror_from(tmp_path / "wall.toml")
+    assert wall.layout.n == 111
+    assert wall.layout.segments == (1, 2, 3)
+    assert wall.segments[0] is wall.segments[1] is wall.segments[2]
+
+
+def test_the_command_tells_of_segments(inside, tiny):
+    listed = inside("mirrors")[1]
+    assert re.search(r"M4, 6 x +892", listed)
+    assert re.search(r"GMT, 6 x +675", listed)
+    told = inside("mirrors", tiny)[1]
+    assert "segments 1 at 0.11, 0 m, turned 0 deg, 3 at 0.02, -0.19 m, turned -100 deg:" in told
+    values = json.loads(inside("mirrors", tiny, "--json")[1])
+    assert [one["actuators"] for one in values["segments"]] == [7, 16, 7]
+    assert "[assumed]" in inside("mirrors", "gmt")[1]
