@@ -8,6 +8,9 @@ Then for each segment, over its actuators: RMS error of alpha over the bound of 
 common scale taken out with the true weight of the tool; how many 95 % intervals of E_STAT hold the
 truth so, and how many of E_ALPHA as it stands; by how many of its standard uncertainties the tool
 was weighed wrong.
+
+With 37 and 91 actuators E_STAT is the bound to 0.2 %. On a petal of M4 it is twice the bound and
+the errors 1.5 to 1.9 times, at any noise, all of it in three smooth patterns: not understood yet.
 """
 
 from __future__ import annotations
