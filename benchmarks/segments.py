@@ -6,7 +6,11 @@ The glass of each segment that differs by itself; then the commands `simulate`, 
 `report` and `modes`, each with its processor time, its time, and the memory of its largest process.
 Then for each segment, over its actuators: RMS error of alpha over the bound of Cramer and Rao, the
 common scale taken out with the true weight of the tool; how many 95 % intervals of E_STAT hold the
-truth; of how many the errors of the scale, as stated.
+truth so, and how many of E_ALPHA as it stands; by how many of its standard uncertainties the tool
+was weighed wrong.
+
+With 37 and 91 actuators E_STAT is the bound to 0.2 %. On a petal of M4 it is twice the bound and
+the errors 1.5 to 1.9 times, at any noise, all of it in three smooth patterns: not understood yet.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -33,15 +38,20 @@ from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.statics.arms import enabled_arms
 
 
-def timed(name: str, *command: object) -> None:
-    """Run a command in a process of its own and print what it took."""
-    begun = time.monotonic()
-    child = subprocess.Popen([sys.executable, *map(str, command)], stdout=subprocess.DEVNULL)
-    _, status, used = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
+def timed(name: str, *commands: Sequence[object]) -> None:
+    """Run commands, each in a process of its own, and print what they took."""
+    begun, processor, largest = time.monotonic(), 0.0, 0
+    for command in commands:
+        child = subprocess.Popen([sys.executable, *map(str, command)], stdout=subprocess.DEVNULL)
+        _, status, used = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode:
+            sys.exit(f"{name} failed")
+        processor += used.ru_utime + used.ru_stime
+        largest = max(largest, used.ru_maxrss)
     print(
-        f"  {name:<28}{used.ru_utime + used.ru_stime:8.1f} s{time.monotonic() - begun:10.1f} s"
-        f"{used.ru_maxrss / 1024:10.0f} MB" + (f"   exit code {status}" if status else ""),
+        f"  {name:<28}{processor:8.1f} s{time.monotonic() - begun:10.1f} s"
+        f"{largest / 1024:10.0f} MB",
         flush=True,
     )
 
@@ -71,10 +81,9 @@ def errors(mirror: SegmentedMirror, work: Path, arguments: argparse.Namespace) -
     """Print the errors of each segment."""
     bench = segmented_bench(mirror, arguments.seed, force_noise=arguments.noise, temperature=20.0)
     truth = tn.read_truth(truth_path(work / "campaign"))
-    found = tn.read_calibration(work / "calibration.fits")
-    print("  segment      actuators    bound      error/bound   within 1.96 E_STAT   scale, sigma")
+    print("  segment   actuators   bound      error/bound   E_STAT   E_ALPHA   tool, sigma")
     for number, one in enumerate(bench.benches, 1):
-        part = found.segments[number]
+        part = tn.read_calibration(work / "calibration.fits", segment=number)
         own = truth.layout.segment == number
         assert np.array_equal(one.truth.alpha, truth.alpha[own])
         declared, true = one.loads[-1].added, one.truth.added[-1]
@@ -82,10 +91,11 @@ def errors(mirror: SegmentedMirror, work: Path, arguments: argparse.Namespace) -
         least = bound(one, arguments.cycles)
         within = np.abs(miss) < 1.96 * part.reading_error
         scale = (true / declared - 1) * declared / one.loads[-1].added_error
+        whole = np.abs(part.alpha - one.truth.alpha) < 1.96 * part.error
         print(
-            f"  {number:<13}{own.sum():<13}{np.sqrt(np.mean(least**2)):<11.2e}"
-            f"{np.sqrt(np.mean(miss**2) / np.mean(least**2)):<14.3f}"
-            f"{100 * within.mean():5.1f} %              {scale:+.2f}",
+            f"  {number:<10}{own.sum():<12}{np.sqrt(np.mean(least**2)):<11.2e}"
+            f"{np.sqrt(np.mean(miss**2) / np.mean(least**2)):<14.3f}{100 * within.mean():<9.1f}"
+            f"{100 * whole.mean():<10.1f}{scale:+.2f}",
             flush=True,
         )
 
@@ -113,16 +123,15 @@ def main() -> None:
         work.mkdir(parents=True, exist_ok=True)
         for _, (number, *_others) in mirror.kinds:
             shared = ("--mirror", arguments.mirror, "--glass", number)
-            timed(f"glass of segment {number}", __file__, *shared)
+            timed(f"glass of segment {number}", (__file__, *shared))
         campaign, calibration = work / "campaign", work / "calibration.fits"
         drawn = ("--cycles", arguments.cycles, "--seed", arguments.seed, "--noise", arguments.noise)
-        for name, *rest in (
-            ("simulate", arguments.mirror, "-o", campaign, *drawn),
-            ("calibrate", campaign, "-o", calibration),
-            ("report", campaign, "-o", work / "report.html"),
-            ("modes", campaign, "--calibration", calibration, "-o", work / "modes.fits"),
-        ):
-            timed(str(name), "-m", "truenewton", name, *rest)
+        run = ("-m", "truenewton")
+        timed("simulate", (*run, "simulate", arguments.mirror, "-o", campaign, *drawn))
+        timed("calibrate", (*run, "calibrate", campaign, "-o", calibration))
+        timed("report", (*run, "report", campaign, "-o", work / "report.html"))
+        modes = (*run, "modes", campaign, "--calibration", calibration, "--segment")
+        timed("modes, one after the other", *((*modes, k) for k in mirror.layout.segments))
         errors(mirror, work, arguments)
 
 
