@@ -19,6 +19,8 @@ from truenewton.errors import (
     TrueNewtonWarning,
     UnknownName,
 )
+from truenewton.modal.pupil import pupil_of
+from truenewton.modal.segments import modes_of_segments
 from truenewton.reading import read_one
 from truenewton.records.file import write_campaign
 from truenewton.records.segmented import coupling_faults
@@ -240,7 +242,9 @@ def test_a_damaged_file_of_segments_is_refused_in_one_line(whole, tmp_path):
         assert str(refused.value).startswith(str(tmp_path))
 
 
-def test_a_stiffness_is_calibrated_by_segment(tmp_path):
+@pytest.fixture(scope="module")
+def two():
+    """A stiffness of two segments, and of each alone."""
     random = np.random.default_rng(3)
     layout = tn.rings([0.05, 0.1], [6, 12])
     blocks = []
@@ -258,21 +262,32 @@ def test_a_stiffness_is_calibrated_by_segment(tmp_path):
         segment=np.repeat([1, 2], 18),
     )
     date = pieces(1)[0][0].cycles[0].date
-    matrix = tn.StiffnessMatrix("TWO", date, both, stiffness)
+    alone = []
+    for where, block in zip((slice(18), slice(18, 36)), blocks, strict=True):
+        place = tn.layout(layout.x, layout.y, id=both.id[where])  # from its own middle
+        alone.append(tn.StiffnessMatrix("ONE", date, place, block))
+    return tn.StiffnessMatrix("TWO", date, both, stiffness), alone
+
+
+def test_a_stiffness_is_calibrated_by_segment(two, tmp_path):
+    matrix, alone = two
     tn.write_stiffness(matrix, tmp_path / "k.fits")
-    data = tn.read(tmp_path / "k.fits")
-    made = tn.calibrate(data, "svd")
-    for number, block in enumerate(blocks, 1):
-        where = slice(18 * (number - 1), 18 * number)
-        place = tn.layout(both.x[where], both.y[where], id=both.id[where])
-        other = tn.calibrate(tn.StiffnessMatrix("ONE", date, place, block), "svd")
-        assert made.segments[number].alpha == pytest.approx(other.alpha, rel=1e-9)
+    made = tn.calibrate(tn.read(tmp_path / "k.fits"), "svd")
+    for number, one in enumerate(alone, 1):
+        other = tn.calibrate(one, "svd")
+        assert made.segments[number].alpha == pytest.approx(other.alpha, rel=1e-7)
         assert not any("other segments" in f for f, _ in made.segments[number].verdict.faults)
     with pytest.raises(FormatError, match="of 2 segments, which balance each by itself"):
         tn.calibrate(matrix)
-    noisy = stiffness + np.abs(stiffness).max() * 1e-3 * random.standard_normal((n, n))
+
+
+def test_what_couples_segments_is_told_from_noise(two):
+    (matrix, _), random = two, np.random.default_rng(4)
+    stiffness = matrix.stiffness
+    size = 1e-3 * np.abs(stiffness).max()
+    noisy = stiffness + size * random.standard_normal(stiffness.shape)
     joined = noisy.copy()
-    joined[:18, 18:] += (link := np.abs(stiffness).max() * 1e-3 * random.standard_normal((18, 18)))
+    joined[:18, 18:] += (link := size * random.standard_normal((18, 18)))
     joined[18:, :18] += link.T
     swapped = np.roll(noisy, 18, axis=0)
     for k, count in ((noisy, 0), (joined, 2), (swapped + noisy, 2)):
@@ -280,6 +295,28 @@ def test_a_stiffness_is_calibrated_by_segment(tmp_path):
     made = tn.calibrate(tn.SegmentedData(stiffness=replace(matrix, stiffness=joined)), "svd")
     told = [fault for fault, _ in made.verdict.faults if "it is coupled to other" in fault]
     assert [fault[:9] for fault in told] == ["segment 1", "segment 2"]
+
+
+def test_modes_of_segments_are_those_of_each_alone(two, inside, tmp_path):
+    matrix, alone = two
+    tn.write_stiffness(matrix, tmp_path / "k.fits")
+    words = ("modes", tmp_path / "k.fits", "--anyway", "-o", tmp_path / "m.fits", "--off", 1)
+    code, said, wrong = inside(*words)
+    assert (code, wrong) == (0, "")
+    assert "m-1.fits" in said
+    for number, one in enumerate(alone, 1):
+        other = tn.find_modes(one, force=True, off=[1] if number == 1 else ())
+        with fits.open(tmp_path / f"m-{number}.fits") as hdus:
+            budget = hdus["BUDGET"].data
+        base = other.after.modes.stiffness
+        assert budget["STIFFNESS"] == pytest.approx(base, rel=1e-6, abs=1e-6 * np.abs(base).max())
+        whole, own = pupil_of(matrix.layout), pupil_of(one.layout)
+        assert own.diameter / own.radius == pytest.approx(whole.diameter / whole.radius)
+    code, _, wrong = inside(*words)
+    assert code == 2
+    assert "m-1.fits: exists already" in wrong
+    with pytest.raises(UnknownName, match="there is no actuator 99"):
+        modes_of_segments(tn.SegmentedData(stiffness=matrix), off=[99])
 
 
 def test_commands_take_segments(folder, inside, tmp_path):

@@ -322,6 +322,19 @@ def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibratio
     return data
 
 
+def read_segmented(path: AnyPath) -> SegmentedCalibration:
+    """Read the calibration of a mirror in several segments.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch
+    """
+    data = read(path)
+    if not isinstance(data, SegmentedCalibration):
+        raise _another(data, "calibration of several segments", "choose one: --segment", [path])
+    return data
+
+
 def _another(
     data: Read,
     wanted: str,

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 LARGE = 200  # actuators of a segment: below, it is solved before a process has started
 Solve = Callable[..., Calibration]
-Answer = Calibration | Fault
+Body = Campaign | StiffnessMatrix
+Found = TypeVar("Found")
 
 
 def calibrate_segments(
@@ -53,12 +54,20 @@ def calibrate_segments(
     -----
     TrueNewtonWarning
     """
-    numbers = data.numbers
-    if processes is None:
-        largest = int(np.unique(np.asarray(data.layout.segment), return_counts=True)[1].max())
-        processes = processors() if largest >= LARGE and sys.executable else 1
-    answers = list(_answers(data, solve, motion, min(processes, len(numbers))))
-    made = {k: a for k, a in zip(numbers, answers, strict=True) if isinstance(a, Calibration)}
+    numbers, segment = data.numbers, np.asarray(data.layout.segment)
+
+    def solver(number: int) -> Callable[[Body], Calibration]:
+        own = segment == number
+        return partial(solve, motion=None if motion is None else motion[np.ix_(own, own)])
+
+    answers = list(of_each(data, solver, processes))
+    made = {
+        number: replace(
+            answer, layout=replace(answer.layout)
+        )  # from elsewhere, it may be written to
+        for number, answer in zip(numbers, answers, strict=True)
+        if isinstance(answer, Calibration)
+    }
     refused = {k: (a,) for k, a in zip(numbers, answers, strict=True) if isinstance(a, Fault)}
     if not made:
         number, ((fault, remedy),) = next(iter(refused.items()))
@@ -72,39 +81,47 @@ def calibrate_segments(
     return whole
 
 
-def _answers(
-    data: SegmentedData, solve: Solve, motion: Array | None, processes: int
-) -> Iterator[Answer]:
-    """Yield a calibration of each segment, or why there is none."""
+def of_each(
+    data: SegmentedData, solver: Callable[[int], Callable[[Body], Found]], processes: int | None
+) -> Iterator[Found | Fault]:
+    """Yield what is found of each segment, or why nothing is.
 
-    def work(number: int) -> tuple[Callable[[Any], Answer], Any]:
-        own = np.asarray(data.layout.segment) == number
-        of_it = None if motion is None else motion[np.ix_(own, own)]
+    Parameters
+    ----------
+    data
+        Of all segments.
+    solver
+        Gives, for the number of a segment, what finds it: a function of a module, or a partial.
+    processes
+        As of `calibrate_segments`.
+    """
+
+    def work(number: int) -> tuple[Callable[[Any], Found | Fault], Any]:
         try:
-            return partial(_attempt, partial(solve, motion=of_it)), data.segment(number)
+            return partial(_attempt, solver(number)), data.segment(number)
         except UnreadableFile:
             raise
         except TrueNewtonError as error:
             return _same, Fault(error.fault, error.remedy)
 
+    if processes is None:
+        largest = int(np.unique(np.asarray(data.layout.segment), return_counts=True)[1].max())
+        processes = processors() if largest >= LARGE and sys.executable else 1
     calls = [partial(work, number) for number in data.numbers]
-    if processes == 1:
-        for call in calls:
-            attempt, given = call()
-            yield attempt(given)
+    if processes > 1:
+        yield from side_by_side(calls, min(processes, len(calls)))
         return
-    for answer in side_by_side(calls, processes):
-        if isinstance(answer, Calibration):  # arrays from elsewhere may be written to
-            answer = replace(answer, layout=replace(answer.layout))
-        yield answer
+    for call in calls:
+        attempt, given = call()
+        yield attempt(given)
 
 
 def _same(fault: Fault) -> Fault:
     return fault
 
 
-def _attempt(solve: Solve, body: Campaign | StiffnessMatrix) -> Answer:
-    """Return the calibration of a segment, or why there is none."""
+def _attempt(solve: Callable[[Body], Found], body: Body) -> Found | Fault:
+    """Return what is found of a segment, or why nothing is."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the whole is warned of
         warnings.simplefilter("error", RuntimeWarning)  # what overflows is no result

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.modal.dissipation import Budget
 
 
 def run(
@@ -50,40 +55,74 @@ def run(
     """Find stiffness modes, and how many can be corrected within a power or a force."""
     from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import OutputFailed
-    from truenewton.figures.writing import write_drawn
-    from truenewton.files.outputs import refuse_existing, together
+    from truenewton.files.outputs import refuse_existing
     from truenewton.modal.dissipation import Budget
-    from truenewton.modal.figures import modes_figures
-    from truenewton.modal.file import modes_paths, write_modes
+    from truenewton.modal.file import modes_paths, numbered
     from truenewton.modal.findings import find_modes
+    from truenewton.modal.segments import modes_of_segments
     from truenewton.modal.turbulence import Atmosphere
-    from truenewton.modal.words import lines, values
-    from truenewton.reading import of_segment, read_calibration, read_data
+    from truenewton.modal.words import lines, segment_lines, segment_values, values
+    from truenewton.reading import of_segment, read_calibration, read_data, read_segmented
     from truenewton.records.file import SUFFIXES
+    from truenewton.records.segmented import SegmentedData
 
     if output is not None and not output.name.endswith(SUFFIXES):
         raise OutputFailed("is no name for a modal base", remedy="let -o end in .fits", path=output)
     atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
-    refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     floating = options.ids(off, "--off") if off else ()
     following = options.ids(slaved, "--slaved") if slaved else ()
-    more: list[Path] = []
+    refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
+    data = read_data(*paths)
+    several = data.numbers if isinstance(data, SegmentedData) and segment is None else ()
+    for path in (numbered(output, number) for number in several if output):
+        refuse_existing(*modes_paths(path), overwrite=overwrite)
+    asked: dict[str, Any] = {
+        "diameter": diameter, "radius": radius, "efficiency": efficiency, "force": anyway,
+        "off": floating, "slaved": following,
+    }  # fmt: skip
     with busy("finding modes"), about(paths):
-        modes = find_modes(
-            of_segment(read_data(*paths), segment, paths[0]),
-            None if calibration is None else read_calibration(calibration, segment=segment),
-            atmosphere,
-            diameter=diameter,
-            radius=radius,
-            efficiency=efficiency,
-            off=floating,
-            slaved=following,
-            force=anyway,
-        )
-        with together():
+        if isinstance(data, SegmentedData) and segment is None:
+            alphas = None if calibration is None else read_segmented(calibration)
+            found: Mapping[int, Any] = modes_of_segments(data, alphas, atmosphere, **asked)
+            told, schema = [*segment_lines(found, limits)], "modes-segments"
+            as_values = segment_values(found, limits) if json else None
+        else:
+            alpha = None if calibration is None else read_calibration(calibration, segment=segment)
+            body = of_segment(data, segment, paths[0])
+            one = find_modes(body, alpha, atmosphere, **asked)
+            found, told, schema = {0: one}, lines(one, limits), "modes"
+            as_values = values(one, limits) if json else None
+        written = _written(found, output, figures, limits, overwrite=overwrite)
+    nothing = () if output or figures else (None,)
+    print_result(told, *written, *nothing, values=as_values, schema=schema, quiet=quiet)
+
+
+def _written(
+    found: Mapping[int, Any],
+    output: Path | None,
+    figures: Path | None,
+    limits: Budget,
+    *,
+    overwrite: bool,
+) -> list[Path]:
+    """Write modes by their segment, 0 of a mirror in one piece, and figures; return the paths."""
+    from truenewton.figures.writing import write_drawn
+    from truenewton.files.outputs import together
+    from truenewton.modal.figures import modes_figures
+    from truenewton.modal.file import numbered, write_modes
+    from truenewton.modal.findings import ModalFindings
+
+    drawn: dict[str, Any] = {}
+    written: list[Path] = []
+    with together():
+        for number, each in found.items():
+            if not isinstance(each, ModalFindings):
+                continue
             if output is not None:
-                more += write_modes(modes, output, limits, overwrite=overwrite)[1:]
-            if figures is not None:
-                more += write_drawn(modes_figures(modes, limits), figures, overwrite=overwrite)
-    as_values = values(modes, limits) if json else None
-    print_result(lines(modes, limits), output, *more, values=as_values, schema="modes", quiet=quiet)
+                target = numbered(output, number) if number else output
+                written += write_modes(each, target, limits, overwrite=overwrite)
+            of_it = f"segment-{number}-" if number else ""
+            drawn |= {f"{of_it}{name}": draw for name, draw in modes_figures(each, limits).items()}
+        if figures is not None:
+            written += write_drawn(drawn, figures, overwrite=overwrite)
+    return written

@@ -154,6 +154,12 @@ def modes_paths(path: str | os.PathLike[str]) -> tuple[Path, ...]:
     return (target, *(target.with_name(f"{stem}.{what}.fits") for what in BESIDE))
 
 
+def numbered(path: Path, number: int) -> Path:
+    """Return the path for one segment: its number stands before the ending."""
+    stem = path.name.removesuffix(".gz").removesuffix(".fits")
+    return path.with_name(f"{stem}-{number}{path.name.removeprefix(stem)}")
+
+
 def write_modes(
     findings: ModalFindings,
     path: str | os.PathLike[str],

@@ -48,6 +48,14 @@ class Pupil:
             )
 
 
+def centred(layout: Layout) -> tuple[Array, Array]:
+    """Return (n,) x and y [m], of a segment from its middle: it is a pupil of its own."""
+    if layout.segment is None or layout.segments:
+        return layout.x, layout.y
+    x, y = (each - 0.5 * (each.min() + each.max()) for each in (layout.x, layout.y))
+    return x, y
+
+
 def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None = None) -> Pupil:
     """Return the pupil that a mirror fills.
 
@@ -60,7 +68,7 @@ def pupil_of(layout: Layout, diameter: float | None = None, radius: float | None
         A diameter or a radius that cannot be.
     """
     if radius is None:
-        outermost = float(np.hypot(layout.x, layout.y).max())
+        outermost = float(np.hypot(*centred(layout)).max())
         radius = outermost * (1.0 + 0.5 * np.sqrt(np.pi / layout.n))
     return Pupil(radius, 2.0 * LBT_MAGNIFICATION * radius if diameter is None else diameter)
 
@@ -114,7 +122,7 @@ def seen_turbulence(
     GeometryError
         Actuators so close to each other that Zernikes do not tell them apart.
     """
-    x, y = layout.x / pupil.radius, layout.y / pupil.radius
+    x, y = (each / pupil.radius for each in centred(layout))
     half = 0.5 * pupil.diameter
     wavefront = wavefront_covariance(half * x, half * y, atmosphere)
     mean = wavefront[:, commanded].mean(axis=1)

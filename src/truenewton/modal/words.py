@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -14,6 +15,7 @@ from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
 from truenewton.modal.modal_base import ModalBase
+from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent, significant
 
 WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns
@@ -243,3 +245,25 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
 def _attributes(record: object, *names: str) -> dict[str, Any]:
     """Return some attributes of a record by their names."""
     return {name: getattr(record, name) for name in names}
+
+
+def segment_lines(found: Mapping[int, ModalFindings | Fault], limits: Budget) -> Iterator[str]:
+    """Yield the same of each segment, or why it tells no modes."""
+    for number, one in found.items():
+        if isinstance(one, Fault):
+            yield f"segment {number}: no modes: {one.fault}; {one.remedy}"
+        else:
+            yield from lines(one, limits)
+
+
+def segment_values(
+    found: Mapping[int, ModalFindings | Fault], limits: Budget
+) -> dict[str, list[dict[str, Any]]]:
+    """Return the same figures for a script."""
+    return {
+        "segments": [
+            {"segment": number}
+            | ({"fault": one._asdict()} if isinstance(one, Fault) else values(one, limits))
+            for number, one in found.items()
+        ]
+    }

@@ -1,0 +1,85 @@
+"""Stiffness modes of a mirror in several segments: each has its own, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.segments import of_each
+from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
+from truenewton.modal.dissipation import EFFICIENCY
+from truenewton.modal.findings import ModalFindings, find_modes
+from truenewton.modal.pupil import pupil_of
+from truenewton.modal.turbulence import Atmosphere
+from truenewton.records.campaign import Campaign
+from truenewton.records.fault import Fault
+from truenewton.records.segmented import SegmentedData
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+
+
+def modes_of_segments(
+    data: SegmentedData,
+    calibration: SegmentedCalibration | None = None,
+    atmosphere: Atmosphere | None = None,
+    *,
+    diameter: float | None = None,
+    radius: float | None = None,
+    efficiency: float = EFFICIENCY,
+    off: Sequence[int] = (),
+    slaved: Sequence[int] = (),
+    force: bool = False,
+    processes: int | None = None,
+) -> dict[int, ModalFindings | Fault]:
+    """Find the modes of each segment, by its number, or why it tells none.
+
+    Parameters
+    ----------
+    data, calibration, atmosphere, efficiency, off, slaved, force
+        As of `find_modes`, of all segments.
+    diameter, radius
+        Of the entrance pupil, and of all segments together that fill it [m]; see `pupil_of`. Each
+        segment fills its part of it, seen from its own middle.
+    processes
+        As of `calibrate`.
+
+    Raises
+    ------
+    RankDeficient
+        No segment tells its modes.
+    CampaignMismatch
+        Data and calibration are of two mirrors.
+    UnknownName
+        An ID that no actuator has.
+    """
+    if calibration is not None and not calibration.layout.same_actuators_as(data.layout):
+        raise CampaignMismatch(
+            "data and calibration are of two mirrors", remedy="give both of the same mirror"
+        )
+
+    pupil = pupil_of(data.layout, diameter, radius)
+    known = set(data.layout.id.tolist())
+    for unknown in (name for name in (*off, *slaved) if name not in known):
+        raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
+
+    def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
+        of_it = set(data.layout.id[np.asarray(data.layout.segment) == number].tolist())
+        alpha: Calibration | None = None if calibration is None else calibration.segment(number)
+        here = [tuple(name for name in names if name in of_it) for names in (off, slaved)]
+        own = pupil_of(data.layout.part(np.asarray(data.layout.segment) == number)).radius
+        return partial(
+            find_modes, calibration=alpha, atmosphere=atmosphere, radius=own,
+            diameter=pupil.diameter * own / pupil.radius, efficiency=efficiency,
+            off=here[0], slaved=here[1], force=force,
+        )  # fmt: skip
+
+    found = dict(zip(data.numbers, of_each(data, solver, processes), strict=True))
+    if all(isinstance(one, Fault) for one in found.values()):
+        number, one = next(iter(found.items()))
+        assert isinstance(one, Fault)
+        raise RankDeficient(f"no segment tells modes; segment {number}: {one.fault}",
+                            remedy=one.remedy)  # fmt: skip
+    return found
