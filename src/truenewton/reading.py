@@ -11,9 +11,8 @@ from typing import NamedTuple, overload
 
 import numpy as np
 
-from truenewton.calibration.file import calibration_from
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.segment_file import segmented_from
+from truenewton.calibration.segment_file import any_calibration_from
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client, each
@@ -173,16 +172,6 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     return Campaign(cycles, beside)
 
 
-def any_calibration_from(file: FitsFile) -> Calibration | SegmentedCalibration:
-    """Return the calibration that a file holds, of one body or of several segments.
-
-    Raises
-    ------
-    FormatError
-    """
-    return segmented_from(file) if "SEGMENTS" in file.extensions else calibration_from(file)
-
-
 @overload
 def of_segment(
     data: Calibration | SegmentedCalibration, number: int | None, path: object
@@ -256,8 +245,8 @@ def read_campaign(*paths: AnyPath | Iterable[AnyPath], client: Client | None = N
 
     Parameters
     ----------
-    paths
-        Folders of cycle files and single files, or lists of them.
+    paths, client
+        As of `read`.
 
     Raises
     ------
@@ -305,6 +294,8 @@ def read_calibration(path: AnyPath, *, segment: int | None = None) -> Calibratio
     ----------
     path
         The calibration, as `Calibration.write` writes it.
+    segment
+        Number of the one.
 
     Raises
     ------

@@ -139,15 +139,13 @@ METHODS = {
 
 @overload
 def calibrate(
-    data: Campaign | StiffnessMatrix, method: str | None = None, *,
-    population: bool = False, motion: Array | None = None, client: Client | None = None,
-    processes: int | None = None,
+    data: Campaign | StiffnessMatrix, method: str | None = None, *, population: bool = False,
+    motion: Array | None = None, client: Client | None = None, processes: int | None = None,
 ) -> Calibration: ...  # fmt: skip
 @overload
 def calibrate(
-    data: SegmentedData, method: str | None = None, *,
-    population: bool = False, motion: Array | None = None, client: Client | None = None,
-    processes: int | None = None,
+    data: SegmentedData, method: str | None = None, *, population: bool = False,
+    motion: Array | None = None, client: Client | None = None, processes: int | None = None,
 ) -> SegmentedCalibration: ...  # fmt: skip
 def calibrate(
     data: Campaign | StiffnessMatrix | SegmentedData,

@@ -126,3 +126,13 @@ def segmented_from(file: FitsFile) -> SegmentedCalibration:
 def versions_of(calibration: SegmentedCalibration) -> Mapping[str, Any]:
     """Return what `write_fits` is told of the segments."""
     return {"versions": calibration.segments, "of_version": CALIBRATION}
+
+
+def any_calibration_from(file: FitsFile) -> Calibration | SegmentedCalibration:
+    """Return the calibration that a file holds, of one body or of several segments.
+
+    Raises
+    ------
+    FormatError
+    """
+    return segmented_from(file) if "SEGMENTS" in file.extensions else calibration_from(file)

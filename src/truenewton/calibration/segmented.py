@@ -52,6 +52,12 @@ class SegmentedCalibration:
         The calibration of each segment that gave alpha, by its number.
     refused
         Why the others did not, each with its remedy, by number.
+
+    Examples
+    --------
+    >>> made = tn.calibrate(tn.SegmentedData(stiffness=both), processes=1)
+    >>> {number: one.method for number, one in made.segments.items()}, len(made.refused)
+    ({1: 'ml', 2: 'ml'}, 0)
     """
 
     instrument: str

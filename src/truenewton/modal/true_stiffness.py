@@ -165,10 +165,8 @@ def true_stiffness(
 
     Raises
     ------
-    CampaignMismatch
-        Matrix and calibration are not of one mirror.
-    UnknownName
-        An ID that no enabled actuator has, or that is both off and slaved.
+    CampaignMismatch, UnknownName
+        Not of one mirror; an ID that no enabled actuator has, or that is both off and slaved.
     RankDeficient
         Too few actuators are left, or they do not hold those that are off.
     FormatError

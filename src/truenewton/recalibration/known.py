@@ -10,6 +10,7 @@ import numpy as np
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segment_file import any_calibration_from
 from truenewton.calibration.verdict import Level, Verdict, refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
@@ -17,7 +18,7 @@ from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive
-from truenewton.reading import any_calibration_from, of_segment
+from truenewton.reading import of_segment
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import Source

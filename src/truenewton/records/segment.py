@@ -23,6 +23,11 @@ class Segment(NamedTuple):
         P and its standard uncertainty [N].
     added, added_error
         Q and its standard uncertainty [N].
+
+    Examples
+    --------
+    >>> tn.Segment(1, weight=-2.92, weight_error=0.005, added=-0.289, added_error=0.005).weight
+    -2.92
     """
 
     number: int

@@ -37,6 +37,11 @@ class SegmentedData:
         Cycles that disagree on the mirror, a weight or the actuators, or stand twice.
     FormatError
         The mirror is in one piece, or nothing was given.
+
+    Examples
+    --------
+    >>> tn.SegmentedData(stiffness=both).layout
+    <Layout of 90 actuators of 2 segments>
     """
 
     cycles: tuple[Cycle, ...] = ()

@@ -206,6 +206,8 @@ def layout(
         (n,) false where an actuator takes no part.
     x_error, y_error
         (n,) standard uncertainties of x and y, as these.
+    segment
+        (n,) numbers of the segments of which the actuators are; one unless told.
 
     Raises
     ------
