@@ -149,7 +149,7 @@ def calibrate(
         Take the actuators for samples of one normal population, whose spread the data give: pulls
         what the data hardly hold toward the mean. With 'ml' only; the result names it.
     motion
-        What the sensors see of all actuators by a model of the glass, from `motion_for`; or (n, n)
+        (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
         displacements where forces act for those seen. With 'reciprocity' and 'auto' only.
 
     Raises
@@ -195,7 +195,8 @@ def asked(
 ) -> tuple[str, Known]:
     """Return the method that is asked for, as of `calibrate`, and what it is told.
 
-    Raises UnknownName where there is no such method, or it takes no such data.
+    ``motion`` is (6, n, n) or (n, n). Raises UnknownName where there is no such method, or it takes
+    no such data.
     """
     if method is None:
         method = "ml" if motion is None or population else "auto"

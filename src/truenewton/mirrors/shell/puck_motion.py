@@ -63,7 +63,7 @@ def motion_for(mirror: Mirror, layout: Layout) -> Array:
 
 
 def seen_by(glass: HeldGlass) -> Array:
-    """Return `motion_for` of a glass."""
+    """Return (6, n, n) or (1, n, n) as `motion_for`, of a glass."""
     motion = puck_motion(glass)[None]
     try:
         return np.concatenate([motion, displaced_readings(glass)])
