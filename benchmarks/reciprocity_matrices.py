@@ -150,10 +150,18 @@ def without_smooth(layout, values, degree=6):
 
 
 def real():
-    """Print what is left of a measured LBT672."""
+    """Print what is left of a measured LBT672, without and with a model of its glass."""
     matrix = tn.read(Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672/lbt672-feedforward.fits")
+    print("without a model of the glass")
+    examine(matrix)
+    print("the glass as LBT672 has it")
+    examine(matrix, seen_by(held_glass(replace(lbt672(), layout=matrix.layout))))
+
+
+def examine(matrix, motion=None):
+    """Print what is left of a measured matrix."""
     cpu, layout = time.process_time(), matrix.layout
-    modes = modes_of(matrix)
+    modes = modes_of(matrix, motion)
     found = examined(modes)
     n, unknowns, steps = modes.places.n, len(found.joint.covariance), found.joint.steps
     print(

@@ -21,6 +21,7 @@ from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.air_film import VISCOSITY, film_damping
 from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
 from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
+from truenewton.mirrors.shell.puck_motion import displaced_readings
 from truenewton.statics.arms import external_load, resultants
 from truenewton.statics.layout import layout
 
@@ -79,6 +80,12 @@ def test_the_mass_that_moves_is_that_of_the_ring(glasses):
     assert other_mass == pytest.approx(mass, abs=2e-3 * mass.max())
     assert other_pucks == pytest.approx(pucks, abs=2e-3)
     assert other_mass.sum() == pytest.approx(glasses[1].mirror.shell.mass + 8 * 2.75e-3, rel=1e-9)
+
+
+def test_sensors_off_their_magnets_read_what_they_read_on_the_ring(glasses):
+    one, other = map(displaced_readings, glasses)
+    for kind, worst in zip(range(5), (2e-3, 2e-3, 1e-2, 1e-2, 1e-2), strict=True):
+        assert np.linalg.norm(other[kind] - one[kind]) < worst * np.linalg.norm(one[kind])
 
 
 SQUARE = ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))

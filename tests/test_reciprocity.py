@@ -227,6 +227,26 @@ def test_with_a_model_of_the_glass_annuli_off_their_magnets_are_exact():
     assert motion_for(alike, layout).shape == (1, layout.n, layout.n)
 
 
+def test_errors_hold_where_annuli_are_off_their_magnets_and_the_glass_is_known():
+    glass, layout = p45_bench().glass, p45_bench().mirror.layout
+    rows = []
+    for seed in range(3):
+        random = np.random.default_rng([seed, 11])
+        values = drawn(random, layout.n, offset=5e-4)
+        made = with_noise(random, by_glass(glass, values), values, 1e-3, np.inf)
+        square = (made.readings / made.level**2) @ made.readings.T
+        known = Regressed(made.stiffness, square, np.eye(layout.n))
+        for seen in (p45_motion(), p45_motion()[0]):
+            found = fit(places_of(layout, seen), Asked(0.004, 5e-4), known.states, start=values)
+            error = found.values.log_alpha - values.log_alpha
+            error -= error.mean()
+            stated = np.sqrt(np.diag(found.covariance_of(Kind.ALPHA)))
+            rows.append([np.mean(error**2 / stated**2), np.mean(np.abs(error) < 1.96 * stated)])
+    by_model, by_plate_alone = np.mean(np.reshape(rows, (3, 2, 2)), axis=0)
+    assert by_model[0] < 1.4 < 3.0 < by_plate_alone[0]
+    assert by_plate_alone[1] < 0.75 < 0.9 < by_model[1]
+
+
 def test_of_actuators_left_free_the_sensors_go_with_the_others():
     """To first order: what they read, by gains and places that nobody knows, is taken as it is."""
     glass, layout = p45_bench().glass, p45_bench().mirror.layout

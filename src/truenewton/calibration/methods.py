@@ -171,7 +171,7 @@ def calibrate(
         Take the actuators for samples of one normal population of unknown spread: pulls what the
         data hardly hold toward the mean. With 'ml' only; the result names it.
     motion
-        What the sensors see of all actuators by a model of the glass, from `motion_for`; or (n, n)
+        (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
         displacements where forces act for those seen. With 'reciprocity' and 'auto' only.
     client
         A `dask.distributed.Client`, whose workers read the rows of a campaign that ``read`` was
@@ -246,7 +246,8 @@ def asked(
 ) -> tuple[str, Known]:
     """Return the method that is asked for, as of `calibrate`, and what it is told.
 
-    Raises UnknownName where there is no such method, or it takes no such data.
+    ``motion`` is (6, n, n) or (n, n). Raises UnknownName where there is no such method, or it takes
+    no such data.
     """
     if method is None:
         tried = isinstance(data, StiffnessMatrix) or motion is not None

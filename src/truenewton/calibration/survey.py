@@ -49,7 +49,7 @@ def survey(
     data
         A campaign or a stiffness matrix.
     method, population, motion
-        As in `calibrate`.
+        As in `calibrate`; (6, n, n).
     """
     method, known = asked(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):

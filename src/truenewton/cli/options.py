@@ -50,7 +50,7 @@ PATHS = typer.Argument(
 
 
 def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedData) -> Array | None:
-    """Return what sensors see of the glass of data, None without --mirror.
+    """Return (6, n, n) what sensors see of the glass of data, None without --mirror.
 
     Raises
     ------

@@ -60,7 +60,7 @@ def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> E
     sifted
         Cycles with POSITION, under two loads at least.
     motion
-        What a model of the glass tells of the sensors (`sight.places_of`).
+        (n, n) or (6, n, n) what a model of the glass tells of the sensors (`sight.places_of`).
     asked
         Of the sensors.
 
@@ -80,7 +80,7 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
     sifted
         The campaign.
     motion
-        As for `find`.
+        (n, n) or (6, n, n) as for `find`.
 
     Raises
     ------

@@ -95,7 +95,7 @@ def modes_of(
     matrix
         Commanded force per reading.
     motion
-        What a model of the glass tells of the sensors (`sight.places_of`).
+        (n, n) or (6, n, n) what a model of the glass tells of the sensors (`sight.places_of`).
     keep
         (n,) which actuators count; the others are free. All unless given.
     """

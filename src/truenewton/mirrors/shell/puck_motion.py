@@ -14,7 +14,7 @@ from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch, GeometryError
 from truenewton.mirrors.glass import rim
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.condensation import Condensed, condense, rigid_motions
+from truenewton.mirrors.shell.condensation import condense, rigid_motions
 from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass, influence
 from truenewton.mirrors.shell.moving_mass import shapes_at
 from truenewton.statics.arms import arms
@@ -76,7 +76,7 @@ def motion_for(mirror: Mirror, layout: Layout) -> Array:
 
 
 def seen_by(glass: HeldGlass) -> Array:
-    """Return `motion_for` of a glass."""
+    """Return (6, n, n) or (1, n, n) as `motion_for`, of a glass."""
     motion = puck_motion(glass)[None]
     try:
         return np.concatenate([motion, displaced_readings(glass)])
@@ -98,12 +98,9 @@ def displaced_readings(glass: HeldGlass) -> Array:
     GeometryError
         A sensor that touches its puck, another's or an edge.
     """
-    condensed = condense(glass.compliance, rigid_motions(*glass.places))
+    steps = STEP * np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)])
     here = np.eye(glass.mirror.layout.n)
-    east, west, north, south, far, back = (
-        _read_at(glass, condensed, STEP * x, STEP * y) - here
-        for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1))
-    )
+    east, west, north, south, far, back = (read - here for read in _read_at(glass, steps))
     along, across = east + west, north + south
     once, twice = 1 / STEP, 1 / STEP**2
     return np.array(
@@ -117,17 +114,21 @@ def displaced_readings(glass: HeldGlass) -> Array:
     )
 
 
-def _read_at(glass: HeldGlass, condensed: Condensed, dx: float, dy: float) -> Array:
-    """Return (n, n) what sensors read that sit dx, dy [m] off, for what they read at the magnets.
+def _read_at(glass: HeldGlass, steps: Array) -> list[Array]:
+    """Return (n, n) what sensors read that sit (k, 2) steps off, for what they read at the magnets.
 
     As `rearming` puts the sphere's rigid motions in place of the shallow shell's.
     """
     mirror = glass.mirror
-    layout = replace(mirror.layout, x=mirror.layout.x + dx, y=mirror.layout.y + dy)
-    at = mirror.shell.along(layout.x, layout.y)
-    read = influence(glass.free, at, glass.places, mirror.sensor, mirror.puck_radius)
-    tilts = rigid_motions(*at)
+    layouts = [
+        replace(mirror.layout, x=mirror.layout.x + x, y=mirror.layout.y + y) for x, y in steps
+    ]
+    x, y = np.stack([mirror.shell.along(each.x, each.y) for each in layouts], axis=1)
+    all_places = x.ravel(), y.ravel()
+    read = influence(glass.free, all_places, glass.places, mirror.sensor, mirror.puck_radius)
+    tilts = rigid_motions(*all_places)
+    condensed = condense(glass.compliance, rigid_motions(*glass.places))
     shallow = read @ condensed.stiffness + tilts.T @ condensed.motion
-    rigid = np.linalg.pinv(rigid_motions(*glass.places)).T
-    seen = shallow + (arms(layout) - tilts).T @ rigid
-    return np.asarray(seen @ np.linalg.inv(glass.exchange))
+    apart = np.concatenate([arms(each) for each in layouts], axis=1) - tilts
+    seen = shallow + apart.T @ np.linalg.pinv(rigid_motions(*glass.places)).T
+    return np.split(seen @ np.linalg.inv(glass.exchange), len(steps))
