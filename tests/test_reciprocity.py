@@ -401,7 +401,7 @@ def test_noise_that_many_actuators_share_is_left_to_ml():
     )
     made = calibrate(shared, "auto")
     assert made.method == "ml"
-    assert any("common to many actuators" in fault for fault, _ in made.verdict.faults)
+    assert any("common to many actuators" in fault for fault, _ in made.verdict.notes)
 
 
 def test_with_the_glass_reciprocity_is_taken_where_it_holds_from_every_door(inside, tmp_path):
