@@ -213,7 +213,7 @@ def test_sensors_that_are_not_where_they_say_are_refused_by_name():
     )
     made = calibrate(wrong, "auto")
     assert made.method == "ml"
-    assert any("reciprocity" in fault for fault, _ in made.verdict.faults)
+    assert any("reciprocity" in fault for fault, _ in made.verdict.notes)
     np.testing.assert_array_equal(made.alpha, calibrate(wrong).alpha)
 
 
