@@ -114,7 +114,7 @@ def told(values: np.ndarray) -> str:
 def real(folder: str) -> None:
     """Print forces, residual and power on the measured matrix beside the published ones."""
     matrix = tn.read(Path(folder) / "lbt672" / "lbt672-feedforward.fits")
-    calibration = tn.calibrate(matrix)
+    calibration = tn.calibrate(matrix, "ml")
     x, y = (PUPIL.diameter / 2 / PUPIL.radius * v for v in (matrix.layout.x, matrix.layout.y))
     for seeing, published in PUBLISHED.items():
         atmosphere = Atmosphere(seeing)

@@ -119,8 +119,8 @@ def test_a_matrix_of_low_rank_is_refused_by_its_file():
 def test_a_transposed_matrix_is_warned_of():
     matrix, _ = commanded_stiffness()
     turned = StiffnessMatrix("P45", DATE, matrix.layout, matrix.stiffness.T)
-    assert calibrate(matrix).diagnosis.warnings == ()
-    [(fault, remedy)] = calibrate(turned).diagnosis.warnings
+    assert calibrate(matrix, "ml").diagnosis.warnings == ()
+    [(fault, remedy)] = calibrate(turned, "ml").diagnosis.warnings
     assert "looks transposed" in fault
     assert "[i, j], the force of actuator i per displacement of sensor j" in remedy
 

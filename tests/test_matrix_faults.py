@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from balanced import p45_bench
 
+from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation.matrix_faults import condensed, row_order
 from truenewton.estimation.sifted_matrix import sift_matrix
+from truenewton.mirrors.known import mmt336
 from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.investigate import investigate
@@ -101,7 +103,7 @@ def test_a_sound_matrix_loses_nobody():
     calibration = calibrate(matrix)
     assert calibration.layout.enabled.all()
     assert calibration.effects == ()
-    assert calibration.diagnosis.warnings == ()
+    assert calibration.verdict.faults == ()
 
 
 def test_four_neighbours_are_named_and_nobody_else():
@@ -233,3 +235,17 @@ def test_modes_and_report_do_without_those_left_out(change):
     findings = find_modes(matrix)
     assert findings.after.modes.modes.shape == (44, 44)
     assert "Limited" in page(investigate(matrix))
+
+
+def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
+    layout, stiffness = mmt336().layout, static_bench(mmt336(), 1).truth.stiffness
+    random, n = np.random.default_rng(1), layout.n
+    k = 0.5 * (stiffness + stiffness.T) / random.normal(1.0, 0.05, n)[:, None]
+    k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal((n, n))
+    sector = np.argsort(np.hypot(layout.x - layout.x[150], layout.y - layout.y[150]))[:15]
+    k[:, sector] *= 1.5
+    sifted = sift_matrix(StiffnessMatrix("MMT336", DATE, layout, k))
+    assert {effect.where for effect in sifted.effects} == {
+        f"actuator {i}" for i in layout.id[sector]
+    }
+    assert all("its sensor has another gain" in effect.name for effect in sifted.effects)

@@ -56,7 +56,7 @@ def test_forces_residual_and_power_are_those_computed_elsewhere(matrix, seeing):
 def test_alpha_and_a_turbulence_without_piston_save_a_third_of_the_power(matrix):
     layout = matrix.layout
     seen = seen_turbulence(layout, layout.enabled, Atmosphere(0.8), PUPIL)
-    before, after = (cost_of(matrix, c, seen) for c in (None, tn.calibrate(matrix)))
+    before, after = (cost_of(matrix, c, seen) for c in (None, tn.calibrate(matrix, "ml")))
     assert after.power[:, -1].sum() < before.power[:, -1].sum() < 0.8 * 128
     assert after.power[:, -1].sum() < 0.72 * 128
     assert after.force[:, -1].max() < 0.8 * before.force[:, -1].max() < 0.6 * 0.421

@@ -258,12 +258,17 @@ def test_a_stiffness_of_the_other_sign_is_said_and_gives_no_modes():
     assert tn.find_modes(stiffness()).after.modes.stiffness[3:].min() > 0
 
 
-def test_a_calibration_of_a_stiffness_keeps_its_verdict(tmp_path):
+def test_a_calibration_of_a_stiffness_keeps_its_verdict(tmp_path, inside):
     made = tn.calibrate(stiffness())
     made.write(tmp_path / "alpha.fits")
     back = tn.read(tmp_path / "alpha.fits")
     assert back.imbalances == made.imbalances != ()
     assert back.verdict == made.verdict
+    [(note, _)] = back.verdict.notes  # annular sensors, read without the glass
+    assert note.startswith("alpha is by ml, not by reciprocity: alpha by balance and alpha by")
+    assert back.verdict.level == tn.calibrate(stiffness(), "ml").verdict.level == Level.SOUND
+    assert note in inside("info", tmp_path / "alpha.fits")[1]
+    assert note[1:] in inside("report", tmp_path / "alpha.fits", "-o", tmp_path / "p.html")[1]
 
 
 def test_a_calibration_keeps_goodness_and_budget(tmp_path, clean):

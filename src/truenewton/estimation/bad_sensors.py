@@ -17,13 +17,20 @@ CURED = 0.5  # of what the columns around are out of balance by, at most
 SAME = 0.03  # of an own element
 ALIKE = 0.03  # of an element, that it may differ from its transpose
 WIDEST = 30.0  # factor that is looked for
+PENALTY = 0.03  # imbalance, in terms of an own element, that pays for one factor of 2
+NONE = 1e-6  # as good as no penalty
+OUT = 5.0  # times what is typical: columns out of balance
+ALL_CURED = 0.05  # of what those columns are out of balance by, if many gains are wrong at once
+STEPS = 25  # of reweighting
+LEAST = 0.02  # factor that is taken for none, in reweighting
 
 
 def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
     """Return (n,) gains of the sensors, 1 but where one is wrong.
 
-    A gain g makes a row that agrees with its column g times too large. Each is the median over the
-    columns around it, the one that cures most comes first.
+    A gain g makes a row that agrees with its column g times too large. Many in one sector are found
+    together if that cures all columns around; else one by one, each the median over the columns
+    around it, the one that cures most first.
 
     Parameters
     ----------
@@ -34,6 +41,9 @@ def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
     strong
         (n, n) which pairs are coupled, the diagonal not.
     """
+    together = _gains_together(even, a)
+    if together is not None:
+        return together
     even, n = even.copy(), len(even)
     own = np.abs(np.diag(even))
     own = np.where(own > 0.0, own, np.median(own))
@@ -60,6 +70,47 @@ def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
         own[i] *= t[i] ** 2
         gain[i] /= t[i]
     return gain
+
+
+def _gains_together(even: Array, a: Array) -> Array | None:
+    """Return (n,) gains that cure the columns about them all; None where no few do.
+
+    Rows t with a diag(t) K = 0 by least absolute imbalance of columns, |t - 1| of each row
+    penalized, so that few differ from 1; then these alone, without penalty.
+    """
+    own = np.abs(np.diag(even))
+    columns = even / np.where(own > 0.0, own, np.median(own))
+    before = np.linalg.norm(a @ columns, axis=0)
+    out = before > OUT * np.median(before)
+    far = np.arange(len(even))
+    for penalty in (PENALTY, NONE):
+        t = _row_factors(columns, a, far, penalty)
+        far = np.flatnonzero(np.abs(np.log(np.maximum(t, 1.0 / WIDEST))) > np.log(GAIN))
+        around = out.copy()
+        around[far] = False
+        if not 0 < far.size < np.count_nonzero(around):
+            return None
+    after = np.linalg.norm((a * t) @ columns, axis=0)
+    if (t[far] < 1.0 / WIDEST).any() or after[around].sum() > ALL_CURED * before[around].sum():
+        return None
+    gain = np.ones(len(even))
+    gain[far] = 1.0 / t[far]
+    return gain
+
+
+def _row_factors(columns: Array, a: Array, some: NDArray[np.int64], penalty: float) -> Array:
+    """Return (n,) factors of rows, some of them not 1, by which (n, n) columns balance best."""
+    t, products = np.ones(len(columns)), a.T @ a
+    for _ in range(STEPS):
+        size = np.linalg.norm((a * t) @ columns, axis=0)
+        weight = 1.0 / np.maximum(size, max(float(np.median(size)), 1e-6))
+        square = products[some] * ((columns[some] * weight) @ columns.T)
+        held = penalty / np.maximum(np.abs(t[some] - 1.0), LEAST)
+        step = np.linalg.solve(square[:, some] + np.diag(held), square.sum(axis=1))
+        change, t[some] = np.abs(t[some] - 1.0 + step).max(), 1.0 - step
+        if change < 1e-3:
+            break
+    return t
 
 
 def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> bool:
