@@ -2,9 +2,11 @@
 PYTHON ?= python3
 
 # A worker a core; each keeps to one thread of linear algebra (tests/conftest.py).
-PYTEST = .venv-test/bin/python -m pytest -n logical --dist worksteal
+WORKERS = -m pytest -n logical --dist worksteal
+PYTEST = .venv-test/bin/python $(WORKERS)
+PIP_INSTALL = python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: demo docs test test-all test-opticalib browser lint types contracts house sizes format clean
+.PHONY: demo docs test test-all test-floors test-newest test-opticalib browser lint types contracts house sizes format clean
 
 demo: .venv-demo/ready
 	.venv-demo/bin/truenewton demo --overwrite
@@ -15,6 +17,16 @@ test: .venv-test/ready
 # The statistical studies too, and which lines and branches no test reaches.
 test-all: .venv-test/ready
 	$(PYTEST) --cov
+
+# With the floors of pyproject.toml. Old packages may use what the newest below them deprecate.
+test-floors: .venv-floors/ready
+	.venv-floors/bin/python $(WORKERS) -m "not study" -W default::DeprecationWarning
+
+# With the newest of everything, anew each time; what passes goes into constraints.txt.
+test-newest:
+	$(PYTHON) -m venv .venv-newest
+	.venv-newest/bin/$(PIP_INSTALL) --upgrade --upgrade-strategy eager -e .[test]
+	.venv-newest/bin/python $(WORKERS) -m "not study"
 
 # The site, into docs/_build; what its tutorials show is computed here.
 docs: .venv-docs/ready
@@ -53,23 +65,29 @@ format: .venv-test/ready
 
 .venv-demo/ready: pyproject.toml constraints.txt $(shell find src -type f -not -name '*.pyc')
 	$(PYTHON) -m venv .venv-demo
-	.venv-demo/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt .
+	.venv-demo/bin/$(PIP_INSTALL) -c constraints.txt .
 	touch $@
 
 .venv-test/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-test
-	.venv-test/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .[dev]
+	.venv-test/bin/$(PIP_INSTALL) -c constraints.txt -e .[dev]
+	touch $@
+
+.venv-floors/ready: pyproject.toml tests/floors.py
+	$(PYTHON) -m venv --clear .venv-floors
+	$(PYTHON) tests/floors.py > .venv-floors/floors.txt
+	.venv-floors/bin/$(PIP_INSTALL) -c .venv-floors/floors.txt -e .[test]
 	touch $@
 
 .venv-docs/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-docs
-	.venv-docs/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .[docs]
+	.venv-docs/bin/$(PIP_INSTALL) -c constraints.txt -e .[docs]
 	touch $@
 
 .venv-opticalib/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv-opticalib
-	.venv-opticalib/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .[test,opticalib]
+	.venv-opticalib/bin/$(PIP_INSTALL) -c constraints.txt -e .[test] "opticalib>=2.3,<3"
 	touch $@
 
 clean:
-	rm -rf .venv-demo .venv-docs .venv-test .venv-opticalib .browser .coverage docs/_build
+	rm -rf .venv-demo .venv-docs .venv-test .venv-floors .venv-newest .venv-opticalib .browser .coverage docs/_build

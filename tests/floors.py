@@ -11,9 +11,9 @@ def floors(pyproject: Path) -> list[str]:
     """Return name==version of each requirement, of all extras too, in alphabetical order."""
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"].values()
-    requirements = [*project["dependencies"], *(each for extra in extras for each in extra)]
-    found = {re.fullmatch(r"([\w.-]+)>=([\w.]+)(,<.*)?", each) for each in requirements}
-    return sorted(f"{each[1]}=={each[2]}" for each in found if each is not None)
+    asked = {*project["dependencies"], *(each for extra in extras for each in extra)}
+    named = [each for each in asked if not each.startswith(f"{project['name']}[")]
+    return sorted(re.sub(r"^([\w.-]+)>=([\d.]+)(,<[\d.]+)?$", r"\1==\2", each) for each in named)
 
 
 if __name__ == "__main__":

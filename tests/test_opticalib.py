@@ -224,7 +224,7 @@ print(json.dumps({
 def test_the_published_package_does_what_we_take_it_to_do(tmp_path):
     """Its own AdOpticaDm, without the electronics behind it; in a process and home of its own."""
     if importlib.util.find_spec("opticalib") is None:
-        pytest.skip("opticalib is not installed: pip install 'truenewton[opticalib]'")
+        pytest.skip("opticalib is not installed: make test-opticalib")
     done = subprocess.run(
         [sys.executable, "-c", PACKAGE], capture_output=True, text=True, check=False,
         env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "agg"}, cwd=tmp_path, timeout=120,
@@ -265,7 +265,7 @@ print(json.dumps({
 def test_the_published_package_reads_the_modal_base(tmp_path):
     """And its slaving agrees with ours: zero force with what is off, least force with slaves."""
     if importlib.util.find_spec("opticalib") is None:
-        pytest.skip("opticalib is not installed: pip install 'truenewton[opticalib]'")
+        pytest.skip("opticalib is not installed: make test-opticalib")
     bench = static_bench(p45(), 3)
     matrix = tn.StiffnessMatrix(
         "P45", plan_start(0), p45().layout, bench.truth.stiffness / bench.truth.alpha[:, None]

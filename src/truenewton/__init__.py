@@ -15,6 +15,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+__version__ = "0.1.0"  # here, since to ask what is installed takes a fifth of `--version`
+
 if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton import errors as errors
     from truenewton import mirrors as mirrors
@@ -136,10 +138,6 @@ __all__ += list(_HOMES)
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(importlib.import_module(f"truenewton.{_HOMES[name]}"), name)
-    if name == "__version__":
-        from importlib.metadata import version
-
-        return version("truenewton")
     if name in __all__:
         return importlib.import_module(f"truenewton.{name}")
     raise AttributeError(f"module 'truenewton' has no attribute '{name}'")

@@ -124,7 +124,7 @@ class Terminal:
             )
         else:
             question = f"{what[0].upper()}{what[1:]}, then press Enter: "
-            print(printable(question), end="", file=self._stream, flush=True)
+            say(question, stream=self._stream, end="")
             input()
 
     def progress(self, now: Progress) -> None:

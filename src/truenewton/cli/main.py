@@ -15,6 +15,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from truenewton import __version__
 from truenewton.errors import Interrupted, TrueNewtonError, printable
 
 # The base of what typer raises for a wrong command line, which typer itself does not export:
@@ -81,9 +82,7 @@ for name, example in EXAMPLES.items():
 
 def _version(asked: bool) -> None:
     if asked:
-        from importlib.metadata import version
-
-        typer.echo(f"truenewton {version('truenewton')}")
+        typer.echo(f"truenewton {__version__}")
         raise typer.Exit
 
 

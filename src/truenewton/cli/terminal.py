@@ -22,10 +22,10 @@ from truenewton.errors import (
 Item = TypeVar("Item")
 
 
-def say(*lines: object, stream: TextIO | None = None) -> None:
+def say(*lines: object, stream: TextIO | None = None, end: str = "\n") -> None:
     """Print lines, whatever the names in them hold; the only place that prints to people."""
     for line in lines:
-        print(printable(str(line)), file=stream, flush=True)
+        print(printable(str(line)), file=stream, end=end, flush=True)
 
 
 @contextlib.contextmanager
