@@ -1,6 +1,7 @@
 """People's own files: whatever layout a matrix lies in, calibrate finds the right alpha."""
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,7 +12,16 @@ import pytest
 import scipy.io
 from astropy.io import fits
 from astropy.table import QTable
-from foreign_files import TRACK, N, R, idl_save, measured, numbers_of, supervisor_folder
+from foreign_files import (
+    TRACK,
+    N,
+    R,
+    electronics,
+    idl_save,
+    measured,
+    numbers_of,
+    supervisor_folder,
+)
 
 import truenewton as tn
 from truenewton.errors import (
@@ -182,7 +192,6 @@ def test_the_supervisors_order_of_rings():
 @pytest.mark.skipif("TRUENEWTON_REAL_DATA" not in __import__("os").environ, reason="no real data")
 def test_the_supervisors_order_is_that_of_a_real_mirror():
     """Channels 0 and 1 are numbers 504 and 505 of the rings, by the supervisor's table."""
-    import os
     from pathlib import Path
 
     matrix = tn.read(Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672/lbt672-feedforward.fits")
@@ -240,6 +249,59 @@ def test_opticalibs_simulated_m4(tmp_path):
     made = tn.stiffness_from(tmp_path / "m4_data.h5", shell=2)
     x = XY[0] - XY[0].mean()
     np.testing.assert_allclose(made.matrix.layout.x, x, atol=1e-12)
+
+    folder = tn.stiffness_from(tmp_path, shell=2)
+    np.testing.assert_array_equal(folder.matrix.stiffness, made.matrix.stiffness)
+
+
+def test_positions_in_another_order_are_put_in_that_of_their_numbers(tmp_path):
+    order, path = np.random.default_rng(2).permutation(N), tmp_path / "xy.txt"
+    lines = [f"{i} {XY[0, i]:.6f} {XY[1, i]:.6f}" for i in order]
+    path.write_text("act x y\n" + "\n".join(lines))
+    made = tn.stiffness_from(CASE.k, path)
+    np.testing.assert_allclose([made.matrix.layout.x, made.matrix.layout.y], XY, atol=1e-6)
+    assert "put in the order of their IDs" in text(made)
+    path.write_text("x y\n" + "\n".join(line.partition(" ")[2] for line in lines))
+    with pytest.raises(FormatError, match="another order than rows and columns: 0 %"):
+        tn.stiffness_from(CASE.k, path)
+    path.write_text("act x y\n" + "\n".join(f"{i} {x} {y}" for i, (x, y) in enumerate(XY.T)))
+    assert "put in" not in text(tn.stiffness_from(CASE.k, path))
+
+
+def test_a_list_of_actuators_in_yaml(tmp_path):
+    lines = [f"  - {{id: {i}, x: {x:.9f}, y: {y:.9f}}}" for i, (x, y) in enumerate(1e3 * XY.T, 1)]
+    path = tmp_path / "mirror.yml"
+    path.write_text("name: DSM\nactuators:\n" + "\n".join(lines))
+    layout = tn.stiffness_from(CASE.k, path).matrix.layout
+    np.testing.assert_allclose([layout.x, layout.y], XY, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", ["channels", "rings"])
+def test_positions_of_all_channels_may_stand_ring_by_ring(tmp_path, order):
+    rows = supervisor_folder(tmp_path / "meas", positions="rings")
+    by_number = np.zeros((200, 2))
+    by_number[:N] = 1e3 * XY.T[numbers_of(CASE.layout)]
+    path = tmp_path / "coordinates.txt"
+    np.savetxt(path, by_number if order == "rings" else by_number[electronics()])
+    made = tn.stiffness_from(tmp_path / "meas", path)
+    np.testing.assert_allclose([made.matrix.layout.x, made.matrix.layout.y], XY[:, rows], atol=1e-9)
+    assert ("in the order of act2mir_act.txt" in text(made)) == (order == "rings")
+
+
+def test_one_sensor_without_numbers_is_left_out():
+    k, bad = CASE.k.copy(), int(np.flatnonzero(~CASE.off)[40])
+    k[[3, 9], bad] = np.nan
+    made = tn.stiffness_from(k, XY)
+    assert f"2 elements of sensor {bad + 1} are no numbers" in text(made)
+    assert not made.matrix.stiffness[bad].any()
+    assert not made.matrix.stiffness[:, bad].any()
+
+
+def test_a_pipe_is_no_file_of_positions(tmp_path):
+    path = tmp_path / "xy.txt"
+    os.mkfifo(path)
+    with pytest.raises(UnreadableFile, match="is a pipe or a device; give a file"):
+        tn.stiffness_from(CASE.k, path)
 
 
 def test_a_mat_file_of_version_73_has_its_axes_reversed(tmp_path):
@@ -310,7 +372,7 @@ def scrambled():
         ({"coordinates": scrambled()}, "positions are in another order than rows and columns"),
         ({"coordinates": XY[:, :-1]}, "143 positions for 144 rows and columns"),
         ({"coordinates": None}, "no positions with it; give positions"),
-        ({"coordinates": XY[:, [*range(N - 1), 0]]}, "two actuators stand at x ="),
+        ({"coordinates": XY[:, [*range(N - 1), 0]]}, r"two actuators stand at x = .* m: 1 and 144"),
         ({"coordinates": XY * 100}, "in no unit that is declared; say which by --lengths"),
         ({"coordinates": XY * u.s}, "unit of positions is 's'; give one as mm"),
         ({"matrix": 1e-6 * CASE.k}, "no unit, .* is no mirror's; say which by --unit .*, as N/um"),
@@ -321,6 +383,10 @@ def scrambled():
         ({"ids": [1] * N}, "actuator ID 1 stands 144 times"),
         ({"ids": [1, 2]}, "2 IDs for 144 rows"),
         ({"shell": 2}, "there is no shell 2"),
+        ({"matrix": CASE.k + 1e40 * np.eye(N)}, "holds an element of 1e[+]40; measure it again"),
+        ({"coordinates": XY * np.inf}, "holds no finite positions; give X and Y"),
+        ({"coordinates": XY + np.where(np.arange(N), 0.0, np.inf)}, "actuator 1 is not finite"),
+        ({"curvature": np.inf}, "curvature radius is inf m"),
         ({"curvature": 0.1}, "from the axis of a surface of R = 0.1 m"),
         ({"curvature": -2.0}, "curvature radius is -2 m"),
     ],
@@ -382,14 +448,28 @@ def test_the_command_says_what_it_found_and_writes_what_calibrate_reads(tmp_path
     assert done.stdout.startswith("X9: 144 actuators, from ")
     assert "2026-01-02 03:04:05 (as told)" in done.stdout
     assert f"truenewton calibrate {tmp_path / 'k.fits'}" in done.stdout
+    assert "  verdict      limited: left out, as they do not fit the others" in done.stdout
     read = tn.read(tmp_path / "k.fits")
     np.testing.assert_array_equal(read.stiffness, -CASE.k)
     again = cli(*command)
     assert again.returncode == 2
     assert "exists already" in again.stderr
-    found = json.loads(cli("import", path, xy, "--json").stdout)
+    found = json.loads(cli("import", path, xy, "--curvature", R, "--json").stdout)
     assert found["actuators"] == N
     assert found["found"]["sign"].startswith("negative: turned")
+    table = found["calibration"]["actuators"]
+    alpha, error = (np.array(table[name], dtype=float) for name in ("alpha", "e_alpha"))
+    assert f"  error        {100 * np.nanmedian(error / alpha):.2g} %, " in done.stdout
+    np.testing.assert_array_equal(np.isfinite(alpha), np.isfinite(CASE.alpha))
+
+
+def test_the_command_gives_no_answer_of_a_transposed_matrix(tmp_path):
+    np.save(tmp_path / "k.npy", CASE.k.T)
+    done = cli("import", tmp_path / "k.npy", positions_file(tmp_path, "csv"))
+    assert done.returncode == 0
+    assert "LOOKS TRANSPOSED" in done.stdout
+    assert "alpha        none of a matrix that looks transposed" in done.stdout
+    assert "next         the same command with --transpose" in done.stdout
 
 
 def cli(*words):

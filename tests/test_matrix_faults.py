@@ -37,6 +37,11 @@ def sign(k, _):
     k[BAD] *= -1.0
 
 
+def sensor_sign(k, _):
+    """A sensor reads down where it is up: its column is right but for the sign."""
+    k[:, BAD] *= -1.0
+
+
 def times_ten(k, _):
     """The unit of one row."""
     k[BAD] *= 10.0
@@ -73,6 +78,7 @@ def off(k, _):
     ("change", "said"),
     [
         (sign, "wrong sign"),
+        (sensor_sign, "its sensor has the other sign"),
         (times_ten, "its row 9.1 times as large as those of others"),
         (own_element, "an element of its row is wrong"),
         (sensor_gain, "its sensor has another gain"),

@@ -62,6 +62,28 @@ acquire 9 -o:text
     replay.toml -o out --yes | replay.toml CYCLES
     away.toml -o out --yes | away.toml keys/*
     given.toml -o out --yes | given.toml shapes.fits
+import 14 --unit:text --lengths:text --curvature:number --arc:flag --mirror:text --ids:text \
+  --dataset:text --shell:integer --transpose:flag --date:text --json:flag -o:text
+    f/ff.fits f/xy.csv -o out.fits | f/ff.fits f/xy.csv
+    f/ff.npy f/xy.txt --json | f/ff.npy f/xy.txt
+    f/ff.npz | f/ff.npz
+    f/ff.mat --curvature 1.955 | f/ff.mat
+    f/ff.h5 | f/ff.h5
+    f/ff.csv f/xy.yml -o out.fits | f/ff.csv f/xy.yml
+    f/ff.yaml f/xy.fits | f/ff.yaml f/xy.fits
+    f/ff.fits f/xy.csv --ids f/xy.txt | f/ff.fits f/xy.csv f/xy.txt
+    f/ff.npy f/xy.csv --unit N/m --lengths mm --quiet | f/ff.npy f/xy.csv
+    stiffness.fits actuators.csv | stiffness.fits actuators.csv
+    s -o out.fits | s/*
+    s s | s/*
+    s f/xy.txt --mirror p45 | s/* f/xy.txt
+    o | o/*
+    c f/xy.txt | f/xy.txt
+export 5 --anyway:flag --quiet:flag -o:text --calibration:text
+    s --calibration chan.fits -o out | s/* chan.fits
+    s --calibration chan.fits -o out | s/ff_matrix.fits s/ff_list.fits
+    s --calibration ml.fits -o out | s/* ml.fits
+    o --calibration chan.fits -o out | o/*
 track 10 --accuracy:number --json:flag --anyway:flag -o:text
     day0.fits day1.fits day2.fits day3.fits | DAYS
     day0.fits day1.fits day2.fits day3.fits --json | DAYS

@@ -16,6 +16,7 @@ import tomllib
 from pathlib import Path
 
 from fuzzing.fits import BLOCK, CARD, fits_cards, fits_data
+from fuzzing.foreign import arrays
 from fuzzing.values import INTEGERS, NUMBERS, TEXTS, number
 
 # --- TOML and tables of text --------------------------------------------------------------------
@@ -207,7 +208,9 @@ def spoil(pick: random.Random, path: Path) -> str:
         way = pick.choices((fits_data, fits_cards, bytes_of, packed), (60, 30, 8, 2))[0]
     elif suffixes.endswith(".toml"):
         way = pick.choices((toml, bytes_of), (95, 5))[0]
-    elif suffixes.endswith((".csv", ".ecsv", ".txt", ".pem", ".log")):
+    elif suffixes.endswith((".npy", ".npz", ".mat", ".h5")):
+        way = pick.choices((arrays, bytes_of), (80, 20))[0]
+    elif suffixes.endswith((".csv", ".ecsv", ".txt", ".pem", ".log", ".yaml", ".yml")):
         way = pick.choices((text, bytes_of), (85, 15))[0]
     else:
         way = bytes_of

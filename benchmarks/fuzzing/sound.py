@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 import truenewton as tn
+from fuzzing.foreign import make_foreign
 from fuzzing.process import must
 from truenewton.acquisition.benches import chosen_bench
 from truenewton.acquisition.journal import Journal
@@ -96,6 +97,7 @@ def make_sound(at: Path) -> None:
     (at / "m.commanded.fits").rename(at / "stiffness.fits")
     _given_shapes(at)
     must("calibrate stiffness.fits -o feed.fits", at)
+    make_foreign(at)
     _interrupt(at)
     for k in range(4):
         shutil.rmtree(at / f"d{k}")

@@ -1,13 +1,18 @@
-"""`truenewton import`: a checked stiffness file from other people's files."""
+"""`truenewton import`: a checked stiffness file and a first answer from other people's files."""
 
 from __future__ import annotations
 
 import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from truenewton.cli import options
+
+if TYPE_CHECKING:
+    from truenewton.calibration.result import Calibration
+    from truenewton.foreign.importing import Imported
 
 
 def run(
@@ -40,6 +45,7 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Make a stiffness file from a matrix and positions in other people's files."""
+    from truenewton.calibration.words import summary_values
     from truenewton.cli.terminal import busy, print_result
     from truenewton.files.outputs import refuse_existing
     from truenewton.foreign.importing import stiffness_from
@@ -68,16 +74,42 @@ def run(
         )
         if output is not None:
             write_stiffness(made.matrix, output, overwrite=overwrite)
-    lines = list(made.lines)
-    if output is not None:
-        lines.append(f"  next         truenewton calibrate {output}")
+    if quiet and not json:
+        print_result((), output, quiet=True)
+        return
+    said, calibration = _first_answer(made)
+    lines = [*made.lines, *(f"  {what:<13}{how}" for what, how in said)]
+    if made.transposed:
+        lines.append("  next         the same command with --transpose")
+    elif output is not None:
+        lines.append(f"  next         truenewton calibrate {output} -o alpha.fits")
     values = {"instrument": made.matrix.instrument, "actuators": made.matrix.layout.n}
     found = {line[:15].strip(): line[15:] for line in made.lines[1:]}
-    as_values = {**values, "found": found} if json else None
-    print_result(
-        lines,
-        output,
-        values=as_values,
-        schema="import",
-        quiet=quiet,
-    )
+    first = None if calibration is None else summary_values(calibration)
+    as_values = {**values, "found": found, "calibration": first} if json else None
+    print_result(lines, output, values=as_values, schema="import", quiet=quiet)
+
+
+def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | None]:
+    """Return in words what `calibrate` makes of the matrix, or why nothing; and what it made."""
+    from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.words import summary_rows
+    from truenewton.cli.terminal import busy
+    from truenewton.errors import TrueNewtonError
+
+    if made.transposed:
+        return [("alpha", "none of a matrix that looks transposed")], None
+    try:
+        with busy("calibrating"):
+            found = calibrate(made.matrix)
+    except TrueNewtonError as error:
+        return [("alpha", f"none: {error.fault}; {error.remedy}".rstrip("; "))], None
+    rows = summary_rows(found)
+    lines = [
+        (what, f"{value}, {note}")
+        for what, (_, value, note) in zip(("alpha", "error", "scale"), rows, strict=False)
+    ]
+    said = ["; ".join(filter(None, fault)) for fault in found.verdict.faults]
+    return [*lines, ("verdict", ": ".join([found.verdict.level, *said[:1]]))] + [
+        ("", each) for each in said[1:]
+    ], found

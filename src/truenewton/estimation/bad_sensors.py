@@ -113,6 +113,34 @@ def _row_factors(columns: Array, a: Array, some: NDArray[np.int64], penalty: flo
     return t
 
 
+def signs(even: Array, a: Array, wrong: NDArray[np.int64], strong: NDArray[np.bool_]) -> Array:
+    """Return (n,) signs of the sensors, -1 where the sensor is turned and not the coil.
+
+    Either turns the own element and makes row and column differ in sign; but if it is the sensor,
+    the columns around balance with the row as it was measured.
+
+    Parameters
+    ----------
+    even
+        (n, n) stiffness, rows scaled and turned to agree with the columns.
+    a
+        (3, n) arms in comparable units.
+    wrong
+        Actuators of wrong sign.
+    strong
+        (n, n) which pairs are coupled, the diagonal not.
+    """
+    own = np.abs(np.diag(even))
+    own = np.where(own > 0.0, own, np.median(own))
+    rho, sign = a @ even, np.ones(len(even))
+    for i in wrong.tolist():
+        as_measured = rho - 2.0 * a[:, [i]] * even[i]
+        size, other = (np.linalg.norm(each, axis=0) / own for each in (rho, as_measured))
+        if np.sum(other[strong[i]]) < np.sum(size[strong[i]]):
+            sign[i], rho = -1.0, as_measured
+    return sign
+
+
 def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> bool:
     """Tell whether columns near an actuator balance better with its row than with its column.
 

@@ -8,14 +8,14 @@ in which such actuators push nothing say nothing of them, whatever their sensors
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
-from truenewton.estimation.bad_sensors import agrees, better_by_row, column_by_row, wrong_gains
+from truenewton.estimation import bad_sensors
 from truenewton.linalg import assignment
 
 STRONG = 0.05  # coupling in terms of both own stiffnesses, from which a pair counts
@@ -31,8 +31,8 @@ EXCHANGED = 1.2  # times better with both exchanged; good neighbours are at 0.6 
 FEW = 0.1  # of all actuators may not fit; beyond it nothing does
 NEAR = 6.0  # spacings
 
-
 OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
+SENSOR_SIGN = "its sensor has the other sign"
 SENSOR_GAIN, SENSOR = "its sensor has another gain", "its sensor reads something else"
 UNLIKE = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
@@ -101,7 +101,10 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     log_alpha, misfit = pair_ratios(factor[:, None] * k[order])
     linked = ~np.isnan(misfit)
     even = (factor * np.exp(log_alpha))[:, None] * k[order]
-    gain = wrong_gains(even, a, linked)
+    turned = bad_sensors.signs(even, a, wrong[own[wrong] != 0.0], linked)
+    found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
+    factor, k, even = factor * turned, k * turned, even * np.outer(turned, turned)
+    gain = bad_sensors.wrong_gains(even, a, linked)
     deaf = np.flatnonzero(gain != 1.0)
     misfit[deaf], misfit[:, deaf] = np.nan, np.nan
     log_alpha = log_alpha - np.log(gain)
@@ -112,15 +115,15 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     factor = factor * np.exp(log_alpha)
     even = factor[:, None] * k[order] / gain
     for i in deaf.tolist():
-        only_gain = agrees(even, i, linked[i])
+        only_gain = bad_sensors.agrees(even, i, linked[i])
         add(np.array([i]), SENSOR_GAIN if only_gain else SENSOR, gain[[i]])
         if not only_gain:
-            even[:, i] = column_by_row(even, a, i)
+            even[:, i] = bad_sensors.column_by_row(even, a, i)
     unlike = _unlike_their_columns(misfit)
     add(*_apart(unlike, UNLIKE))
     for i, _ in unlike:
-        if better_by_row(even, a, i, linked[i]):
-            even[:, i] = column_by_row(even, a, i)
+        if bad_sensors.better_by_row(even, a, i, linked[i]):
+            even[:, i] = bad_sensors.column_by_row(even, a, i)
         else:
             even[i] = even[:, i]
     place = exchanged_places(even, a)

@@ -2,8 +2,8 @@
 
 A supervisor's (`supervisor`), or of opticalib: a configuration folder with
 `ActuatorsCoordinates.fits` (n, 2) [mm], beside which its mirror's `ff` was saved as
-`ff_matrix.fits`; or the data of its simulated DP, `dp_ffwd.fits` and `dp_coords.fits` (n, 2) [m],
-positions of both shells mixed.
+`ff_matrix.fits`; the data of its simulated DP, `dp_ffwd.fits` and `dp_coords.fits` (n, 2) [m],
+positions of both shells mixed; or of its simulated M4, `m4_data.h5`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from truenewton.statics.layout import Layout
 
 OPTICALIB_POSITIONS = "ActuatorsCoordinates.fits"
 DP_MATRIX, DP_POSITIONS = "dp_ffwd.fits", "dp_coords.fits"
+M4_DATA = "m4_data.h5"
 
 
 class Folder(NamedTuple):
@@ -41,6 +42,8 @@ class Folder(NamedTuple):
         Radii are measured along the surface.
     channels
         (m,) names of the actuators, or None.
+    by_ring
+        Places if their file counts ring by ring, and a supervisor's table is there; or None.
     """
 
     kind: str
@@ -51,6 +54,7 @@ class Folder(NamedTuple):
     unit: str = ""
     arc: bool = False
     channels: NDArray[np.int64] | None = None
+    by_ring: Places | None = None
 
 
 def read_folder(folder: Path, positions: Path | None, mirror: Layout | None) -> Folder:
@@ -84,7 +88,11 @@ def read_folder(folder: Path, positions: Path | None, mirror: Layout | None) -> 
         chosen = None if found is None else supervisor.chosen(found, channels, file)
         by_channel = file.name == supervisor.POSITIONS
         unit = "mm" if by_channel else ""
-        return Folder(kind, matrix, chosen, file, "", unit, by_channel, channels)
+        numbers = supervisor.find(supervisor.NUMBERS, folder, None)
+        by_ring = None
+        if found is not None and chosen is not found and numbers is not None:
+            by_ring = supervisor.chosen(found, supervisor.numbers_of(channels, numbers), file)
+        return Folder(kind, matrix, chosen, file, "", unit, by_channel, channels, by_ring)
     if DP_MATRIX in there:
         matrix = read_stored(there[DP_MATRIX])
         at = file or there.get(DP_POSITIONS)
@@ -95,11 +103,15 @@ def read_folder(folder: Path, positions: Path | None, mirror: Layout | None) -> 
         at = file or supervisor.find(OPTICALIB_POSITIONS, folder, conf)
         places = None if at is None else places_in(read_stored(at))
         return Folder("opticalib's configuration", matrix, places, at)
+    if M4_DATA in there:
+        matrix = read_stored(there[M4_DATA])
+        at = file or there[M4_DATA]
+        return Folder("opticalib's M4", matrix, places_in(read_stored(at) if file else matrix), at)
     raise FormatError(
         "is a folder of no layout that is known here",
         remedy=f"give the matrix itself, or a folder with {supervisor.MATRIX} and"
-        f" {supervisor.CHANNELS}, with {supervisor.MATRIX} and {OPTICALIB_POSITIONS}, or with"
-        f" {DP_MATRIX} and {DP_POSITIONS}",
+        f" {supervisor.CHANNELS}, with {supervisor.MATRIX} and {OPTICALIB_POSITIONS}, with"
+        f" {DP_MATRIX} and {DP_POSITIONS}, or with {M4_DATA}",
         path=folder,
     )
 

@@ -18,6 +18,7 @@ from truenewton.foreign.choice import Places, as_places, matrix_in, places_in
 from truenewton.foreign.folders import read_folder
 from truenewton.foreign.positions import Positions, in_metres
 from truenewton.foreign.stored import Item, Stored, plain, read_stored
+from truenewton.foreign.supervisor import NUMBERS
 from truenewton.statics.layout import Layout
 
 NAME = "MIRROR"  # where nothing tells it
@@ -40,6 +41,8 @@ class Given:
         In metres, or None; their file, or ''.
     channels
         (n,) names of its rows, or None.
+    by_ring
+        Positions if their file counts as the supervisor does, or None.
     """
 
     item: Item
@@ -49,6 +52,7 @@ class Given:
     positions: Positions | None
     where: str
     channels: NDArray[np.int64] | None = None
+    by_ring: Positions | None = None
 
     @property
     def name(self) -> str:
@@ -111,12 +115,16 @@ def _in_folder(
     found: Any = folder.places if coordinates is None or by_path else coordinates
     where = os.fspath(folder.where or "")
     lengths, arc = surface.lengths or folder.unit or None, surface.arc or folder.arc
-    positions = _positions(found, where, Surface(lengths, surface.curvature, arc))
+    surface = Surface(lengths, surface.curvature, arc)
+    positions = _positions(found, where, surface)
+    by_ring = _positions(folder.by_ring if found is folder.places else None, where, surface)
+    if by_ring is not None:
+        by_ring = replace(by_ring, notes=(f"in the order of {NUMBERS}", *by_ring.notes))
     if positions is not None and folder.how:
         positions = replace(positions, notes=(folder.how, *positions.notes))
     item, header = matrix_in(folder.matrix, dataset), folder.matrix.header
     kind = f", {folder.kind}"
-    return Given(item, os.fspath(path), kind, header, positions, where, folder.channels)
+    return Given(item, os.fspath(path), kind, header, positions, where, folder.channels, by_ring)
 
 
 def _positions(found: Any, path: str, surface: Surface) -> Positions | None:

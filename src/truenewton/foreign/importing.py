@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,16 +13,17 @@ import scipy.sparse.csgraph
 from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array, taking_units
-from truenewton.errors import FormatError, TrueNewtonError, located
+from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
 from truenewton.foreign.given import Given, Surface, date_of, read_given
 from truenewton.foreign.positions import Positions, in_unit
-from truenewton.foreign.soundness import judge, silent_actuators, turned_sign
+from truenewton.foreign.soundness import Judged, OtherOrder, judge, silent_actuators, turned_sign
 from truenewton.foreign.stored import read_stored
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout, layout
 
 PathLike = str | os.PathLike[str]
 LIKELY = (2e4, 1e9)  # median own stiffness of a mirror [N/m]
+LARGEST = 1e30  # element in any unit
 NOMINAL = 1e6  # that given to a matrix whose unit is unknown [N/m]
 
 
@@ -36,10 +37,13 @@ class Imported:
         As `calibrate` takes it and `write_stiffness` writes it.
     lines
         What was found and done: the first says of what, the others how it is.
+    transposed
+        It looks stored transposed.
     """
 
     matrix: StiffnessMatrix
     lines: tuple[str, ...]
+    transposed: bool = False
 
     def __repr__(self) -> str:
         return "\n".join(self.lines)
@@ -100,32 +104,67 @@ def stiffness_from(
         k, rows, part = _one_shell(given.item.values, shell)
         k, unit_line = _in_newton_per_metre(k, unit, given.item.unit)
         k, sign = turned_sign(k.T if transpose else k)
-        positions = _positions_of(given, rows, _names(ids, given.channels))
-        silent = silent_actuators(k)
-        lost = silent & _nowhere(positions, silent)
-        k = np.where(silent[:, None] | silent, 0.0, k)[np.ix_(~lost, ~lost)]
-        positions = positions.part(np.flatnonzero(~lost))
-        _refuse_nan(k, positions)
+        ways = list(_ways(given, rows, _names(ids, given.channels)))
         when, how = date_of(given) if date is None else (_in_utc(date), "as told")
     except TrueNewtonError as error:
         raise located(error, given.path or None) from None
+    name = instrument or given.name
     try:
-        of = _layout(positions)
-        record = StiffnessMatrix(instrument or given.name, when, of, k)
-        judged = judge(record)
+        fitting = _first_that_fits(ways, lambda each: _checked(k, each, name, when, given.path))
     except TrueNewtonError as error:
-        raise located(error, given.where or given.path or None) from None
-    record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))
+        of_places = isinstance(error, OtherOrder | GeometryError) and given.where
+        raise located(error, of_places or given.path or None) from None
+    record, judged, positions, noted = fitting
     lines = [
         ("matrix", f"{len(k)} x {len(k)}{part}, {unit_line}{', transposed as told' * transpose}"),
         ("sign", sign),
         ("positions", f"{Path(given.where).name or 'given'}: {', '.join(positions.notes)}"),
+        *noted,
+        *judged.lines,
+        ("date", f"{when:%Y-%m-%d %H:%M:%S} ({how})"),
     ]
+    headline = f"{name}: {record.layout.n} actuators, from {given.path or 'arrays'}{given.kind}"
+    said = (headline, *(f"  {what:<13}{how}" for what, how in lines))
+    return Imported(record, said, judged.transposed)
+
+
+Checked = tuple[StiffnessMatrix, Judged, Positions, list[tuple[str, str]]]
+
+
+def _checked(
+    k: Array, positions: Positions, name: str, when: datetime.datetime, path: str
+) -> Checked:
+    """Return a matrix [N/m] with its positions, judged, and lines of what of it was left out."""
+    noted: list[tuple[str, str]] = []
+    silent = silent_actuators(k)
+    lost = silent & _nowhere(positions, silent)
+    k = np.where(silent[:, None] | silent, 0.0, k)[np.ix_(~lost, ~lost)]
+    positions = positions.part(np.flatnonzero(~lost))
     if lost.any():
-        lines.append(("left out", f"{np.count_nonzero(lost)} that are off and stand nowhere"))
-    lines += [*judged.lines, ("date", f"{when:%Y-%m-%d %H:%M:%S} ({how})")]
-    headline = f"{record.instrument}: {of.n} actuators, from {given.path or 'arrays'}{given.kind}"
-    return Imported(record, (headline, *(f"  {what:<13}{how}" for what, how in lines)))
+        noted.append(("left out", f"{np.count_nonzero(lost)} that are off and stand nowhere"))
+    if not np.isfinite(k).all():
+        k, said = _without_nan(k, positions, path)
+        noted.append(("unread", said))
+    of = layout(
+        positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
+    )
+    record = StiffnessMatrix(name, when, of, k)
+    judged = judge(record)
+    record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))
+    return record, judged, positions, noted
+
+
+def _first_that_fits(ways: list[Positions], check: Callable[[Positions], Checked]) -> Checked:
+    """Return the first of several orders of positions in which couplings follow the distance."""
+    for way in ways[:-1]:
+        try:
+            return check(way)
+        except (OtherOrder, GeometryError):
+            continue
+    try:
+        return check(ways[-1])
+    except (OtherOrder, GeometryError):
+        return check(ways[0])  # whose fault is said
 
 
 def _in_utc(date: datetime.datetime) -> datetime.datetime:
@@ -161,6 +200,9 @@ def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int6
 
 def _in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Array, str]:
     """Return an (n, n) matrix in N/m, and what was taken for its unit."""
+    most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
+    if most > LARGEST:
+        raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again", got=most)
     own = np.abs(np.diag(k))
     own = own[np.isfinite(own) & (own > 0.0)]
     typical = float(np.median(own)) if own.size else 0.0
@@ -203,11 +245,28 @@ def _names(
     return values.astype(np.int64)
 
 
-def _positions_of(
+def _ways(
     given: Given, rows: NDArray[np.int64] | None, names: NDArray[np.int64] | None
+) -> Iterator[Positions]:
+    """Yield the positions of the rows: as they stand, then in other orders that may be meant."""
+    first = _positions_of(given, given.positions, rows, names)
+    yield first
+    if given.by_ring is not None:
+        yield _positions_of(given, given.by_ring, rows, names)
+    if names is None and first.ids is not None:
+        order = np.argsort(first.ids, kind="stable")
+        ordered = first.ids[order]
+        if ordered[0] in (0, 1) and np.array_equal(ordered, ordered[0] + np.arange(order.size)):
+            yield replace(first.part(order), notes=(*first.notes, "put in the order of their IDs"))
+
+
+def _positions_of(
+    given: Given,
+    positions: Positions | None,
+    rows: NDArray[np.int64] | None,
+    names: NDArray[np.int64] | None,
 ) -> Positions:
     """Return the positions of the rows of a matrix, or of some of them."""
-    positions = given.positions
     if positions is None:
         remedy = "give positions: columns X and Y, an (n, 2) array, or --mirror (mirror=)"
         raise FormatError("there are no positions with it", remedy=remedy)
@@ -256,19 +315,27 @@ def _nowhere(positions: Positions, silent: NDArray[np.bool_]) -> NDArray[np.bool
     return np.asarray(unknown | ((count[first] > 1) & silent))
 
 
-def _refuse_nan(k: Array, positions: Positions) -> None:
-    wrong = np.argwhere(~np.isfinite(k))
-    if len(wrong):
-        i, j = wrong[0]
-        named = positions.ids if positions.ids is not None else np.arange(1, len(k) + 1)
+def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]:
+    """Return a matrix without the one sensor or actuator of which it has NaN, and what was done.
+
+    Raises
+    ------
+    FormatError
+        There are more.
+    """
+    wrong = ~np.isfinite(k)
+    ids = positions.ids if positions.ids is not None else np.arange(1, len(k) + 1)
+    sensors, actuators = wrong.any(axis=0), wrong.any(axis=1)
+    one = sensors if np.count_nonzero(sensors) == 1 else actuators
+    if np.count_nonzero(one) != 1:
+        i, j = np.argwhere(wrong)[0]
         raise FormatError(
-            f"{len(wrong)} elements are NaN or infinite, the first of actuator {named[i]} and"
-            f" sensor {named[j]}",
+            f"{np.count_nonzero(wrong)} elements are NaN or infinite, the first of actuator"
+            f" {ids[i]} and sensor {ids[j]}",
             remedy="measure them, or set row and column of such actuators to zero",
+            path=path or None,
         )
-
-
-def _layout(positions: Positions) -> Layout:
-    return layout(
-        positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
-    )
+    of = f"{'sensor' if one is sensors else 'actuator'} {ids[one][0]}"
+    count = np.count_nonzero(wrong)
+    said = f"{count} elements of {of} are no numbers: its row and column set to zero"
+    return np.where(np.logical_or.outer(one, one), 0.0, k), said

@@ -14,6 +14,7 @@ from truenewton.errors import FormatError
 from truenewton.foreign.choice import Places
 
 # Farthest actuator from the middle of all, in metres and in what it looks like otherwise.
+FARTHEST = 1e12  # in any unit: no place
 LIKELY = {"m": (0.02, 5.0), "mm": (40.0, 5e3), "um": (2e4, 5e6)}
 
 
@@ -74,6 +75,9 @@ def in_metres(
         raise FormatError(
             f"holds {x.size} X and {y.size} Y", remedy="give both for every actuator", path=path
         )
+    x, y = (np.where(np.abs(values) < FARTHEST, values, np.nan) for values in (x, y))
+    if not np.isfinite(x + y).any():
+        raise FormatError("holds no finite positions", remedy="give X and Y", path=path)
     unit, how = lengths or places.unit, "as told" if lengths else "as declared"
     if not unit:
         unit, how = _likeliest_unit(x, y, path), "by their size"
@@ -81,7 +85,7 @@ def in_metres(
     x, y = x * factor, y * factor
     notes, nz = [f"{unit} {how}"], places.nz
     if curvature is not None:
-        if not curvature > 0.0:
+        if not 0.0 < curvature < np.inf:
             raise FormatError(
                 f"the curvature radius is {curvature:g} m", remedy="give R in m, positive"
             )

@@ -23,11 +23,16 @@ OTHER_ORDER, DOUBTFUL_ORDER = 0.2, 0.65  # of the couplings, explained by distan
 MOST_NAMES = 12
 
 
+class OtherOrder(FormatError):
+    """Positions are in another order than rows and columns."""
+
+
 class Judged(NamedTuple):
-    """Lines of what was found: what of, and how it is; and which actuators are off."""
+    """Lines of what was found: what of, and how it is; which actuators are off; is it turned."""
 
     lines: tuple[tuple[str, str], ...]
     off: NDArray[np.bool_]
+    transposed: bool
 
 
 def silent_actuators(k: Array) -> NDArray[np.bool_]:
@@ -50,7 +55,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
 
     Raises
     ------
-    FormatError, RankDeficient
+    OtherOrder, RankDeficient
         Its positions are in another order, or rows in another than columns.
     """
     measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
@@ -59,7 +64,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     lines = [("orientation", _orientation(k, a))]
     share = share_by_distance(k, a)
     if share < OTHER_ORDER and len(k) >= 20:
-        raise FormatError(
+        raise OtherOrder(
             f"positions are in another order than rows and columns: {100 * max(share, 0.0):.0f} %"
             " of the couplings follow the distance, where a mirror's do to 80 %",
             remedy="put them in the order of the matrix, or match them by ID (--ids)",
@@ -83,7 +88,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
         if "zero in row or column" not in warning.fault or sifted.pushing:
             said = warning.fault.partition("fit the others: ")[2] or warning.fault
             lines.append(("do not fit", f"{said} (calibrate leaves them out)"))
-    return Judged(tuple(lines), off)
+    return Judged(tuple(lines), off, looks_transposed(k, a))
 
 
 def names(layout: Layout, some: NDArray[np.bool_]) -> str:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from truenewton.errors import TrueNewtonError, UnreadableFile
 from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
-from truenewton.files.opening import GZIP
-from truenewton.foreign.text import read_text
+from truenewton.files.opening import GZIP, open_plain
+from truenewton.foreign.text import read_text, text_of
 
 
 class Item(NamedTuple):
@@ -58,7 +58,7 @@ def read_stored(path: str | os.PathLike[str]) -> Stored:
     """
     path = os.fspath(path)
     try:
-        with Path(path).open("rb") as file:
+        with open_plain(path) as file:
             start = file.read(16)
         for magic, read in READERS.items():
             if start.startswith(magic):
@@ -162,9 +162,25 @@ def _idl(path: str) -> Stored:
 def _yaml(path: str) -> Stored:
     import yaml
 
-    held = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    named = held if isinstance(held, dict) else {"": held}
-    return _gathered(path, {str(k): v for k, v in named.items() if isinstance(v, list)})
+    held = yaml.safe_load(text_of(path))
+    named: dict[str, Any] = {}
+    _walk(held, "", named)
+    return _gathered(path, named)
+
+
+def _walk(held: Any, name: str, found: dict[str, Any]) -> None:
+    """Gather lists of a tree by their names; of a list of alike mappings, as of actuators, columns.
+
+    The first of a name counts.
+    """
+    if isinstance(held, dict):
+        for key, value in held.items():
+            _walk(value, str(key), found)
+    elif isinstance(held, list) and held and all(isinstance(row, dict) for row in held):
+        for key in held[0]:
+            found.setdefault(str(key), [row.get(key) for row in held])
+    elif isinstance(held, list):
+        found.setdefault(name, held)
 
 
 def _ecsv(path: str) -> Stored:

@@ -94,13 +94,7 @@ def places_of(
             f" {NUMBERS} and {SHELL} (or --mirror)",
             path=folder,
         )
-    ring_number = _whole_numbers(_only(read_stored(numbers)).values.ravel(), numbers)
-    if channels.max() >= len(ring_number):
-        raise FormatError(
-            f"has {len(ring_number)} channels, {CHANNELS} names channel {channels.max()}",
-            remedy="give that of the same mirror",
-            path=numbers,
-        )
+    mine = numbers_of(channels, numbers)
     if mirror is None and shell is None:
         raise FormatError(
             f"there is {NUMBERS}, but no {SHELL}",
@@ -108,7 +102,6 @@ def places_of(
             path=folder,
         )
     every = mirror if mirror is not None else shell_layout(shell)  # type: ignore[arg-type]
-    mine = ring_number[channels]
     if mine.max() >= every.n:
         channel = channels[mine == mine.max()][0]
         raise FormatError(
@@ -119,6 +112,23 @@ def places_of(
     at = supervisor_order(every)[mine]
     of = layout(every.x[at], every.y[at], nz=every.nz[at], id=channels)
     return of, numbers, "by the rings " + ("of the mirror" if mirror is not None else f"of {SHELL}")
+
+
+def numbers_of(channels: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
+    """Return (m,) the numbers, ring by ring, of channels by a supervisor's table.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    ring_number = _whole_numbers(_only(read_stored(path)).values.ravel(), path)
+    if channels.max() >= len(ring_number):
+        raise FormatError(
+            f"has {len(ring_number)} channels, {CHANNELS} names channel {channels.max()}",
+            remedy="give that of the same mirror",
+            path=path,
+        )
+    return ring_number[channels]
 
 
 def supervisor_order(rings: Layout) -> NDArray[np.int64]:

@@ -10,13 +10,13 @@ from __future__ import annotations
 import io
 import os
 import re
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, UnreadableFile
+from truenewton.files.opening import MOST_UNPACKED, open_plain
 
 COMMENT = "#;%!"
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
@@ -47,7 +47,11 @@ def text_of(path: str | os.PathLike[str]) -> str:
     ------
     UnreadableFile
     """
-    raw = Path(path).read_bytes()
+    with open_plain(path) as file:
+        raw = file.read(MOST_UNPACKED + 1)
+    if len(raw) > MOST_UNPACKED:
+        fault = f"is longer than {MOST_UNPACKED >> 30} GB"
+        raise UnreadableFile(fault, remedy="give FITS, .npy or HDF5", path=path)
     if raw[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return raw.decode("utf-16", "replace")
     if b"\0" in raw:

@@ -120,13 +120,16 @@ class Layout:
                 f"actuator ID {values[count > 1][0]} stands {count.max()} times",
                 remedy="give every actuator its own ID, whatever its segment",
             )
-        places, count = np.unique(
-            np.round([self.x / 1e-9, self.y / 1e-9]), axis=1, return_counts=True
-        )
+        places, first, count = np.unique(
+            np.round([self.x / 1e-9, self.y / 1e-9]),
+            axis=1, return_inverse=True, return_counts=True,
+        )  # fmt: skip
         if (count > 1).any():
-            x, y = places[:, count > 1][:, 0] * 1e-9
+            which = int(np.argmax(count > 1))
+            x, y = places[:, which] * 1e-9
+            one, other = self.id[np.ravel(first) == which][:2]
             raise GeometryError(
-                f"two actuators stand at x = {x:.6g} m, y = {y:.6g} m",
+                f"two actuators stand at x = {x:.6g} m, y = {y:.6g} m: {one} and {other}",
                 remedy="correct their positions",
             )
 
