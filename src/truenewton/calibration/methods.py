@@ -12,18 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread, spread_square
+from truenewton.arrays import Array, spread, spread_covariance
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
-from truenewton.errors import (
-    FormatError,
-    NotConverged,
-    RankDeficient,
-    TrueNewtonError,
-    UnknownName,
-    located,
-)
+from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.effects.words import effect_warnings
@@ -32,7 +25,7 @@ from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.gate import doubts, instead
-from truenewton.estimation.row_readers import RowReader, read_rows
+from truenewton.estimation.row_readers import RowReader
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
 from truenewton.estimation.structure import FITS
@@ -161,13 +154,10 @@ def calibrate(
         (n, n) displacements where forces act for those that the sensors see, of all actuators, by a
         model of the glass; with 'reciprocity' and 'auto' only.
     client
-        A `dask.distributed.Client`, whose workers read the rows of a campaign that ``read`` was
-        given the same client for (docs/cluster.md).
+        A `dask.distributed.Client`, which ``read`` was given as well (docs/cluster.md).
 
     Raises
     ------
-    ClusterFailed
-        The workers cannot do their part.
     RankDeficient
         The data cannot fix alpha; the message says what is missing.
     TooManyOutliers, NotConverged
@@ -184,8 +174,6 @@ def calibrate(
     """
     method, known = asked(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
-        if client is not None:
-            _require_stored(data)
         estimate = METHODS[method].of_cycles(sift(data, client), known)
         made = calibration_of(data, estimate, client=client)
     elif isinstance(data, StiffnessMatrix):
@@ -201,17 +189,6 @@ def calibrate(
         )
     warn_of(made)
     return made
-
-
-def _require_stored(campaign: Campaign) -> None:
-    """Refuse a campaign whose rows no worker can read."""
-    for cycle in campaign.cycles:
-        if isinstance(cycle.force, np.ndarray):
-            raise FormatError(
-                "its rows are in the memory of this process, where no worker can read them",
-                remedy="read the campaign with read(..., client=client) as well",
-                path=cycle.name,
-            )
 
 
 def asked(
@@ -273,10 +250,7 @@ def calibration_of(
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
-    if readers:
-        read_rows(campaign, (cycle_errors.take, *readers))
-    else:
-        cycle_errors.read(client)
+    cycle_errors.read(readers, client)
     matrix = campaign.stiffness
     return Calibration(
         instrument=campaign.instrument,
@@ -359,8 +333,8 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "alpha": spread(estimate.values[:n], on),
         "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
         "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
-        "covariance": _spread_square(reading + systematic, on),
-        "systematic_covariance": _spread_square(systematic, on),
+        "covariance": spread_covariance(reading + systematic, on),
+        "systematic_covariance": spread_covariance(systematic, on),
         "condition": estimate.condition,
         "solved_condition": estimate.solved_condition,
         "rank": estimate.rank,
@@ -372,11 +346,3 @@ def _common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "scale_errors": estimate.scale_errors,
         "sensors": estimate.sensors,
     }
-
-
-def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
-    """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
-    rest = np.ones(len(values) - int(on.sum()), dtype=bool)
-    out = spread_square(values, np.concatenate([on, rest]))
-    out.setflags(write=False)  # so that the calibration need not copy it
-    return out

@@ -77,11 +77,13 @@ class StoredRows:
 
     def __getitem__(self, rows: int | slice | NDArray[Any] | list[int]) -> Array:
         at = np.arange(len(self))[rows]
-        every, width = np.atleast_1d(at), self.shape[1]
+        every = np.atleast_1d(at)
         try:
             with Path(self.path).open("rb") as file:
-                values = read_rows(file, self.start, self.stride, every, width, self.stored)
+                values = self.values(file, every)
                 changed = state_of(file) != self.state
+        except UnreadableFile:
+            raise
         except EOFError:
             changed = True
         except OSError as error:
@@ -96,6 +98,16 @@ class StoredRows:
             )
         values = self.in_unit(values.astype(np.float64, copy=False))
         return values if at.ndim else np.asarray(values[0])
+
+    def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
+        """Read some rows of the open file, (rows, n), as they are stored.
+
+        Raises
+        ------
+        EOFError
+            The file has changed.
+        """
+        return read_rows(file, self.start, self.stride, rows, self.shape[1], self.stored)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         if copy is False:

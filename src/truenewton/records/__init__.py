@@ -6,5 +6,6 @@ stiffness_matrix  a measured stiffness: commanded force per displacement
 fault             what is wrong, and what mends it
 notebook          results as a notebook shows them
 source            the file that data came from, and what of it went into a result
+samples           streams of raw samples, averaged to rows
 file              cycle and stiffness files, both ways
 """
