@@ -186,17 +186,26 @@ def true_stiffness(
     floats, follows = off_and_slaved(layout, off, slaved)
     k = np.linalg.solve(seen.T, (alpha[:, None] * matrix.used_stiffness).T).T
     apart, together = k - k.T, k + k.T
-    symmetric = 0.5 * together
+    del k
+    skew, size = (np.sqrt(np.einsum("ij,ij->i", part, part)) for part in (apart, together))
+    del apart
+    symmetric = together
+    symmetric *= 0.5
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
     own = rigid.T @ symmetric @ rigid
     coupling = symmetric @ rigid - rigid @ own  # Q K R
     if calibration is not None:
-        symmetric = symmetric - coupling @ rigid.T - rigid @ coupling.T
+        symmetric -= coupling @ rigid.T
+        symmetric -= rigid @ coupling.T
+        symmetric = 0.5 * (symmetric + symmetric.T)  # to the last digit
     shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
-    stiffness = shapes.T @ forces
+    stiffness = forces
+    if forces is not symmetric:
+        stiffness = shapes.T @ forces
+        stiffness = 0.5 * (stiffness + stiffness.T)
     return TrueStiffness(
         layout=_some(layout, ~(floats | follows)),
-        stiffness=0.5 * (stiffness + stiffness.T),
+        stiffness=stiffness,
         calibrated=calibration is not None,
         enabled=layout,
         acts=~floats,
@@ -207,9 +216,9 @@ def true_stiffness(
         enabled_gain=gain,
         enabled_offset=offset,
         seen=seen,
-        asymmetry=float(np.linalg.norm(apart) / np.linalg.norm(together)),
-        actuator_asymmetry=np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1),
-        imbalance=float(np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(0.5 * together)),
+        asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
+        actuator_asymmetry=skew / size,
+        imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
     )
 
 
@@ -223,6 +232,11 @@ def _following(
     RankDeficient
         Those that float are not held.
     """
+    if not (floats.any() or follows.any()):  # one matrix, and no copy, serves for all
+        alone = np.eye(len(k))
+        for values in (k, alone):
+            values.setflags(write=False)
+        return alone, k, k
     active = ~floats
     shapes = np.eye(len(k))[:, active]
     if floats.any():
