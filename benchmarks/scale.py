@@ -131,6 +131,7 @@ def draw(by_actuators: list[dict[str, Any]], by_files: list[dict[str, Any]]) -> 
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullLocator
 
     figure, axes = plt.subplots(2, 2, figsize=(8.0, 6.0), sharex="col", layout="constrained")
     for column, (rows, by) in enumerate(((by_actuators, "actuators"), (by_files, "files"))):
@@ -138,9 +139,13 @@ def draw(by_actuators: list[dict[str, Any]], by_files: list[dict[str, Any]]) -> 
         for row, (key, unit) in enumerate((("cpu", 1.0), ("peak", 1e-6))):
             for who, mark in (("client", "o-"), ("worker", "s--")):
                 axes[row, column].loglog(x, [unit * r[f"{who}_{key}"] for r in rows], mark)
+            axis = axes[row, column].yaxis
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_locator(NullLocator())
         axes[1, column].set_xlabel(by)
         axes[1, column].set_xticks(x, [str(value) for value in x], minor=False)
-        axes[1, column].minorticks_off()
+        axes[1, column].xaxis.set_minor_locator(NullLocator())
     axes[0, 0].set_ylabel("CPU time [s]")
     axes[1, 0].set_ylabel("memory above an idle process [MB]")
     axes[0, 0].legend(["client", "workers together; the largest"])
