@@ -1,6 +1,6 @@
 """What a calibration by a dask cluster takes, against the number of files and of actuators.
 
-    python benchmarks/scale.py [--actuators 45,132,336] [--files 4,8,16] [--workers 2] [--figure]
+    python benchmarks/scale.py [--actuators 45,132,336,892] [--files 4,8,16] [--workers 2] [--figure]
 
 For each size a campaign of FORCE, POSITION and both gradients is written into a temporary folder
 and read and calibrated by processes of their own: a client and its workers, of which CPU time (the
@@ -188,7 +188,7 @@ def numbers(text: str) -> list[int]:
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336])
+    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336, 892])
     parser.add_argument("--files", type=numbers, default=[4, 8, 16])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--figure", action="store_true")
