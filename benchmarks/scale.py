@@ -1,6 +1,6 @@
 """What a calibration by a dask cluster takes, against the number of files and of actuators.
 
-    python benchmarks/scale.py [--actuators 45,132,336,892] [--files 4,8,16] [--workers 2] [--figure]
+    python benchmarks/scale.py [--actuators 45,132,336,892] [--files 4,8,16] [--figure]
 
 For each size a campaign of FORCE, POSITION and both gradients is written into a temporary folder
 and read and calibrated by processes of their own: a client and its workers, of which CPU time (the

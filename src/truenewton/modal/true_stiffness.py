@@ -185,12 +185,9 @@ def true_stiffness(
     seen = seen_motion(layout, gain, offset)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = np.linalg.solve(seen.T, (alpha[:, None] * matrix.used_stiffness).T).T
-    apart, together = k - k.T, k + k.T
+    skew, symmetric = _row_norms(k - k.T), 0.5 * (k + k.T)
+    size = 2.0 * _row_norms(symmetric)
     del k
-    skew, size = (np.sqrt(np.einsum("ij,ij->i", part, part)) for part in (apart, together))
-    del apart
-    symmetric = together
-    symmetric *= 0.5
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
     own = rigid.T @ symmetric @ rigid
     coupling = symmetric @ rigid - rigid @ own  # Q K R
@@ -199,13 +196,10 @@ def true_stiffness(
         symmetric -= rigid @ coupling.T
         symmetric = 0.5 * (symmetric + symmetric.T)  # to the last digit
     shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
-    stiffness = forces
-    if forces is not symmetric:
-        stiffness = shapes.T @ forces
-        stiffness = 0.5 * (stiffness + stiffness.T)
+    stiffness = forces if forces is symmetric else shapes.T @ forces
     return TrueStiffness(
         layout=_some(layout, ~(floats | follows)),
-        stiffness=stiffness,
+        stiffness=forces if forces is symmetric else 0.5 * (stiffness + stiffness.T),
         calibrated=calibration is not None,
         enabled=layout,
         acts=~floats,
@@ -220,6 +214,11 @@ def true_stiffness(
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
     )
+
+
+def _row_norms(matrix: Array) -> Array:
+    """Return (n,) the norm of each row, without a copy of the matrix."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", matrix, matrix)))
 
 
 def _following(
