@@ -1,6 +1,6 @@
 """What a calibration by a dask cluster takes, against the number of files and of actuators.
 
-    python benchmarks/scale.py [--actuators 45,132,336] [--files 4,8,16] [--workers 2] [--figure]
+    python benchmarks/scale.py [--actuators 45,132,336,892] [--files 4,8,16] [--figure]
 
 For each size a campaign of FORCE, POSITION and both gradients is written into a temporary folder
 and read and calibrated by processes of their own: a client and its workers, of which CPU time (the
@@ -53,7 +53,7 @@ def run(folder: Path, workers: int) -> None:
 
     with (
         LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=":0"
         ) as cluster,
         Client(cluster) as client,
     ):
@@ -131,6 +131,7 @@ def draw(by_actuators: list[dict[str, Any]], by_files: list[dict[str, Any]]) -> 
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import LogLocator, NullLocator
 
     figure, axes = plt.subplots(2, 2, figsize=(8.0, 6.0), sharex="col", layout="constrained")
     for column, (rows, by) in enumerate(((by_actuators, "actuators"), (by_files, "files"))):
@@ -138,9 +139,13 @@ def draw(by_actuators: list[dict[str, Any]], by_files: list[dict[str, Any]]) -> 
         for row, (key, unit) in enumerate((("cpu", 1.0), ("peak", 1e-6))):
             for who, mark in (("client", "o-"), ("worker", "s--")):
                 axes[row, column].loglog(x, [unit * r[f"{who}_{key}"] for r in rows], mark)
+            axis = axes[row, column].yaxis
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_locator(NullLocator())
         axes[1, column].set_xlabel(by)
         axes[1, column].set_xticks(x, [str(value) for value in x], minor=False)
-        axes[1, column].minorticks_off()
+        axes[1, column].xaxis.set_minor_locator(NullLocator())
     axes[0, 0].set_ylabel("CPU time [s]")
     axes[1, 0].set_ylabel("memory above an idle process [MB]")
     axes[0, 0].legend(["client", "workers together; the largest"])
@@ -183,7 +188,7 @@ def numbers(text: str) -> list[int]:
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336])
+    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336, 892])
     parser.add_argument("--files", type=numbers, default=[4, 8, 16])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--figure", action="store_true")

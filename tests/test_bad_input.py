@@ -637,7 +637,7 @@ NEW = {
     "empty": (
         replaced(lambda path: path.touch()), "ring-001", "is not a FITS file, but empty", "fetch it"
     ),
-    "an empty folder": (nothing_inside, "empty", "holds no FITS files", "end in .fits or .fits.gz"),
+    "an empty folder": (nothing_inside, "empty", "holds no FITS or HDF5 files", "end in .fits"),
     "cut off": (replaced(cut), "ring-001", "is truncated", "fetch it again"),
     "a copy": (
         copied, "ring-001", "LOAD 'ring' has CYCLE 1 twice", "leave one out, or number it anew"
@@ -693,7 +693,7 @@ def test_paths_that_cannot_be_read_are_refused(tmp_path, refused):
     assert "nowhere: cannot be read (No such file" in refused("calibrate", tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
     (tmp_path / "empty" / "notes.txt").write_text("x")
-    assert "empty: holds no FITS files; " in refused("calibrate", tmp_path / "empty")
+    assert "empty: holds no FITS or HDF5 files; " in refused("calibrate", tmp_path / "empty")
     (tmp_path / "folder.fits").mkdir()
     (tmp_path / "folder.fits" / "sub.fits").mkdir()
     assert "sub.fits: cannot be read (Is a dir" in refused("calibrate", tmp_path / "folder.fits")

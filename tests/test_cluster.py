@@ -30,7 +30,7 @@ def workers():
     distributed = pytest.importorskip("distributed", reason="dask, extra `cluster`, is missing")
     with (
         distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
         ) as local,
         distributed.Client(local, set_as_default=False) as client,
     ):
@@ -170,7 +170,7 @@ def test_what_no_worker_can_read_is_refused(workers, folder, tmp_path):
         tn.calibrate(tn.read(folder), client=workers)
     cycle = tn.read(folder).cycles[0]
     write_cycle(cycle, tmp_path / "packed.fits.gz")
-    with pytest.raises(FormatError, match=r"packed.fits.gz: is gzipped, or .*; unpack it"):
+    with pytest.raises(FormatError, match=r"packed.fits.gz: is gzipped, .*; write it anew"):
         tn.read(tmp_path, client=workers)
 
 

@@ -150,3 +150,11 @@ def spread_square(matrix: Array, on: NDArray[np.bool_]) -> Array:
     out = np.full((on.size, on.size), np.nan)
     out[np.ix_(on, on)] = matrix
     return out
+
+
+def spread_covariance(values: Array, on: NDArray[np.bool_]) -> Array:
+    """Put an (n_enabled + rest, ...) covariance in the order of all (n,), read-only, else NaN."""
+    rest = np.ones(len(values) - int(on.sum()), dtype=bool)
+    out = spread_square(values, np.concatenate([on, rest]))
+    out.setflags(write=False)  # so that a record need not copy it
+    return out

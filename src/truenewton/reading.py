@@ -18,12 +18,17 @@ from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client, each
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located
 from truenewton.files.content import FitsFile
-from truenewton.files.fits import read_fits
 from truenewton.files.stored_rows import StoredRows
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.records.fault import Fault
-from truenewton.records.file import cycle_from, fits_paths, stiffness_from
+from truenewton.records.file import (
+    cycle_from,
+    fits_paths,
+    holds_cycle,
+    read_file,
+    stiffness_from,
+)
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -70,8 +75,8 @@ class Opened(NamedTuple):
 
 
 def _opened(path: AnyPath, *, whole: bool) -> Opened:
-    file, cycle = read_fits(path, whole=whole), None
-    if "MEASUREMENTS" in file.extensions:
+    file, cycle = read_file(path, whole=whole), None
+    if holds_cycle(file):
         try:
             cycle = cycle_from(file)
         except TrueNewtonError as error:
@@ -83,14 +88,15 @@ def _opened_by_worker(names: tuple[str, str]) -> Opened:
     """Open a file whose rows stay in it, given its absolute path, and the name to call it by."""
     path, name = names
     try:
-        file = replace(read_fits(path, whole=False), path=name)
-        if "MEASUREMENTS" not in file.extensions:
+        file = replace(read_file(path, whole=False), path=name)
+        if not holds_cycle(file):
             return Opened(file, None)
         cycle = cycle_from(file)
         if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
             raise FormatError(
-                "is gzipped, or its FORCE or POSITION has TSCAL or TDIM: no worker can read parts",
-                remedy="unpack it and write plain numbers, or calibrate without a cluster",
+                "is gzipped, holds raw samples, or FORCE or POSITION has TSCAL or TDIM: no worker"
+                " can read parts of it",
+                remedy="write it anew, by write_cycle, or calibrate without a cluster",
                 path=name,
             )
         cycle.stroke  # noqa: B018  # reads POSITION, here rather than where all files are wanted
@@ -357,7 +363,7 @@ def read_calibrations(*paths: AnyPath, segment: int | None = None) -> tuple[Cali
     ------
     UnreadableFile, FormatError
     """
-    files = [read_fits(path) for path in paths if not Path(path).is_dir()]
+    files = [read_file(path) for path in paths if not Path(path).is_dir()]
     if len(files) < len(paths) or any("CALIBRATION" not in file.extensions for file in files):
         return ()
     return tuple(of_segment(any_calibration_from(file), segment, file.path) for file in files)

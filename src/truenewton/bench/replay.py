@@ -9,8 +9,7 @@ import numpy as np
 
 from truenewton.bench.protocol import Reading, Shape, Status, check_samples
 from truenewton.errors import BenchFault, FormatError, UnknownName
-from truenewton.files.fits import read_fits
-from truenewton.records.file import campaign_from, fits_paths
+from truenewton.records.file import campaign_from, fits_paths, read_file
 from truenewton.statics.load import Load
 
 ANOTHER = 0.1  # of its largest displacement: so far from the recorded shape it is another one
@@ -37,7 +36,7 @@ class ReplayBench:
     """
 
     def __init__(self, folder: str | os.PathLike[str]) -> None:
-        campaign = campaign_from(read_fits(path) for path in fits_paths([folder]))
+        campaign = campaign_from(read_file(path) for path in fits_paths([folder]))
         cycles = campaign.cycles
         self._loads = {load.key: load.name for load in campaign.loads}
         self._cycles = {(cycle.load.key, cycle.number): cycle for cycle in cycles}

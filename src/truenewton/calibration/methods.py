@@ -9,8 +9,6 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple, overload
 
-import numpy as np
-
 from truenewton.arrays import Array, spread
 from truenewton.calibration.numbers import Imbalances, common, from_stiffness, matrix_source
 from truenewton.calibration.result import Calibration
@@ -18,14 +16,7 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import calibrate_segments
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
-from truenewton.errors import (
-    FormatError,
-    NotConverged,
-    RankDeficient,
-    TrueNewtonError,
-    UnknownName,
-    located,
-)
+from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.effects.words import effect_warnings
@@ -34,7 +25,7 @@ from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.gate import doubts, instead
-from truenewton.estimation.row_readers import RowReader, read_rows
+from truenewton.estimation.row_readers import RowReader
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
 from truenewton.estimation.structure import FITS
@@ -174,16 +165,13 @@ def calibrate(
         (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
         displacements where forces act for those seen. With 'reciprocity' and 'auto' only.
     client
-        A `dask.distributed.Client`, whose workers read the rows of a campaign that ``read`` was
-        given the same client for (docs/cluster.md).
+        A `dask.distributed.Client`, which ``read`` was given as well (docs/cluster.md).
     processes
         How many segments are calibrated at once, each in a process of its own; unless given, as
         many as there are processors, or one where segments are small or there is a client.
 
     Raises
     ------
-    ClusterFailed
-        The workers cannot do their part.
     RankDeficient
         The data cannot fix alpha, of no segment; the message says what is missing.
     TooManyOutliers, NotConverged
@@ -206,8 +194,6 @@ def calibrate(
         one = partial(calibrate, method=method, population=population, client=client)
         return calibrate_segments(data, one, motion, 1 if client is not None else processes)
     if isinstance(data, Campaign):
-        if client is not None:
-            _require_stored(data)
         estimate = METHODS[method].of_cycles(sift(data, client), known)
         made = calibration_of(data, estimate, client=client)
     elif isinstance(data, StiffnessMatrix):
@@ -224,17 +210,6 @@ def calibrate(
         )
     warn_of(made)
     return made
-
-
-def _require_stored(campaign: Campaign) -> None:
-    """Refuse a campaign whose rows no worker can read."""
-    for cycle in campaign.cycles:
-        if isinstance(cycle.force, np.ndarray):
-            raise FormatError(
-                "its rows are in the memory of this process, where no worker can read them",
-                remedy="read the campaign with read(..., client=client) as well",
-                path=cycle.name,
-            )
 
 
 def asked(
@@ -298,10 +273,7 @@ def calibration_of(
     torques = estimate.values[unknowns.torques].reshape(-1, 2)
     lost = [sum(row.cycle == k for row in estimate.rejected) for k in range(len(cycles))]
     cycle_errors = CycleErrors(campaign, estimate.values)
-    if readers:
-        read_rows(campaign, (cycle_errors.take, *readers))
-    else:
-        cycle_errors.read(client)
+    cycle_errors.read(readers, client)
     return Calibration(
         instrument=campaign.instrument,
         date=min(c.date for c in cycles),

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import Array, spread, spread_square
+from truenewton.arrays import spread, spread_covariance
 from truenewton.calibration.result import Calibration
 from truenewton.estimation import stiffness_svd
 from truenewton.estimation.estimate import Estimate
@@ -71,8 +71,8 @@ def common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "alpha": spread(estimate.values[:n], on),
         "reading_error": spread(np.sqrt(np.diag(reading)[:n]), on),
         "systematic_error": spread(np.sqrt(np.diag(systematic)[:n]), on),
-        "covariance": _spread_square(reading + systematic, on),
-        "systematic_covariance": _spread_square(systematic, on),
+        "covariance": spread_covariance(reading + systematic, on),
+        "systematic_covariance": spread_covariance(systematic, on),
         "condition": estimate.condition,
         "solved_condition": estimate.solved_condition,
         "rank": estimate.rank,
@@ -84,11 +84,3 @@ def common(estimate: Estimate, on: NDArray[np.bool_]) -> dict[str, Any]:
         "scale_errors": estimate.scale_errors,
         "sensors": estimate.sensors,
     }
-
-
-def _spread_square(values: Array, on: NDArray[np.bool_]) -> Array:
-    """Put a covariance of enabled actuators and the rest in the order of all, NaN elsewhere."""
-    rest = np.ones(len(values) - int(on.sum()), dtype=bool)
-    out = spread_square(values, np.concatenate([on, rest]))
-    out.setflags(write=False)  # so that the calibration need not copy it
-    return out

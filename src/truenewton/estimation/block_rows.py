@@ -45,7 +45,7 @@ class BlockRows:
 
     @property
     def where(self) -> slice | NDArray[np.int64]:
-        """The rows, as a slice where they follow each other."""
+        """The (m,) rows, as a slice where they follow each other."""
         row = self.row
         follow = bool((np.diff(row) == 1).all())
         return slice(int(row[0]), int(row[-1]) + 1) if follow and row.size else row

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.linalg
 from scipy.linalg.blas import dsyrk
@@ -9,7 +11,7 @@ from scipy.linalg.lapack import dpocon, dpotrf
 
 from truenewton.arrays import Array
 from truenewton.cluster import Client, each
-from truenewton.estimation.row_readers import RowBlock, read_rows
+from truenewton.estimation.row_readers import RowBlock, RowReader, read_rows
 from truenewton.estimation.systems import system_c
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.records.campaign import Campaign
@@ -54,10 +56,13 @@ class CycleErrors:
                 self._alphas.append(alpha)
             self._square[:], self._total[:] = 0.0, 0.0
 
-    def read(self, client: Client | None = None) -> None:
-        """Read the rows of all cycles; with a client its workers do, a cycle each."""
-        if client is None:
-            read_rows(self._campaign, (self.take,))
+    def read(self, readers: Sequence[RowReader] = (), client: Client | None = None) -> None:
+        """Read the rows of all cycles, for more readers as well.
+
+        With a client and no more readers its workers do, a cycle each.
+        """
+        if client is None or readers:
+            read_rows(self._campaign, (self.take, *readers))
             return
         campaign, n = self._campaign, len(self._total)
         unknowns = Unknowns(n, len(campaign.loads))

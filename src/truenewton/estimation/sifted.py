@@ -19,7 +19,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.chance import t_isf
 from truenewton.cluster import Client
-from truenewton.errors import TooManyOutliers, TrueNewtonError
+from truenewton.errors import FormatError, TooManyOutliers, TrueNewtonError
 from truenewton.estimation.copied_files import copied_files
 from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.file_labels import (
@@ -88,7 +88,11 @@ def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
     ------
     TooManyOutliers
         A cycle would lose all its rows.
+    FormatError
+        Rows are in memory, where no worker can read them.
     """
+    if client is not None:
+        _require_stored(campaign)
     sums = RepeatSums(campaign, client=client)
     prints = sums.prints
     units = files_in_other_units(campaign, prints)
@@ -126,6 +130,17 @@ def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
     moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
     samples = tuple(sums.samples)
     return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects, clipped)
+
+
+def _require_stored(campaign: Campaign) -> None:
+    """Refuse a campaign whose rows no worker can read."""
+    for cycle in campaign.cycles:
+        if isinstance(cycle.force, np.ndarray):
+            raise FormatError(
+                "its rows are in the memory of this process, where no worker can read them",
+                remedy="read the campaign with read(..., client=client) as well",
+                path=cycle.name,
+            )
 
 
 def _relabelled(

@@ -2,6 +2,7 @@
 
 format         what a file of some kind holds, declared once for writing and reading
 fits           FITS in and out, safely: the only importer of astropy.io.fits
+hdf5           HDF5 in and out, under the names of the FITS contract
 content        what a FITS file held, asked for by what a format declares
 opening        files that are opened for reading: plain ones, and no more than there may be
 sizes          what headers say of the size of a file, before it is read

@@ -80,12 +80,13 @@ class StoredRows:
 
     def __getitem__(self, rows: int | slice | NDArray[Any] | list[int]) -> Array:
         at = np.arange(len(self))[rows]
-        every, chosen = np.atleast_1d(at), self.chosen
-        width = self.shape[1] if chosen is None else int(chosen[-1]) + 1
+        every = np.atleast_1d(at)
         try:
             with Path(self.path).open("rb") as file:
-                values = read_rows(file, self.start, self.stride, every, width, self.stored)
+                values = self.values(file, every)
                 changed = state_of(file) != self.state
+        except UnreadableFile:
+            raise
         except EOFError:
             changed = True
         except OSError as error:
@@ -98,10 +99,29 @@ class StoredRows:
             raise UnreadableFile(
                 "was changed while it was in use", remedy="read the campaign again", path=self.path
             )
-        if chosen is not None:
-            values = values[:, chosen]
+        if self.chosen is not None:
+            values = values[:, self.chosen - self.chosen[0]]
         values = self.in_unit(values.astype(np.float64, copy=False))
         return values if at.ndim else np.asarray(values[0])
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """From which value of a stored vector to which the chosen ones stand."""
+        if self.chosen is None:
+            return 0, self.shape[1]
+        return int(self.chosen[0]), int(self.chosen[-1]) + 1
+
+    def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
+        """Read the `span` of some rows of the open file, (rows, span), as they are stored.
+
+        Raises
+        ------
+        EOFError
+            The file has changed.
+        """
+        first, end = self.span
+        start = self.start + first * self.stored.itemsize
+        return read_rows(file, start, self.stride, rows, end - first, self.stored)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         if copy is False:
@@ -117,14 +137,8 @@ def columns_of(values: Rows, columns: NDArray[np.bool_]) -> Rows:
     if not isinstance(values, StoredRows):
         return values[:, columns]
     at = np.flatnonzero(columns)
-    at = at if values.chosen is None else values.chosen[at]
-    near = at - at[0]
-    return replace(
-        values,
-        start=values.start + int(at[0]) * values.stored.itemsize,
-        shape=(len(values), at.size),
-        chosen=None if near[-1] == at.size - 1 else near,
-    )
+    chosen = at if values.chosen is None else values.chosen[at]
+    return replace(values, shape=(len(values), chosen.size), chosen=chosen)
 
 
 def largest_in_rows(values: Rows, columns: NDArray[np.bool_]) -> Array:

@@ -75,14 +75,19 @@ def compare_modes(one: Array, other: Array, stiffness: Array | None = None) -> M
         raise ValueError(f"{np.shape(stiffness)} stiffnesses for {k} modes")
     v, w = (np.linalg.qr(modes)[0] for modes in (one, other))
     c = v.T @ w
-    outside = np.sum((v - w @ c.T) ** 2, axis=0)  # of each v, what no w reaches
-    square = c**2
-    beyond = np.zeros_like(square)  # of each v, what later w take; no difference, which would round
-    beyond[:, :-1] = np.cumsum(square[:, :0:-1], axis=1)[:, ::-1]
+    left = w @ c.T
+    np.subtract(v, left, out=left)
+    outside = np.einsum("ij,ij->j", left, left)  # of each v, what no w reaches
+    # Of each v, what later w take; no difference, which would round. In place: n may be thousands.
+    beyond = np.square(c, out=left) if n == k else c**2
+    backwards = beyond[:, ::-1]
+    np.cumsum(backwards, axis=1, out=backwards)
     # Leak of the first N: of each v in them, what w N+1 .. k take; and what no w reaches.
-    later = np.cumsum(beyond, axis=0)
+    np.cumsum(beyond, axis=0, out=beyond)
     number = np.arange(1, k + 1)
-    leak = np.cumsum(outside) + np.diagonal(later)
+    leak = np.cumsum(outside)
+    leak[:-1] += np.diagonal(beyond, 1)
+    del left, beyond, backwards
     sine = np.sqrt(np.clip(leak / number, 0.0, 1.0))
     cuts = np.zeros(k, dtype=bool)
     if stiffness is not None:

@@ -190,17 +190,21 @@ def true_stiffness(
     seen = seen_motion(layout, gain, offset)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = np.linalg.solve(seen.T, (alpha[:, None] * matrix.used_stiffness).T).T
-    apart, together, symmetric = k - k.T, k + k.T, 0.5 * (k + k.T)
+    skew, symmetric = _row_norms(k - k.T), 0.5 * (k + k.T)
+    size = 2.0 * _row_norms(symmetric)
+    del k
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
     own = rigid.T @ symmetric @ rigid
     coupling = symmetric @ rigid - rigid @ own  # Q K R
     if calibration is not None:
-        symmetric = symmetric - coupling @ rigid.T - rigid @ coupling.T
+        symmetric -= coupling @ rigid.T
+        symmetric -= rigid @ coupling.T
+        symmetric = 0.5 * (symmetric + symmetric.T)  # to the last digit
     shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
-    stiffness = shapes.T @ forces
+    stiffness = forces if forces is symmetric else shapes.T @ forces
     return TrueStiffness(
         layout=layout.part(~(floats | follows)),
-        stiffness=0.5 * (stiffness + stiffness.T),
+        stiffness=forces if forces is symmetric else 0.5 * (stiffness + stiffness.T),
         calibrated=calibration is not None,
         enabled=layout,
         acts=~floats,
@@ -211,10 +215,15 @@ def true_stiffness(
         enabled_gain=gain,
         enabled_offset=offset,
         seen=seen,
-        asymmetry=float(np.linalg.norm(apart) / np.linalg.norm(together)),
-        actuator_asymmetry=np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1),
-        imbalance=float(np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(0.5 * together)),
+        asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
+        actuator_asymmetry=skew / size,
+        imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
     )
+
+
+def _row_norms(matrix: Array) -> Array:
+    """Return (n,) the norm of each row, without a copy of the matrix."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", matrix, matrix)))
 
 
 def _following(
@@ -227,6 +236,11 @@ def _following(
     RankDeficient
         Those that float are not held.
     """
+    if not (floats.any() or follows.any()):  # one matrix, and no copy, serves for all
+        alone = np.eye(len(k))
+        for values in (k, alone):
+            values.setflags(write=False)
+        return alone, k, k
     active = ~floats
     shapes = np.eye(len(k))[:, active]
     if floats.any():

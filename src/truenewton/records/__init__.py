@@ -8,5 +8,6 @@ notebook          results as a notebook shows them
 segmented         what was measured of a mirror in several segments
 segment           what a segment of a mirror weighs
 source            the file that data came from, and what of it went into a result
+samples           streams of raw samples, averaged to rows
 file              cycle and stiffness files, both ways
 """

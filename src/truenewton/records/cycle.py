@@ -45,7 +45,7 @@ ARRAYS: dict[str, tuple[type, float | None]] = {
 }
 
 # What to do about a value beyond these.
-UNITS = {
+REMEDIES = {
     "time": "count TIME in seconds from DATE-OBS",
     "temperature": "declare the unit of TEMPERATURE, deg_C or K; leave the column out where it was"
     " not measured",
@@ -228,7 +228,7 @@ class Cycle:
                 of = f" for actuator {self.layout.id[counted][wrong][0]}"
                 remedy += "; if it is so in all rows, set ENABLED of the actuator to F"
             if np.isfinite(bad):
-                remedy = f"{UNITS[name]}, or mark the row as not VALID"
+                remedy = f"{REMEDIES[name]}, or mark the row as not VALID"
             raise FormatError(
                 f"{name.upper()} in row {row + 1} is {bad:g}{of}", remedy=remedy, got=bad
             )

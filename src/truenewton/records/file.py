@@ -1,21 +1,29 @@
-"""Cycle and stiffness files (docs/files.md): between FITS and the measurement records."""
+"""Cycle and stiffness files (docs/files.md): between FITS or HDF5 and the measurement records."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import starmap
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from truenewton.arrays import Array
 from truenewton.errors import FormatError, UnreadableFile, located
 from truenewton.files.content import PRIMARY, FitsFile
 from truenewton.files.fits import read_fits, write_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
+from truenewton.files.hdf5 import STREAM, is_hdf5, read_hdf5, write_hdf5
+from truenewton.files.hdf5 import SUFFIXES as HDF5
 from truenewton.files.outputs import folder_beside
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
+from truenewton.records.samples import rows_of_samples, sample_means
 from truenewton.records.segment import Segment, lacks_weights, sums_of
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -33,6 +41,18 @@ E_X, E_Y = (Column(f"E_{name}", f"layout.{name.lower()}_error", "m", absent=None
 SEGMENT = Column("SEGMENT", "layout.segment", kind="int", absent=None)
 ACTUATORS = TableFormat("ACTUATORS", (ID, X, Y, NZ, ENABLED, E_X, E_Y, SEGMENT))
 
+MEASUREMENTS = TableFormat(
+    "MEASUREMENTS",
+    (
+        Column("TIME", "time", "s"),
+        Column("SHAPE", "shape", kind="int"),
+        Column("SIGN", "sign", kind="int"),
+        Column("TEMPERATURE", "temperature", "deg_C", absent=None),
+        Column("FORCE", "force", "N", each="ACTUATORS"),
+        Column("POSITION", "position", "m", absent=None, each="ACTUATORS"),
+        Column("VALID", "valid", kind="bool", absent=True),
+    ),
+)
 CYCLE = FileFormat(
     (
         INSTRUMENT,
@@ -57,18 +77,7 @@ CYCLE = FileFormat(
     ),
     (
         ACTUATORS,
-        TableFormat(
-            "MEASUREMENTS",
-            (
-                Column("TIME", "time", "s"),
-                Column("SHAPE", "shape", kind="int"),
-                Column("SIGN", "sign", kind="int"),
-                Column("TEMPERATURE", "temperature", "deg_C", absent=None),
-                Column("FORCE", "force", "N", each="ACTUATORS"),
-                Column("POSITION", "position", "m", absent=None, each="ACTUATORS"),
-                Column("VALID", "valid", kind="bool", absent=True),
-            ),
-        ),
+        MEASUREMENTS,
     ),
 )
 SEGMENTS = TableFormat(
@@ -88,6 +97,7 @@ SEGMENTED_CYCLE = FileFormat(
     tuple(keyword for keyword in CYCLE.keywords if keyword.name not in OF_SEGMENTS),
     (*CYCLE.extensions, SEGMENTS),
 )
+RAW = FileFormat(CYCLE.keywords, (ACTUATORS, TableFormat(STREAM, MEASUREMENTS.columns)))
 STIFFNESS = FileFormat(
     (
         INSTRUMENT,
@@ -108,14 +118,44 @@ SOURCES = TableFormat(
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Averaged:
+    """A cycle of N rows, averaged from raw samples.
+
+    Attributes
+    ----------
+    cycle
+        The means; FORCERR is that of one of them.
+    number
+        (N,) samples of each row.
+    force_variance, position_variance
+        (N, n) variances of one sample [N^2], [m^2]; NaN of a lone one; None without POSITION.
+    """
+
+    cycle: Cycle
+    number: NDArray[np.int64]
+    force_variance: Array
+    position_variance: Array | None
+
+
+def read_file(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
+    """Read a FITS or HDF5 file; if not whole, vector columns are left in it.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    return (read_hdf5 if is_hdf5(path) else read_fits)(path, whole=whole)
+
+
 def layout_from(file: FitsFile) -> Layout:
     """Return the layout in a file's ACTUATORS table."""
     return file.filled(Layout, file.values(FileFormat(extensions=(ACTUATORS,)))["layout"])
 
 
 def read_layout(path: str | os.PathLike[str]) -> Layout:
-    """Read the ACTUATORS table of any FITS file that has one."""
-    return layout_from(read_fits(path, whole=False))
+    """Read the ACTUATORS table of any file that has one."""
+    return layout_from(read_file(path, whole=False))
 
 
 def cycle_from(file: FitsFile) -> Cycle:
@@ -126,7 +166,7 @@ def cycle_from(file: FitsFile) -> Cycle:
     FormatError
         The file breaks the contract of a cycle file.
     """
-    if "MEASUREMENTS" not in file.extensions:
+    if not holds_cycle(file):
         there = ", ".join(name for name in file.extensions if name != PRIMARY)
         raise FormatError(
             "there is no table MEASUREMENTS",
@@ -134,6 +174,8 @@ def cycle_from(file: FitsFile) -> Cycle:
             " stiffness file an image STIFFNESS: `truenewton import` makes one of a matrix",
             path=file.path,
         )
+    if STREAM in file.extensions:
+        return averaged_from(file).cycle
     layout = layout_from(file)  # what is wrong with it comes first: FORCE has its width
     known = {"layout": layout, "source": Source(file.path, file.sha256)}
     if SEGMENTS.name in file.extensions:
@@ -164,6 +206,65 @@ def _segmented_cycle(file: FitsFile, known: dict[str, Any]) -> Cycle:
     return file.filled(Cycle, values | known | {"segments": segments})
 
 
+def holds_cycle(file: FitsFile) -> bool:
+    """Tell whether a file holds a cycle, or samples of one."""
+    return MEASUREMENTS.name in file.extensions or STREAM in file.extensions
+
+
+def averaged(path: str | os.PathLike[str]) -> Averaged:
+    """Average a file of raw samples (docs/files.md), which may be larger than memory.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
+    file = read_file(path, whole=False)
+    if STREAM not in file.extensions:
+        raise FormatError(
+            f"there is no table {STREAM}",
+            remedy="give a file of raw samples; `read` takes cycle files",
+            path=file.path,
+        )
+    return averaged_from(file)
+
+
+def averaged_from(file: FitsFile) -> Averaged:
+    """Return the cycle of the samples that a file holds, and their scatter.
+
+    Raises
+    ------
+    FormatError
+        The file breaks the contract of a cycle file, SAMPLES in the place of MEASUREMENTS.
+    """
+    if MEASUREMENTS.name in file.extensions:
+        raise FormatError(
+            f"there are both {MEASUREMENTS.name} and {STREAM}",
+            remedy="keep one of them in a file",
+            path=file.path,
+        )
+    layout = layout_from(file)
+    values = file.values(RAW)
+    try:
+        first, number = rows_of_samples(values["shape"], values["sign"], values["valid"])
+    except FormatError as error:
+        raise located(error, file.path) from None
+    of_force = sample_means(values["force"], first, number)
+    values |= {"force": of_force.mean, "shape": values["shape"][first]}
+    values |= {"sign": values["sign"][first], "valid": np.ones(len(first), dtype=bool)}
+    for name in ("time", "temperature"):
+        if values[name] is not None:
+            values[name] = sample_means(values[name][:, None], first, number).mean[:, 0]
+    position_variance = None
+    if values["position"] is not None:
+        of_position = sample_means(values["position"], first, number)
+        values["position"], position_variance = of_position.mean, of_position.variance
+    known = of_force.of_mean[number > 1][:, layout.enabled]
+    values["force_error"] = float(np.sqrt(known.mean())) or None if known.size else None
+    known_beside = {"layout": layout, "source": Source(file.path, file.sha256)}
+    cycle = file.filled(Cycle, values | known_beside)
+    return Averaged(cycle, number, of_force.variance, position_variance)
+
+
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:
     """Return the stiffness matrix that a file holds.
 
@@ -177,12 +278,12 @@ def stiffness_from(file: FitsFile) -> StiffnessMatrix:
 
 
 def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """Return the files meant by files and folders; of a folder its FITS files, sorted by name.
+    """Return the files meant by files and folders; of a folder those of data, sorted by name.
 
     Raises
     ------
     UnreadableFile
-        A path does not exist, or a folder holds no FITS file.
+        A path does not exist, or a folder holds no FITS or HDF5 file.
     """
     files: list[Path] = []
     for path in map(Path, paths):
@@ -193,16 +294,16 @@ def fits_paths(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
                 f"cannot be read ({error.strerror})", remedy="check its permissions", path=path
             ) from error
         if path.is_dir():
-            inside = [p for p in inside if p.name.endswith(SUFFIXES) and p.name[0] != "."]
+            inside = [p for p in inside if p.name.endswith(SUFFIXES + HDF5) and p.name[0] != "."]
         if not inside:
-            remedy = "give the folder of a campaign, whose files end in .fits or .fits.gz"
-            raise UnreadableFile("holds no FITS files", remedy=remedy, path=path)
+            remedy = "give the folder of a campaign, whose files end in .fits, .fits.gz or .h5"
+            raise UnreadableFile("holds no FITS or HDF5 files", remedy=remedy, path=path)
         files += inside
     return list({os.path.realpath(p): p for p in files}.values())
 
 
 def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-    """Write a cycle file.
+    """Write a cycle file; HDF5 where the name ends in .h5 or .hdf5.
 
     Parameters
     ----------
@@ -223,7 +324,8 @@ def write_cycle(cycle: Cycle, path: str | os.PathLike[str], *, overwrite: bool =
     >>> tn.read_campaign("bare.fits")
     <Campaign of P45: 45 actuators, 1 cycle under bare>
     """
-    write_fits(path, SEGMENTED_CYCLE if cycle.segments else CYCLE, cycle, overwrite=overwrite)
+    write = write_hdf5 if os.fspath(path).lower().endswith(HDF5) else write_fits
+    write(path, SEGMENTED_CYCLE if cycle.segments else CYCLE, cycle, overwrite=overwrite)
 
 
 def cycle_name(load: Load, number: int) -> str:

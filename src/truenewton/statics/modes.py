@@ -51,6 +51,8 @@ def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessMo
         turn = _nearest_rotation(vectors[:, :r].T @ (names * np.sign(np.diag(upright))))
         modes[:, :r] = vectors[:, :r] @ turn
         values[:r] = values[:r] @ turn**2
+    modes = np.ascontiguousarray(modes)
+    modes.setflags(write=False)  # so that records need not copy them
     return StiffnessModes(values, modes)
 
 
