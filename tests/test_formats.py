@@ -10,7 +10,7 @@ from truenewton.calibration.file import CALIBRATION
 from truenewton.calibration.segment_file import SEGMENTED
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
-from truenewton.records.file import CYCLE, SEGMENTS, STIFFNESS
+from truenewton.records.formats import CYCLE, SEGMENTS, STIFFNESS
 from truenewton.tracking.file import TRACKING
 
 DOCS = Path(__file__).parents[1] / "docs" / "files.md"

@@ -16,7 +16,7 @@ from truenewton.errors import FormatError
 from truenewton.files.format import FileFormat, ImageFormat, TableFormat
 from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import MirrorNumbers, p45
-from truenewton.records.file import CYCLE, STIFFNESS
+from truenewton.records.formats import CYCLE, STIFFNESS
 from truenewton.statics.layout import rings, spherical_rings
 
 DATE = datetime.datetime(2026, 1, 2, tzinfo=datetime.UTC)

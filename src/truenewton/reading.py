@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import overload
 
 import numpy as np
 
@@ -16,19 +15,11 @@ from truenewton.calibration.segment_file import any_calibration_from
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client, each
-from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile, located
-from truenewton.files.content import FitsFile
-from truenewton.files.stored_rows import StoredRows
+from truenewton.errors import FormatError, TrueNewtonError, located
 from truenewton.records.campaign import Campaign
-from truenewton.records.cycle import Cycle
 from truenewton.records.fault import Fault
-from truenewton.records.file import (
-    cycle_from,
-    fits_paths,
-    holds_cycle,
-    read_file,
-    stiffness_from,
-)
+from truenewton.records.file import fits_paths, read_file, stiffness_from
+from truenewton.records.opened import open_by_worker, open_file
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
@@ -56,57 +47,6 @@ FOREIGN = {  # extensions of what cannot be calibrated: what it is, and what to 
         "give it alone, or two of them to `report`: {} is none",
     ),
 }
-
-
-class Opened(NamedTuple):
-    """A file that was read, and the cycle in it, or what is wrong with that; None of other files.
-
-    The fault is raised once all files are known: one that does not belong here is said first.
-    """
-
-    file: FitsFile
-    cycle: Cycle | TrueNewtonError | None
-
-    def require_cycle(self) -> Cycle:
-        """Return the cycle."""
-        if isinstance(self.cycle, TrueNewtonError):
-            raise self.cycle
-        return cycle_from(self.file) if self.cycle is None else self.cycle
-
-
-def _opened(path: AnyPath, *, whole: bool) -> Opened:
-    file, cycle = read_file(path, whole=whole), None
-    if holds_cycle(file):
-        try:
-            cycle = cycle_from(file)
-        except TrueNewtonError as error:
-            return Opened(file, error)
-    return Opened(file, cycle)
-
-
-def _opened_by_worker(names: tuple[str, str]) -> Opened:
-    """Open a file whose rows stay in it, given its absolute path, and the name to call it by."""
-    path, name = names
-    try:
-        file = replace(read_file(path, whole=False), path=name)
-        if not holds_cycle(file):
-            return Opened(file, None)
-        cycle = cycle_from(file)
-        if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
-            raise FormatError(
-                "is gzipped, holds raw samples, or FORCE or POSITION has TSCAL or TDIM: no worker"
-                " can read parts of it",
-                remedy="write it anew, by write_cycle, or calibrate without a cluster",
-                path=name,
-            )
-        cycle.stroke  # noqa: B018  # reads POSITION, here rather than where all files are wanted
-        return Opened(file, cycle)
-    except TrueNewtonError as error:
-        if error.path == path:
-            error = error.changed(path=name)
-        if isinstance(error, UnreadableFile):
-            raise error from None
-        return Opened(file, error)
 
 
 def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> Read:
@@ -144,10 +84,10 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     every = fits_paths(_flat(paths))
     if client is None:
         whole = sum(path.stat().st_size for path in every if path.is_file()) <= IN_MEMORY
-        opened = list(each(partial(_opened, whole=whole), every))
+        opened = list(each(partial(open_file, whole=whole), every))
     else:
         names = [(str(path.absolute()), str(path)) for path in every]
-        opened = list(each(_opened_by_worker, names, client))
+        opened = list(each(open_by_worker, names, client))
     files = [one.file for one in opened]
     if len(files) == 1:
         if "CALIBRATION" in files[0].extensions:

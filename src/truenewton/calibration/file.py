@@ -20,7 +20,7 @@ from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
 from truenewton.records.fault import Fault
-from truenewton.records.file import ID, INSTRUMENT, NZ, SOURCES, X, Y
+from truenewton.records.formats import ID, INSTRUMENT, NZ, SOURCES, X, Y
 
 ACTUATORS = TableFormat(
     "CALIBRATION",

@@ -19,7 +19,7 @@ from truenewton.errors import FormatError, TrueNewtonError, located
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat
 from truenewton.records.fault import Fault
-from truenewton.records.file import ENABLED, ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.formats import ENABLED, ID, INSTRUMENT, NZ, X, Y
 from truenewton.statics.layout import Layout
 
 ALPHA = TableFormat(

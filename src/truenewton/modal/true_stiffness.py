@@ -183,8 +183,7 @@ def true_stiffness(
     on = matrix.layout.enabled
     layout = matrix.layout.part(on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
-    of_sensors = None if matrix.displaced == "true" else calibration
-    gain, offset = matched_sensors(layout, of_sensors)
+    gain, offset = matched_sensors(layout, None if matrix.displaced == "true" else calibration)
     if sensor_gain is not None:
         gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
     seen = seen_motion(layout, gain, offset)
@@ -197,9 +196,7 @@ def true_stiffness(
     own = rigid.T @ symmetric @ rigid
     coupling = symmetric @ rigid - rigid @ own  # Q K R
     if calibration is not None:
-        symmetric -= coupling @ rigid.T
-        symmetric -= rigid @ coupling.T
-        symmetric = 0.5 * (symmetric + symmetric.T)  # to the last digit
+        symmetric = _uncoupled(symmetric, coupling, rigid)
     shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
     stiffness = forces if forces is symmetric else shapes.T @ forces
     return TrueStiffness(
@@ -224,6 +221,13 @@ def true_stiffness(
 def _row_norms(matrix: Array) -> Array:
     """Return (n,) the norm of each row, without a copy of the matrix."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", matrix, matrix)))
+
+
+def _uncoupled(symmetric: Array, coupling: Array, rigid: Array) -> Array:
+    """Return (n, n) without what couples it to (n, 3) rigid motions; it is overwritten."""
+    symmetric -= coupling @ rigid.T
+    symmetric -= rigid @ coupling.T
+    return np.asarray(0.5 * (symmetric + symmetric.T))  # to the last digit
 
 
 def _following(

@@ -10,4 +10,6 @@ segment           what a segment of a mirror weighs
 source            the file that data came from, and what of it went into a result
 samples           streams of raw samples, averaged to rows
 file              cycle and stiffness files, both ways
+formats           what stands in them
+opened            a file that was read, and the cycle in it
 """

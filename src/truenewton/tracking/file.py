@@ -11,7 +11,7 @@ from truenewton.errors import FormatError
 from truenewton.files.content import FitsFile
 from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
-from truenewton.records.file import ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.formats import ID, INSTRUMENT, NZ, X, Y
 from truenewton.tracking.law import Tracking
 
 UNITS = {"temperature": "1/K", "drift": "1/yr"}

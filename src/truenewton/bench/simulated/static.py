@@ -120,8 +120,7 @@ def static_bench(
 
     Examples
     --------
-    >>> bench = tn.static_bench(tn.mirrors.p45(), seed=1, force_noise=1e-4)
-    >>> bench.truth.loads
+    >>> tn.static_bench(tn.mirrors.p45(), seed=1).truth.loads
     ('bare', 'ring')
     """
     random = np.random.default_rng([seed, 0])
@@ -164,13 +163,9 @@ def static_bench(
 
 
 def _hung(
-    mirror: Mirror,
-    weight: float,
-    added: Array,
-    tilt: Array,
-    bias: Array,
+    mirror: Mirror, weight: float, added: Array, tilt: Array, bias: Array,
     random: np.random.Generator,
-) -> list[ExternalForces]:
+) -> list[ExternalForces]:  # fmt: skip
     """Return what acts on the glass under each load, the tool a little off its place."""
     external = []
     for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):

@@ -1,0 +1,65 @@
+"""Files of cycles as they are opened, here or by a worker of a cluster."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import NamedTuple
+
+from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
+from truenewton.files.content import FitsFile
+from truenewton.files.stored_rows import StoredRows
+from truenewton.records.cycle import Cycle
+from truenewton.records.file import cycle_from, holds_cycle, read_file
+
+
+class Opened(NamedTuple):
+    """A file that was read, and the cycle in it, or what is wrong with that; None of other files.
+
+    The fault is raised once all files are known: one that does not belong here is said first.
+    """
+
+    file: FitsFile
+    cycle: Cycle | TrueNewtonError | None
+
+    def require_cycle(self) -> Cycle:
+        """Return the cycle."""
+        if isinstance(self.cycle, TrueNewtonError):
+            raise self.cycle
+        return cycle_from(self.file) if self.cycle is None else self.cycle
+
+
+def open_file(path: str | os.PathLike[str], *, whole: bool) -> Opened:
+    """Open a file; if not whole, vector columns are left in it."""
+    file, cycle = read_file(path, whole=whole), None
+    if holds_cycle(file):
+        try:
+            cycle = cycle_from(file)
+        except TrueNewtonError as error:
+            return Opened(file, error)
+    return Opened(file, cycle)
+
+
+def open_by_worker(names: tuple[str, str]) -> Opened:
+    """Open a file whose rows stay in it, given its absolute path, and the name to call it by."""
+    path, name = names
+    try:
+        file = replace(read_file(path, whole=False), path=name)
+        if not holds_cycle(file):
+            return Opened(file, None)
+        cycle = cycle_from(file)
+        if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
+            raise FormatError(
+                "is gzipped, holds raw samples, or FORCE or POSITION has TSCAL or TDIM: no worker"
+                " can read parts of it",
+                remedy="write it anew, by write_cycle, or calibrate without a cluster",
+                path=name,
+            )
+        cycle.stroke  # noqa: B018  # reads POSITION, here rather than where all files are wanted
+        return Opened(file, cycle)
+    except TrueNewtonError as error:
+        if error.path == path:
+            error = error.changed(path=name)
+        if isinstance(error, UnreadableFile):
+            raise error from None
+        return Opened(file, error)
