@@ -155,7 +155,7 @@ async def channel(address: str, folder: Path, user: str = "") -> AsyncIterator[C
 
     It leaves without a word.
     """
-    client = Client(address, timeout=10.0)
+    client = Client(address, timeout=10.0, watchdog_intervall=60.0)  # silent by itself
     client.application_uri = keys.CLIENT_URI
     client.security_policy = SecurityPolicyBasic256Sha256(
         keys.read_certificate(folder / keys.SERVER_CERTIFICATE),

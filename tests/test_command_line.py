@@ -235,6 +235,7 @@ def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_
         "truenewton.prove/1": ("prove",),
         "truenewton.mirrors/1": ("mirrors",),
         "truenewton.mirror/1": ("mirrors", "p45"),
+        "truenewton.mirror/1, of one in segments": ("mirrors", "gmt"),
     }.items():
         values = json.loads(inside(*words, "--json")[1])
         assert list(values) == ["schema", *top[schema]], schema
@@ -246,7 +247,8 @@ def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_
                 assert list(part) == within[name], name
                 seen.add(name)
             elif isinstance(part, dict):  # of a name of its own, or told elsewhere
-                assert key in ("found", "invalid", "mirrors") or f"calibrate: {key}" in within
+                apart = "found", "invalid", "mirrors", "segmented", "calibration", "segments"
+                assert key in apart or f"calibrate: {key}" in within, key
     assert seen == set(within)
     values = json.loads(inside("info", alpha, "--json")[1])
     assert list(values) == ["schema", "holds", *top["truenewton.calibrate/1"]]

@@ -175,7 +175,7 @@ def test_on_a_real_lbt672_a_population_foretells_the_modes_it_has_not_seen():
     table = QTable.read(folder / "lbt672-tables.ecsv")
     assert np.array_equal(table["ID"], matrix.layout.id)
     efficiency = without_polynomial(np.log(table["MAGNET_EFFICIENCY"]), matrix.layout)
-    plain, pooled = (calibrate(matrix, population=population) for population in (False, True))
+    plain, pooled = (calibrate(matrix, "ml", population=each) for each in (False, True))
     _, odd, even = pooled.imbalances
     assert odd.after <= 0.026
     assert even.after <= 0.022

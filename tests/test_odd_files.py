@@ -14,6 +14,7 @@ from truenewton.acquisition.drift import scale_balance
 from truenewton.acquisition.journal import Journal, journal_path
 from truenewton.acquisition.plan import planned_mirror
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
+from truenewton.figures.style import plain
 from truenewton.files import opening
 from truenewton.files.fits import read_fits
 from truenewton.files.sizes import BLOCK, CARD, check_sizes
@@ -269,3 +270,7 @@ def test_a_journal_is_a_file(tmp_path):
     device(journal_path(tmp_path, Load("bare"), 1))
     with pytest.raises(UnreadableFile, match="is a pipe or a device"):
         Journal(tmp_path, Load("bare"), 1, 8)
+
+
+def test_a_name_of_odd_characters_is_a_label():
+    assert plain("a\x0b\ufffe b$") == r"a b\$"

@@ -573,3 +573,8 @@ def test_without_the_extra_its_name_is_told(inside, keys_folder, monkeypatch):
     code, _, err = inside("serve", "p45", "-o", keys_folder)
     assert (code, err.count("\n")) == (2, 1)
     assert "pip install 'truenewton[opcua]'" in err
+
+
+def test_an_address_that_names_no_host_is_one_fault(keys_folder):
+    with pytest.raises(BenchFault, match="cannot be reached"):
+        connect(choice("opc.tcp://"), keys_folder)

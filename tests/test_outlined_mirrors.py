@@ -314,9 +314,9 @@ def test_the_hexagon_of_the_page(inside, tmp_path, monkeypatch):
     mirror = mirror_from("hexagon.toml")
     assert mirror.layout.n == 37
     assert (0.0, 0.0) in zip(mirror.layout.x, mirror.layout.y, strict=True)
-    (commands,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    (commands,) = re.findall(r"```console\n(.*?)```", text, re.DOTALL)
     for line in commands.splitlines():
-        code, _, said = inside(*line.split()[1:])
+        code, _, said = inside(*line.removeprefix("$ truenewton ").split())
         assert code == 0, said
     found = tn.read_calibration("hexagon.fits")
     miss = (found.alpha - tn.read_truth("hexagon.truth.fits").alpha) / found.error

@@ -348,7 +348,7 @@ def test_the_page_holds_all_it_needs(p45):
 @pytest.mark.skipif("TRUENEWTON_REAL_DATA" not in os.environ, reason="TRUENEWTON_REAL_DATA unset")
 def test_a_real_mirror_is_told_within_its_limit():
     path = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits"
-    found = investigate(read(path))
+    found = investigate(read(path), "ml")
     judged = verdict(found)
     assert judged.title == "Limited"
     assert judged.sentence.startswith("Relative alpha of all 650 actuators of LBT672 is known")

@@ -14,6 +14,8 @@ from changed import check_alike, p45, said, with_forces
 
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.errors import TooManyOutliers
+from truenewton.estimation.sifted import sift
 from truenewton.mirrors.known import p45 as p45_mirror
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
@@ -425,3 +427,12 @@ def test_a_file_of_other_shapes_than_the_others_is_no_crash():
     files = changed(lambda c: replace(c, shape=c.shape + 1000), ONE)()
     made = tn.calibrate(Campaign(tuple(files)))
     assert np.max(np.abs(made.alpha / tn.calibrate(Campaign(tuple(quiet()))).alpha - 1)) < 1e-3
+
+
+def test_a_column_of_zeros_in_one_file_is_no_crash():
+    """The prints of rows are in single precision, where 1e-300 is nothing."""
+    first = np.arange(45) == 0
+    files = changed(lambda c: replace(c, force=np.where(first, 0.0, c.force)), ONE)()
+    frozen = pytest.raises(TooManyOutliers, match="frozen reading: actuator 1 in ring 3")
+    with np.errstate(divide="raise", invalid="raise"), frozen:
+        sift(Campaign(tuple(files)))

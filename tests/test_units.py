@@ -23,7 +23,7 @@ DATE = datetime.datetime(2026, 1, 2, tzinfo=datetime.UTC)
 N, ROWS = 4, 6
 LAYOUT = tn.layout(
     [0.1, 0.2, 0.3, 0.4], [0.0, 0.1, 0.0, 0.1], nz=np.full(N, 0.9), x_error=np.full(N, 1e-4),
-    y_error=np.full(N, 2e-4), id=[5, 6, 7, 8],
+    y_error=np.full(N, 2e-4), id=[5, 6, 7, 8], segment=np.ones(N, dtype=int),
 )  # fmt: skip
 LOAD = tn.Load("ring", -0.3, 0.01, "A", 1.5, 0.2)
 RANDOM = np.random.default_rng(1)
@@ -102,11 +102,11 @@ PLANNED = {
     },
     MirrorNumbers(
         name="T", shell=SHELL, weight=-3.0, weight_error=0.01, added_weight=-0.3,
-        added_weight_error=0.01,
+        added_weight_error=0.01, tool_radius=0.1,
     ): {
         "weight": "N", "weight_error": "N", "added_weight": "N", "added_weight_error": "N",
         "bias_force": "N", "magnet_mass": "kg", "alpha_range": "", "gap": "m", "puck_radius": "m",
-        "vent_radius": "m", "coil_gradient": "1/m", "bias_gradient": "N/m",
+        "vent_radius": "m", "tool_radius": "m", "coil_gradient": "1/m", "bias_gradient": "N/m",
     },
 }  # fmt: skip
 

@@ -204,7 +204,9 @@ def spoil(pick: random.Random, path: Path) -> str:
     suffixes = "".join(path.suffixes)
     if pick.random() < 0.04:
         return path_of(pick, path)
-    if suffixes.endswith((".fits", ".fits.gz")):
+    if path.read_bytes()[:2] == b"\x1f\x8b":  # packed, and may unpack to gigabytes
+        way = bytes_of
+    elif suffixes.endswith((".fits", ".fits.gz")):
         way = pick.choices((fits_data, fits_cards, bytes_of, packed), (60, 30, 8, 2))[0]
     elif suffixes.endswith(".toml"):
         way = pick.choices((toml, bytes_of), (95, 5))[0]

@@ -171,7 +171,9 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         note = f"DOF {c.goodness.degrees_of_freedom}, noise from {c.goodness.against}"
         if np.isfinite(c.goodness.probability):
             note += f", probability {c.goodness.probability:.2g}"
-        yield "fit", f"chi2/DOF = {c.goodness.reduced:.3g}", note
+        judged = np.isfinite(c.goodness.reduced)
+        value = f"chi2/DOF = {c.goodness.reduced:.3g}" if judged else "cannot be judged"
+        yield "fit", value, note
     if c.diagnosis is not None and c.diagnosis.weakest:
         note = f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2"
         yield "least known", c.diagnosis.weakest, note

@@ -95,7 +95,7 @@ def unlike_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ..
     rows = prints.common_rows()
     if len(rows) < 3 or rows.shape[1] < FEWEST:
         return ()
-    rows = rows - rows.mean(axis=1, keepdims=True)
+    rows = rows - rows.mean(axis=1, keepdims=True, dtype=np.float64)
     distance = np.zeros((len(rows), len(rows)))
     for one, other in combinations(range(len(rows)), 2):
         distance[one, other] = distance[other, one] = _apart(rows[one], rows[other])

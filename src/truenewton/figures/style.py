@@ -98,5 +98,5 @@ def legend_above(ax: Axes) -> None:
 
 def plain(text: str) -> str:
     """Return a name from a file as a label: on one line, not too long, and no formula in it."""
-    line = " ".join(text.split())
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return (line if len(line) <= LONGEST else f"{line[:LONGEST]}...").replace("$", r"\$")

@@ -44,7 +44,7 @@ class Hdf5Rows(StoredRows):
     dataset: str = ""
 
     def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
-        """Read the `span` of some rows; those that follow each other together."""
+        """Read the `span` of some rows, (rows, span); those that follow each other together."""
         if state_of(file) != self.state:
             raise EOFError
         first, last = self.span

@@ -55,6 +55,11 @@ class Averaged:
         (N,) samples of each row.
     force_variance, position_variance
         (N, n) variances of one sample [N^2], [m^2]; NaN of a lone one; None without POSITION.
+
+    Examples
+    --------
+    >>> tn.averaged("samples.h5").force_variance.shape
+    (2, 45)
     """
 
     cycle: Cycle
@@ -139,9 +144,19 @@ def holds_cycle(file: FitsFile) -> bool:
 def averaged(path: str | os.PathLike[str]) -> Averaged:
     """Average a file of raw samples (docs/files.md), which may be larger than memory.
 
+    Parameters
+    ----------
+    path
+        HDF5, with a group SAMPLES in the place of MEASUREMENTS.
+
     Raises
     ------
     UnreadableFile, FormatError
+
+    Examples
+    --------
+    >>> tn.averaged("samples.h5").number  # of a row
+    array([45, 45])
     """
     file = read_file(path, whole=False)
     if STREAM not in file.extensions:

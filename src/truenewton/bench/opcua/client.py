@@ -84,7 +84,10 @@ class OpcUaBench:
         self._commanded: int | None = None  # in which of them the last shape was commanded
         self._thread = ThreadLoop(timeout=None)
         self._thread.daemon = True
-        self._thread.start()
+        try:
+            self._thread.start()
+        except RuntimeError as error:
+            raise self._fault(f"gets no thread ({error})", "free memory or processes") from error
         self._one_at_a_time = threading.Lock()
         try:
             self._thread.post(self._connected())
@@ -191,6 +194,10 @@ class OpcUaBench:
                         " of server_certificate, or offers no Basic256Sha256, signed and encrypted",
                     ) from error
                 await asyncio.sleep(PAUSE)
+            except ValueError as error:  # of the address
+                raise self._fault(
+                    f"cannot be reached ({_text(error)})", "give opc.tcp://host:port"
+                ) from error
             except ua.UaError as error:
                 client.disconnect_socket()
                 raise self._fault(

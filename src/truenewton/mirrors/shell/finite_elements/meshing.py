@@ -83,7 +83,7 @@ def shell_mesh(shell: Shell, x: Array, y: Array, *, mesh_size: float) -> Mesh:
 
 def _circle(radius: float, mesh_size: float) -> Array:
     """Return the polygon of a circle's area: its edge errs inward as much as outward."""
-    finest = 1e-4 * radius  # in its stead what is no size at all, refused further on
+    finest = radius / 150  # sides are divided further on, and sizes too small are refused
     count = max(16, int(np.ceil(2 * np.pi * radius / max(finest, mesh_size))))
     step = 2 * np.pi / count
     angle = step * np.arange(count)
