@@ -30,7 +30,7 @@ test-newest:
 
 # The site, into docs/_build; what its tutorials show is computed here.
 docs: .venv-docs/ready
-	.venv-docs/bin/python -m sphinx --quiet --fail-on-warning --keep-going --nitpicky docs docs/_build
+	OPENBLAS_NUM_THREADS=1 .venv-docs/bin/python -m sphinx --quiet --fail-on-warning --keep-going --nitpicky docs docs/_build
 	.venv-docs/bin/python docs/searched.py docs/_build
 
 # Against the published opticalib: 0.7 GB, so it is not part of `make test-all`.

@@ -24,10 +24,11 @@ extensions = [
     "sphinx-mathjax-offline",
     "site_pages",
 ]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "jupyter_execute"]
 nitpicky = True
 smartquotes = False  # a prime is a transpose
-nitpick_ignore_regex = [("py:class", r"numpy\._typing\..*|TypeAliasForwardRef|tuple\[float")]
+# Overloads stand as they are written, with the alias.
+nitpick_ignore_regex = [("py:class", r"numpy\._typing\..*|TypeAliasForwardRef|tuple\[float|Array")]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -36,7 +37,7 @@ os.environ["IPYTHONDIR"] = str(Path(__file__).parent / "ipython")
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 nb_execution_mode = "force"
 nb_execution_in_temp = True
-nb_execution_timeout = 120
+nb_execution_timeout = 300  # [s] a cell, also where the machine has other work
 nb_execution_raise_on_error = True
 nb_merge_streams = True
 

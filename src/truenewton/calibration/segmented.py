@@ -181,7 +181,7 @@ class SegmentedCalibration:
         """When they end (UTC)."""
         return max(one.date_end for one in self.segments.values())
 
-    def of_actuators(self, value: Callable[[Calibration], Array]) -> Array:
+    def _of_actuators(self, value: Callable[[Calibration], Array]) -> Array:
         """Return (n,) what each segment has of its actuators; NaN of those refused."""
         out = np.full(self.layout.n, np.nan)
         for number, one in self.segments.items():
@@ -191,27 +191,27 @@ class SegmentedCalibration:
     @property
     def alpha(self) -> Array:
         """(n,) true Newton / commanded Newton."""
-        return self.of_actuators(lambda one: one.alpha)
+        return self._of_actuators(lambda one: one.alpha)
 
     @property
     def error(self) -> Array:
         """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
-        return self.of_actuators(lambda one: one.error)
+        return self._of_actuators(lambda one: one.error)
 
     @property
     def reading_error(self) -> Array:
         """(n,) E_STAT, from the noise of the readings."""
-        return self.of_actuators(lambda one: one.reading_error)
+        return self._of_actuators(lambda one: one.reading_error)
 
     @property
     def systematic_error(self) -> Array:
         """(n,) E_SYST, from the weights: of one segment in common."""
-        return self.of_actuators(lambda one: one.systematic_error)
+        return self._of_actuators(lambda one: one.systematic_error)
 
     @property
     def cycle_error(self) -> Array:
         """(n,) E_CYCLE, the paper's."""
-        return self.of_actuators(lambda one: one.cycle_error)
+        return self._of_actuators(lambda one: one.cycle_error)
 
     @property
     def table(self) -> QTable:
