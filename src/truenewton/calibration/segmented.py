@@ -13,10 +13,11 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.errors import FormatError, RankDeficient, UnknownName
+from truenewton.errors import FormatError, RankDeficient
 from truenewton.files.format import quantities
 from truenewton.records.fault import Fault
 from truenewton.records.notebook import html_table
+from truenewton.records.segment import require_segment
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
@@ -117,13 +118,7 @@ class SegmentedCalibration:
         if number in self.refused:
             fault, remedy = self.refused[number][0]
             raise RankDeficient(f"segment {number} gave no alpha: {fault}", remedy=remedy)
-        if number not in self.segments:
-            raise UnknownName(
-                f"there is no segment {number}",
-                remedy=f"choose {', '.join(map(str, self.numbers))}",
-                got=number,
-                want=self.numbers,
-            )
+        require_segment(number, self.numbers)
         return self.segments[number]
 
     @property

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from truenewton.errors import FormatError, TrueNewtonError
+from truenewton.errors import FormatError, TrueNewtonError, UnknownName
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load, check_error, check_load, check_number, check_weight
@@ -100,3 +101,19 @@ def sums_of(segments: tuple[Segment, ...]) -> dict[str, float]:
         "added": added,
         "added_error": added_error,
     }
+
+
+def require_segment(number: int, numbers: Sequence[int]) -> None:
+    """Refuse the number of a segment that is not there.
+
+    Raises
+    ------
+    UnknownName
+    """
+    if number not in numbers:
+        raise UnknownName(
+            f"there is no segment {number}",
+            remedy=f"choose {', '.join(map(str, numbers))}",
+            got=number,
+            want=numbers,
+        )

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError, UnknownName
+from truenewton.errors import FormatError
 from truenewton.records.campaign import Campaign, ordered_cycles, refuse_foreign
 from truenewton.records.cycle import Cycle
 from truenewton.records.fault import Fault
+from truenewton.records.segment import require_segment
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, significant
 from truenewton.statics.layout import Layout
@@ -97,13 +98,7 @@ class SegmentedData:
         GeometryError, FormatError
             It has no actuator that is enabled, or its data hold what they may not.
         """
-        if number not in self.numbers:
-            raise UnknownName(
-                f"there is no segment {number}",
-                remedy=f"choose {', '.join(map(str, self.numbers))}",
-                got=number,
-                want=self.numbers,
-            )
+        require_segment(number, self.numbers)
         matrix = None if self.stiffness is None else segment_of_matrix(self.stiffness, number)
         if self.cycles:
             return Campaign(tuple(cycle.of_segment(number) for cycle in self.cycles), matrix)
