@@ -143,7 +143,8 @@ def judge(command: str, words: list[str], code: int, out: str, error: str) -> st
         except ValueError:
             found = True
         return f"JSON: {out[:60]!r}" if found else ""
-    out = re.sub(r"radius_of_curvature +inf|written: .*|'[^']*'", "", out)  # a flat glass; any name
+    # A flat glass; any name, any cause that was not seen.
+    out = re.sub(r"radius_of_curvature +inf|written: .*|'[^']*'|% if \w+", "", out)
     if code == 0 and (said := re.search(r".*\b(?<!/)(nan|inf)\b(?!:|/).*", out)):
         return f"said: {re.sub(r'[0-9.]+', '#', said[0])[:90]}"
     return ""

@@ -10,7 +10,8 @@ from balanced import p45_bench
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
-from truenewton.estimation.matrix_faults import condensed, row_order
+from truenewton.estimation.matrix_faults import condensed, relative_couplings, row_order
+from truenewton.estimation.reciprocity.condensation import odd_actuators
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.mirrors.known import mmt336
 from truenewton.modal.findings import find_modes
@@ -255,3 +256,12 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
         f"actuator {i}" for i in layout.id[sector]
     }
     assert all("its sensor has another gain" in effect.name for effect in sifted.effects)
+
+
+def test_most_own_stiffnesses_may_be_zero():
+    """No division by zero in what judges a matrix; one that does not yield cannot be left free."""
+    k = p45_bench().truth.stiffness.copy()
+    lost = np.arange(33)
+    k[lost, lost] = 0.0
+    assert np.isfinite(relative_couplings(k)).all()
+    assert not np.isin(odd_actuators(k), lost).any()

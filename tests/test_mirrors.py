@@ -111,6 +111,8 @@ def test_a_table_with_units_and_names(mine):
         ("[shell]", "[sensor]\nouter_radius = 0.001\n[shell]", GeometryError, "a sensor from"),
         ("[shell]", "[sensor]\nouter_radius = 0.05\n[shell]", GeometryError, "its sensor reaches"),
         ("[shell]", "alpha_range = [0.0, 1.1]\n[shell]", FormatError, "alpha_range is [0.0, 1.1]"),
+        ("[shell]", "alpha_range = [5e-324, 1.0]\n[shell]", FormatError, "positive and near 1"),
+        ("[shell]", "coil_gradient = -1e6\n[shell]", FormatError, "sign within the gap"),
         ("actuators.csv", "nowhere.csv", UnreadableFile, "cannot be read"),
         ("actuators.csv", "mine.toml", FormatError, "lacks column 'X'"),
     ],

@@ -155,7 +155,8 @@ def row_order(k: Array) -> NDArray[np.int64]:
 def relative_couplings(k: Array) -> Array:
     """Return (n, n) elements in terms of the own stiffness of both actuators."""
     own = np.sqrt(np.abs(np.diag(k)))
-    own = np.where(own > 0.0, own, np.median(own))
+    stiff = own > 0.0
+    own = np.where(stiff, own, np.median(own[stiff]) if stiff.any() else 1.0)
     return np.asarray(k / np.outer(own, own))
 
 

@@ -25,6 +25,7 @@ from truenewton.records.file import SUFFIXES
 from truenewton.statics.layout import FARTHEST
 
 MOST = 1e15  # of any number of a mirror, stiff glass included
+LEAST_ALPHA = 1e-3  # below and above its inverse the unit of force is wrong
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,10 +123,17 @@ def _mirror_in(path: Path) -> Mirror:
                 path=path,
             )
     low, high = written.alpha_range
-    if not 0 < low <= high < np.inf:
+    if not LEAST_ALPHA <= low <= high <= 1.0 / LEAST_ALPHA:
         raise FormatError(
             f"alpha_range is {list(written.alpha_range)}",
-            remedy="give the lowest and highest alpha, positive",
+            remedy="give the lowest and highest alpha, positive and near 1",
+            path=path,
+        )
+    if abs(written.coil_gradient) * written.gap >= 1.0:
+        raise FormatError(
+            f"coil_gradient is {written.coil_gradient:g} per metre, with which a coil's force would"
+            " change its sign within the gap",
+            remedy="give the relative change of force per metre, as 600",
             path=path,
         )
     numbers = dict(vars(written))

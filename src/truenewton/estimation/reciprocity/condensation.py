@@ -34,7 +34,10 @@ def odd_actuators(stiffness: Array) -> NDArray[np.int64]:
     at, rest = np.arange(len(stiffness)), stiffness
     found, size = list[int](), _asymmetry(stiffness)
     while len(found) <= max(2, int(MOST * len(stiffness))):
-        tried = np.argsort(-size)[:CANDIDATES]
+        worst = np.argsort(-size)
+        tried = worst[rest.diagonal()[worst] != 0.0][:CANDIDATES]  # one that yields can be free
+        if not tried.size:
+            break
         left = [_asymmetry(_without(rest, int(k))) for k in tried]
         best = int(np.argmin([np.sum(each**2) for each in left]))
         usual = np.median(size)
