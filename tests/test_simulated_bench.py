@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from accuracy import rms
+from segments import bound
 
 import truenewton as tn
 from truenewton.bench.protocol import Bench, Shape
@@ -141,3 +143,14 @@ def test_unknown_fidelity_and_a_gap_that_closes_are_refused():
         tn.SimulatedBench(p45(), fidelity="quantum")
     with pytest.raises(GeometryError, match="closes the gap"):
         static_bench(p45(), 1, stroke=7e-5)
+
+
+def test_the_bound_of_cramer_and_rao_is_that_of_the_force_on_the_magnets():
+    """Whatever COILGRAD takes from the commands; and E_STAT is that bound where noise is little."""
+    plan = static_bench(replace(p45(), coil_gradient=1e5), 1, force_noise=1e-5)
+    plan = replace(plan, sensors=replace(plan.sensors, gain=np.ones(45)))
+    least = bound(plan, 2)
+    even = replace(plan, coils=replace(plan.coils, coil_gradient=0.0))
+    assert least == pytest.approx(bound(even, 2), rel=1e-6)
+    found = tn.calibrate(tn.Campaign(tuple(run_cycles(plan, 2))))
+    assert rms(found.reading_error) == pytest.approx(rms(least), rel=0.03)
