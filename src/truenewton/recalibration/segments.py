@@ -86,25 +86,7 @@ def recalibrate_segments(
     >>> {number: part.asked for number, part in made.segments.items()}
     {1: (17,), 2: ()}
     """
-    name = "the earlier calibration"
-    if isinstance(known, str | os.PathLike):
-        name, read = os.fspath(known), read_known(known)
-        if not isinstance(read, KnownOfSegments):
-            raise FormatError(
-                f"is of one body, and the run has {len(data.numbers)} segments",
-                remedy="choose the segment: --segment",
-                path=name,
-            )
-        known = read
-    before, layout = known, data.layout
-    if not (known.instrument == data.instrument and known.layout.same_actuators_as(layout)):
-        raise CampaignMismatch(
-            "has other actuators than the run"
-            if known.instrument == data.instrument
-            else f"is of {known.instrument}, the run of {data.instrument}",
-            remedy="give the calibration of the same mirror",
-            path=name,
-        )
+    before, layout = _known_of(data, known), data.layout
     for unknown in (one for one in actuators if one not in layout.id[layout.enabled]):
         raise UnknownName(
             f"there is no actuator {unknown} that is enabled",
@@ -127,6 +109,31 @@ def recalibrate_segments(
     whole = SegmentedCalibration(data.instrument, layout, calibrations, refused)
     warn_of(whole)
     return SegmentedRecalibration(whole, made)
+
+
+def _known_of(
+    data: SegmentedData, known: KnownOfSegments | str | os.PathLike[str]
+) -> KnownOfSegments:
+    """Return what is known of the mirror of a run."""
+    name = "the earlier calibration"
+    if isinstance(known, str | os.PathLike):
+        name, read = os.fspath(known), read_known(known)
+        if not isinstance(read, KnownOfSegments):
+            raise FormatError(
+                f"is of one body, and the run has {len(data.numbers)} segments",
+                remedy="choose the segment: --segment",
+                path=name,
+            )
+        known = read
+    if not (known.instrument == data.instrument and known.layout.same_actuators_as(data.layout)):
+        raise CampaignMismatch(
+            "has other actuators than the run"
+            if known.instrument == data.instrument
+            else f"is of {known.instrument}, the run of {data.instrument}",
+            remedy="give the calibration of the same mirror",
+            path=name,
+        )
+    return known
 
 
 def _recalibrated(
