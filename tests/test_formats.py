@@ -11,7 +11,7 @@ from truenewton.calibration.segment_file import SEGMENTED
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
 from truenewton.records.formats import CYCLE, SEGMENTS, STIFFNESS
-from truenewton.tracking.file import TRACKING
+from truenewton.tracking.file import SEGMENTED_TRACKING, TRACKING
 
 DOCS = Path(__file__).parents[1] / "docs" / "files.md"
 KINDS = {
@@ -29,6 +29,7 @@ FORMATS = {
     "The calibration file": CALIBRATION,
     "The calibration of several segments": SEGMENTED,
     "The tracking file": TRACKING,
+    "The tracking of several segments": SEGMENTED_TRACKING,
     "The modal base": MODES,
     "The truth of a simulation": TRUTH,
     "The plain matrices": PLAIN["ff_matrix"],

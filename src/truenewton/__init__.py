@@ -59,6 +59,7 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.reading import read_campaign as read_campaign
     from truenewton.reading import read_stiffness as read_stiffness
     from truenewton.recalibration.fit import recalibrate as recalibrate
+    from truenewton.recalibration.segments import recalibrate_segments as recalibrate_segments
     from truenewton.records.campaign import Campaign as Campaign
     from truenewton.records.cycle import Cycle as Cycle
     from truenewton.records.file import Averaged as Averaged
@@ -80,6 +81,7 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.tracking.file import read_tracking as read_tracking
     from truenewton.tracking.fit import track as track
     from truenewton.tracking.law import Tracking as Tracking
+    from truenewton.tracking.segments import track_segments as track_segments
     from truenewton.tracking.validity import Validity as Validity
     from truenewton.tracking.validity import validity_of as validity_of
 
@@ -116,6 +118,7 @@ _NAMES = {
     "planning.outlook": ["read_outlook"],
     "reading": ["read", "read_calibration", "read_campaign", "read_stiffness"],
     "recalibration.fit": ["recalibrate"],
+    "recalibration.segments": ["recalibrate_segments"],
     "records.campaign": ["Campaign"],
     "records.cycle": ["Cycle"],
     "records.file": ["Averaged", "averaged", "write_campaign", "write_cycle", "write_stiffness"],
@@ -130,6 +133,7 @@ _NAMES = {
     "tracking.file": ["read_tracking"],
     "tracking.fit": ["track"],
     "tracking.law": ["Tracking"],
+    "tracking.segments": ["track_segments"],
     "tracking.validity": ["Validity", "validity_of"],
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}

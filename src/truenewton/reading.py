@@ -6,13 +6,14 @@ import os
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import overload
+from typing import TypeVar, overload
 
 import numpy as np
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_file import any_calibration_from
 from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.segments import InSegments
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client, each
 from truenewton.errors import FormatError, TrueNewtonError, located
@@ -27,6 +28,7 @@ AnyPath = str | os.PathLike[str]
 IN_MEMORY = 2**28  # bytes; of files that are larger together FORCE and POSITION stay on disk
 Body = Campaign | StiffnessMatrix | Calibration  # of a mirror in one piece
 Read = Body | SegmentedData | SegmentedCalibration
+Part = TypeVar("Part")
 KINDS: dict[type, tuple[str, str]] = {  # what paths hold, and what reads it
     Campaign: ("cycles", "read_campaign"),
     StiffnessMatrix: ("a stiffness matrix", "read_stiffness"),
@@ -118,6 +120,11 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     return Campaign(cycles, beside)
 
 
+def of_several(data: object) -> bool:
+    """Tell whether data, or a calibration, are of a mirror in several segments."""
+    return isinstance(data, SegmentedData | SegmentedCalibration)
+
+
 @overload
 def of_segment(
     data: Calibration | SegmentedCalibration, number: int | None, path: object
@@ -139,17 +146,7 @@ def of_segment(data: Read, number: int | None, path: object) -> Body:
         There is no such segment, or nothing of it.
     """
     if isinstance(data, SegmentedData | SegmentedCalibration):
-        if number is None:
-            raise FormatError(
-                f"has {len(data.numbers)} segments, and this takes one at a time",
-                remedy=f"choose it by its number: --segment {data.numbers[0]}, or"
-                f" segment({data.numbers[0]}) in Python",
-                path=path,
-            )
-        try:
-            return data.segment(number)
-        except TrueNewtonError as error:
-            raise located(error, path) from None
+        return part_of(data, number, path)
     alone = (
         isinstance(data, Calibration)
         or number in np.unique(np.asarray(data.layout.segment)).tolist()
@@ -157,6 +154,29 @@ def of_segment(data: Read, number: int | None, path: object) -> Body:
     if number is not None and not alone:
         raise FormatError("is of a mirror in one piece", remedy="leave --segment out", path=path)
     return data
+
+
+def part_of(data: InSegments[Part], number: int | None, path: object) -> Part:
+    """Return what there is of one of several segments.
+
+    Raises
+    ------
+    FormatError
+        None is chosen.
+    UnknownName, GeometryError, RankDeficient
+        There is no such segment, or nothing of it.
+    """
+    if number is None:
+        raise FormatError(
+            f"has {len(data.numbers)} segments, and this takes one at a time",
+            remedy=f"choose it by its number: --segment {data.numbers[0]}, or"
+            f" segment({data.numbers[0]}) in Python",
+            path=path,
+        )
+    try:
+        return data.segment(number)
+    except TrueNewtonError as error:
+        raise located(error, path) from None
 
 
 def read_one(*paths: AnyPath, segment: int | None = None) -> Body:

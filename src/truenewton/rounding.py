@@ -72,6 +72,22 @@ def listed(names: Iterable[object], most: int) -> str:
     return f"{', '.join(first)} and {last}" if first else last
 
 
+def numbered(noun: str, numbers: Sequence[int]) -> str:
+    """Return a noun with ascending numbers, runs of them from end to end: 'segments 1 to 3, 5'."""
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    said = [
+        part
+        for run in runs
+        for part in ([f"{run[0]} to {run[-1]}"] if len(run) > 2 else map(str, run))
+    ]
+    return f"{noun if len(numbers) == 1 else f'{noun}s'} {', '.join(said)}"
+
+
 def named(noun: str, names: Sequence[object], most: int) -> str:
     """Return a noun with the names of those that are meant, as 'actuators 3, 5 and 8'."""
     return f"{noun if len(names) == 1 else f'{noun}s'} {listed(names, most)}"

@@ -7,7 +7,7 @@ calibration file of its own, its extensions under its number as EXTVER.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat
 from truenewton.records.fault import Fault
 from truenewton.records.formats import ENABLED, ID, INSTRUMENT, NZ, X, Y
+from truenewton.records.of_segments import OfSegments
 from truenewton.statics.layout import Layout
 
 ALPHA = TableFormat(
@@ -38,6 +39,18 @@ ALPHA = TableFormat(
         ENABLED,
     ),
 )
+
+REFUSED = TableFormat(
+    "REFUSED",
+    (
+        Column("SEGMENT", "segment", kind="int"),
+        Column("FAULT", "fault", kind="str"),
+        Column("REMEDY", "remedy", kind="str"),
+    ),
+    of="refusals",
+    optional=True,
+)
+Whole = TypeVar("Whole", bound=OfSegments[Any])
 
 
 def _each(value: Callable[[Calibration], Any], none: Any) -> Callable[[SegmentedCalibration], Any]:
@@ -77,16 +90,7 @@ SEGMENTED = FileFormat(
                 Column("DOF", _each(lambda one: one.degrees_of_freedom or 0, 0), kind="int"),
             ),
         ),
-        TableFormat(
-            "REFUSED",
-            (
-                Column("SEGMENT", "segment", kind="int"),
-                Column("FAULT", "fault", kind="str"),
-                Column("REMEDY", "remedy", kind="str"),
-            ),
-            of="refusals",
-            optional=True,
-        ),
+        REFUSED,
     ),
 )
 
@@ -99,26 +103,46 @@ def segmented_from(file: FitsFile) -> SegmentedCalibration:
     FormatError
         The file breaks the contract of such a calibration file.
     """
-    values = file.values(SEGMENTED)
-    alpha = values.pop("alpha")
-    values["layout"] = file.filled(Layout, values["layout"])
-    rows = values.pop("refusals", {"segment": np.empty(0, dtype=int), "fault": (), "remedy": ()})
+    return whole_from(file, SEGMENTED, SegmentedCalibration, calibration_from)
+
+
+def whole_from(
+    file: FitsFile, form: FileFormat, kind: type[Whole], part_from: Callable[[FitsFile], Any]
+) -> Whole:
+    """Return what a file holds of all segments.
+
+    Parameters
+    ----------
+    file
+        As it was read.
+    form
+        Of what is common to the segments: its first table holds ALPHA of all actuators.
+    kind, part_from
+        What is made, and what makes that of a segment of what stands under its EXTVER.
+
+    Raises
+    ------
+    FormatError
+    """
+    values = file.values(form)
+    layout = file.filled(Layout, values["layout"])
+    rows = values.get("refusals", {"segment": np.empty(0, dtype=int), "fault": (), "remedy": ()})
     refused: dict[int, tuple[Fault, ...]] = {}
     for number, *fault in zip(rows["segment"].tolist(), rows["fault"], rows["remedy"], strict=True):
         refused[number] = (*refused.get(number, ()), Fault(*fault))
     segments = {}
     for number, version in file.versions.items():
         try:
-            segments[number] = calibration_from(version)
+            segments[number] = part_from(version)
         except TrueNewtonError as error:
             raise error.changed(fault=f"of segment {number}, {error.fault}") from None
     try:
-        made = SegmentedCalibration(**values, segments=segments, refused=refused)
+        made = kind(values["instrument"], layout, segments, refused)
     except TrueNewtonError as error:
         raise located(error, file.path) from None
-    if not np.array_equal(made.alpha, alpha, equal_nan=True):
+    if not np.array_equal(made.alpha, values["alpha"], equal_nan=True):
         raise FormatError(
-            "ALPHA is not that of the segments", remedy="calibrate again", path=file.path
+            "ALPHA is not that of the segments", remedy="make the file again", path=file.path
         )
     return made
 

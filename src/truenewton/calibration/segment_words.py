@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.verdict import Level
+from truenewton.calibration.verdict import Level, Verdict
 from truenewton.calibration.words import row, summary_values, verdict_lines
 from truenewton.estimation.weights import typical
 from truenewton.rounding import counted, percent, to_digits, with_error
@@ -69,10 +69,7 @@ def segmented_values(c: SegmentedCalibration) -> dict[str, Any]:
             if number in c.segments
             else {
                 "segment": number,
-                "verdict": {
-                    "level": str(Level.NONE),
-                    "faults": [fault._asdict() for fault in c.refused[number]],
-                },
+                "verdict": Verdict(Level.NONE, c.refused[number]).values,
             }
             for number in c.numbers
         ],

@@ -4,22 +4,18 @@ from __future__ import annotations
 
 import datetime
 import os
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
-from truenewton.errors import FormatError, RankDeficient
 from truenewton.files.format import quantities
 from truenewton.records.fault import Fault
 from truenewton.records.notebook import html_table
-from truenewton.records.segment import require_segment
+from truenewton.records.of_segments import OfSegments
 from truenewton.rounding import counted
-from truenewton.statics.layout import Layout
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -28,16 +24,8 @@ if TYPE_CHECKING:
     from truenewton.calibration.verdict import Verdict
 
 
-class Refusal(NamedTuple):
-    """Why a segment gave no alpha, and what to do about it."""
-
-    segment: int
-    fault: str
-    remedy: str
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class SegmentedCalibration:
+class SegmentedCalibration(OfSegments[Calibration]):
     """True Newtons per commanded Newton of all segments, each calibrated by itself.
 
     Arrays over actuators are in the order of ``layout``, NaN where an actuator is disabled, or its
@@ -61,30 +49,6 @@ class SegmentedCalibration:
     ({1: 'ml', 2: 'ml'}, 0)
     """
 
-    instrument: str
-    layout: Layout
-    segments: Mapping[int, Calibration]
-    refused: Mapping[int, tuple[Fault, ...]]
-
-    def __post_init__(self) -> None:
-        numbers = sorted((*self.segments, *self.refused))
-        if not self.segments or tuple(numbers) != self.layout.segments:
-            raise FormatError(
-                "SEGMENTS does not name each segment of the actuators once",
-                remedy="calibrate again",
-                got=tuple(numbers),
-                want=self.layout.segments,
-            )
-        for number, one in self.segments.items():
-            if not np.array_equal(one.layout.id, self.layout.id[self.layout.segment == number]):
-                raise FormatError(
-                    f"the actuators of segment {number} are not those of the mirror",
-                    remedy="calibrate again",
-                )
-        for name in ("segments", "refused"):
-            ordered = dict(sorted(getattr(self, name).items()))
-            object.__setattr__(self, name, MappingProxyType(ordered))
-
     def __repr__(self) -> str:
         no = f", {len(self.refused)} refused" if self.refused else ""
         alpha = self.alpha[np.isfinite(self.alpha)]
@@ -101,27 +65,6 @@ class SegmentedCalibration:
         return html_table(repr(self)[1:-1], segment_rows(self), warning_lines(self.verdict.faults))
 
     @property
-    def numbers(self) -> tuple[int, ...]:
-        """Of the segments, ascending; also of those refused."""
-        return self.layout.segments
-
-    def segment(self, number: int) -> Calibration:
-        """Return the calibration of one segment.
-
-        Raises
-        ------
-        UnknownName
-            There is no such segment.
-        RankDeficient
-            It gave no alpha; the message says why.
-        """
-        if number in self.refused:
-            fault, remedy = self.refused[number][0]
-            raise RankDeficient(f"segment {number} gave no alpha: {fault}", remedy=remedy)
-        require_segment(number, self.numbers)
-        return self.segments[number]
-
-    @property
     def verdict(self) -> Verdict:
         """That of the segments together; each fault names its segment."""
         from truenewton.calibration.verdict import verdict_on_segments
@@ -135,13 +78,6 @@ class SegmentedCalibration:
 
         return bool(self.refused) or any(
             one.doubtful or one.verdict.level == Level.UNUSABLE for one in self.segments.values()
-        )
-
-    @property
-    def refusals(self) -> tuple[Refusal, ...]:
-        """The same as ``refused``, in rows."""
-        return tuple(
-            Refusal(number, *fault) for number, faults in self.refused.items() for fault in faults
         )
 
     def without_unusable(self) -> SegmentedCalibration:
@@ -176,37 +112,25 @@ class SegmentedCalibration:
         """When they end (UTC)."""
         return max(one.date_end for one in self.segments.values())
 
-    def _of_actuators(self, value: Callable[[Calibration], Array]) -> Array:
-        """Return (n,) what each segment has of its actuators; NaN of those refused."""
-        out = np.full(self.layout.n, np.nan)
-        for number, one in self.segments.items():
-            out[self.layout.segment == number] = value(one)
-        return out
-
-    @property
-    def alpha(self) -> Array:
-        """(n,) true Newton / commanded Newton."""
-        return self._of_actuators(lambda one: one.alpha)
-
     @property
     def error(self) -> Array:
         """(n,) E_ALPHA, the standard uncertainty of alpha, everything included."""
-        return self._of_actuators(lambda one: one.error)
+        return self.of_actuators(lambda one: one.error)
 
     @property
     def reading_error(self) -> Array:
         """(n,) E_STAT, from the noise of the readings."""
-        return self._of_actuators(lambda one: one.reading_error)
+        return self.of_actuators(lambda one: one.reading_error)
 
     @property
     def systematic_error(self) -> Array:
         """(n,) E_SYST, from the weights: of one segment in common."""
-        return self._of_actuators(lambda one: one.systematic_error)
+        return self.of_actuators(lambda one: one.systematic_error)
 
     @property
     def cycle_error(self) -> Array:
         """(n,) E_CYCLE, the paper's."""
-        return self._of_actuators(lambda one: one.cycle_error)
+        return self.of_actuators(lambda one: one.cycle_error)
 
     @property
     def table(self) -> QTable:

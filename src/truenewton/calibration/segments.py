@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -22,11 +24,29 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData, coupling_faults
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout
 
 LARGE = 200  # actuators of a segment: below, it is solved before a process has started
 Solve = Callable[..., Calibration]
-Body = Campaign | StiffnessMatrix
+Body = TypeVar("Body")
 Found = TypeVar("Found")
+BodyOf = TypeVar("BodyOf", covariant=True)
+Tell = Callable[[int, int], None]
+
+
+class InSegments(Protocol[BodyOf]):
+    """What there is of each segment of a mirror."""
+
+    @property
+    def layout(self) -> Layout:
+        """All actuators."""
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """Of the segments, ascending."""
+
+    def segment(self, number: int) -> BodyOf:
+        """Return what there is of one."""
 
 
 def calibrate_segments(
@@ -54,24 +74,14 @@ def calibrate_segments(
     -----
     TrueNewtonWarning
     """
-    numbers, segment = data.numbers, np.asarray(data.layout.segment)
+    segment = np.asarray(data.layout.segment)
 
-    def solver(number: int) -> Callable[[Body], Calibration]:
+    def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], Calibration]:
         own = segment == number
         return partial(solve, motion=None if motion is None else motion[np.ix_(own, own)])
 
-    answers = list(of_each(data, solver, processes))
-    made = {
-        number: replace(
-            answer, layout=replace(answer.layout)
-        )  # from elsewhere, it may be written to
-        for number, answer in zip(numbers, answers, strict=True)
-        if isinstance(answer, Calibration)
-    }
-    refused = {k: (a,) for k, a in zip(numbers, answers, strict=True) if isinstance(a, Fault)}
-    if not made:
-        number, ((fault, remedy),) = next(iter(refused.items()))
-        raise RankDeficient(f"no segment gives alpha; segment {number}: {fault}", remedy=remedy)
+    made, refused = sorted_out(data, of_each(data, solver, processes), "alpha")
+    made = {number: frozen_again(one) for number, one in made.items()}
     if data.stiffness is not None:
         for number, coupled in coupling_faults(data.stiffness).items():
             if number in made:
@@ -81,8 +91,55 @@ def calibrate_segments(
     return whole
 
 
+def sorted_out(
+    data: InSegments[Any], answers: Iterable[Found | Fault], what: str
+) -> tuple[dict[int, Found], dict[int, tuple[Fault, ...]]]:
+    """Return what was found of each segment by its number, and why nothing of the others.
+
+    Raises
+    ------
+    RankDeficient
+        No segment gives what is wanted.
+    """
+    made: dict[int, Found] = {}
+    refused: dict[int, tuple[Fault, ...]] = {}
+    for number, answer in zip(data.numbers, answers, strict=True):
+        if isinstance(answer, Fault):
+            refused[number] = (answer,)
+        else:
+            made[number] = answer
+    if not made:
+        number, ((fault, remedy),) = next(iter(refused.items()))
+        raise RankDeficient(f"no segment gives {what}; segment {number}: {fault}", remedy=remedy)
+    return made, refused
+
+
+def frozen_again(calibration: Calibration) -> Calibration:
+    """Return a calibration that came from another process, where it could be written to."""
+    return replace(calibration, layout=replace(calibration.layout))
+
+
+@contextmanager
+def telling(tell: Tell) -> Iterator[None]:
+    """Have somebody told, inside, how many segments are done, and of how many."""
+    token = _TELL.set(tell)
+    try:
+        yield
+    finally:
+        _TELL.reset(token)
+
+
+def _nobody(done: int, total: int) -> None:
+    """Tell nobody."""
+
+
+_TELL: ContextVar[Tell] = ContextVar("tell", default=_nobody)
+
+
 def of_each(
-    data: SegmentedData, solver: Callable[[int], Callable[[Body], Found]], processes: int | None
+    data: InSegments[Body],
+    solver: Callable[[int], Callable[[Body], Found]],
+    processes: int | None,
 ) -> Iterator[Found | Fault]:
     """Yield what is found of each segment, or why nothing is.
 
@@ -102,22 +159,28 @@ def of_each(
         except UnreadableFile:
             raise
         except TrueNewtonError as error:
-            return _same, Fault(error.fault, error.remedy)
+            return _same, _fault_of(error)
 
     if processes is None:
         largest = int(np.unique(np.asarray(data.layout.segment), return_counts=True)[1].max())
         processes = processors() if largest >= LARGE and sys.executable else 1
-    calls = [partial(work, number) for number in data.numbers]
+    calls, tell = [partial(work, number) for number in data.numbers], _TELL.get()
+    tell(0, len(calls))
     if processes > 1:
-        yield from side_by_side(calls, min(processes, len(calls)))
-        return
-    for call in calls:
-        attempt, given = call()
-        yield attempt(given)
+        answers = side_by_side(calls, min(processes, len(calls)))
+    else:
+        answers = (attempt(given) for attempt, given in (call() for call in calls))
+    for done, answer in enumerate(answers, 1):
+        yield answer
+        tell(done, len(calls))
 
 
 def _same(fault: Fault) -> Fault:
     return fault
+
+
+def _fault_of(error: TrueNewtonError) -> Fault:
+    return Fault(f"{error.path}: {error.fault}" if error.path else error.fault, error.remedy)
 
 
 def _attempt(solve: Callable[[Body], Found], body: Body) -> Found | Fault:
@@ -130,7 +193,7 @@ def _attempt(solve: Callable[[Body], Found], body: Body) -> Found | Fault:
         except UnreadableFile:
             raise
         except TrueNewtonError as error:
-            return Fault(error.fault, error.remedy)
+            return _fault_of(error)
         except (ArithmeticError, RuntimeWarning, np.linalg.LinAlgError) as error:
             return Fault(
                 f"the calculation broke down ({error})",

@@ -25,7 +25,8 @@ from truenewton.estimation.identifiability import alike_loads_fault
 from truenewton.estimation.reciprocity.gate import BY_ML
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
-from truenewton.rounding import percent, with_error
+from truenewton.records.of_segments import together
+from truenewton.rounding import numbered, percent, with_error
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
@@ -133,11 +134,15 @@ def verdict_on_segments(c: SegmentedCalibration) -> Verdict:
     worst_first = sorted(
         judged, key=lambda number: (-GRAVITIES.index(judged[number].level), number)
     )
+    said = together(
+        (number, (judged[number].level, fault))
+        for number in worst_first
+        for fault in judged[number].faults
+    )
     faults = []
-    for number in worst_first:
-        level = judged[number].level
-        of = f"segment {number}" + (f", {level}" if level in GRAVITIES[2:] else "")
-        faults += [Fault(f"{of}: {fault}", remedy) for fault, remedy in judged[number].faults]
+    for numbers, (level, (fault, remedy)) in said:
+        of = numbered("segment", numbers) + (f", {level}" if level in GRAVITIES[2:] else "")
+        faults.append(Fault(f"{of}: {fault}", remedy))
     levels = {one.level for one in judged.values()}
     if not levels & {Level.SOUND, Level.LIMITED}:
         return Verdict(Level.UNUSABLE, tuple(faults))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import typer
 
@@ -27,32 +29,40 @@ def run(
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
     from truenewton.calibration.verdict import refuse_unusable
     from truenewton.calibration.written import suffix_of
-    from truenewton.cli.terminal import about, print_result
+    from truenewton.cli.terminal import about, bar, print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
-    from truenewton.reading import read_one
+    from truenewton.reading import of_segment, read
     from truenewton.recalibration.fit import recalibrate
-    from truenewton.recalibration.words import lines, values
+    from truenewton.recalibration.segments import recalibrate_segments
+    from truenewton.recalibration.words import lines, segmented_lines, segmented_values, values
     from truenewton.records.campaign import Campaign
+    from truenewton.records.segmented import SegmentedData
 
     auto = actuators.strip().casefold() == "auto"
     ids = [] if auto else options.ids(actuators, "--actuators")
     if output is not None:
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
-    data = read_one(*paths, segment=segment)
-    if not isinstance(data, Campaign):
-        raise FormatError("holds no cycles", remedy="give the run after the change", path=paths[0])
-    with about(paths):
-        made = recalibrate(data, known, ids, force=force)
-        refuse_unusable(made.calibration, force=force)
+    with bar("recalibrating"), about(paths):
+        data = read(*paths)
+        if isinstance(data, SegmentedData) and segment is None:
+            several = recalibrate_segments(data, known, ids, force=force)
+            refuse_unusable(several.calibration, force=force)
+            whole = several.calibration
+            several = replace(several, calibration=whole if force else whole.without_unusable())
+            found: Any = several.calibration
+            told, schema = segmented_lines(several), "recalibrate-segments"
+            as_values = segmented_values(several) if json else None
+        else:
+            body = of_segment(data, segment, paths[0])
+            if not isinstance(body, Campaign):
+                remedy = "give the run after the change"
+                raise FormatError("holds no cycles", remedy=remedy, path=paths[0])
+            made = recalibrate(body, known, ids, force=force)
+            refuse_unusable(made.calibration, force=force)
+            found, told, schema = made.calibration, lines(made), "recalibrate"
+            as_values = values(made) if json else None
     if output is not None:
-        made.calibration.write(output, overwrite=overwrite)
-    as_values = values(made) if json else None
-    print_result(
-        lines(made),
-        output,
-        values=as_values,
-        schema="recalibrate",
-        quiet=quiet,
-    )
+        found.write(output, overwrite=overwrite)
+    print_result(told, output, values=as_values, schema=schema, quiet=quiet)

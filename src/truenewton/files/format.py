@@ -148,7 +148,7 @@ def header_of(record: Any, form: FileFormat) -> Iterator[tuple[str, Any, str]]:
         if value is None or value != value or value == np.inf == keyword.absent:
             continue
         unit = f"[{keyword.unit}] " if keyword.unit else ""
-        yield keyword.name, _iso(value) if keyword.kind == "date" else value, unit + keyword.comment
+        yield keyword.name, iso(value) if keyword.kind == "date" else value, unit + keyword.comment
 
 
 def columns_of(record: Any, table: TableFormat) -> Iterator[tuple[str, str, str | None, Any]]:
@@ -161,7 +161,7 @@ def columns_of(record: Any, table: TableFormat) -> Iterator[tuple[str, str, str 
             continue
         if dtype is np.str_:
             dates = column.kind == "date"
-            values = [_iso(one) if dates else _ascii(one or "") for one in values]
+            values = [iso(one) if dates else _ascii(one or "") for one in values]
             width = str(column.width or max([1, *map(len, values)]))
         else:
             values = np.asarray(values, dtype=dtype)
@@ -202,7 +202,7 @@ def _part(record: Any, part: Attribute) -> Any:
     return record[int(part)] if part.isdigit() else getattr(record, part)
 
 
-def _iso(date: datetime.datetime) -> str:
+def iso(date: datetime.datetime) -> str:
     """Return a date as FITS writes it: ISO 8601, UTC, no zone, to the microsecond if need be."""
     digits = "microseconds" if date.microsecond % 1000 else "milliseconds"
     if date.tzinfo is not None:

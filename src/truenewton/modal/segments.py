@@ -9,8 +9,8 @@ import numpy as np
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.segments import of_each
-from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
+from truenewton.calibration.segments import of_each, sorted_out
+from truenewton.errors import CampaignMismatch, UnknownName
 from truenewton.modal.dissipation import EFFICIENCY
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.pupil import pupil_of
@@ -76,10 +76,6 @@ def modes_of_segments(
             off=here[0], slaved=here[1], force=force,
         )  # fmt: skip
 
-    found = dict(zip(data.numbers, of_each(data, solver, processes), strict=True))
-    if all(isinstance(one, Fault) for one in found.values()):
-        number, one = next(iter(found.items()))
-        assert isinstance(one, Fault)
-        raise RankDeficient(f"no segment tells modes; segment {number}: {one.fault}",
-                            remedy=one.remedy)  # fmt: skip
-    return found
+    answers = list(of_each(data, solver, processes))
+    sorted_out(data, answers, "modes")
+    return dict(zip(data.numbers, answers, strict=True))

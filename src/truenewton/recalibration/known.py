@@ -11,6 +11,7 @@ import numpy as np
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_file import any_calibration_from
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import Level, Verdict, refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
@@ -18,16 +19,19 @@ from truenewton.estimation.estimate import Scale
 from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive
-from truenewton.reading import of_segment
+from truenewton.reading import part_of
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 from truenewton.tracking.days import SAME_TEMPERATURE
-from truenewton.tracking.file import tracking_from
+from truenewton.tracking.file import any_tracking_from
 from truenewton.tracking.law import Tracking
+from truenewton.tracking.segmented import SegmentedTracking
 
+Known = Calibration | Tracking
+KnownOfSegments = SegmentedCalibration | SegmentedTracking
 EARLIER = ErrorSource(ErrorKind.EARLIER)
 
 
@@ -68,7 +72,7 @@ class EarlierCalibration:
 
 
 def known_from(
-    given: Calibration | Tracking | str | os.PathLike[str],
+    known: Known | KnownOfSegments | str | os.PathLike[str],
     campaign: Campaign,
     *,
     force: bool = False,
@@ -77,7 +81,7 @@ def known_from(
 
     Parameters
     ----------
-    given
+    known
         A calibration, or the law that tracking found, taken at the temperature and date of the
         campaign; or a path to either.
     campaign
@@ -91,11 +95,9 @@ def known_from(
         The verdict on it, unless forced.
     UnreadableFile, FormatError, CampaignMismatch, RankDeficient
     """
-    name = "the earlier calibration"
     loads: tuple[Load, ...] = ()
     sources: tuple[Source, ...] = ()
-    if not isinstance(given, Calibration | Tracking):
-        name, given = os.fspath(given), _read(given, campaign.layout)
+    name, given = _of_body(known, campaign.layout)
     same_instrument = given.instrument == campaign.instrument
     if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
         raise CampaignMismatch(
@@ -146,16 +148,36 @@ def known_from(
     )
 
 
-def _read(path: str | os.PathLike[str], layout: Layout) -> Calibration | Tracking:
+def _of_body(
+    known: Known | KnownOfSegments | str | os.PathLike[str], layout: Layout
+) -> tuple[str, Known]:
+    """Return a name, and what is known of the one body of a run."""
+    name = "the earlier calibration"
+    if isinstance(known, str | os.PathLike):
+        name, known = os.fspath(known), read_known(known)
+    if isinstance(known, Calibration | Tracking):
+        return name, known
+    number = None if layout.segment is None else int(layout.segment[0])
+    if isinstance(known, SegmentedCalibration):
+        return name, part_of(known, number, name)
+    return name, part_of(known, number, name)
+
+
+def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
+    """Read a calibration or a law, of one body or of several segments.
+
+    Raises
+    ------
+    UnreadableFile, FormatError
+    """
     remedy = "give --known the file that `calibrate -o` or `track -o` wrote"
     if Path(path).is_dir():
         raise FormatError("is a folder", remedy=remedy, path=os.fspath(path))
     file = read_fits(path)
     if "TRACKING" in file.extensions:
-        return tracking_from(file)
+        return any_tracking_from(file)
     if "CALIBRATION" in file.extensions:
-        number = None if layout.segment is None else int(layout.segment[0])
-        return of_segment(any_calibration_from(file), number, os.fspath(path))
+        return any_calibration_from(file)
     raise FormatError("is no calibration", remedy=remedy, path=os.fspath(path))
 
 

@@ -7,19 +7,43 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
+from truenewton.calibration.segment_words import (
+    segmented_lines as segmented_calibration_lines,
+)
+from truenewton.calibration.segment_words import (
+    segmented_values as segmented_calibration_values,
+)
 from truenewton.calibration.words import summary_lines, summary_values
 from truenewton.recalibration.fit import Recalibration
+from truenewton.recalibration.segments import SegmentedRecalibration
 from truenewton.rounding import by_chance, percent, with_error
 
 
 def lines(made: Recalibration) -> Iterator[str]:
     """Yield what was found, for people: the calibration, and who was given anew."""
+    yield from summary_lines(made.calibration)
+    yield from _changes(made)
+    yield f"  {_others(made)}"
+    if made.scatter:
+        yield f"  each of them has changed by {percent(made.scatter)} since; errors allow for it"
+
+
+def segmented_lines(made: SegmentedRecalibration) -> Iterator[str]:
+    """Yield what was found of all segments, for people."""
+    yield from segmented_calibration_lines(made.calibration)
+    for number, one in made.segments.items():
+        yield f"segment {number}"
+        yield from _changes(one)
+        yield f"  {_others(one)}"
+
+
+def _changes(made: Recalibration) -> Iterator[str]:
+    """Yield a table of who was given anew."""
     c = made.calibration
     anew = dict.fromkeys(made.asked, "replaced")
     for one in made.moved:
         chance = by_chance(one.probability)
         anew[one.actuator] = f"MOVED: {abs(one.sigmas):.1f} sigma, {chance}"
-    yield from summary_lines(c)
     if anew:
         yield f"  {'given anew':<14}{'before':<12}{'now':<22}change"
     else:
@@ -33,21 +57,41 @@ def lines(made: Recalibration) -> Iterator[str]:
         if not math.isfinite(before):
             was, change = "-", "not known before"
         yield f"  {name:<14}{was:<12}{with_error(now, error):<22}{change}, {words}"
-    yield (
-        f"  the others against their earlier calibration: chi2/DOF ="
+
+
+def _others(made: Recalibration) -> str:
+    return (
+        "the others against their earlier calibration: chi2/DOF ="
         f" {made.chi2 / max(made.degrees_of_freedom, 1):.3g}, DOF {made.degrees_of_freedom},"
         f" probability {made.probability:.2g}; "
         + ("the rest agree" if made.moved else "none has moved (false alarm on 1 % of mirrors)")
     )
 
-    if made.scatter:
-        yield f"  each of them has changed by {percent(made.scatter)} since; errors allow for it"
+
+def segmented_values(made: SegmentedRecalibration) -> dict[str, Any]:
+    """Return the same figures for a script."""
+    whole = segmented_calibration_values(made.calibration)
+    parts = whole.pop("segments")
+    return {
+        **whole,
+        "segments": [
+            part | (_found(made.segments[part["segment"]]) if part["segment"] in made.segments
+                    else {})
+            for part in parts
+        ],
+    }  # fmt: skip
 
 
 def values(made: Recalibration) -> dict[str, Any]:
     """Return the same figures for a script."""
     return {
         **summary_values(made.calibration),
+        **_found(made),
+    }
+
+
+def _found(made: Recalibration) -> dict[str, Any]:
+    return {
         "asked": list(made.asked),
         "moved": [asdict(one) for one in made.moved],
         "earlier": made.earlier,

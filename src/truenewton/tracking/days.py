@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +15,36 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.estimate import Scale
 from truenewton.linalg import factor_of
-from truenewton.reading import read_one
+from truenewton.reading import Read, of_segment, read
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.cycle import Cycle
+from truenewton.records.segmented import SegmentedData
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
-Given = Calibration | Campaign | str | os.PathLike[str]
+
+class Named(NamedTuple):
+    """What is tracked, with the name of its file or folder.
+
+    Attributes
+    ----------
+    name
+        As it was given.
+    data
+        What it holds; what cannot be tracked is refused later.
+    """
+
+    name: str
+    data: Read
+
+
+Given = (
+    Calibration | Campaign | SegmentedCalibration | SegmentedData | Named | str | os.PathLike[str]
+)
 SAME_TEMPERATURE = 1.0  # [K]; cycles of a campaign farther apart are calibrated apart
 # Typical change of alpha beyond its error, of another unit: 50 K make 0.3 % between actuators.
 OTHER_UNIT = 0.03
@@ -52,12 +73,26 @@ class DatedCalibration:
         return c.date + (c.date_end - c.date) / 2
 
 
-def gathered(
-    given: Iterable[Given], *, force: bool = False, segment: int | None = None
-) -> tuple[DatedCalibration, ...]:
-    """Read and calibrate what is given; return the calibrations in the order of time.
+def named(item: Given) -> Named:
+    """Read what is a path; return it with its name.
 
-    Of mirrors in several segments that of one, by its number.
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch
+    """
+    if isinstance(item, Named):
+        return item
+    if isinstance(item, str | os.PathLike):
+        return Named(os.fspath(item), read(item))
+    if isinstance(item, Campaign | SegmentedData):
+        dates = [cycle.date for cycle in item.cycles]
+    else:
+        dates = [item.date]
+    return Named(f"{item.instrument} of {min(dates):%Y-%m-%d}" if dates else item.instrument, item)
+
+
+def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
+    """Read and calibrate what is not yet; return the calibrations in the order of time.
 
     Raises
     ------
@@ -67,7 +102,7 @@ def gathered(
         The verdict on one of them, unless forced.
     """
     days = sorted(
-        (day for item in given for day in _dated(item, segment)),
+        (day for item in given for day in _dated(*named(item))),
         key=lambda day: (day.date, day.calibration.temperature),
     )
     for day in days:
@@ -95,12 +130,8 @@ def gathered(
     return tuple(days)
 
 
-def _dated(item: Given, segment: int | None) -> list[DatedCalibration]:
-    if not isinstance(item, Campaign | Calibration):
-        name, data = os.fspath(item), read_one(item, segment=segment)
-    else:
-        start = item.date if isinstance(item, Calibration) else item.cycles[0].date
-        name, data = f"{item.instrument} of {start:%Y-%m-%d}", item
+def _dated(name: str, given: Read) -> list[DatedCalibration]:
+    data = of_segment(given, None, name)
     if isinstance(data, StiffnessMatrix):
         raise FormatError(
             "is a stiffness file", remedy="give calibrations, or campaigns", path=name

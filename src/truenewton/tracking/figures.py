@@ -13,6 +13,7 @@ from truenewton.figures.maps import mark_rings, name_point, numbers_by_ring
 from truenewton.figures.style import ACCENT, FAINT, INK, NAMED, styled_axes
 from truenewton.tracking.days import YEAR
 from truenewton.tracking.law import Tracking
+from truenewton.tracking.segmented import SegmentedTracking
 
 OUTLYING = "#b2182b"
 PERCENT = 1e2
@@ -121,6 +122,15 @@ def tracking_figures(tracking: Tracking) -> dict[str, Callable[..., Axes]]:
         figures[f"track-{name}"] = partial(plot_law, tracking, effect)
         figures[f"track-family-{effect}"] = partial(plot_family, tracking, effect)
     return figures
+
+
+def figures_of_segments(tracking: SegmentedTracking) -> dict[str, Callable[..., Axes]]:
+    """Return what draws each figure of each segment, by its name."""
+    return {
+        f"segment-{number}-{name}": draw
+        for number, law in tracking.segments.items()
+        for name, draw in tracking_figures(law).items()
+    }
 
 
 def _outlying(tracking: Tracking, effect: str) -> NDArray[np.bool_]:

@@ -5,15 +5,17 @@ from __future__ import annotations
 import datetime
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from truenewton.calibration.words import row
-from truenewton.rounding import by_chance, counted, with_error
+from truenewton.records.of_segments import together
+from truenewton.rounding import by_chance, counted, numbered, with_error
 from truenewton.tracking.law import Tracking
+from truenewton.tracking.segmented import SegmentedTracking
 from truenewton.tracking.validity import Validity
 
 UNITS = {"temperature": "% per K", "drift": "% per year"}
@@ -126,6 +128,52 @@ def _span(
         ends = " (as long again as the days lasted)" if until == v.reach_until else ""
         parts.append(f"until {until:%Y-%m-%d}{ends}")
     return ", and ".join(parts)
+
+
+def segmented_lines(
+    tracking: SegmentedTracking, validities: Mapping[int, Validity]
+) -> Iterator[str]:
+    """Yield what was found of all segments, for people; what is the same of several once."""
+    t = tracking
+    first, last = t.days[0].date, t.days[-1].date
+    yield (
+        f"{t.instrument}: {len(t.days)} calibrations, {first:%Y-%m-%d} to {last:%Y-%m-%d}, of"
+        f" {counted(t.numbers, 'segment')}"
+        + (f", {len(t.refused)} without a law" if t.refused else "")
+    )
+    for day in t.days:
+        yield f"  {day.date:%Y-%m-%d %H:%M}  {_degrees(day.temperature):>10}  {day.name}"
+    for number in t.numbers:
+        if number in t.refused:
+            yield row(f"segment {number}", "no law")
+            continue
+        law = t.segments[number]
+        yield f"  segment {number}, alpha at {_degrees(law.temperature)} on {law.date:%Y-%m-%d}"
+        for name, value in summary_rows(law):
+            yield f"  {row(name, value)}"
+    said = [(number, f"{fault}; {remedy}") for number, fault, remedy in t.refusals]
+    for number, law in t.segments.items():
+        said += [(number, remark) for remark in remarks(law)]
+        if number in validities:
+            said += [(number, line.strip()) for line in _validity_lines(validities[number])]
+    for numbers, what in together(said):
+        yield f"  {numbered('segment', numbers)}: {what}"
+
+
+def segmented_values(
+    tracking: SegmentedTracking, validities: Mapping[int, Validity]
+) -> dict[str, Any]:
+    """Return the same figures for a script."""
+    t = tracking
+    return {
+        "instrument": t.instrument,
+        "segments": [
+            {"segment": number, **values(t.segments[number], validities.get(number))}
+            if number in t.segments
+            else {"segment": number, "faults": [f._asdict() for f in t.refused[number]]}
+            for number in t.numbers
+        ],
+    }
 
 
 def values(tracking: Tracking, validity: Validity | None) -> dict[str, Any]:
