@@ -84,7 +84,7 @@ def _with_imbalances(
 ) -> tuple[Estimate, Imbalances]:
     """Return an estimate, which says so where halves give no alpha, and how modes balance."""
     try:
-        return estimate, stiffness_svd.imbalances(sifted, method)
+        return estimate, stiffness_svd.imbalances(sifted, method, estimate.values)
     except (RankDeficient, NotConverged) as error:
         fault = Fault(f"every second mode alone gives no alpha: {error.fault}", error.remedy)
         return with_warnings(estimate, (fault,)), ()

@@ -282,11 +282,16 @@ def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
     return float(np.sqrt(np.mean((modes * alpha @ a.T) ** 2)))
 
 
-def imbalances(sifted: SiftedMatrix, fit: ElasticMethod) -> tuple[Imbalance, ...]:
+def imbalances(sifted: SiftedMatrix, fit: ElasticMethod, alpha: Array) -> tuple[Imbalance, ...]:
     """Return the imbalance with alpha = 1 and with alpha fitted: on all modes, and held out.
 
-    Held out: fitted on every second mode and judged on the others, both ways round; NaN where half
-    of the modes do not hold alpha.
+    Of all modes (n,) alpha is what the fit has found. Held out: fitted on every second mode and
+    judged on the others, both ways round.
+
+    Raises
+    ------
+    RankDeficient, NotConverged
+        Half of the modes do not hold alpha.
     """
     columns = columns_of(sifted)
     left, values, right = singular_values_and_vectors(columns.stiffness)
@@ -294,16 +299,16 @@ def imbalances(sifted: SiftedMatrix, fit: ElasticMethod) -> tuple[Imbalance, ...
     every, even, odd = (slice(start, elastic, step) for start, step in ((0, 1), (0, 2), (1, 2)))
     ones = np.ones(columns.a.shape[1])
 
-    def test(name: str, judged: slice, fitted: slice) -> Imbalance:
-        some = columns
-        if fitted is not every:
-            part = (left[:, fitted] * values[fitted]) @ right[fitted]
-            some = replace(columns, stiffness=part)
-        after = rms_imbalance(left[:, judged].T, fit(some).alpha, columns.a)
-        return Imbalance(name, rms_imbalance(left[:, judged].T, ones, columns.a), after)
+    def test(name: str, judged: slice, by: Array) -> Imbalance:
+        before, after = (rms_imbalance(left[:, judged].T, a, columns.a) for a in (ones, by))
+        return Imbalance(name, before, after)
+
+    def fitted(some: slice) -> Array:
+        part = (left[:, some] * values[some]) @ right[some]
+        return fit(replace(columns, stiffness=part)).alpha
 
     return (
-        test("all modes, fitted", every, every),
-        test("odd modes, fitted on the even", odd, even),
-        test("even modes, fitted on the odd", even, odd),
+        test("all modes, fitted", every, alpha),
+        test("odd modes, fitted on the even", odd, fitted(even)),
+        test("even modes, fitted on the odd", even, fitted(odd)),
     )
