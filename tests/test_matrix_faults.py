@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from balanced import p45_bench
+from simulated_matrices import by_glass, drawn
+from simulated_matrices import measured as with_noise
 
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
@@ -265,3 +267,16 @@ def test_most_own_stiffnesses_may_be_zero():
     k[lost, lost] = 0.0
     assert np.isfinite(relative_couplings(k)).all()
     assert not np.isin(odd_actuators(k), lost).any()
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_sensors_off_their_magnets_are_no_wrong_gains_but_a_wrong_gain_among_them_is(seed):
+    """Half a millimetre times the slope reads as much as a gain of 10 % in the first of them."""
+    bench, random = p45_bench(), np.random.default_rng([seed, 11])
+    values = drawn(random, bench.mirror.layout.n, offset=5e-4)
+    k = with_noise(random, by_glass(bench.glass, values), values).stiffness
+    matrix = StiffnessMatrix("P45", DATE, bench.mirror.layout, k)
+    assert sift_matrix(matrix).effects == ()
+    gains = np.where(np.arange(len(k)) == BAD, 1.5, 1.0)
+    [effect] = sift_matrix(replace(matrix, stiffness=k * gains)).effects
+    assert effect.where == f"actuator {matrix.layout.id[BAD]}"

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 
-GAIN = 1.1  # from that of other sensors, from which one is wrong
+GAIN = 1.1  # from that of other sensors, from which one is wrong, and
+APART = 4.5  # times what is typical of log t: sensors off their magnets feign gains, all of them
 CURED = 0.5  # of what the columns around are out of balance by, at most
 SAME = 0.03  # of an own element
 ALIKE = 0.03  # of an element, that it may differ from its transpose
@@ -30,7 +31,8 @@ def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
 
     A gain g makes a row that agrees with its column g times too large. Many in one sector are found
     together if that cures all columns around; else one by one, each the median over the columns
-    around it, the one that cures most first.
+    around it, the one that cures most first. A sensor off its magnet reads a slope besides, which
+    looks like a gain; so one is wrong only if it stands out from what the others seem to have.
 
     Parameters
     ----------
@@ -50,6 +52,8 @@ def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
     length, gain = np.sum(a**2, axis=0), np.ones(n)
     some = strong & (even != 0.0)
     around = some.any(axis=1)
+    if not around.any():
+        return gain
     for _ in range(n):
         rho = a @ even
         along = a.T @ rho
@@ -61,7 +65,9 @@ def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
         before = np.sum(rho**2, axis=0)
         after = np.maximum(before + 2.0 * change * along + change**2 * length[:, None], 0.0)
         costs = [np.sum(np.sqrt(each) / own * some, axis=1) for each in (before, after)]
-        cures = (np.abs(np.log(t)) > np.log(GAIN)) & (costs[1] < CURED * costs[0])
+        size = np.abs(np.log(t))
+        far = size > max(np.log(GAIN), APART * float(np.median(size[around])))
+        cures = far & (costs[1] < CURED * costs[0])
         if not cures.any():
             break
         i = int(np.argmax(np.where(cures, costs[0] - costs[1], -np.inf)))
