@@ -341,7 +341,7 @@ def test_disabled_actuators_take_no_part(ready):
     assert (shapes[:, ~on] == 0).all()
     assert (force[:, ~on] == 0).all()
     assert np.abs(force[:, on] @ arms_of(layout)[:, on].T).max() < 1e-9
-    own, tool = holding(mirror)
+    own, tool = holding(model_glass(mirror))
     some = replace(ready, mirror=mirror, shapes=shapes, force=force, own=own, tool=tool)
     found = predicted(some)
     assert found.error.shape == (43,)

@@ -26,11 +26,15 @@ def expected_alpha(mirror: Mirror) -> float:
 
 
 def shapes_and_forces(
-    plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str] = "."
+    plan: CampaignPlan,
+    mirror: Mirror,
+    folder: str | os.PathLike[str] = ".",
+    glass: HeldGlass | None = None,
 ) -> tuple[Array, Array, bool]:
     """Return the shapes of a plan, and the forces that the electronics may be expected to command.
 
-    Disabled actuators take no part: their displacement and force are 0.
+    Disabled actuators take no part: their displacement and force are 0. Files that the plan names
+    stand relative to a folder; the model's glass is made unless it is given.
 
     Returns
     -------
@@ -50,7 +54,7 @@ def shapes_and_forces(
     file = None if plan.shapes.source == "modes" else read_fits(path)
     given = file is not None and "STIFFNESS" not in file.extensions
     if file is None:
-        true = model_glass(mirror).stiffness
+        true = (glass or model_glass(mirror)).stiffness
         stiffness = true / expected_alpha(mirror)
         chosen = _scaled(stiffness_modes(true).modes.T, true, plan)
     elif not given:
@@ -74,7 +78,7 @@ def shapes_and_forces(
             raise FormatError(
                 "SHAPES holds NaN, inf or absurd values", remedy="correct it", path=path
             )
-        stiffness = model_glass(mirror).stiffness / expected_alpha(mirror)
+        stiffness = (glass or model_glass(mirror)).stiffness / expected_alpha(mirror)
     shapes, force = np.zeros((2, len(chosen), on.size))
     shapes[:, on], force[:, on] = chosen, chosen @ stiffness.T
     return shapes, force, given

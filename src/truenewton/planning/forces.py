@@ -14,7 +14,7 @@ from truenewton.arrays import Array
 from truenewton.bench.simulated.static import START
 from truenewton.errors import LimitExceeded
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.held_glass import forces_under, weight_on
+from truenewton.mirrors.shell.held_glass import HeldGlass, forces_under, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import arms
@@ -28,6 +28,8 @@ class Prepared:
     ----------
     plan, mirror
         What is planned, its turns known, and for which mirror.
+    glass
+        That of the mirror by the model, held by the enabled actuators.
     shapes, force
         (shapes, n) displacements [m] and the commanded forces that they take, loads aside [N].
     own, tool
@@ -39,6 +41,7 @@ class Prepared:
 
     plan: CampaignPlan
     mirror: Mirror
+    glass: HeldGlass
     shapes: Array
     force: Array
     own: Array
@@ -85,18 +88,18 @@ def prepared_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") ->
 
 
 def _prepared(plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str]) -> Prepared:
-    shapes, force, given = shapes_and_forces(plan, mirror, folder)
+    glass = model_glass(mirror)
+    shapes, force, given = shapes_and_forces(plan, mirror, folder, glass)
     plan = with_turns(plan, mirror, len(shapes))
-    return Prepared(plan, mirror, shapes, force, *holding(mirror), given)
+    return Prepared(plan, mirror, glass, shapes, force, *holding(glass), given)
 
 
-def holding(mirror: Mirror) -> tuple[Array, Array]:
+def holding(glass: HeldGlass) -> tuple[Array, Array]:
     """Return what holds a mirror by the model: `Prepared.own` and `tool`, (n_enabled,) each [N].
 
     It is the simulated bench without its scatter.
     """
-    glass = model_glass(mirror)
-    own = weight_on(glass.mirror, mirror.weight)
+    own = weight_on(glass.mirror, glass.mirror.weight)
     tool = replace(own, spread=0.0, force=np.full(3, 1 / 3), local=np.zeros_like(own.local))
     return forces_under(glass, own), forces_under(glass, tool)
 

@@ -13,7 +13,7 @@ import numpy as np
 from truenewton.acquisition.drift import OrderCost, order_costs
 from truenewton.acquisition.mountings import mountings
 from truenewton.acquisition.plan import CampaignPlan, read_plan
-from truenewton.acquisition.shapes import expected_alpha, model_glass
+from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient, TrueNewtonError, located
 from truenewton.estimation.moments import Moments
@@ -114,10 +114,9 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
     """
     plan, layout = ready.plan, ready.mirror.layout
     repeats = 2 * len(plan.loads)
-    glass = model_glass(ready.mirror)
     try:
         said = informed(
-            places_of(layout, seen_by(glass)),
+            places_of(layout, seen_by(ready.glass)),
             Asked(plan.sensors.gain, plan.sensors.offset),
             *(np.sqrt(repeats) * each[:, layout.enabled] for each in (ready.shapes, ready.force)),
             force_noise=plan.force_noise,

@@ -117,8 +117,9 @@ def campaign_on(
             f"{bench.mirror.name} is in segments, whose loop is not simulated",
             remedy="leave --fidelity out, or give the file of one segment",
         )
-    together = zip(*(run_cycles(one, cycles) for one in bench.benches), strict=True)
-    return (_joined(bench.mirror, parts) for parts in together)
+    first, *others = (run_cycles(one, cycles) for one in bench.benches)
+    # Of a cycle that was written only the first segment is kept while the next one is made.
+    return (_joined(bench.mirror, [part, *map(next, others)]) for part in first)
 
 
 def _joined(mirror: SegmentedMirror, parts: Sequence[Cycle]) -> Cycle:

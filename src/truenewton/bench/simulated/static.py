@@ -274,14 +274,14 @@ def take(
     n = bench.mirror.layout.n
     drawn = np.array([row.standard_normal(2 * n) for row in noise]) * np.sqrt(SAMPLES / samples)
     force = held_command(bench, load_index, position) + bench.force_noise * drawn[:, :n]
-    scatter = np.full_like(force.T, np.sqrt(SAMPLES))
+    each = force.T.shape  # its scatter takes the room of one number
     return Record(
         force=force.T,
-        force_scatter=bench.force_noise * scatter,
+        force_scatter=np.broadcast_to(bench.force_noise * np.sqrt(SAMPLES), each),
         position=(position + SENSOR_NOISE * drawn[:, n:]).T,
-        position_scatter=SENSOR_NOISE * scatter,
+        position_scatter=np.broadcast_to(SENSOR_NOISE * np.sqrt(SAMPLES), each),
         settled=np.ones(len(force), dtype=bool),
-        force_error=np.full_like(force.T, bench.force_noise * np.sqrt(SAMPLES / samples)),
+        force_error=np.broadcast_to(bench.force_noise * np.sqrt(SAMPLES / samples), each),
     )
 
 

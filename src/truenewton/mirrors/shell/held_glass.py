@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -57,6 +58,11 @@ class HeldGlass:
     def stiffness(self) -> Array:
         """(n, n) true force per true displacement as the sensors read it [N/m]."""
         return self.condensed.stiffness
+
+    @cached_property
+    def uniform_influence(self) -> Array:
+        """(n,) reading per unit force spread evenly over the glass [m/N]."""
+        return self.free.uniform_influence(self.places, sensor=self.mirror.sensor)
 
 
 def held_glass(mirror: Mirror) -> HeldGlass:
@@ -160,7 +166,7 @@ def tool_wedges(mirror: Mirror) -> Points:
 def forces_under(glass: HeldGlass, external: ExternalForces) -> Array:
     """Return the (n,) forces that hold the flat mirror under external ones [N]."""
     sensor = glass.mirror.sensor
-    bent = external.spread * glass.free.uniform_influence(glass.places, sensor=sensor)
+    bent = external.spread * glass.uniform_influence
     bent += influence(glass.free, glass.places, external.at, sensor) @ external.force
     straightened = glass.stiffness @ (glass.exchange @ bent)
     borne = glass.condensed.reaction @ _resultants_on_glass(glass.mirror, external)
