@@ -186,7 +186,45 @@ def test_a_plan_of_segments_is_that_of_the_worst(inside, tiny):
     assert said["tiny"]["instrument"] == f"TINY segment {number}, the worst of 2 that differ"
     code, _, error = inside("acquire", path, "-o", tiny.with_name("c"))
     assert code == 2
-    assert "is a mirror in segments; simulate and plan take it" in error
+    assert "is a mirror in segments; simulate and plan take it, acquire and serve one" in error
+
+
+def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
+    """Their files make the mirror: its actuators, and the truth that a simulation of it has."""
+    plan, folders = tiny.with_name("plan.toml"), []
+    text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
+    plan.write_text(text.replace("cycles = 4", "cycles = 2").replace("count = 0", "count = 12"))
+    for number in (1, 2, 3):
+        folders.append(tiny.with_name(f"segment-{number}"))
+        words = ("acquire", plan, "--segment", number, "-o", folders[-1], "--yes")
+        code, _, error = inside(*words)
+        assert code == 0, error
+    mirror = whole_mirror_from(tiny)
+    data = tn.read(folders)
+    assert data.instrument == "TINY"
+    assert data.layout.same_as(mirror.layout)
+    made = tn.calibrate(data)
+    truth = tn.read_truth(inside_simulation(inside, tiny))
+    assert np.array_equal(
+        np.concatenate([tn.read_truth(f"{folder}.truth.fits").alpha for folder in folders]),
+        truth.alpha,
+    )
+    assert np.abs((made.alpha - truth.alpha) / made.error).max() < 4.5
+    assert tn.read(folders[1]).instrument == "TINY segment 2"
+    assert tn.read(folders[:2]).numbers == (1, 2)
+    code, out, _ = inside("acquire", plan, "--segment", 1, "-o", folders[0], "--yes")
+    assert "complete already" in out
+    code, _, error = inside("acquire", plan, "--segment", 3, "-o", folders[0], "--yes")
+    assert code == 2
+    assert "was begun with another plan: -segment = 1, +segment = 3" in error
+    code, _, error = inside("acquire", plan, "--segment", 4, "-o", tiny.with_name("d"), "--yes")
+    assert code == 2
+    assert "there is no segment 4; choose 1, 2, 3" in error
+
+
+def inside_simulation(inside, tiny):
+    assert inside("simulate", tiny, "-o", tiny.with_name("whole"), "--cycles", 1)[0] == 0
+    return tiny.with_name("whole.truth.fits")
 
 
 def test_the_wall_of_the_page(tmp_path):

@@ -7,10 +7,11 @@ import pytest
 from astropy.io import fits
 from segmented import in_one, pieces
 
+import truenewton as tn
 from truenewton.errors import CampaignMismatch, FormatError, GeometryError
 from truenewton.files.fits import read_fits
 from truenewton.records.campaign import Campaign
-from truenewton.records.file import cycle_from, write_cycle
+from truenewton.records.file import cycle_from, write_campaign, write_cycle
 from truenewton.statics.layout import layout
 
 
@@ -112,6 +113,32 @@ def test_one_segment_is_a_mirror_in_one_piece(three, tmp_path):
 def test_a_campaign_of_one_body_refuses_segments(cycles):
     with pytest.raises(CampaignMismatch, match="3 segments, which balance each by itself"):
         Campaign(tuple(cycles))
+
+
+def test_files_of_single_segments_make_the_mirror(cycles, tmp_path):
+    """In any order, of some segments or of one; where one has two, they are its campaign."""
+    whole = tn.SegmentedData(tuple(cycles))
+    for number in (3, 1, 2):
+        one = [c for c in whole.segment(number) if number != 2 or c.number < 2]
+        write_campaign(one, tmp_path / f"s{number}")
+    write_campaign([c for c in cycles if c.number > 1], tmp_path / "whole")
+    parts = tn.read(*(tmp_path / f"s{number}" for number in (3, 1)))
+    assert (parts.numbers, parts.instrument) == ((1, 3), whole.instrument)
+    assert parts.layout.id.tolist() == [
+        *whole.segment(1).layout.id.tolist(), *whole.segment(3).layout.id.tolist()
+    ]  # fmt: skip
+    for mine, yours in zip(parts.segment(3), whole.segment(3), strict=True):
+        assert np.array_equal(mine.force, yours.force)
+        assert mine.instrument == yours.instrument
+    both = tn.read(tmp_path / "s2", tmp_path / "whole")
+    assert both.numbers == (1, 2, 3)
+    assert len(both.segment(2)) == len(whole.segment(2))
+    assert both.instrument == whole.instrument
+    alone = tn.read(tmp_path / "s2")
+    assert isinstance(alone, tn.Campaign)
+    other = replace(alone.cycles[0], instrument="OTHER")
+    with pytest.raises(CampaignMismatch, match=r"is of TEST, .* of OTHER"):
+        tn.SegmentedData((other, *whole.segment(1)))
 
 
 def test_layouts_name_their_segments():

@@ -21,7 +21,7 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.file import fits_paths, read_file, stiffness_from
 from truenewton.records.opened import open_by_worker, open_file
-from truenewton.records.segmented import SegmentedData
+from truenewton.records.segmented import SegmentedData, in_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 AnyPath = str | os.PathLike[str]
@@ -115,7 +115,7 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
             )
     cycles = tuple(one.require_cycle() for one in opened if one.file not in matrices)
     beside = stiffness_from(matrices[0]) if matrices else None
-    if cycles and cycles[0].layout.segments:
+    if in_segments(cycles):
         return SegmentedData(cycles, beside)
     return Campaign(cycles, beside)
 

@@ -17,7 +17,7 @@ from truenewton.acquisition.folder import PLAN, begin_or_resume, cycle_names, fi
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.limits import Guard
 from truenewton.acquisition.lock import locked
-from truenewton.acquisition.plan import CampaignPlan, planned_mirror
+from truenewton.acquisition.plan import CampaignPlan, planned_mirror, recorded_layout
 from truenewton.acquisition.progress import Nobody, Onlooker, Progress
 from truenewton.acquisition.run import Run, take_all
 from truenewton.acquisition.run_log import RunLog
@@ -82,13 +82,13 @@ def acquire(
     >>> [file.name for file in tn.acquire(tn.SimulatedBench(tn.mirrors.p45()), plan, "one-cycle")]
     ['bare-001.fits']
     """
-    mirror = planned_mirror(plan, beside)
-    _check_agreement(bench, mirror)
+    mirror, layout = planned_mirror(plan, beside), recorded_layout(plan, beside)
+    _check_agreement(bench, mirror, layout)
     operator = operator or _operator_of(bench)
     with Interruption() as interruption, locked(folder) as folder:
         plan, shapes = begin_or_resume(folder, plan, mirror, beside)
         Guard(plan.limits, mirror.layout, bench.gap).check_shapes(shapes)
-        complete = finished_cycles(folder, plan, mirror, 2 * len(shapes))
+        complete = finished_cycles(folder, plan, mirror, layout, 2 * len(shapes))
         files = tuple(folder / name for name in cycle_names(plan))
         if len(complete) == len(files):
             return files
@@ -97,6 +97,7 @@ def acquire(
             run = Run(
                 plan=plan,
                 mirror=mirror,
+                layout=layout,
                 shapes=shapes,
                 folder=folder,
                 operator=operator,
@@ -119,13 +120,18 @@ def _operator_of(bench: Bench) -> Operator:
     return bench
 
 
-def _check_agreement(bench: Bench, mirror: Mirror) -> None:
-    """Refuse a bench that is not the mirror of the plan."""
+def _check_agreement(bench: Bench, mirror: Mirror, recorded: Layout) -> None:
+    """Refuse a bench that is not the mirror of the plan.
+
+    A segment's may name and place its actuators as the segment does, or as the whole mirror.
+    """
     if bench.layout.n != mirror.layout.n:
         what = f"has {bench.layout.n} actuators, the plan's {mirror.name} {mirror.layout.n}"
     elif bench.instrument != mirror.name:
         what = f"is {bench.instrument}, the plan is for {mirror.name}"
-    elif apart := _difference(bench.layout, mirror):
+    elif (apart := _difference(bench.layout, mirror.layout)) and _difference(
+        bench.layout, recorded
+    ):
         what = f"has other actuators than {mirror.name}: {apart}"
     elif not 0 < bench.gap < 1:
         raise BenchFault(f"the bench gives a gap of {bench.gap!r} m", remedy="give its own [m]")
@@ -135,16 +141,16 @@ def _check_agreement(bench: Bench, mirror: Mirror) -> None:
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
 
 
-def _difference(layout: Layout, mirror: Mirror) -> str:
+def _difference(layout: Layout, planned: Layout) -> str:
     """Say which actuator of a bench is another than the mirror's, and by how much, or nothing."""
     for name in ("id", "x", "y", "nz", "enabled"):
-        here, there = getattr(layout, name), getattr(mirror.layout, name)
+        here, there = getattr(layout, name), getattr(planned, name)
         wrong = np.abs(here.astype(float) - there) > (ROUNDING if name in ("x", "y", "nz") else 0.0)
         if wrong.any():
             k, unit = int(wrong.argmax()), " m" if name in ("x", "y") else ""
             others = f", and that of {counted(int(wrong.sum()) - 1, 'more', 'more')}"
             return (
-                f"{name.upper()} of actuator {mirror.layout.id[k]}, row {k + 1}, is"
+                f"{name.upper()} of actuator {planned.id[k]}, row {k + 1}, is"
                 f" {here[k]:.9g}{unit} on the bench and {there[k]:.9g}{unit} in the plan's mirror"
                 f"{others if wrong.sum() > 1 else ''}"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
@@ -11,6 +12,9 @@ from truenewton.bench.opticalib import from_address
 from truenewton.bench.protocol import Bench
 from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.bench import SimulatedBench
+from truenewton.bench.simulated.segmented import seed_of
+
+SEGMENT = "{segment}"  # in an address: its number, since each has a control unit of its own
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
@@ -23,7 +27,7 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
     TrueNewtonError
         What the plan says of it is wrong.
     """
-    choice = plan.bench
+    choice = replace(plan.bench, address=plan.bench.address.replace(SEGMENT, str(plan.segment)))
     if choice.kind == "simulated":
         return simulated_bench(plan, beside)
     if choice.kind == "replay":
@@ -34,10 +38,14 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
 
 
 def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> SimulatedBench:
-    """Return the simulated bench of a plan, which has the same truth each time."""
+    """Return the simulated bench of a plan, which has the same truth each time.
+
+    A segment's is that which `simulate` gives it.
+    """
+    seed = plan.bench.seed
     return SimulatedBench(
         planned_mirror(plan, beside),
-        plan.bench.seed,
+        seed_of(seed, plan.segment) if plan.segment else seed,
         loads=plan.loads,
         force_noise=plan.bench.force_noise,
         fidelity=plan.bench.fidelity,

@@ -27,6 +27,7 @@ from truenewton.files.toml import toml_text
 from truenewton.mirrors.known import Mirror
 from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
 from truenewton.rounding import counted
+from truenewton.statics.layout import Layout
 
 PLAN, SHAPES = "plan.toml", ".shapes.npy"
 OF_SHAPES = f"# {SHAPES}: "  # before their SHA256 in the plan of a folder
@@ -190,7 +191,7 @@ def cycle_names(plan: CampaignPlan) -> list[str]:
 
 
 def finished_cycles(
-    folder: Path, plan: CampaignPlan, mirror: Mirror, rows: int
+    folder: Path, plan: CampaignPlan, mirror: Mirror, layout: Layout, rows: int
 ) -> dict[tuple[str, int], Finished]:
     """Return what is complete already, by load and cycle; every file is read and verified.
 
@@ -212,7 +213,7 @@ def finished_cycles(
         if not (
             cycle.instrument == mirror.name
             and (cycle.weight, cycle.weight_error) == (mirror.weight, mirror.weight_error)
-            and cycle.layout.same_as(mirror.layout)
+            and cycle.layout.same_as(layout)
             and (cycle.load, cycle.number) == (load, number)
             and len(cycle.time) == rows
         ):

@@ -23,6 +23,7 @@ from truenewton.files.outputs import in_one_line, to_disk
 from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import cycle_name
+from truenewton.statics.layout import Layout
 from truenewton.statics.load import LARGEST_FORCE, Load
 
 VERSION = 1
@@ -150,8 +151,10 @@ class Journal:
                 "holds other shapes than those planned", remedy="move it away", path=self.path
             )
 
-    def cycle(self, mirror: Mirror, bench: Bench) -> Cycle:
+    def cycle(self, mirror: Mirror, layout: Layout, bench: Bench) -> Cycle:
         """Return the cycle that the records make, taken of a mirror on a bench.
+
+        The layout is as files name and place the actuators.
 
         Raises
         ------
@@ -172,7 +175,7 @@ class Journal:
             load=self.load,
             weight=mirror.weight,
             weight_error=mirror.weight_error,
-            layout=mirror.layout,  # the bench's is the same but for rounding
+            layout=layout,  # the bench's is the same but for rounding
             time=(rows["instant"] - rows["instant"][0]) * 1e-6,
             shape=rows["shape"],
             sign=rows["sign"],

@@ -17,10 +17,11 @@ from truenewton.bench.choice import KINDS, BenchChoice, foreign_keys
 from truenewton.bench.protocol import MOST_SAMPLES
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
-from truenewton.mirrors.file import mirror_from, whole_mirror_from
+from truenewton.mirrors.file import mirror_from, segment_from, whole_mirror_from
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.records.file import SUFFIXES, cycle_name
+from truenewton.statics.layout import MOST_ACTUATORS, Layout
 from truenewton.statics.load import Load, check_load
 
 POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "limits.displacement",
@@ -175,6 +176,8 @@ class CampaignPlan:
         What the choice of turns reckons with; for the prediction only.
     sensors
         What the prediction of reciprocity reckons with.
+    segment
+        Number of the one segment that is taken, of a mirror in several; 0 of one in one piece.
 
     Examples
     --------
@@ -197,11 +200,13 @@ class CampaignPlan:
     turns: int = 1
     drift: AssumedDrift = AssumedDrift()
     sensors: AssumedSensors = AssumedSensors()
+    segment: int = 0
 
     def __post_init__(self) -> None:
         in_units(self, {"settling": "s", "pause": "s", "force_noise": "N"})
         for name, low, high in (
             ("cycles", 1, MOST_CYCLES), ("samples", 1, MOST_SAMPLES), ("turns", 0, MOST_TURNS),
+            ("segment", 0, MOST_ACTUATORS),
         ):  # fmt: skip
             if not low <= getattr(self, name) <= high:
                 raise _wrong(name, getattr(self, name), f"give {low} to {high}")
@@ -296,13 +301,25 @@ def template() -> str:
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:
-    """Return the mirror of a plan; a file's name stands relative to the folder of the plan.
+    """Return the mirror of a plan, or its segment; a file stands relative to the plan's folder.
 
     Raises
     ------
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
-    return mirror_from(_mirror_of(plan, folder))
+    name = _mirror_of(plan, folder)
+    return segment_from(name, plan.segment)[0] if plan.segment else mirror_from(name)
+
+
+def recorded_layout(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Layout:
+    """Return the actuators as cycle files name and place them: those of a segment as in the whole.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    name = _mirror_of(plan, folder)
+    return segment_from(name, plan.segment)[1] if plan.segment else mirror_from(name).layout
 
 
 def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> dict[str, Mirror]:
@@ -312,6 +329,9 @@ def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> 
     ------
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
+    if plan.segment:
+        one = planned_mirror(plan, folder)
+        return {one.name: one}
     whole = whole_mirror_from(_mirror_of(plan, folder))
     if not isinstance(whole, SegmentedMirror):
         return {whole.name: whole}

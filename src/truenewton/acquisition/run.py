@@ -24,6 +24,7 @@ from truenewton.errors import BenchFault, Interrupted
 from truenewton.files.outputs import to_disk
 from truenewton.mirrors.known import Mirror
 from truenewton.records.file import cycle_name, write_cycle
+from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 IN_A_ROW = 5  # so many shapes that are not valid, one after another, end a run
@@ -39,6 +40,8 @@ class Run:
     ----------
     plan, mirror, shapes, folder, operator, taker
         What is to be taken, (shapes, n) [m], where to, and by whom.
+    layout
+        The actuators as files name and place them.
     complete
         Loads and numbers of the cycles that need not be taken.
     rest_sums
@@ -49,6 +52,7 @@ class Run:
 
     plan: CampaignPlan
     mirror: Mirror
+    layout: Layout
     shapes: Array
     folder: Path
     operator: Operator
@@ -142,7 +146,7 @@ def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
 
 def _write_file(run: Run, journal: Journal) -> None:
     """Write the file of a cycle; its rows are mapped from the journal until this returns."""
-    cycle = journal.cycle(run.mirror, run.taker.bench)
+    cycle = journal.cycle(run.mirror, run.layout, run.taker.bench)
     path = run.folder / cycle_name(journal.load, journal.number)
     write_cycle(cycle, path)
     to_disk(run.folder)  # from here on the cycle is safe

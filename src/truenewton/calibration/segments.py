@@ -30,6 +30,7 @@ LARGE = 200  # actuators of a segment: below, it is solved before a process has 
 Solve = Callable[..., Calibration]
 Body = TypeVar("Body")
 Found = TypeVar("Found")
+Given = TypeVar("Given")
 BodyOf = TypeVar("BodyOf", covariant=True)
 Tell = Callable[[int, int], None]
 
@@ -136,6 +137,15 @@ def _nobody(done: int, total: int) -> None:
 _TELL: ContextVar[Tell] = ContextVar("tell", default=_nobody)
 
 
+def telling_of(items: Iterable[Given], total: int) -> Iterator[Given]:
+    """Yield what there is of each of so many segments, and tell how many are done."""
+    tell = _TELL.get()
+    tell(0, total)
+    for done, item in enumerate(items, 1):
+        yield item
+        tell(done, total)
+
+
 def of_each(
     data: InSegments[Body],
     solver: Callable[[int], Callable[[Body], Found]],
@@ -164,15 +174,12 @@ def of_each(
     if processes is None:
         largest = int(np.unique(np.asarray(data.layout.segment), return_counts=True)[1].max())
         processes = processors() if largest >= LARGE and sys.executable else 1
-    calls, tell = [partial(work, number) for number in data.numbers], _TELL.get()
-    tell(0, len(calls))
+    calls = [partial(work, number) for number in data.numbers]
     if processes > 1:
         answers = side_by_side(calls, min(processes, len(calls)))
     else:
         answers = (attempt(given) for attempt, given in (call() for call in calls))
-    for done, answer in enumerate(answers, 1):
-        yield answer
-        tell(done, len(calls))
+    yield from telling_of(answers, len(calls))
 
 
 def _same(fault: Fault) -> Fault:

@@ -15,6 +15,7 @@ from truenewton.calibration.methods import (
     find_alpha,
     refusals,
 )
+from truenewton.calibration.segments import telling_of
 from truenewton.calibration.verdict import Level, Verdict
 from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
 from truenewton.errors import (
@@ -98,7 +99,7 @@ def survey_segments(
     """
     parts, lines = [], [f"data of {data.instrument}: {counted(data.numbers, 'segment')}"]
     levels = []
-    for number in data.numbers:
+    for number in telling_of(data.numbers, len(data.numbers)):
         own = np.asarray(data.layout.segment) == number
         of_it = None if motion is None else motion[np.ix_(own, own)]
         try:

@@ -6,6 +6,7 @@ the calibration was that wrote it.
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,13 +26,14 @@ from truenewton.estimation.identifiability import alike_loads_fault
 from truenewton.estimation.reciprocity.gate import BY_ML
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
-from truenewton.records.of_segments import together
 from truenewton.rounding import numbered, percent, with_error
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
     from truenewton.calibration.segmented import SegmentedCalibration
 
+# By which the same fault of several segments differs; whole numbers may be names of actuators.
+FIGURE = re.compile(r"\d+\.\d+(e[+-]?\d+)?|\d+(?= %)")
 FAR = 5.0  # robust standard deviations, for an actuator off the others
 FEW = 0.03  # of the actuators, and two at least, may be dead or reversed: else all are in doubt
 IMPROBABLE = 1e-3  # of a fit; as weights are warned of
@@ -127,6 +129,7 @@ def verdict_on(calibration: Calibration) -> Verdict:
 def verdict_on_segments(c: SegmentedCalibration) -> Verdict:
     """Judge a mirror in several segments: each fault names its segment, the gravest first.
 
+    What is said of several in the same words is said once, with the figures of the first of them.
     It can be used as long as a segment can; it is sound where all are.
     """
     judged = {number: one.verdict for number, one in c.segments.items()}
@@ -134,15 +137,18 @@ def verdict_on_segments(c: SegmentedCalibration) -> Verdict:
     worst_first = sorted(
         judged, key=lambda number: (-GRAVITIES.index(judged[number].level), number)
     )
-    said = together(
-        (number, (judged[number].level, fault))
-        for number in worst_first
-        for fault in judged[number].faults
-    )
+    alike: dict[tuple[Level, str, str], list[tuple[int, Fault]]] = {}
+    for number in worst_first:
+        for each in judged[number].faults:
+            fault, remedy = (FIGURE.sub("", part) for part in each)
+            alike.setdefault((judged[number].level, fault, remedy), []).append((number, each))
     faults = []
-    for numbers, (level, (fault, remedy)) in said:
-        of = numbered("segment", numbers) + (f", {level}" if level in GRAVITIES[2:] else "")
-        faults.append(Fault(f"{of}: {fault}", remedy))
+    for (level, *_), said in alike.items():
+        first, (fault, remedy) = said[0]
+        of = numbered("segment", sorted({number for number, _ in said}))
+        of += f", {level}" if level in GRAVITIES[2:] else ""
+        as_said = f" (as of segment {first})" if len({each for _, each in said}) > 1 else ""
+        faults.append(Fault(f"{of}: {fault}{as_said}", remedy))
     levels = {one.level for one in judged.values()}
     if not levels & {Level.SOUND, Level.LIMITED}:
         return Verdict(Level.UNUSABLE, tuple(faults))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ MOST_FILES = 5  # named in one line
 def run(
     plan: Path = typer.Argument(..., metavar="PLAN", help="The plan of the campaign (TOML)."),
     output: Path = typer.Option(..., "-o", "--output", help="Folder for the cycle files."),
+    segment: int | None = options.SEGMENT,
     yes: bool = typer.Option(
         False, "--yes", help="Take every load for put on, and ask nobody; the forces are checked."
     ),
@@ -40,6 +42,7 @@ def run(
     from truenewton.rounding import counted
 
     wanted, beside = read_plan(plan), plan.parent
+    wanted = wanted if segment is None else replace(wanted, segment=segment)
     simulated, complete = wanted.bench.kind == "simulated", is_complete(output, wanted)
     if simulated and not output.exists():
         refuse_existing(truth_path(output))

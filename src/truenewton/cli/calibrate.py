@@ -61,7 +61,7 @@ def run(
         motion = options.motion_of(mirror, data)
         with about(paths):
             if isinstance(data, SegmentedData):
-                with busy(f"calibrating {len(data.numbers)} segments"):
+                with busy("calibrating"):
                     whole = calibrate(
                         data,
                         method,

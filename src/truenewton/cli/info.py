@@ -34,7 +34,8 @@ def run(
         lines = ["a calibration of several segments", *segmented_lines(data)]
     elif isinstance(data, SegmentedData):
         motion = options.motion_of(mirror, data)
-        values, lines = survey_segments(data, method, population=population, motion=motion)
+        with busy("trying to calibrate"):
+            values, lines = survey_segments(data, method, population=population, motion=motion)
     elif isinstance(data, Calibration):
         values = {"holds": "calibration", **summary_values(data)}
         headline = f"a calibration, method {data.method}, scale {data.scale}"

@@ -29,7 +29,7 @@ def run(
     """Calibrate replaced actuators by a short run; all others keep their calibration."""
     from truenewton.calibration.verdict import refuse_unusable
     from truenewton.calibration.written import suffix_of
-    from truenewton.cli.terminal import about, bar, print_result
+    from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import FormatError
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import of_segment, read
@@ -44,7 +44,7 @@ def run(
     if output is not None:
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
-    with bar("recalibrating"), about(paths):
+    with busy("recalibrating"), about(paths):
         data = read(*paths)
         if isinstance(data, SegmentedData) and segment is None:
             several = recalibrate_segments(data, known, ids, force=force)

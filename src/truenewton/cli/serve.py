@@ -18,6 +18,7 @@ def run(
         help="Folder of certificates, keys and password; made where there is none.",
     ),
     port: int = typer.Option(4840, min=1, max=65535, help="TCP port."),
+    segment: int | None = options.SEGMENT,
     seed: int = typer.Option(1, min=0, help="Decides everything random."),
     noise: float = typer.Option(1e-4, min=0.0, max=1.0, help="Of one force reading [N]; static."),
     fidelity: str = options.FIDELITY,
@@ -33,10 +34,15 @@ def run(
     from truenewton.bench.opcua.keys import CLIENT_FILES, USER, make_keys
     from truenewton.bench.opcua.server import check_port, serving
     from truenewton.bench.simulated.bench import SimulatedBench
+    from truenewton.bench.simulated.segmented import seed_of
     from truenewton.cli.terminal import say
-    from truenewton.mirrors.file import mirror_from
+    from truenewton.mirrors.file import mirror_from, segment_from
 
-    bench = SimulatedBench(mirror_from(mirror), seed, force_noise=noise, fidelity=fidelity)
+    if segment is None:
+        known = mirror_from(mirror)
+    else:
+        known, seed = segment_from(mirror, segment)[0], seed_of(seed, segment)
+    bench = SimulatedBench(known, seed, force_noise=noise, fidelity=fidelity)
     check_port(port)
     make_keys(keys)
 

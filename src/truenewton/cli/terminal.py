@@ -92,35 +92,27 @@ def track(items: Sequence[Item], what: str) -> Iterator[Item]:
 
 
 @contextlib.contextmanager
-def bar(what: str) -> Iterator[None]:
-    """Show that something takes its time, and how many segments are done, where there are any."""
+def busy(what: str) -> Iterator[None]:
+    """Show on standard error that something takes its time, where a person looks at it.
+
+    Of a mirror in several segments a bar shows how many are done.
+    """
     if not sys.stderr.isatty():
         yield
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
 
     from truenewton.calibration.segments import telling
 
-    columns = TextColumn("{task.description}", markup=False), BarColumn(bar_width=20)
+    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False)
     with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task(what, total=None)  # it only moves, until there is a number
+        task = shown.add_task(what, total=None)
 
         def tell(done: int, total: int) -> None:
+            shown.columns = (*columns, BarColumn(bar_width=20))
             of = f"{what}: {done} of {total} segments"
             shown.update(task, completed=done, total=total, description=of)
 
         with telling(tell):
             yield
-
-
-@contextlib.contextmanager
-def busy(what: str) -> Iterator[None]:
-    """Show on standard error that something takes its time, where a person looks at it."""
-    if not sys.stderr.isatty():
-        yield
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status(what):
-        yield

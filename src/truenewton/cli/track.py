@@ -26,7 +26,7 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Find how alpha varies with temperature and time, from calibrations of different days."""
-    from truenewton.cli.terminal import bar, print_result
+    from truenewton.cli.terminal import busy, print_result
     from truenewton.errors import FormatError
     from truenewton.figures.writing import write_drawn
     from truenewton.files.outputs import refuse_existing, together
@@ -41,7 +41,7 @@ def run(
     if accuracy is not None and not 1e-9 <= accuracy <= 1:
         raise FormatError(f"--accuracy is {accuracy:g}", remedy="give it relative, as 0.005")
     refuse_existing(output, figures, overwrite=overwrite)
-    with bar("tracking"):
+    with busy("tracking"):
         days = [named(path) for path in paths]
         if segment is None and any(of_several(day.data) for day in days):
             whole = track_segments(*days, force=force)

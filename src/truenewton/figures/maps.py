@@ -93,6 +93,7 @@ def plot_layout(layout: Layout, ax: Axes | None = None, edges: Sequence[Array] =
             for name, x, y in zip(layout.id, layout.x, layout.y, strict=True):
                 ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
                         fontsize=5.5)  # fmt: skip
+        _name_segments(ax, layout)
     return ax
 
 
@@ -149,6 +150,7 @@ def plot_map(
                 ax.text(x / MILLIMETRE, y / MILLIMETRE, text, ha="center", va="center",
                         fontsize=4.0 if numbers else 5.0, linespacing=1.0,
                         color=colour if np.isfinite(value) else FAINT)  # fmt: skip
+        _name_segments(ax, layout)
     return ax
 
 
@@ -157,7 +159,8 @@ def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
     for radius in ring_radii(layout):
         ax.add_patch(Circle((0, 0), radius, fill=False, color=FAINT, linewidth=0.4, zorder=0))
     farthest = np.hypot(layout.x, layout.y).max() / MILLIMETRE
-    reach = 1.08 * max(farthest + dot_radius(layout), glass / MILLIMETRE)
+    named = max((np.hypot(x, y) for _, x, y in segment_places(layout)), default=0.0)
+    reach = 1.08 * max(farthest + dot_radius(layout), glass / MILLIMETRE, named)
     arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
     for name, (x, y), ha, va in (("$x$", (reach, 0.0), "right", "bottom"),
                                  ("$y$", (0.0, reach), "left", "top")):  # fmt: skip
@@ -171,6 +174,36 @@ def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
     ax.plot([reach - bar, reach], [-0.97 * reach] * 2, color=INK, linewidth=1.0,
             solid_capstyle="butt")  # fmt: skip
     ax.text(reach - bar / 2, -0.95 * reach, f"{bar:g} mm", ha="center", va="bottom", fontsize=6.5)
+
+
+def segment_places(layout: Layout) -> list[tuple[int, float, float]]:
+    """Return number, x and y [mm] of where each segment is named: beyond it, seen from the middle.
+
+    In its middle where others stand in the way.
+    """
+    x, y, away = layout.x / MILLIMETRE, layout.y / MILLIMETRE, 3.0 * dot_radius(layout)
+    middle_x, middle_y = x.mean(), y.mean()
+    places = []
+    for number in layout.segments:
+        own = np.asarray(layout.segment) == number
+        dx, dy = x[own].mean() - middle_x, y[own].mean() - middle_y
+        far = max(float(np.hypot(dx, dy)), 1e-9)
+        reach = ((x[own] - middle_x) * dx + (y[own] - middle_y) * dy).max() / far + away
+        at_x, at_y = middle_x + dx / far * reach, middle_y + dy / far * reach
+        if np.hypot(x - at_x, y - at_y).min() < 0.9 * away or far < away:
+            at_x, at_y = x[own].mean(), y[own].mean()
+        places.append((number, float(at_x), float(at_y)))
+    return places
+
+
+def _name_segments(ax: Axes, layout: Layout) -> None:
+    """Write the number of each segment, over dots with a rim of white."""
+    from matplotlib.patheffects import withStroke
+
+    rim = [withStroke(linewidth=2.0, foreground="white")]
+    for number, x, y in segment_places(layout):
+        ax.text(x, y, str(number), ha="center", va="center", fontsize=9.0, fontweight="bold",
+                color=INK, path_effects=rim)  # fmt: skip
 
 
 def _mark_view(ax: Axes) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,8 @@ from truenewton.mirrors.shell.held_glass import tool_wedges
 from truenewton.mirrors.shell.places import SMALLEST_HOLE
 from truenewton.mirrors.tables import layout_in, outline_in
 from truenewton.records.file import SUFFIXES
-from truenewton.statics.layout import FARTHEST
+from truenewton.records.segment import require_segment
+from truenewton.statics.layout import FARTHEST, Layout
 
 MOST = 1e15  # of any number of a mirror, stiff glass included
 LEAST_ALPHA = 1e-3  # below and above its inverse the unit of force is wrong
@@ -68,6 +69,29 @@ def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
         if "segments" in tables:
             return _segments_in(tables, path)
     return mirror_from(name)
+
+
+def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Layout]:
+    """Return a segment of a mirror, and its actuators as the whole mirror names and places them.
+
+    Parameters
+    ----------
+    name
+        As of `whole_mirror_from`.
+    number
+        Of the segment, which has a frame and numbers of its own.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    whole = whole_mirror_from(name)
+    if not isinstance(whole, SegmentedMirror):
+        raise FormatError(f"{whole.name} is in one piece", remedy="leave the segment out")
+    require_segment(number, whole.layout.segments)
+    chosen = np.asarray(whole.layout.segment) == number
+    own = replace(whole.segments[number - 1], name=f"{whole.name} segment {number}")
+    return own, whole.layout.part(chosen)
 
 
 def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
@@ -149,7 +173,8 @@ def _mirror_in(path: Path) -> Mirror:
 def _is_segmented(name: str) -> FormatError:
     return FormatError(
         f"'{name}' is a mirror in segments",
-        remedy="simulate and plan take it; for anything else give the file of one segment",
+        remedy="simulate and plan take it, acquire and serve one segment of it, --segment; for"
+        " anything else give the file of one segment",
     )
 
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.errors import FormatError
+from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.records.campaign import Campaign, ordered_cycles, refuse_foreign
 from truenewton.records.cycle import Cycle
 from truenewton.records.fault import Fault
 from truenewton.records.segment import require_segment
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, significant
-from truenewton.statics.layout import Layout
+from truenewton.statics.layout import Layout, joined
 
 # Of what stands between segments: standard deviations by which it is reciprocal, as noise is not;
 # and its rms in terms of that of a segment's own elements, beyond which it is no mere noise either.
@@ -28,7 +30,8 @@ class SegmentedData:
     Attributes
     ----------
     cycles
-        Ordered by load, the bare one first, then by number; empty where there is a matrix alone.
+        Of all segments, or each of one or some; those of the same segments ordered by load, the
+        bare one first, then by number. Empty where there is a matrix alone.
     stiffness
         Of all segments; or None.
 
@@ -50,8 +53,15 @@ class SegmentedData:
 
     def __post_init__(self) -> None:
         if self.cycles:
-            object.__setattr__(self, "cycles", ordered_cycles(self.cycles))
-            refuse_foreign(self.stiffness, self.cycles[0])
+            object.__setattr__(self, "cycles", _ordered(self.cycles))
+            if len(self._groups) == 1:
+                refuse_foreign(self.stiffness, self.cycles[0])
+            elif self.stiffness is not None:
+                raise FormatError(
+                    "a stiffness matrix stands among cycles of single segments",
+                    remedy="calibrate it by itself",
+                    path=self.stiffness.source.file if self.stiffness.source else None,
+                )
         elif self.stiffness is None:
             raise FormatError("there are no data", remedy="give cycles, a stiffness matrix or both")
         if not self.layout.segments:
@@ -67,21 +77,34 @@ class SegmentedData:
         )
 
     @property
-    def _record(self) -> Cycle | StiffnessMatrix:
-        for record in (*self.cycles[:1], self.stiffness):
-            if record is not None:
-                return record
-        raise AssertionError  # never made
+    def _groups(self) -> dict[tuple[int, ...], Cycle]:
+        """The first cycle of those that are of the same segments, by the numbers of these."""
+        return {cycle.numbers: cycle for cycle in self.cycles[::-1]}
 
-    @property
+    @cached_property
     def layout(self) -> Layout:
-        """All actuators."""
-        return self._record.layout
+        """All actuators; of cycles of single segments, segment after segment."""
+        groups = self._groups
+        if not groups:
+            return self._matrix.layout
+        if len(groups) == 1:
+            return self.cycles[0].layout
+        parts: dict[int, Layout] = {}
+        for numbers in sorted(groups, key=len, reverse=True):
+            whole = groups[numbers].layout
+            for number in numbers:
+                parts.setdefault(number, whole.part(np.asarray(whole.segment) == number))
+        return joined([parts[number] for number in sorted(parts)])
 
     @property
     def instrument(self) -> str:
         """The mirror's name."""
-        return self._record.instrument
+        return self.cycles[0].mirror if self.cycles else self._matrix.instrument
+
+    @property
+    def _matrix(self) -> StiffnessMatrix:
+        assert self.stiffness is not None
+        return self.stiffness
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -100,10 +123,41 @@ class SegmentedData:
         """
         require_segment(number, self.numbers)
         matrix = None if self.stiffness is None else segment_of_matrix(self.stiffness, number)
-        if self.cycles:
-            return Campaign(tuple(cycle.of_segment(number) for cycle in self.cycles), matrix)
+        own = tuple(cycle.of_segment(number) for cycle in self.cycles if number in cycle.numbers)
+        if own:
+            return Campaign(own, matrix)
         assert matrix is not None
         return matrix
+
+
+def in_segments(cycles: Sequence[Cycle]) -> bool:
+    """Tell whether cycles are of a mirror in several segments, or of single ones that differ."""
+    return len({number for cycle in cycles for number in cycle.numbers}) > 1
+
+
+def _ordered(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
+    """Return cycles by the segments that they are of, then in the order of a campaign.
+
+    Raises
+    ------
+    FormatError, CampaignMismatch
+    """
+    groups: dict[tuple[int, ...], list[Cycle]] = {}
+    for cycle in cycles:
+        groups.setdefault(cycle.numbers, []).append(cycle)
+        if cycle.mirror != cycles[0].mirror:
+            raise CampaignMismatch(
+                f"is of {cycle.mirror}, {cycles[0].name} of {cycles[0].mirror}",
+                remedy="calibrate files of one mirror only",
+                path=cycle.name,
+            )
+    if () in groups and len(groups) > 1:
+        raise FormatError(
+            "says of no segment that it is of, where others do",
+            remedy="give ACTUATORS the column SEGMENT",
+            path=groups[()][0].name,
+        )
+    return tuple(cycle for numbers in sorted(groups) for cycle in ordered_cycles(groups[numbers]))
 
 
 def segment_of_matrix(matrix: StiffnessMatrix, number: int) -> StiffnessMatrix:

@@ -36,7 +36,7 @@ class SegmentedBench:
     benches
         Of its segments, with as many shapes each; where a segment has fewer, its first ones again.
     seed
-        Decides everything random; segment k has the seed 1000 seed + k.
+        Decides everything random; segment k has that of `seed_of`.
     """
 
     mirror: SegmentedMirror
@@ -47,6 +47,11 @@ class SegmentedBench:
     def shapes(self) -> Array:
         """(shapes, n) readings along z of all actuators [m]."""
         return np.concatenate([bench.shapes for bench in self.benches], axis=1)
+
+
+def seed_of(seed: int, number: int) -> int:
+    """Return the seed of a segment of a mirror."""
+    return SEEDS * seed + number
 
 
 def segmented_bench(
@@ -75,7 +80,7 @@ def segmented_bench(
     benches = [
         static_bench(
             segment,
-            SEEDS * seed + k,
+            seed_of(seed, k),
             force_noise=force_noise,
             temperature=temperature,
             glass=glasses[k],

@@ -29,7 +29,14 @@ from bokeh.plotting import figure
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.figures.maps import dot_radius, numbers_by_ring, ring_edges, ring_label, ring_radii
+from truenewton.figures.maps import (
+    dot_radius,
+    numbers_by_ring,
+    ring_edges,
+    ring_label,
+    ring_radii,
+    segment_places,
+)
 from truenewton.figures.style import ACCENT, ALARM, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
@@ -86,6 +93,12 @@ def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ..
         plot.text(x="x", y="y", text={"field": "id"}, source=source, text_color={"field": "ink"},
                   text_font=value(FONT), text_font_size="0.65em", text_align="center",
                   text_baseline="middle", nonselection_text_alpha=0.6)  # fmt: skip
+    if places := segment_places(layout):
+        names, at_x, at_y = zip(*((str(k), x, y) for k, x, y in places), strict=True)
+        plot.text(x=at_x, y=at_y, text=names, text_color=INK,
+                  text_font=value(FONT), text_font_style="bold", text_font_size="1.1em",
+                  text_outline_color="white", text_align="center",
+                  text_baseline="middle")  # fmt: skip
     bar = ColorBar(color_mapper=mapper, title=layers[0].title, name="bar", height=12,
                    title_text_font_style="normal", title_text_font=FONT,
                    major_label_text_font=FONT)  # fmt: skip
