@@ -59,7 +59,8 @@ def true_base(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModalBa
     reader = motion_reader(sift(campaign))
     read_rows(campaign, (reader.take,))
     static = static_force(stiffness, calibration, reader.force_at_rest)
-    return modal_base(matrix, stiffness, found.after.seen, static, found.after.costs[0].efficiency)
+    efficiency = found.after.costs[0].efficiency
+    return modal_base(matrix, stiffness, stiffness.modes, found.after.seen, static, efficiency)
 
 
 def score_modes(campaign: Campaign, found: ModalFindings, truth: Truth) -> ModesScore:
@@ -99,7 +100,7 @@ def _singular(campaign: Campaign, found: ModalFindings) -> Dissipation:
     return dissipation(
         "singular vectors",
         np.linalg.svd(matrix)[2][::-1].T,
-        replace(base.stiffness, forces=matrix),
+        replace(base.stiffness, acting_stiffness=matrix),
         base.seen,
         cost.static,
         cost.efficiency,

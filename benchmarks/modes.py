@@ -120,8 +120,8 @@ def real(folder: str) -> None:
         atmosphere = Atmosphere(seeing)
         seen = seen_turbulence(matrix.layout, matrix.layout.enabled, atmosphere, PUPIL)
         measured, right = (
-            modal_base(matrix, true_stiffness(matrix, alpha), seen, np.zeros(650), EFFICIENCY)
-            for alpha in (None, calibration)
+            modal_base(matrix, each, each.modes, seen, np.zeros(650), EFFICIENCY)
+            for each in (true_stiffness(matrix, alpha) for alpha in (None, calibration))
         )
         separation = np.hypot(x[:, None] - x, y[:, None] - y)
         far = structure_function(np.array(1e9), atmosphere)  # twice the variance

@@ -17,14 +17,14 @@ N = 12
 ALL = np.ones(N, dtype=bool)
 
 
-def stiffness_of(forces, shapes, alpha, commanded):
+def stiffness_of(forces, followers, alpha, commanded):
     """Return twelve actuators, of which some are commanded and the others follow as told."""
     layout = tn.rings([0.05, 0.1], [4, 8])
     matrix = tn.StiffnessMatrix("TINY", datetime.datetime(2026, 5, 4), layout, np.eye(N))
     slaved = layout.id[~commanded].tolist()
     return dataclasses.replace(
         true_stiffness(matrix, None, slaved=slaved),
-        forces=forces, shapes=shapes, enabled_alpha=alpha,
+        acting_stiffness=forces, followers=followers, enabled_alpha=alpha,
     )  # fmt: skip
 
 
@@ -41,7 +41,7 @@ def case():
     modes = np.linalg.qr(rng.standard_normal((N, N)))[0]
     alpha = rng.uniform(0.7, 1.1, N)
     static = rng.uniform(-0.1, 0.1, N)
-    stiffness = stiffness_of(forces, np.eye(N), alpha, ALL)
+    stiffness = stiffness_of(forces, np.empty((0, N)), alpha, ALL)
     cost = dissipation("any", modes, stiffness, seen(root @ root.T, ALL), static)
     return root, forces, modes, alpha, static, cost
 
@@ -68,7 +68,7 @@ def test_those_that_follow_leave_what_they_do_not_hit(number):
     shapes[commanded] = np.eye(9)
     shapes[~commanded] = rng.standard_normal((3, 9))
     modes = np.linalg.qr(rng.standard_normal((9, 9)))[0]
-    stiffness = stiffness_of(rng.standard_normal((N, 9)), shapes, np.ones(N), commanded)
+    stiffness = stiffness_of(rng.standard_normal((N, N)), shapes[~commanded], np.ones(N), commanded)
     cost = dissipation("any", modes, stiffness, seen(root @ root.T, commanded), np.zeros(N))
     used = modes[:, :number]
     hit = shapes @ used @ used.T @ np.eye(N)[commanded]

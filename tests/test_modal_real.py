@@ -32,7 +32,7 @@ def matrix():
 
 def cost_of(matrix, calibration, seen):
     stiffness = true_stiffness(matrix, calibration)
-    return modal_base(matrix, stiffness, seen, np.zeros(650), EFFICIENCY).costs[0]
+    return modal_base(matrix, stiffness, stiffness.modes, seen, np.zeros(650), EFFICIENCY).costs[0]
 
 
 @pytest.mark.parametrize("seeing", [0.8, 1.5])

@@ -108,6 +108,46 @@ def mirrored(upper: Array) -> Array:
     return upper
 
 
+def transposed(matrix: Array) -> Array:
+    """Transpose an (n, n) matrix in place, by blocks; return it."""
+    for start in range(0, len(matrix), ROWS_AT_ONCE):
+        some = slice(start, start + ROWS_AT_ONCE)
+        matrix[some, some] = matrix[some, some].T.copy()
+        for right in range(some.stop, len(matrix), ROWS_AT_ONCE):
+            others = slice(right, right + ROWS_AT_ONCE)
+            above = matrix[some, others].copy()
+            matrix[some, others] = matrix[others, some].T
+            matrix[others, some] = above.T
+    return matrix
+
+
+def symmetrised(matrix: Array) -> Array:
+    """Replace an (n, n) matrix by the mean of it and its transpose, in place; return it."""
+    for start in range(0, len(matrix), ROWS_AT_ONCE):
+        some = slice(start, start + ROWS_AT_ONCE)
+        rows = 0.5 * (matrix[some, start:] + matrix[start:, some].T)
+        matrix[some, start:], matrix[start:, some] = rows, rows.T
+    return matrix
+
+
+def rearranged(matrix: Array, columns: NDArray[np.int64]) -> Array:
+    """Put the columns of a matrix in another order, in place; return it."""
+    for start in range(0, len(matrix), ROWS_AT_ONCE):
+        rows = matrix[start : start + ROWS_AT_ONCE]
+        rows[:] = rows[:, columns]
+    return matrix
+
+
+def eigenvectors(symmetric: Array) -> tuple[Array, Array]:
+    """Return (n,) ascending eigenvalues and (n, n) eigenvectors, as columns, of a symmetric matrix.
+
+    Two matrices of n x n are all it takes: the vectors, and ``symmetric``, which is overwritten
+    (LAPACK's dsyevr; dsyevd, which numpy takes, needs four).
+    """
+    values, vectors = scipy.linalg.eigh(symmetric.T, driver="evr", overwrite_a=True)
+    return values, transposed(vectors.T)  # as LAPACK stores them, each is a row in memory
+
+
 def factor_of(matrix: Array) -> Array:
     """Return (n, m) F with F F' an (n, n) positive semi-definite matrix, rounding left out."""
     values, vectors = scipy.linalg.eigh(matrix)

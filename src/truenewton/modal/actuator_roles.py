@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lu_factor, lu_solve
 
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.estimation.reciprocity.sight import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.estimation.reciprocity.sight import places_of, seen_from
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
@@ -130,8 +130,16 @@ def seen_motion(layout: Layout, gain: Array, offset: Array) -> Array:
     ``gain`` and ``offset`` as of `matched_sensors`. Between the actuators the glass bends as a
     plate (`sight`).
     """
-    values = Values(np.zeros(layout.n), np.log(gain), offset)
-    return sight(places_of(layout), values, slopes=bool(offset.any())).motion * gain
+    return seen_from(places_of(layout), offset) * gain
+
+
+def per_true_displacement(k: Array, layout: Layout, gain: Array, offset: Array) -> Array:
+    """Return (n, n) forces per true displacement for those per reading, which are overwritten."""
+    k /= gain
+    if not offset.any():
+        return k
+    factors = lu_factor(seen_from(places_of(layout), offset).T, overwrite_a=True)
+    return np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
 
 
 def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:

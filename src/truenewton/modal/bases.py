@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
+from truenewton.linalg import eigenvectors, rearranged
 from truenewton.modal.zernikes import zernike
 from truenewton.statics.modes import settled
 
@@ -40,25 +43,32 @@ def zernike_modes(x: Array, y: Array) -> Array:
     """
     n = len(x)
     modes, count = np.empty((n, n)), 0
-    for lot in range(LOTS):
-        candidates = zernike((lot + 1) * n, x, y)[:, lot * n :]
-        for start in range(0, n, BLOCK):
-            block = _less(candidates[:, start : start + BLOCK], modes[:, :count])
-            first = count
-            for candidate in block.T:
-                new = _less(candidate, modes[:, first:count])
-                length = np.linalg.norm(new)
-                if length > NEWNESS * np.sqrt(n):
-                    modes[:, count] = new / length
-                    count += 1
-                    if count == n:
-                        return modes
+    for block in _zernikes(x, y):
+        left, first = _less(block, modes[:, :count]), count
+        for candidate in left.T:
+            new = _less(candidate, modes[:, first:count])
+            length = np.linalg.norm(new)
+            if length > NEWNESS * np.sqrt(n):
+                modes[:, count] = new / length
+                count += 1
+                if count == n:
+                    return modes
     raise GeometryError(
         f"Zernikes span only {count} of {n} actuators",
         remedy="give each actuator a place of its own, in units of the pupil's radius",
         got=count,
         want=n,
     )
+
+
+def _zernikes(x: Array, y: Array) -> Iterator[Array]:
+    """Yield Zernikes in their order, (n, BLOCK) at a time; few more are in memory."""
+    most = LOTS * len(x)
+    lot = BLOCK * max(len(x) // (4 * BLOCK), 1)
+    for tried in range(0, most, lot):
+        candidates = zernike(min(tried + lot, most), x, y, without=tried)
+        for start in range(0, candidates.shape[1], BLOCK):
+            yield candidates[:, start : start + BLOCK]
 
 
 def _less(vectors: Array, modes: Array) -> Array:
@@ -86,8 +96,16 @@ def karhunen_loeve_modes(covariance: Array) -> Array:
     >>> np.allclose(modes.T @ modes, np.eye(45))
     True
     """
+    return overwritten_by_modes(np.array(covariance, dtype=float))
+
+
+def overwritten_by_modes(covariance: Array) -> Array:
+    """Return the same modes; the covariance, which is theirs to overwrite, is spoilt."""
     n = len(covariance)
     # Piston moves from the eigenvalue 0 to the far end, and keeps off the faintest modes.
-    values, vectors = np.linalg.eigh(covariance - np.trace(covariance) / n)
-    values, vectors = values[:0:-1], vectors[:, :0:-1]
-    return np.column_stack([np.full(n, n**-0.5), settled(vectors, values)])
+    covariance -= np.trace(covariance) / n
+    values, vectors = eigenvectors(covariance)
+    modes = rearranged(vectors, np.append(0, np.arange(n - 1, 0, -1)))
+    modes[:, 0] = n**-0.5
+    settled(modes[:, 1:], values[:0:-1])
+    return modes

@@ -7,14 +7,17 @@ the true forces G that hold unit displacements, the first N modes have the ampli
 
 Actuators that are not commanded follow, and leave what they do not hit.
 
+No more than a few modes at a time are in memory: of thousands of actuators each matrix counts.
+
 A coil is heated by its *commanded* force, (c / efficiency)^2 with c = f / alpha; the glass and the
 margin to saturation feel the true one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,10 +29,10 @@ from truenewton.modal.true_stiffness import TrueStiffness
 
 EFFICIENCY = 0.51  # commanded force per root of power, of LBT's and P45's coils [N/W^1/2]
 SIGMAS = 3.0  # of the turbulent force, beside the static one, that an actuator has to reach
-
-
 LEAST = 1e-12  # of a limit; squares stay above zero
 LEAST_EFFICIENCY = 1e-6
+SHARE = 16  # of the modes that are taken together at a time
+FEWEST = 16
 
 
 @dataclass(frozen=True)
@@ -84,16 +87,20 @@ class Dissipation:
         'stiffness', 'Zernike', ...
     modes
         (m, m) displacement at the commanded actuators, one mode a column, of unit length.
-    residual
-        (m,) rms wavefront that the first N modes leave, at all enabled actuators [m].
-    force
-        (n, m) rms true force of the turbulence on each actuator [N].
+    stiffness, seen
+        Forces per displacement, and the turbulence.
     static
         (n,) true force that stands whatever the turbulence does: weight, bias, flattening [N].
-    alpha
-        (n,) true Newton / commanded Newton.
     efficiency
         Commanded force per root of power [N/W^1/2].
+    residual
+        (m,) rms wavefront that the first N modes leave, at all enabled actuators [m].
+    force_rms, force_worst
+        (m,) of ``force``, over the actuators [N].
+    reach_worst
+        (m,) largest ``reach`` [N].
+    power_total, power_worst
+        (m,) of all coils together, and of the worst [W].
 
     Raises
     ------
@@ -103,34 +110,56 @@ class Dissipation:
 
     base: str
     modes: Array
-    residual: Array
-    force: Array
+    stiffness: TrueStiffness
+    seen: SeenTurbulence
     static: Array
-    alpha: Array
     efficiency: float
+    residual: Array
+    force_rms: Array
+    force_worst: Array
+    reach_worst: Array
+    power_total: Array
+    power_worst: Array
 
     def __post_init__(self) -> None:
-        freeze(self, "modes", "residual", "force", "static", "alpha")
-        if not LEAST_EFFICIENCY <= self.efficiency <= 1.0 / LEAST_EFFICIENCY:
-            raise FormatError(
-                f"an efficiency of {self.efficiency:g} N/W^1/2",
-                remedy="give the commanded force per root of power, as 0.51",
-                got=self.efficiency,
-            )
+        freeze(self, "modes", "static", "residual", "force_rms", "force_worst", "reach_worst",
+               "power_total", "power_worst")  # fmt: skip
 
     def __repr__(self) -> str:
         return f"<Dissipation of {self.residual.size} {self.base} modes>"
 
     @property
+    def alpha(self) -> Array:
+        """(n,) true Newton / commanded Newton."""
+        return self.stiffness.enabled_alpha
+
+    @property
+    def force(self) -> Array:
+        """(n, m) rms true force of the turbulence on each actuator [N]; found anew when asked."""
+        found = np.empty((len(self.static), len(self.residual)))
+        for some, force in self._forces():
+            found[:, some] = force
+        return found
+
+    @property
     def power(self) -> Array:
         """(n, m) mean power of each coil, static force included [W]."""
-        mean_square = self.force**2 + self.static[:, None] ** 2
-        return np.asarray(mean_square / (self.alpha[:, None] * self.efficiency) ** 2)
+        return _powers(self.force, self.static, self.alpha * self.efficiency)
 
     @property
     def reach(self) -> Array:
         """(n, m) true force that each actuator has to reach: static and three sigma [N]."""
-        return np.asarray(np.abs(self.static)[:, None] + SIGMAS * self.force)
+        return _reached(self.force, self.static)
+
+    @property
+    def power_mean(self) -> Array:
+        """(m,) of all coils [W]."""
+        return np.asarray(self.power_total / len(self.static))
+
+    def _forces(self) -> Iterator[tuple[slice, Array]]:
+        """Yield (n, b) forces of the first modes up to each of some, and which these are."""
+        for answer in _answers(self.modes, self.stiffness, self.seen.wavefront):
+            yield answer.some, answer.force
 
     def modes_within(self, limits: Budget, *, alpha_error: ArrayLike = 0.0) -> int:
         """Return the largest N such that the first 1..N modes all keep within the limits.
@@ -145,20 +174,24 @@ class Dissipation:
             commands, which were measured.
         """
         higher = 1.0 + np.asarray(alpha_error, dtype=float).reshape(-1, 1)
-        power = self.power
-        beyond = (power > limits.power).any(axis=0) | (power.sum(axis=0) > limits.total)
-        beyond |= (higher * self.reach > limits.force).any(axis=0)
+        beyond = (self.power_worst > limits.power) | (self.power_total > limits.total)
+        if higher.size == 1:
+            beyond |= higher[0, 0] * self.reach_worst > limits.force
+        elif np.isfinite(limits.force):
+            for some, force in self._forces():
+                reached = higher * _reached(force, self.static)
+                beyond[some] |= (reached > limits.force).any(axis=0)
         return int(np.argmax(beyond)) if beyond.any() else beyond.size
 
 
 # What stands for the first N = 1..m modes in files and for scripts: name, unit, (m,) values.
 SUMMARIES: tuple[tuple[str, str, Callable[[Dissipation], Array]], ...] = (
     ("residual", "m", lambda cost: cost.residual),
-    ("force_rms", "N", lambda cost: np.sqrt(np.mean(cost.force**2, axis=0))),
-    ("force_worst", "N", lambda cost: cost.force.max(axis=0)),
-    ("reach", "N", lambda cost: cost.reach.max(axis=0)),
-    ("power_mean", "W", lambda cost: cost.power.mean(axis=0)),
-    ("power_worst", "W", lambda cost: cost.power.max(axis=0)),
+    ("force_rms", "N", lambda cost: cost.force_rms),
+    ("force_worst", "N", lambda cost: cost.force_worst),
+    ("reach", "N", lambda cost: cost.reach_worst),
+    ("power_mean", "W", lambda cost: cost.power_mean),
+    ("power_worst", "W", lambda cost: cost.power_worst),
 )
 
 
@@ -183,31 +216,86 @@ def dissipation(
         commanded.
     seen
         The turbulence at all n actuators.
+
+    Raises
+    ------
+    FormatError
+        An efficiency that is not positive.
     """
-    on, C = stiffness.commanded, seen.wavefront
-    amplitudes = modes.T @ C[np.ix_(on, on)] @ modes
-    own = np.diag(amplitudes)
+    if not LEAST_EFFICIENCY <= efficiency <= 1.0 / LEAST_EFFICIENCY:
+        raise FormatError(
+            f"an efficiency of {efficiency:g} N/W^1/2",
+            remedy="give the commanded force per root of power, as 0.51",
+            got=efficiency,
+        )
+    own, missed, *summaries = np.empty((7, modes.shape[1]))
+    for answer in _answers(modes, stiffness, seen.wavefront):
+        own[answer.some], missed[answer.some] = answer.own, answer.missed
+        power = _powers(answer.force, static, stiffness.enabled_alpha * efficiency)
+        for summary, values in zip(
+            summaries,
+            (np.sqrt(np.mean(answer.force**2, axis=0)), answer.force.max(axis=0),
+             _reached(answer.force, static).max(axis=0), power.sum(axis=0), power.max(axis=0)),
+            strict=True,
+        ):  # fmt: skip
+            summary[answer.some] = values
     # Summed from the end: the little that the last modes leave is no difference of large numbers.
     left = np.append(np.cumsum(own[:0:-1])[::-1], 0.0)
-    follow = stiffness.shapes[~on] @ modes
-    shared = follow * (C[np.ix_(~on, on)] @ modes)
-    left_there = np.diag(C)[~on, None] - 2.0 * np.cumsum(shared, axis=1)
-    left_there += _growing_variance(follow, amplitudes)
-    return Dissipation(
-        base,
-        modes,
-        np.sqrt((left + np.maximum(left_there, 0.0).sum(axis=0)) / len(C)),
-        np.sqrt(np.maximum(_growing_variance(stiffness.forces @ modes, amplitudes / 4.0), 0.0)),
-        static,
-        stiffness.enabled_alpha,
-        efficiency,
-    )
+    residual = np.sqrt((left + missed) / len(seen.wavefront))
+    return Dissipation(base, modes, stiffness, seen, static, efficiency, residual, *summaries)
 
 
-def _growing_variance(answers: Array, amplitudes: Array) -> Array:
-    """Return (n, m) variances of (n, m) answers to 1..m modes, whose amplitudes covary so.
+def _powers(force: Array, static: Array, per_root: Array) -> Array:
+    """Return (n, b) powers [W] of forces, by the (n,) true force per root of power."""
+    return np.asarray((force**2 + static[:, None] ** 2) / per_root[:, None] ** 2)
 
-    One mode more adds b_N^2 A_NN, and twice b_N times what it shares with those before it.
+
+def _reached(force: Array, static: Array) -> Array:
+    """Return (n, b) true forces that actuators have to reach [N]."""
+    return np.asarray(np.abs(static)[:, None] + SIGMAS * force)
+
+
+class _Answer(NamedTuple):
+    """What b modes more answer to: variance of each (b,), force of all up to each (n, b)."""
+
+    some: slice
+    own: Array  # variance of the wavefront along each [m^2]
+    missed: Array  # sum of what is left, up to each, where actuators follow [m^2]
+    force: Array  # rms [N]
+
+
+def _answers(modes: Array, stiffness: TrueStiffness, wavefront: Array) -> Iterator[_Answer]:
+    """Yield what modes answer to, some after some.
+
+    One mode more adds to the variance of a force b_N^2 A_NN, with A = V'CV and b = G V, and twice
+    b_N times what it shares with those before it: sum_j<N b_j A_jN = G V_<N (V_<N' C v_N).
     """
-    before = answers @ np.triu(amplitudes, 1)
-    return np.cumsum(answers * (2.0 * before + answers * np.diag(amplitudes)), axis=1)
+    on, n = stiffness.commanded, len(wavefront)
+    m, step = modes.shape[1], max(modes.shape[1] // SHARE, FEWEST)
+    variance, left_there = np.zeros((n, 1)), np.diag(wavefront)[~on, None]
+    for start in range(0, m, step):
+        V, before = modes[:, start : start + step], modes[:, :start]
+        everywhere = np.zeros((n, V.shape[1]))
+        everywhere[on] = V
+        met = wavefront @ everywhere
+        own = np.einsum("ij,ij->j", V, met[on])
+        shared = before @ (before.T @ met[on]) + V @ np.triu(V.T @ met[on], 1)
+        moved, moved_before = stiffness.displaced(V), stiffness.displaced(shared)
+        follow, follow_before = moved[~on], moved_before[~on]
+        left_there = left_there + np.cumsum(
+            _growth(follow, follow_before, own) - 2.0 * follow * met[~on], axis=1
+        )
+        G = stiffness.acting_stiffness
+        variance = variance + np.cumsum(_growth(G @ moved, G @ moved_before, own) / 4.0, axis=1)
+        yield _Answer(
+            slice(start, start + step),
+            own,
+            np.maximum(left_there, 0.0).sum(axis=0),
+            np.sqrt(np.maximum(variance, 0.0)),
+        )
+        variance, left_there = variance[:, -1:], left_there[:, -1:]
+
+
+def _growth(answers: Array, before: Array, own: Array) -> Array:
+    """Return by how much (n, b) answers let variances grow, given what they share with others."""
+    return np.asarray(answers * (2.0 * before + answers * own))

@@ -91,12 +91,11 @@ def plot_power(base: ModalBase, limits: Budget, ax: Axes | None = None) -> Axes:
     """Draw the power of the worst coil and the mean, static force included, against modes."""
     with styled_axes(ax, 0.7) as ax:
         number = np.arange(1, base.modes.stiffness.size + 1)
-        powers = {cost.base: cost.power for cost in base.costs}
-        for (name, power), colour in zip(powers.items(), CURVES, strict=False):
-            ax.semilogy(number, power.max(axis=0), color=colour, label=name)
-            ax.semilogy(number, power.mean(axis=0), color=colour, linestyle=":")
-        least = min(power.mean(axis=0).min() for power in powers.values())
-        most = max(power.max() for power in powers.values())
+        for cost, colour in zip(base.costs, CURVES, strict=False):
+            ax.semilogy(number, cost.power_worst, color=colour, label=cost.base)
+            ax.semilogy(number, cost.power_mean, color=colour, linestyle=":")
+        least = min(cost.power_mean.min() for cost in base.costs)
+        most = max(cost.power_worst.max() for cost in base.costs)
         ax.set_ylim(bottom=max(0.8 * least, FAINTEST * most))
         if np.isfinite(limits.power):
             ax.axhline(limits.power, color=FAINT, linewidth=0.6, linestyle="--")
@@ -126,9 +125,11 @@ def plot_comparison(modes: ModalFindings, ax: Axes | None = None) -> Axes:
 
 def modes_figures(modes: ModalFindings, limits: Budget) -> dict[str, Callable[..., Axes]]:
     """Return what draws each figure of the modal base, by name; it takes axes or none."""
-    return {
+    drawn: dict[str, Callable[..., Axes]] = {
         "modes": partial(plot_modes, modes.after),
         "modes-residual": partial(plot_residual, modes.after),
         "modes-power": partial(plot_power, modes.after, limits),
-        "modes-comparison": partial(plot_comparison, modes),
     }
+    if modes.compares:
+        drawn["modes-comparison"] = partial(plot_comparison, modes)
+    return drawn

@@ -39,21 +39,29 @@ class _Written:
     commanded: Array
 
 
-def _over_actuators(quantity: str, cost: int = 0) -> Callable[[_Written], Array]:
-    """Return what the modes of a base make at each actuator."""
-
-    def values(written: _Written) -> Array:
-        base = written.base
-        return base.on_all_actuators(getattr(base.stiffness, quantity) @ base.costs[cost].modes)
-
-    return values
+def _displacements(base: ModalBase, cost: int = 0) -> Array:
+    """Return (n, m) what the modes of a base are at each enabled actuator."""
+    return base.stiffness.displaced(base.costs[cost].modes)
 
 
-def _readings(written: _Written) -> Array:
-    """Return (N, m) what the sensors read of each mode."""
-    base = written.base
-    moved = base.stiffness.shapes @ base.costs[0].modes
-    return base.on_all_actuators(np.asarray(np.linalg.solve(base.stiffness.seen, moved)))
+def _readings(base: ModalBase) -> Array:
+    """Return (n, m) what the sensors read of each mode."""
+    return np.asarray(np.linalg.solve(base.stiffness.seen, _displacements(base)))
+
+
+def _forces(base: ModalBase) -> Array:
+    """Return (n, m) the true forces of each mode [N/m]."""
+    return base.stiffness.acting_stiffness @ _displacements(base)
+
+
+def _commands(base: ModalBase) -> Array:
+    """Return (n, m) the commanded forces of each mode [N/m]."""
+    return _forces(base) / base.stiffness.enabled_alpha[:, None]
+
+
+def _over_actuators(values: Callable[[ModalBase], Array]) -> Callable[[_Written], Array]:
+    """Return what gives the same of all N actuators."""
+    return lambda written: written.base.on_all_actuators(values(written.base))
 
 
 def _states(base: ModalBase) -> NDArray[np.str_]:
@@ -120,10 +128,10 @@ MODES = FileFormat(
     ),
     (
         replace(ACTUATORS, columns=(*ACTUATORS.columns, STATE), of="base"),
-        ImageFormat("MODES", _over_actuators("shapes")),
-        ImageFormat("READING", _readings),
-        ImageFormat("FORCE", _over_actuators("forces"), "N/m"),
-        ImageFormat("COMMANDED", _over_actuators("feed_forward_commanded"), "N/m"),
+        ImageFormat("MODES", _over_actuators(_displacements)),
+        ImageFormat("READING", _over_actuators(_readings)),
+        ImageFormat("FORCE", _over_actuators(_forces), "N/m"),
+        ImageFormat("COMMANDED", _over_actuators(_commands), "N/m"),
         TableFormat(
             "STATIC",
             (
@@ -134,14 +142,14 @@ MODES = FileFormat(
         _budget("BUDGET", 0, Column("STIFFNESS", "base.modes.stiffness", "N/m")),
         replace(SOURCES, of="findings.calibration.sources"),
         replace(SOURCES, name="STIFFNESS_SOURCES", of="findings.sources"),
-        ImageFormat("ZERNIKE", _over_actuators("shapes", 1)),
+        ImageFormat("ZERNIKE", _over_actuators(partial(_displacements, cost=1))),
         _budget("BUDGET_ZERNIKE", 1),
-        ImageFormat("KL", _over_actuators("shapes", 2)),
+        ImageFormat("KL", _over_actuators(partial(_displacements, cost=2))),
         _budget("BUDGET_KL", 2),
     ),
 )
 PLAIN = {
-    "ff_v_matrix": _plain("MODE", "displacement per mode", None, _over_actuators("shapes")),
+    "ff_v_matrix": _plain("MODE", "displacement per mode", None, _over_actuators(_displacements)),
     "ff_matrix": _plain("SENSOR", "commanded N per true m", "N/m", "commanded"),
     "ff_matrix_true": _plain("SENSOR", "true N per true m", "N/m", "true"),
 }

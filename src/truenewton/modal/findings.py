@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -25,14 +26,16 @@ from truenewton.modal.modal_base import ModalBase, modal_base
 from truenewton.modal.pupil import pupil_of, seen_turbulence
 from truenewton.modal.shape_products import MotionReader
 from truenewton.modal.static_force import static_force
-from truenewton.modal.true_stiffness import true_stiffness
+from truenewton.modal.true_stiffness import TrueStiffness, true_stiffness
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.notebook import html_table
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.modes import StiffnessModes
 
+MOST_COMPARED = 1000  # actuators; modes only to compare take as long, and as much memory, again
 MISFIT = 2.0  # of the variance of repeats; hundreds of readings and more hold it within 10 %
 
 
@@ -46,10 +49,12 @@ class ModalFindings:
         The stiffness that cycles gave, and how well; None for a stiffness file.
     calibration
         Where alpha is from.
-    before, after
-        The modal base with alpha taken for 1, and as it is.
-    comparison
-        Of the modes before with those after.
+    after
+        The modal base with alpha as it is.
+    uncalibrated
+        Finds the modal base with alpha taken for 1; see ``before``.
+    asymmetry, imbalance
+        Of the stiffness with alpha taken for 1, and as it is; see `TrueStiffness`.
     sources
         The files that the stiffness is from.
 
@@ -64,9 +69,10 @@ class ModalFindings:
 
     measured: MeasuredStiffness | None
     calibration: Calibration
-    before: ModalBase
     after: ModalBase
-    comparison: ModesComparison
+    uncalibrated: Callable[[], ModalBase]
+    asymmetry: tuple[float, float]
+    imbalance: tuple[float, float]
     sources: tuple[Source, ...]
 
     def __repr__(self) -> str:
@@ -81,6 +87,22 @@ class ModalFindings:
         rows.append(("verdict on alpha", str(self.calibration.verdict)))
         return html_table(headline(self), rows, warning_lines(self.warnings))
 
+    @cached_property
+    def before(self) -> ModalBase:
+        """The modal base with alpha taken for 1; found when first asked for."""
+        return self.uncalibrated()
+
+    @cached_property
+    def comparison(self) -> ModesComparison:
+        """Of the modes before with those after; found when first asked for."""
+        after = self.after.modes
+        return compare_modes(after.modes, self.before.modes.modes, after.stiffness)
+
+    @property
+    def compares(self) -> bool:
+        """Whether words and figures compare with alpha taken for 1: not large mirrors."""
+        return self.after.layout.n <= MOST_COMPARED
+
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
@@ -93,8 +115,7 @@ class ModalFindings:
                     "look for actuators that act but are disabled, or for a mirror that drifted",
                 )
             )
-        before, after = self.before.stiffness, self.after.stiffness
-        if after.asymmetry > before.asymmetry and after.imbalance > before.imbalance:
+        if all(before < after for before, after in (self.asymmetry, self.imbalance)):
             warnings.append(
                 Fault(
                     "with alpha the stiffness is less symmetric and less balanced than without",
@@ -174,24 +195,44 @@ def find_modes(
     refuse_unusable(calibration, force=force)
     matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
-    stiffnesses = [
-        true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)
-        for alpha in (None, calibration)
-    ]
+    stiffness_by = partial(true_stiffness, matrix, sensor_gain=sensor_gain, off=off, slaved=slaved)
+    before = stiffness_by(None)
+    faults = before.asymmetry, before.imbalance
+    del before  # of large mirrors each matrix counts
+    stiffness = stiffness_by(calibration)
+    modes = stiffness.modes
+    _refuse_negative(modes, force=force)
     seen = seen_turbulence(
-        stiffnesses[0].enabled,
-        stiffnesses[0].commanded,
+        stiffness.enabled,
+        stiffness.commanded,
         atmosphere or Atmosphere(0.8),
         pupil_of(matrix.layout, diameter, radius),
     )
-    before, after = (
-        modal_base(matrix, one, seen, static_force(one, calibration, at_rest), efficiency)
-        for one in stiffnesses
+    static = static_force(stiffness, calibration, at_rest)
+    after = modal_base(matrix, stiffness, modes, seen, static, efficiency)
+
+    return ModalFindings(
+        measured,
+        calibration,
+        after,
+        partial(_uncalibrated, after, calibration, at_rest, stiffness_by),
+        (faults[0], stiffness.asymmetry),
+        (faults[1], stiffness.imbalance),
+        _sources(reader, matrix),
     )
-    _refuse_negative(after, force=force)
-    comparison = compare_modes(after.modes.modes, before.modes.modes, after.modes.stiffness)
-    sources = _sources(reader, matrix)
-    return ModalFindings(measured, calibration, before, after, comparison, sources)
+
+
+def _uncalibrated(
+    after: ModalBase,
+    calibration: Calibration,
+    at_rest: Array | None,
+    stiffness_by: Callable[[None], TrueStiffness],
+) -> ModalBase:
+    """Return the modal base that would be taken for it without alpha."""
+    stiffness = stiffness_by(None)
+    static = static_force(stiffness, calibration, at_rest)
+    efficiency = after.costs[0].efficiency
+    return modal_base(after.matrix, stiffness, stiffness.modes, after.seen, static, efficiency)
 
 
 def _with_alpha(
@@ -214,14 +255,14 @@ def _with_alpha(
     return measured.matrix, measured, calibration, reader
 
 
-def _refuse_negative(base: ModalBase, *, force: bool) -> None:
+def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:
     """Refuse a stiffness most of whose elastic modes are negative, unless forced.
 
     Raises
     ------
     NotToBeUsed
     """
-    elastic = base.modes.stiffness[3:]
+    elastic = modes.stiffness[3:]
     negative = int(np.count_nonzero(elastic < 0.0))
     if 2 * negative > elastic.size and not force:
         raise NotToBeUsed(

@@ -58,18 +58,20 @@ class ModalBase:
 def modal_base(
     matrix: StiffnessMatrix,
     stiffness: TrueStiffness,
+    modes: StiffnessModes,
     seen: SeenTurbulence,
     static: Array,
     efficiency: float,
 ) -> ModalBase:
-    """Return the modal base of a stiffness, with (n,) `static_force` [N] and efficiency [N/W^1/2].
+    """Return the modal base of a stiffness and its modes.
+
+    With (n,) `static_force` [N] and efficiency [N/W^1/2].
 
     Raises
     ------
     FormatError
         An efficiency that cannot be.
     """
-    modes = stiffness.modes
     costs = (
         dissipation(name, vectors, stiffness, seen, static, efficiency)
         for name, vectors in (

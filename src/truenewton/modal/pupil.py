@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
-from truenewton.modal.bases import karhunen_loeve_modes, zernike_modes
-from truenewton.modal.turbulence import WAVELENGTH, Atmosphere, wavefront_covariance
+from truenewton.modal.bases import overwritten_by_modes, zernike_modes
+from truenewton.modal.turbulence import WAVELENGTH, Atmosphere, counted_from, wavefront_covariance
 from truenewton.statics.layout import Layout
 
 WIDEST = 100.0  # telescope; beyond it the unit has slipped [m]
@@ -125,12 +125,10 @@ def seen_turbulence(
     x, y = (each / pupil.radius for each in centred(layout))
     half = 0.5 * pupil.diameter
     wavefront = wavefront_covariance(half * x, half * y, atmosphere)
-    mean = wavefront[:, commanded].mean(axis=1)
-    wavefront -= np.add.outer(mean, mean) - mean[commanded].mean()
-    return SeenTurbulence(
-        atmosphere,
-        pupil,
-        wavefront,
-        zernike_modes(x[commanded], y[commanded]),
-        karhunen_loeve_modes(wavefront[np.ix_(commanded, commanded)]),
-    )
+    mean = wavefront @ commanded / np.count_nonzero(commanded)
+    counted_from(wavefront, mean, float(mean[commanded].mean()))
+    karhunen_loeve = overwritten_by_modes(wavefront[np.ix_(commanded, commanded)])
+    zernike = zernike_modes(x[commanded], y[commanded])
+    for values in (wavefront, karhunen_loeve, zernike):
+        values.setflags(write=False)  # so that the record need not copy them
+    return SeenTurbulence(atmosphere, pupil, wavefront, zernike, karhunen_loeve)

@@ -31,11 +31,13 @@ from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
 from truenewton.errors import RankDeficient
 from truenewton.estimation.sifted_matrix import as_calibrated
+from truenewton.linalg import ROWS_AT_ONCE, symmetrised
 from truenewton.modal.actuator_roles import (
     checked_gain,
     matched_alpha,
     matched_sensors,
     off_and_slaved,
+    per_true_displacement,
     seen_motion,
 )
 from truenewton.records.segmented import refuse_segments
@@ -54,16 +56,12 @@ class TrueStiffness:
     ----------
     layout
         The m commanded actuators: enabled, neither off nor slaved.
-    stiffness
-        (m, m) symmetric: z'Kz / 2 is the energy of their displacements z, with the others following
-        as ``shapes`` says [true N / true m].
     calibrated
         Whether alpha is known.
     enabled, acts
         The n enabled actuators; (n,) false where one is off.
-    shapes, forces
-        (n, m) displacements and true forces [N/m] of all enabled actuators per displacement of each
-        commanded one; forces of those that are off are 0.
+    followers
+        (n - m, m) displacements of those that are not commanded per displacement of each commanded.
     acting_stiffness
         (n, n) true force per displacement, were those commanded too that are slaved: the
         feed-forward of all that act; 0 for those that are off [N/m].
@@ -73,8 +71,6 @@ class TrueStiffness:
         (n,) true displacement / reading of the enabled; 1 where it is not known.
     enabled_offset
         (2, n) x and y of their magnets less their sensors; 0 where it is not known [m].
-    seen
-        (n, n) true displacements of the enabled for what their sensors read: H diag(gain).
     asymmetry
         |K - K'| / |K + K'| of the whole matrix, before it was made symmetric.
     actuator_asymmetry
@@ -84,29 +80,63 @@ class TrueStiffness:
     """
 
     layout: Layout
-    stiffness: Array
     calibrated: bool
     enabled: Layout
     acts: NDArray[np.bool_]
-    shapes: Array
-    forces: Array
+    followers: Array
     acting_stiffness: Array
     enabled_alpha: Array
     enabled_gain: Array
     enabled_offset: Array
-    seen: Array
     asymmetry: float
     actuator_asymmetry: Array
     imbalance: float
 
     def __post_init__(self) -> None:
-        freeze(self, "stiffness", "shapes", "forces", "acting_stiffness", "enabled_alpha",
-               "enabled_gain", "enabled_offset", "seen", "actuator_asymmetry")  # fmt: skip
+        freeze(self, "followers", "acting_stiffness", "enabled_alpha", "enabled_gain",
+               "enabled_offset", "actuator_asymmetry")  # fmt: skip
 
     @property
     def commanded(self) -> NDArray[np.bool_]:
         """(n,) which enabled actuators are commanded."""
         return np.isin(self.enabled.id, self.layout.id)
+
+    def displaced(self, commanded: Array) -> Array:
+        """Return (n, k) displacements of all enabled for (m, k) of those that are commanded."""
+        on = self.commanded
+        if on.all():
+            return commanded
+        all_of_them = np.empty((on.size, commanded.shape[1]))
+        all_of_them[on], all_of_them[~on] = commanded, self.followers @ commanded
+        return all_of_them
+
+    @property
+    def shapes(self) -> Array:
+        """(n, m) displacements of all enabled actuators per displacement of each commanded one."""
+        return self.displaced(np.eye(self.layout.n))
+
+    @property
+    def forces(self) -> Array:
+        """(n, m) the true forces that these take [N/m]; 0 of those that are off."""
+        if self.commanded.all():
+            return self.acting_stiffness
+        return np.asarray(self.acting_stiffness @ self.shapes)
+
+    @property
+    def stiffness(self) -> Array:
+        """(m, m) symmetric: z'Kz / 2 is the energy of displacements z of the commanded actuators.
+
+        The others follow [true N / true m].
+        """
+        on, forces = self.commanded, self.forces
+        if on.all():
+            return forces
+        return symmetrised(forces[on] + self.followers.T @ forces[~on])
+
+    @property
+    def seen(self) -> Array:
+        """(n, n) true displacements of the enabled for what their sensors read: H diag(gain)."""
+        return seen_motion(self.enabled, self.enabled_gain, self.enabled_offset)
 
     @property
     def feed_forward_commanded(self) -> Array:
@@ -186,32 +216,30 @@ def true_stiffness(
     gain, offset = matched_sensors(layout, None if matrix.displaced == "true" else calibration)
     if sensor_gain is not None:
         gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
-    seen = seen_motion(layout, gain, offset)
     floats, follows = off_and_slaved(layout, off, slaved)
-    k = np.linalg.solve(seen.T, (alpha[:, None] * matrix.used_stiffness).T).T
-    skew, symmetric = _row_norms(k - k.T), 0.5 * (k + k.T)
+    k = matrix.used_stiffness  # a copy
+    k *= alpha[:, None]
+    k = per_true_displacement(k, layout, gain, offset)
+    skew = _skew_norms(k)
+    symmetric = symmetrised(k)
     size = 2.0 * _row_norms(symmetric)
-    del k
     rigid = np.linalg.qr(arms_in_units_of_rms(layout).T)[0]
     own = rigid.T @ symmetric @ rigid
     coupling = symmetric @ rigid - rigid @ own  # Q K R
     if calibration is not None:
         symmetric = _uncoupled(symmetric, coupling, rigid)
-    shapes, forces, acting_stiffness = _following(symmetric, floats, follows)
-    stiffness = forces if forces is symmetric else shapes.T @ forces
+    followers = _following(symmetric, floats, follows)
+    symmetric.setflags(write=False)  # so that the record need not copy it
     return TrueStiffness(
         layout=layout.part(~(floats | follows)),
-        stiffness=forces if forces is symmetric else 0.5 * (stiffness + stiffness.T),
         calibrated=calibration is not None,
         enabled=layout,
         acts=~floats,
-        shapes=shapes,
-        forces=forces,
-        acting_stiffness=acting_stiffness,
+        followers=followers,
+        acting_stiffness=symmetric,
         enabled_alpha=alpha,
         enabled_gain=gain,
         enabled_offset=offset,
-        seen=seen,
         asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
@@ -223,30 +251,34 @@ def _row_norms(matrix: Array) -> Array:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", matrix, matrix)))
 
 
+def _skew_norms(matrix: Array) -> Array:
+    """Return (n,) the norm of each row of an (n, n) matrix less its transpose."""
+    norms = np.empty(len(matrix))
+    for start in range(0, len(matrix), ROWS_AT_ONCE):
+        some = slice(start, start + ROWS_AT_ONCE)
+        norms[some] = _row_norms(matrix[some] - matrix[:, some].T)
+    return norms
+
+
 def _uncoupled(symmetric: Array, coupling: Array, rigid: Array) -> Array:
     """Return (n, n) without what couples it to (n, 3) rigid motions; it is overwritten."""
     symmetric -= coupling @ rigid.T
     symmetric -= rigid @ coupling.T
-    return np.asarray(0.5 * (symmetric + symmetric.T))  # to the last digit
+    return symmetrised(symmetric)  # to the last digit
 
 
-def _following(
-    k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]
-) -> tuple[Array, Array, Array]:
-    """Return (n, m) displacements and forces of all, and (n, n) forces were the slaves commanded.
+def _following(k: Array, floats: NDArray[np.bool_], follows: NDArray[np.bool_]) -> Array:
+    """Return (n - m, m) displacements of those that are not commanded; k is overwritten.
+
+    It becomes what those that act feel, were the slaves commanded too.
 
     Raises
     ------
     RankDeficient
         Those that float are not held.
     """
-    if not (floats.any() or follows.any()):  # one matrix, and no copy, serves for all
-        alone = np.eye(len(k))
-        for values in (k, alone):
-            values.setflags(write=False)
-        return alone, k, k
-    active = ~floats
-    shapes = np.eye(len(k))[:, active]
+    acts, commanded = ~floats, ~(floats | follows)
+    floating = np.zeros((int(floats.sum()), len(k)))
     if floats.any():
         try:
             held = scipy.linalg.cho_factor(k[np.ix_(floats, floats)])
@@ -257,15 +289,13 @@ def _following(
                 remedy="turn fewer off, or measure their stiffness better",
                 got=int(np.count_nonzero(floats)),
             ) from None
-        shapes[floats] = -scipy.linalg.cho_solve(held, k[np.ix_(floats, active)])
-    forces = k @ shapes
-    forces[floats] = 0.0  # but for rounding
-    acting_stiffness = np.zeros_like(k)
-    acting_stiffness[:, active] = forces
-    slaves = follows[active]
-    answer = np.linalg.lstsq(forces[:, slaves], -forces[:, ~slaves], rcond=None)[0]
-    return (
-        shapes[:, ~slaves] + shapes[:, slaves] @ answer,
-        forces[:, ~slaves] + forces[:, slaves] @ answer,
-        acting_stiffness,
-    )
+        floating[:, acts] = -scipy.linalg.cho_solve(held, k[np.ix_(floats, acts)])
+        k += k[:, floats] @ floating
+        k[floats] = k[:, floats] = 0.0
+    followers = np.zeros((len(k), int(commanded.sum())))
+    if follows.any():
+        slaved = np.linalg.lstsq(k[:, follows], -k[:, commanded], rcond=None)[0]
+        followers[follows] = slaved
+        floating[:, commanded] += floating[:, follows] @ slaved
+    followers[floats] = floating[:, commanded]
+    return followers[~commanded]

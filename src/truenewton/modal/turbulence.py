@@ -10,6 +10,7 @@ from scipy.special import gamma, kv
 
 from truenewton.arrays import Array, in_units
 from truenewton.errors import FormatError
+from truenewton.linalg import ROWS_AT_ONCE
 
 WAVELENGTH = 500e-9  # at which seeing and r0 are stated [m]
 BEST_SEEING, WORST_SEEING = 1e-3, 30.0  # beyond them the unit has slipped [arcsec]
@@ -22,6 +23,7 @@ SPECTRUM = 5 / 12 * gamma(11 / 6) / gamma(1 / 6) * np.pi ** (-8 / 3) * FRIED
 ORDER = 5 / 6  # of the Bessel function K in the closed form
 SERIES_BELOW = 2.0  # 2 pi r / L0 up to which the power series serves
 SERIES_TERMS = 14  # the next is below 1e-17 of the sum
+AT_ONCE = 1 << 14  # distances
 
 
 @dataclass(frozen=True)
@@ -143,8 +145,22 @@ def wavefront_covariance(x: Array, y: Array, atmosphere: Atmosphere) -> Array:
     >>> f"{1e6 * np.sqrt(np.diag(covariance).mean()):.1f} um rms"
     '0.6 um rms'
     """
-    C = squareform(structure_function(pdist(np.column_stack([x, y])), atmosphere))
-    C *= -0.5
+    D = pdist(np.column_stack([x, y]))
+    for start in range(0, D.size, AT_ONCE):
+        some = slice(start, start + AT_ONCE)
+        D[some] = structure_function(D[some], atmosphere)
+    D *= -0.5
+    C = squareform(D)
     mean = C.mean(axis=0)
-    C -= np.add.outer(mean, mean) - mean.mean()
-    return np.asarray(C)
+    return counted_from(C, mean, float(mean.mean()))
+
+
+def counted_from(C: Array, with_mean: Array, of_mean: float) -> Array:
+    """Count a wavefront with (n, n) covariance from some mean of it, in place; return the matrix.
+
+    ``with_mean``, (n,), is its covariance with the mean, and ``of_mean`` the mean's variance.
+    """
+    for start in range(0, len(C), ROWS_AT_ONCE):
+        some = slice(start, start + ROWS_AT_ONCE)
+        C[some] -= np.add.outer(with_mean[some], with_mean) - of_mean
+    return C

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.words import row, warning_lines
-from truenewton.modal.comparison import ModesComparison
 from truenewton.modal.dissipation import SUMMARIES, Budget, Dissipation
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.measured_stiffness import MeasuredStiffness
@@ -39,14 +38,14 @@ def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
     of the worst, and of all together [W].
     """
     cost, count = base.costs[0], base.modes.stiffness.size
-    powers, rows = cost.power, []
+    rows = []
     for number in np.unique(np.linspace(0, count, NUMBERS + 1).round().astype(int))[1:].tolist():
         k = number - 1
         left = (f"{1e9 * each.residual[k]:.4g}" for each in base.costs)
-        force, power = 1e3 * cost.force[:, k], powers[:, k]
         rows.append(
-            (str(number), *left, f"{np.sqrt(np.mean(force**2)):.3g}", f"{force.max():.3g}",
-             f"{power.mean():.2g}", f"{power.max():.2g}", f"{power.sum():.3g}")
+            (str(number), *left, f"{1e3 * cost.force_rms[k]:.3g}",
+             f"{1e3 * cost.force_worst[k]:.3g}", f"{cost.power_mean[k]:.2g}",
+             f"{cost.power_worst[k]:.2g}", f"{cost.power_total[k]:.3g}")
         )  # fmt: skip
     return rows
 
@@ -78,9 +77,11 @@ def sensor_gains_text(base: ModalBase) -> str:
     return f"{gain.min():.4g} .. {gain.max():.4g}, {far}used: modes are in true displacement"
 
 
-def comparison_text(comparison: ModesComparison) -> str:
-    """Say how far the modes taken with alpha = 1 lie from the calibrated."""
-    c = comparison
+def comparison_text(findings: ModalFindings) -> str:
+    """Say how far the modes taken with alpha = 1 lie from the calibrated; nothing if large."""
+    if not findings.compares:
+        return ""
+    c = findings.comparison
     if not c.orders.size:
         return "not to be told from the calibrated: all are of nearly the same stiffness"
     worst = int(c.largest_angle.argmax())
@@ -129,7 +130,10 @@ def headline(findings: ModalFindings) -> str:
 def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     """Return name and value of what was found; no value where there is none."""
     base, measured = findings.after, findings.measured
-    before, after = findings.before.stiffness, base.stiffness
+    asymmetry, imbalance = (
+        "".join(f"{percent(fault):<12}" for fault in faults).rstrip()
+        for faults in (findings.asymmetry, findings.imbalance)
+    )
     elastic = base.modes.stiffness[3:]
     rigid = ", ".join(f"{value:.3g}" for value in base.modes.stiffness[:3])
     negative = int(np.count_nonzero(elastic < 0))
@@ -137,13 +141,13 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
         ("measured stiffness", measured_text(measured) if measured else ""),
         ("", rigid_text(measured) if measured else ""),
         ("", f"{'alpha = 1':<12}calibrated"),
-        ("asymmetry of it", f"{percent(before.asymmetry):<12}{percent(after.asymmetry)}"),
-        ("imbalance of it", f"{percent(before.imbalance):<12}{percent(after.imbalance)}"),
+        ("asymmetry of it", asymmetry),
+        ("imbalance of it", imbalance),
         ("piston and tilts", f"{'':<12}{rigid} N/m"),
         ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
          + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
         ("sensor gains", sensor_gains_text(base)),
-        ("modes by alpha = 1", comparison_text(findings.comparison)),
+        ("modes by alpha = 1", comparison_text(findings)),
         ("turbulence", turbulence_text(base)),
         ("between actuators", fitting_error_text(base)),
         ("static force", static_force_text(base.costs[0])),
@@ -187,7 +191,7 @@ def _within(findings: ModalFindings, limits: Budget) -> list[str]:
     if not words:
         return ["  --power, --total-power or --force asks how many modes they allow"]
     lines = [f"  within {words}, piston and tilts counted:"]
-    for cost, uncalibrated in zip(findings.after.costs, findings.before.costs, strict=True):
+    for cost, uncalibrated in _costs(findings):
         number = cost.modes_within(limits)
         fewest, most = findings.modes_between(cost, limits)
         words = "none" if number == 0 else f"{number} of {cost.residual.size}"
@@ -195,9 +199,17 @@ def _within(findings: ModalFindings, limits: Budget) -> list[str]:
             words += f", {1e9 * cost.residual[number - 1]:.3g} nm left"
         if fewest != most:
             words += f"; {fewest} to {most} by the error of alpha"
-        words += f"; with alpha = 1 it would seem {uncalibrated.modes_within(limits)}"
+        if uncalibrated is not None:
+            words += f"; with alpha = 1 it would seem {uncalibrated.modes_within(limits)}"
         lines.append(f"    {cost.base:<22}{words}")
     return lines
+
+
+def _costs(findings: ModalFindings) -> Iterator[tuple[Dissipation, Dissipation | None]]:
+    """Yield what the modes of each base cost, and would seem to without alpha; None if large."""
+    after = findings.after.costs
+    before = findings.before.costs if findings.compares else (None,) * len(after)
+    yield from zip(after, before, strict=True)
 
 
 def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
@@ -214,14 +226,16 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         "fitting_error": base.seen.fitting_error,
         "static_force": base.costs[0].static,
         "stiffness": base.modes.stiffness,
-        "asymmetry": [x.stiffness.asymmetry for x in (findings.before, base)],
-        "imbalance": [x.stiffness.imbalance for x in (findings.before, base)],
+        "asymmetry": findings.asymmetry,
+        "imbalance": findings.imbalance,
         "rigid_stiffness": base.modes.stiffness[:3],
         "sensor_gain": base.stiffness.enabled_gain,
         "sensor_offset": base.stiffness.enabled_offset,
         "uncalibrated_modes": _attributes(
             findings.comparison, "distance", "overlap", "orders", "largest_angle"
-        ),
+        )
+        if findings.compares
+        else None,
         "limits": asdict(limits),
         "warnings": [list(warning) for warning in findings.warnings],
         "bases": [
@@ -230,9 +244,9 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
                 **{name: summary(cost) for name, _, summary in SUMMARIES},
                 "modes_within": cost.modes_within(limits),
                 "modes_between": findings.modes_between(cost, limits),
-                "modes_within_uncalibrated": uncalibrated.modes_within(limits),
+                "modes_within_uncalibrated": uncalibrated and uncalibrated.modes_within(limits),
             }
-            for cost, uncalibrated in zip(base.costs, findings.before.costs, strict=True)
+            for cost, uncalibrated in _costs(findings)
         ],
     }
     if measured is not None:

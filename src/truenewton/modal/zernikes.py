@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.linalg import ROWS_AT_ONCE
 
 
 def noll_orders(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -17,7 +18,7 @@ def noll_orders(count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return n, 2 * ((within + 1 - odd) // 2) + odd
 
 
-def zernike(count: int, x: Array, y: Array) -> Array:
+def zernike(count: int, x: Array, y: Array, *, without: int = 0) -> Array:
     """Return the (p, count) values of Noll's Zernike polynomials j = 1 .. count, one a column.
 
     Over the unit disc each has mean square 1, and the product of two mean 0.
@@ -28,6 +29,8 @@ def zernike(count: int, x: Array, y: Array) -> Array:
         How many.
     x, y
         (p,) points in units of the pupil's radius.
+    without
+        How many of the first are left out.
 
     Notes
     -----
@@ -39,15 +42,26 @@ def zernike(count: int, x: Array, y: Array) -> Array:
     less the factor sqrt(2) where m = 0. Jacobi's P by their recurrence (DLMF 18.9.2), for all m at
     once, is stable: no sum of large terms of alternating sign.
     """
-    n, m = noll_orders(count)
-    k = (n - m) // 2
-    top = int(m.max())
-    power = np.vander(np.asarray(x) + 1j * np.asarray(y), top + 1, increasing=True)
-    sine = (m > 0) & (np.arange(1, count + 1) % 2 == 1)
+    n, m = (orders[without:] for orders in noll_orders(count))
+    sine = (m > 0) & (np.arange(without + 1, count + 1) % 2 == 1)
     scale = np.sqrt((n + 1) * np.where(m > 0, 2, 1))
-    t = (2 * (np.square(x) + np.square(y)) - 1)[:, None]
+    points = np.asarray(x) + 1j * np.asarray(y)
+    Z = np.empty((len(points), count - without))
+    for start in range(0, len(points), ROWS_AT_ONCE):
+        some = slice(start, start + ROWS_AT_ONCE)
+        _fill(Z[some], points[some], m, (n - m) // 2, sine)
+    Z *= scale
+    return Z
 
-    Z = np.empty((len(power), count))
+
+def _fill(
+    Z: Array, points: NDArray[np.complex128], m: NDArray[np.int64], k: NDArray[np.int64],
+    sine: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Put rho^m P_k^(0, m)(2 rho^2 - 1) times cosine or sine of m theta, at (p,) points, into Z."""
+    top = int(m.max())
+    power = np.vander(points, top + 1, increasing=True)
+    t = (2 * (points.real**2 + points.imag**2) - 1)[:, None]
     below: Array = np.zeros((len(power), top + 1))
     P: Array = np.ones((len(power), top + 1))
     for degree in range(int(k.max()) + 1):
@@ -56,8 +70,7 @@ def zernike(count: int, x: Array, y: Array) -> Array:
             P, below = _next(P[:, : len(b)], below[:, : len(b)], degree, b, t), P
         for part, of_part in ((power.real, ~sine), (power.imag, sine)):
             here = np.flatnonzero((k == degree) & of_part)
-            Z[:, here] = scale[here] * P[:, m[here]] * part[:, m[here]]
-    return Z
+            Z[:, here] = P[:, m[here]] * part[:, m[here]]
 
 
 def _next(P: Array, below: Array, k: int, b: Array, t: Array) -> Array:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.arrays import Array
+from truenewton.linalg import ROWS_AT_ONCE, eigenvectors, rearranged, symmetrised
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessMo
 
     A symmetric mirror has pairs of equal stiffness, which are settled: see `settled`.
     """
-    values, vectors = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
+    values, vectors = eigenvectors(symmetrised(np.array(stiffness)))
     order = np.argsort(np.abs(values), kind="stable")
     if rigid is not None:
         names, upright = np.linalg.qr(rigid)
@@ -44,14 +45,14 @@ def stiffness_modes(stiffness: Array, rigid: Array | None = None) -> StiffnessMo
         first = np.zeros(len(values), dtype=bool)
         first[np.argsort(-part, kind="stable")[: rigid.shape[1]]] = True
         order = np.concatenate([order[first[order]], order[~first[order]]])
-    values, vectors = values[order], vectors[:, order]
-    modes = settled(vectors, values)
+    values, modes = values[order], rearranged(vectors, order)
+    first_modes = modes[:, : 0 if rigid is None else rigid.shape[1]].copy()
+    settled(modes, values)
     if rigid is not None:
         r = rigid.shape[1]
-        turn = _nearest_rotation(vectors[:, :r].T @ (names * np.sign(np.diag(upright))))
-        modes[:, :r] = vectors[:, :r] @ turn
+        turn = _nearest_rotation(first_modes.T @ (names * np.sign(np.diag(upright))))
+        modes[:, :r] = first_modes @ turn
         values[:r] = values[:r] @ turn**2
-    modes = np.ascontiguousarray(modes)
     modes.setflags(write=False)  # so that records need not copy them
     return StiffnessModes(values, modes)
 
@@ -69,7 +70,7 @@ def scaled_modes(modes: Array, stiffness: Array, stroke: float, force: Array | f
 
 
 def settled(vectors: Array, values: Array) -> Array:
-    """Return eigenvectors, one a column, of which rounding chooses neither sign nor rotation.
+    """Turn eigenvectors so that rounding chooses neither sign nor rotation, in place; return them.
 
     Among equal eigenvalues rounding would choose the vectors. So each set of equals gets the basis
     nearest to fixed random vectors: the same on every machine, to rounding. That settles the signs
@@ -85,12 +86,24 @@ def settled(vectors: Array, values: Array) -> Array:
     rounding = 1e-11 * np.abs(values).max() + 1e-6 * np.abs(values[1:])
     apart = np.abs(np.diff(values)) > rounding
     n, count = vectors.shape
-    reference = np.random.default_rng(0).standard_normal((n, count))
-    modes = np.empty_like(vectors)
-    for equal in np.split(np.arange(count), np.flatnonzero(apart) + 1):
-        own = vectors[:, equal]
-        modes[:, equal] = own @ _nearest_rotation(own.T @ reference[:, equal])
-    return modes
+    starts = np.concatenate([[0], np.flatnonzero(apart) + 1, [count]])
+    several = np.flatnonzero(np.diff(starts) > 1)
+    equals = [slice(*starts[k : k + 2]) for k in several]
+    overlaps = [np.zeros((starts[k + 1] - starts[k],) * 2) for k in several]
+    along = np.zeros(count)
+    random = np.random.default_rng(0)
+    for start in range(0, n, ROWS_AT_ONCE):
+        rows = vectors[start : start + ROWS_AT_ONCE]
+        reference = random.standard_normal(rows.shape)
+        along += np.einsum("ij,ij->j", rows, reference)
+        for overlap, equal in zip(overlaps, equals, strict=True):
+            overlap += rows[:, equal].T @ reference[:, equal]
+    for equal in equals:
+        along[equal] = 0.0
+    vectors *= np.where(along < 0.0, -1.0, 1.0)
+    for overlap, equal in zip(overlaps, equals, strict=True):
+        vectors[:, equal] = vectors[:, equal] @ _nearest_rotation(overlap)
+    return vectors
 
 
 def _nearest_rotation(overlaps: Array) -> Array:

@@ -24,6 +24,7 @@ from scipy.linalg import lu_factor, lu_solve
 
 from truenewton.arrays import Array
 from truenewton.estimation.reciprocity.unknowns import Values
+from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.statics.layout import Layout
 
 
@@ -128,6 +129,24 @@ def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
     solved = lu_solve(lu_factor(system, check_finite=False), rows.reshape(3 * n, -1).T, trans=1)
     across = solved.T.reshape(3, n, n + 3)[:, :, :n]
     return Sight(motion @ across[0], across[1:])
+
+
+def seen_from(places: Places, offset: Array) -> Array:
+    """Return (n, n) H of `sight` alone, for (2, n) offsets, in no more memory than it takes."""
+    if places.motion is not None or not offset.any():
+        values = Values(np.zeros(places.n), np.zeros(places.n), offset)
+        return sight(places, values, slopes=bool(offset.any())).motion
+    n, at = places.n, np.stack([places.x, places.y]) / places.length
+    seen = at - offset / places.length
+    system, rows = np.zeros((n + 3, n + 3)), np.empty((n, n + 3))
+    for start in range(0, n, ROWS_AT_ONCE):
+        some = slice(start, min(start + ROWS_AT_ONCE, n))
+        system[some, :n], rows[some, :n] = (_plate(of[:, some], at)[0] for of in (seen, at))
+    system[:n, n], system[:n, n + 1 :] = 1.0, seen.T
+    system[n, :n], system[n + 1 :, :n] = 1.0, at
+    rows[:, n], rows[:, n + 1 :] = 1.0, at.T
+    factors = lu_factor(system.T, overwrite_a=True, check_finite=False)
+    return np.asarray(lu_solve(factors, rows.T, overwrite_b=True, check_finite=False).T[:, :n])
 
 
 def _by_glass(motion: Array, changes: Array, offset: Array) -> Sight:

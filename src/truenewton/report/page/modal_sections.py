@@ -37,7 +37,6 @@ def modal_sections(findings: Findings) -> Iterator[Section]:
 
 
 def _modes(modes: ModalFindings) -> Section:
-    before, after = modes.before.stiffness, modes.after.stiffness
     values = modes.after.modes.stiffness
     elastic = values[3:]
     softest, stiffest = (elastic[k] for k in (np.abs(elastic).argmin(), np.abs(elastic).argmax()))
@@ -46,8 +45,9 @@ def _modes(modes: ModalFindings) -> Section:
         f"Of {counted(values, 'mode')} the softest elastic one has {stiffness_text(softest)}, the"
         f" stiffest {stiffness_text(stiffest)}. Piston and tilts bend nothing; bias magnets and"
         f" errors leave them {rigid}.",
-        f"Modes found with alpha = 1 lie {comparison_text(modes.comparison)}.",
     ]
+    if compared := comparison_text(modes):
+        words.append(f"Modes found with alpha = 1 lie {compared}.")
     if modes.measured is not None:
         texts = filter(None, (measured_text(modes.measured), rigid_text(modes.measured)))
         words.append(f"Measured stiffness: {'; '.join(texts)}.")
@@ -55,8 +55,8 @@ def _modes(modes: ModalFindings) -> Section:
         words.append(f"Gains of the sensors: {gains}.")
     words += [f"Warning: {fault}; {remedy}." for fault, remedy in modes.warnings]
     rows = (
-        ("asymmetry", percent(before.asymmetry), percent(after.asymmetry)),
-        ("out of balance", percent(before.imbalance), percent(after.imbalance)),
+        ("asymmetry", *map(percent, modes.asymmetry)),
+        ("out of balance", *map(percent, modes.imbalance)),
     )
     drawn = [f"{k + 1}: {stiffness_text(values[k])}" for k in chosen_modes(values.size)]
     caption = (
