@@ -2,8 +2,15 @@
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from truenewton.linalg import CLOSE, MOST_STEPS, largest_eigenvalue, smallest_eigenvalue
+from truenewton.linalg import (
+    CLOSE,
+    MOST_STEPS,
+    largest_eigenvalue,
+    one_thread,
+    smallest_eigenvalue,
+)
 
 
 def symmetric(values, seed):
@@ -58,3 +65,13 @@ def test_a_singular_matrix_has_the_eigenvalue_0(n):
     values = np.linspace(0.0, 1.0, n)
     matrix, _ = symmetric(values, 4)
     assert smallest_eigenvalue(lambda x: matrix @ x, n)[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_small_products_keep_to_one_thread_and_others_get_theirs_back():
+    def threads():
+        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+    with threadpool_limits(2, user_api="blas"):
+        with one_thread():
+            assert threads() == {1}
+        assert threads() == {2}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +22,15 @@ SMALLEST_DEVIATION = 1e-30  # of what has no variance at all
 SINGULAR = 1e-13  # of the columns at unit length, below which one depends on the others
 CLOSE = 1e-3  # of an eigenvalue, which it may be off by at most
 MOST_STEPS = 60  # beyond, a full decomposition is as fast
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep BLAS to one thread: small products cost more in several, most where others work too."""
+    import threadpoolctl  # not at each start
+
+    with threadpoolctl.threadpool_limits(1, user_api="blas"):
+        yield
 
 
 def assignment(cost: NDArray[Any]) -> NDArray[np.int64]:

@@ -30,6 +30,7 @@ from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
 from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
+from truenewton.linalg import one_thread
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
@@ -198,8 +199,9 @@ def calibrate(
         made = calibration_of(data, estimate, client=client)
     elif isinstance(data, StiffnessMatrix):
         try:
-            sifted = sift_matrix(data)
-            found = METHODS[method].of_stiffness(sifted, known)
+            with one_thread():
+                sifted = sift_matrix(data)
+                found = METHODS[method].of_stiffness(sifted, known)
         except (RankDeficient, NotConverged) as error:
             raise located(error, data.source and Path(data.source.file).name) from None
         made = from_stiffness(sifted.matrix, *found)

@@ -22,7 +22,7 @@ from truenewton.estimation.reciprocity.information import (
 from truenewton.estimation.reciprocity.sight import Places, Sight, sight
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind, Values, at_nominal
-from truenewton.linalg import mirrored
+from truenewton.linalg import mirrored, one_thread
 
 STEPS = 40
 SETTLED = 0.02  # rms step of alpha over its rms error
@@ -96,6 +96,7 @@ def point_at(places: Places, values: Values, asked: Asked, states_at: StatesAt) 
     return Point(states, left, weights, fitted, made)
 
 
+@one_thread()
 def fit(
     places: Places,
     asked: Asked,
