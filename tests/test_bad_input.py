@@ -139,6 +139,7 @@ FILE_FAULTS = {
     "E_WEIGHT is negative": (keyword("E_WEIGHT", -0.1), "E_WEIGHT is -0.1"),
     "E_ADDED is negative": (keyword("E_ADDED", -0.1), "E_ADDED is -0.1"),
     "FORCERR is zero": (keyword("FORCERR", 0.0), "FORCERR is 0 N"),
+    "FORCERR is below all sense": (keyword("FORCERR", 1e-155), "FORCERR is 1e-155 N"),
     "TILT is upright": (keyword("TILT", 90.0), "TILT is 90 deg"),
     "WEIGHT is huge": (keyword("WEIGHT", -1e300), "WEIGHT is -1e+300 N"),
     "ADDED is huge": (keyword("ADDED", -1e300), "ADDED is -1e+300 N"),

@@ -24,7 +24,7 @@ from truenewton.mirrors.known import Mirror
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import cycle_name
 from truenewton.statics.layout import Layout
-from truenewton.statics.load import LARGEST_FORCE, Load
+from truenewton.statics.load import LARGEST_FORCE, LEAST_NOISE, Load
 
 VERSION = 1
 
@@ -184,7 +184,7 @@ class Journal:
             temperature=temperature if np.isfinite(temperature[valid]).all() else None,
             position=rows["position"],
             gap=bench.gap,
-            force_error=noise if 0 < noise <= LARGEST_FORCE else None,
+            force_error=noise if LEAST_NOISE <= noise <= LARGEST_FORCE else None,
             coil_gradient=coil_gradient,
             bias_gradient=bias_gradient,
         )

@@ -25,6 +25,7 @@ from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import (
     LARGEST_FORCE,
+    LEAST_NOISE,
     SMALLEST_FORCE,
     Load,
     check_load,
@@ -172,7 +173,7 @@ class Cycle:
         check_number("CYCLE", self.number, self.number >= 1, "cycles count from 1")
         if noise is not None:
             positive = "a standard deviation is positive; leave it out if unknown"
-            check_number("FORCERR", noise, 0.0 < noise <= LARGEST_FORCE, positive, " N")
+            check_number("FORCERR", noise, LEAST_NOISE <= noise <= LARGEST_FORCE, positive, " N")
         for name, gradient in (("COILGRAD", self.coil_gradient), ("BIASGRAD", self.bias_gradient)):
             if gradient is not None and abs(gradient) > LARGEST_FORCE:
                 raise FormatError(f"{name} is {gradient:g}", remedy="check its unit")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from truenewton.arrays import in_units
 from truenewton.errors import FormatError
 
+LEAST_NOISE = 1e-15  # a standard deviation below is none; its inverse square stays finite [N]
 LARGEST_FORCE = 1e6  # beyond it a force is a slip of the unit, and squares must stay finite [N]
 SMALLEST_FORCE = 1e-9  # and the least that the largest one may be: squares stay above zero [N]
 UNITS = {"added": "N", "added_error": "N", "tilt": "deg", "tilt_error": "deg"}
