@@ -124,14 +124,15 @@ def matched_sensors(layout: Layout, calibration: Calibration | None) -> tuple[Ar
     return checked_gain(gain, np.ones(layout.n, dtype=bool)), offset
 
 
-def seen_motion(layout: Layout, gain: Array, offset: Array) -> Array:
+def seen_motion(layout: Layout, gain: Array, offset: Array, motion: Array | None) -> Array:
     """Return (n, n) true displacements at the magnets for the readings of (n,) enabled sensors.
 
-    ``gain`` and ``offset`` as of `matched_sensors`. Between the actuators the glass bends as a
-    plate (`sight`).
+    ``gain`` and ``offset`` as of `matched_sensors`, ``motion`` what a model of the glass tells of
+    all actuators of a layout (`places_of`); without it the glass bends between them as a plate.
     """
-    values = Values(np.zeros(layout.n), np.log(gain), offset)
-    return sight(places_of(layout), values, slopes=bool(offset.any())).motion * gain
+    values = Values(np.zeros(gain.size), np.log(gain), offset)
+    seen = sight(places_of(layout, motion), values, slopes=bool(offset.any()))
+    return seen.motion * gain
 
 
 def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:

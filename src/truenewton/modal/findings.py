@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.arrays import Array, taking_units
-from truenewton.calibration.methods import calibrate, calibration_of
+from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import Level, refuse_unusable
 from truenewton.errors import NotToBeUsed
-from truenewton.estimation import cycles_ml
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.sifted_matrix import as_calibrated
@@ -122,6 +121,7 @@ def find_modes(
     radius: float | None = None,
     efficiency: float = EFFICIENCY,
     sensor_gain: Array | None = None,
+    motion: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     reader: MotionReader | None = None,
@@ -141,8 +141,8 @@ def find_modes(
         Of the entrance pupil, and of the mirror that fills it [m]; see `pupil_of`.
     efficiency
         Commanded force per root of power [N/W^1/2].
-    sensor_gain, off, slaved
-        As in `true_stiffness`.
+    sensor_gain, motion, off, slaved
+        As in `true_stiffness`; the data are calibrated with ``motion``, too.
     reader
         What has read the cycles already, see `motion_reader`; they are read where None.
     force
@@ -170,12 +170,14 @@ def find_modes(
     """
     if calibration is not None:
         refuse_unusable(calibration, force=force)
-    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader)
+    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, motion)
     refuse_unusable(calibration, force=force)
     matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
     stiffnesses = [
-        true_stiffness(matrix, alpha, sensor_gain=sensor_gain, off=off, slaved=slaved)
+        true_stiffness(
+            matrix, alpha, sensor_gain=sensor_gain, motion=motion, off=off, slaved=slaved
+        )
         for alpha in (None, calibration)
     ]
     seen = seen_turbulence(
@@ -195,19 +197,24 @@ def find_modes(
 
 
 def _with_alpha(
-    data: Campaign | StiffnessMatrix, calibration: Calibration | None, reader: MotionReader | None
+    data: Campaign | StiffnessMatrix,
+    calibration: Calibration | None,
+    reader: MotionReader | None,
+    motion: Array | None,
 ) -> tuple[StiffnessMatrix, MeasuredStiffness | None, Calibration, MotionReader | None]:
     """Return the stiffness, how it was measured, alpha, and what has read the cycles."""
     if isinstance(data, StiffnessMatrix):
-        return data, None, calibration or calibrate(data), None
+        return data, None, calibration or calibrate(data, motion=motion), None
     if reader is None:
         sifted = sift(data)
         reader = motion_reader(sifted)
         if calibration is None:
-            calibration = calibration_of(data, cycles_ml.find(sifted), (reader.take,))
+            method, known = asked(data, None, population=False, motion=motion)
+            estimate = find_alpha(sifted, method, known)
+            calibration = calibration_of(data, estimate, (reader.take,))
         else:
             read_rows(data, (reader.take,))
-    calibration = calibration or calibrate(data)
+    calibration = calibration or calibrate(data, motion=motion)
     if data.stiffness is not None:
         return data.stiffness, None, calibration, reader
     measured = stiffness_of(reader)

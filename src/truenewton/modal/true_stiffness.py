@@ -5,7 +5,8 @@ reading,
 
     K = diag(alpha) K_c diag(1/gain) H^-1
 
-with H from the places of the sensors to those of the magnets, 1 where they are not known to differ.
+with H from what the sensors see to what the magnets do, by a model of the glass, or by the places
+of the sensors and a thin plate; 1 where neither is known.
 Maxwell and Betti make it symmetric. Forces of a free shell balance and its rigid motions bend
 nothing, so rigid motions R (the rows of the arms) and the rest Q have nothing to do with each other
 but for uneven bias magnets:
@@ -141,6 +142,7 @@ def true_stiffness(
     calibration: Calibration | None,
     *,
     sensor_gain: Array | None = None,
+    motion: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
 ) -> TrueStiffness:
@@ -160,6 +162,9 @@ def true_stiffness(
         (n,) true displacement / reading, in the order of ``matrix.layout``; unless given, what the
         calibration knows of gains and places of the sensors counts, if the matrix does not hold it
         already (`StiffnessMatrix.displaced`).
+    motion
+        (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
+        displacements where forces act for those seen. Of no use where the matrix holds it already.
     off, slaved
         IDs.
 
@@ -183,10 +188,11 @@ def true_stiffness(
     on = matrix.layout.enabled
     layout = matrix.layout.part(on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
-    gain, offset = matched_sensors(layout, None if matrix.displaced == "true" else calibration)
+    known = matrix.displaced == "true"
+    gain, offset = matched_sensors(layout, None if known else calibration)
     if sensor_gain is not None:
         gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
-    seen = seen_motion(layout, gain, offset)
+    seen = seen_motion(matrix.layout, gain, offset, None if known else motion)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = np.linalg.solve(seen.T, (alpha[:, None] * matrix.used_stiffness).T).T
     skew, symmetric = _row_norms(k - k.T), 0.5 * (k + k.T)
