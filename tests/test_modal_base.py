@@ -301,6 +301,24 @@ def test_alpha_of_another_mirror_is_warned_of(p45, inside, tmp_path):
     assert not found.warnings
 
 
+def test_the_command_asks_the_glass_what_annular_sensors_see(p45, inside, tmp_path):
+    _, _, found = p45
+    matrix = found.measured.matrix
+    tn.write_stiffness(matrix, tmp_path / "s.fits")
+    found.calibration.write(tmp_path / "alpha.fits")
+    asked = ("modes", tmp_path / "s.fits", "--calibration", tmp_path / "alpha.fits", "--json")
+    code, out, _ = inside(*asked, "--mirror", "p45")
+    motion = tn.motion_for(tn.mirrors.p45(), matrix.layout)
+    again = find_modes(matrix, found.calibration, motion=motion)
+    assert code == 0
+    assert json.loads(out)["stiffness"] == pytest.approx(again.after.modes.stiffness.tolist())
+    # A puck moves more than the annulus round it sees, which calls stiff modes too stiff.
+    assert again.after.modes.stiffness[-1] < 0.9 * found.after.modes.stiffness[-1]
+    code, _, err = inside(*asked, "--mirror", "mmt336")
+    assert code == 2
+    assert "are not those of the data" in err
+
+
 def test_piston_comes_first_by_itself(p45):
     _, campaign, found = p45
     rigid = found.after.modes.modes[:, :3]

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.optimize
-from balanced import ungraded
+from balanced import p45_bench, ungraded
+from simulated_matrices import by_glass, drawn
 
 from truenewton import reading
 from truenewton.bench.simulated.static import loop_of, rows_of_cycle, run_cycles, static_bench
@@ -18,6 +19,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
 from truenewton.estimation import repeats
 from truenewton.estimation.diagnosis import Sensor
+from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.estimation.row_readers import read_rows
@@ -25,6 +27,7 @@ from truenewton.estimation.sifted import sift
 from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.shell.puck_motion import puck_motion, seen_by
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader
 from truenewton.modal.true_stiffness import true_stiffness
@@ -346,6 +349,39 @@ def test_places_of_the_sensors_that_the_calibration_knows_are_used_by_id():
     some = replace(moved, layout=replace(matrix.layout, enabled=kept))
     less = true_stiffness(some, replace(calibration, sensors=sensors))
     assert np.array_equal(less.enabled_offset, offset[:, kept])
+
+
+@pytest.mark.parametrize("disabled", [(), (6, 20)])
+def test_annuli_off_their_magnets_are_exact_where_the_glass_is_known(disabled):
+    glass, calibration = p45_bench().glass, known()[-1]
+    random, on = np.random.default_rng(3), ~np.isin(np.arange(45), disabled)
+    values = drawn(random, 45, offset=5e-4)
+    at_magnets = glass.stiffness @ np.linalg.inv(puck_motion(glass))
+    k = condensed(0.5 * (at_magnets + at_magnets.T), on)[0]
+    layout = replace(p45().layout, enabled=on)
+    measured = np.zeros((45, 45))
+    measured[np.ix_(on, on)] = condensed(by_glass(glass, values), on)[0]
+    matrix = StiffnessMatrix("P45", DATE, layout, measured)
+    sensors = tuple(
+        Sensor(i, g, 1e-3, x, 1e-5, y, 1e-5, "fitted")
+        for i, g, x, y in zip(layout.id.tolist(), values.gain, *values.offset, strict=True)
+    )
+    calibration = replace(calibration, alpha=values.alpha, sensors=sensors)
+    by_model, by_plate = (
+        true_stiffness(matrix, calibration, motion=motion) for motion in (seen_by(glass), None)
+    )
+
+    def apart_by(found):
+        return np.linalg.norm(found.stiffness - k) / np.linalg.norm(k)
+
+    # What floats bends as the plate between its neighbours, not as the shell.
+    asymmetry, away = (2e-3, 1e-2) if disabled else (3e-5, 3e-5)
+    assert by_model.asymmetry < asymmetry < 3e-3 < by_plate.asymmetry
+    assert apart_by(by_model) < away < 0.1 < apart_by(by_plate)
+    true_already = replace(matrix, displaced="true")
+    assert true_stiffness(true_already, calibration, motion=seen_by(glass)).seen == pytest.approx(
+        np.eye(on.sum())
+    )
 
 
 def test_gains_that_the_calibration_knows_are_used_by_id():

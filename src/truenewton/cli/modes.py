@@ -42,6 +42,9 @@ def run(
     slaved: str = typer.Option(
         "", help="IDs that the optics do not command: they follow with least force."
     ),
+    mirror: str | None = typer.Option(
+        None, help="Its glass, known or a TOML file: what its sensors see."
+    ),
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Modal base to write; matrices are written beside it."
     ),
@@ -82,6 +85,7 @@ def run(
     }  # fmt: skip
     with busy("finding modes"), about(paths):
         if isinstance(data, SegmentedData) and segment is None:
+            options.motion_of(mirror, data)  # one mirror in one piece: not that of all segments
             alphas = None if calibration is None else read_segmented(calibration)
             found: Mapping[int, Any] = modes_of_segments(data, alphas, atmosphere, **asked)
             told, schema = [*segment_lines(found, limits)], "modes-segments"
@@ -89,7 +93,8 @@ def run(
         else:
             alpha = None if calibration is None else read_calibration(calibration, segment=segment)
             body = of_segment(data, segment, paths[0])
-            one = find_modes(body, alpha, atmosphere, **asked)
+            motion = options.motion_of(mirror, body)
+            one = find_modes(body, alpha, atmosphere, motion=motion, **asked)
             found, told, schema = {0: one}, lines(one, limits), "modes"
             as_values = values(one, limits) if json else None
         written = _written(found, output, figures, limits, overwrite=overwrite)

@@ -124,22 +124,24 @@ def matched_sensors(layout: Layout, calibration: Calibration | None) -> tuple[Ar
     return checked_gain(gain, np.ones(layout.n, dtype=bool)), offset
 
 
-def seen_motion(layout: Layout, gain: Array, offset: Array) -> Array:
-    """Return (n, n) true displacements at the magnets for the readings of (n,) enabled sensors.
+def magnet_motion(layout: Layout, offset: Array, motion: Array | None) -> Array | None:
+    """Return (n, n) displacements at the magnets for those at the sensors; None where alike.
 
-    ``gain`` and ``offset`` as of `matched_sensors`. Between the actuators the glass bends as a
-    plate (`sight`).
+    Both of the n enabled actuators, with ``offset`` as of `matched_sensors`; ``motion`` is what a
+    model of the glass tells of all actuators of a layout (`places_of`); without it the glass bends
+    between them as a plate.
     """
-    return seen_from(places_of(layout), offset) * gain
+    if motion is None and not offset.any():
+        return None
+    return seen_from(places_of(layout, motion), offset)
 
 
-def per_true_displacement(k: Array, layout: Layout, gain: Array, offset: Array) -> Array:
+def per_true_displacement(k: Array, gain: Array, motion: Array | None) -> Array:
     """Return (n, n) forces per true displacement for those per reading, which are overwritten."""
     k /= gain
-    if not offset.any():
+    if motion is None:
         return k
-    factors = lu_factor(seen_from(places_of(layout), offset).T, overwrite_a=True)
-    return np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
+    return np.asarray(lu_solve(lu_factor(motion.T), k.T, overwrite_b=True).T)
 
 
 def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:

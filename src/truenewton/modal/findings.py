@@ -10,11 +10,10 @@ from functools import cached_property, partial
 import numpy as np
 
 from truenewton.arrays import Array, taking_units
-from truenewton.calibration.methods import calibrate, calibration_of
+from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import Level, refuse_unusable
 from truenewton.errors import NotToBeUsed
-from truenewton.estimation import cycles_ml
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.sifted_matrix import as_calibrated
@@ -143,6 +142,7 @@ def find_modes(
     radius: float | None = None,
     efficiency: float = EFFICIENCY,
     sensor_gain: Array | None = None,
+    motion: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     reader: MotionReader | None = None,
@@ -162,8 +162,8 @@ def find_modes(
         Of the entrance pupil, and of the mirror that fills it [m]; see `pupil_of`.
     efficiency
         Commanded force per root of power [N/W^1/2].
-    sensor_gain, off, slaved
-        As in `true_stiffness`.
+    sensor_gain, motion, off, slaved
+        As in `true_stiffness`; the data are calibrated with ``motion``, too.
     reader
         What has read the cycles already, see `motion_reader`; they are read where None.
     force
@@ -191,35 +191,29 @@ def find_modes(
     """
     if calibration is not None:
         refuse_unusable(calibration, force=force)
-    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader)
+    matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, motion)
     refuse_unusable(calibration, force=force)
     matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
-    stiffness_by = partial(true_stiffness, matrix, sensor_gain=sensor_gain, off=off, slaved=slaved)
+    stiffness_by = partial(
+        true_stiffness, matrix, sensor_gain=sensor_gain, motion=motion, off=off, slaved=slaved
+    )
     before = stiffness_by(None)
     faults = before.asymmetry, before.imbalance
     del before  # of large mirrors each matrix counts
     stiffness = stiffness_by(calibration)
     modes = stiffness.modes
     _refuse_negative(modes, force=force)
-    seen = seen_turbulence(
-        stiffness.enabled,
-        stiffness.commanded,
-        atmosphere or Atmosphere(0.8),
-        pupil_of(matrix.layout, diameter, radius),
-    )
+    atmosphere, pupil = atmosphere or Atmosphere(0.8), pupil_of(matrix.layout, diameter, radius)
+    seen = seen_turbulence(stiffness.enabled, stiffness.commanded, atmosphere, pupil)
     static = static_force(stiffness, calibration, at_rest)
     after = modal_base(matrix, stiffness, modes, seen, static, efficiency)
-
     return ModalFindings(
-        measured,
-        calibration,
-        after,
+        measured, calibration, after,
         partial(_uncalibrated, after, calibration, at_rest, stiffness_by),
-        (faults[0], stiffness.asymmetry),
-        (faults[1], stiffness.imbalance),
+        (faults[0], stiffness.asymmetry), (faults[1], stiffness.imbalance),
         _sources(reader, matrix),
-    )
+    )  # fmt: skip
 
 
 def _uncalibrated(
@@ -236,19 +230,24 @@ def _uncalibrated(
 
 
 def _with_alpha(
-    data: Campaign | StiffnessMatrix, calibration: Calibration | None, reader: MotionReader | None
+    data: Campaign | StiffnessMatrix,
+    calibration: Calibration | None,
+    reader: MotionReader | None,
+    motion: Array | None,
 ) -> tuple[StiffnessMatrix, MeasuredStiffness | None, Calibration, MotionReader | None]:
     """Return the stiffness, how it was measured, alpha, and what has read the cycles."""
     if isinstance(data, StiffnessMatrix):
-        return data, None, calibration or calibrate(data), None
+        return data, None, calibration or calibrate(data, motion=motion), None
     if reader is None:
         sifted = sift(data)
         reader = motion_reader(sifted)
         if calibration is None:
-            calibration = calibration_of(data, cycles_ml.find(sifted), (reader.take,))
+            method, known = asked(data, None, population=False, motion=motion)
+            estimate = find_alpha(sifted, method, known)
+            calibration = calibration_of(data, estimate, (reader.take,))
         else:
             read_rows(data, (reader.take,))
-    calibration = calibration or calibrate(data)
+    calibration = calibration or calibrate(data, motion=motion)
     if data.stiffness is not None:
         return data.stiffness, None, calibration, reader
     measured = stiffness_of(reader)

@@ -5,7 +5,8 @@ reading,
 
     K = diag(alpha) K_c diag(1/gain) H^-1
 
-with H from the places of the sensors to those of the magnets, 1 where they are not known to differ.
+with H from what the sensors see to what the magnets do, by a model of the glass, or by the places
+of the sensors and a thin plate; 1 where neither is known.
 Maxwell and Betti make it symmetric. Forces of a free shell balance and its rigid motions bend
 nothing, so rigid motions R (the rows of the arms) and the rest Q have nothing to do with each other
 but for uneven bias magnets:
@@ -34,11 +35,11 @@ from truenewton.estimation.sifted_matrix import as_calibrated
 from truenewton.linalg import ROWS_AT_ONCE, symmetrised
 from truenewton.modal.actuator_roles import (
     checked_gain,
+    magnet_motion,
     matched_alpha,
     matched_sensors,
     off_and_slaved,
     per_true_displacement,
-    seen_motion,
 )
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -71,6 +72,8 @@ class TrueStiffness:
         (n,) true displacement / reading of the enabled; 1 where it is not known.
     enabled_offset
         (2, n) x and y of their magnets less their sensors; 0 where it is not known [m].
+    enabled_motion
+        (n, n) H, displacements at the magnets for those at the sensors; None where they are alike.
     asymmetry
         |K - K'| / |K + K'| of the whole matrix, before it was made symmetric.
     actuator_asymmetry
@@ -88,6 +91,7 @@ class TrueStiffness:
     enabled_alpha: Array
     enabled_gain: Array
     enabled_offset: Array
+    enabled_motion: Array | None
     asymmetry: float
     actuator_asymmetry: Array
     imbalance: float
@@ -95,6 +99,8 @@ class TrueStiffness:
     def __post_init__(self) -> None:
         freeze(self, "followers", "acting_stiffness", "enabled_alpha", "enabled_gain",
                "enabled_offset", "actuator_asymmetry")  # fmt: skip
+        if self.enabled_motion is not None:
+            freeze(self, "enabled_motion")
 
     @property
     def commanded(self) -> NDArray[np.bool_]:
@@ -136,7 +142,9 @@ class TrueStiffness:
     @property
     def seen(self) -> Array:
         """(n, n) true displacements of the enabled for what their sensors read: H diag(gain)."""
-        return seen_motion(self.enabled, self.enabled_gain, self.enabled_offset)
+        if self.enabled_motion is None:
+            return np.diag(self.enabled_gain)
+        return np.asarray(self.enabled_motion * self.enabled_gain)
 
     @property
     def feed_forward_commanded(self) -> Array:
@@ -171,6 +179,7 @@ def true_stiffness(
     calibration: Calibration | None,
     *,
     sensor_gain: Array | None = None,
+    motion: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
 ) -> TrueStiffness:
@@ -190,6 +199,9 @@ def true_stiffness(
         (n,) true displacement / reading, in the order of ``matrix.layout``; unless given, what the
         calibration knows of gains and places of the sensors counts, if the matrix does not hold it
         already (`StiffnessMatrix.displaced`).
+    motion
+        (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
+        displacements where forces act for those seen. Of no use where the matrix holds it already.
     off, slaved
         IDs.
 
@@ -213,13 +225,15 @@ def true_stiffness(
     on = matrix.layout.enabled
     layout = matrix.layout.part(on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
-    gain, offset = matched_sensors(layout, None if matrix.displaced == "true" else calibration)
+    known = matrix.displaced == "true"
+    gain, offset = matched_sensors(layout, None if known else calibration)
     if sensor_gain is not None:
         gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
+    seen = magnet_motion(matrix.layout, offset, None if known else motion)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = matrix.used_stiffness  # a copy
     k *= alpha[:, None]
-    k = per_true_displacement(k, layout, gain, offset)
+    k = per_true_displacement(k, gain, seen)
     skew = _skew_norms(k)
     symmetric = symmetrised(k)
     size = 2.0 * _row_norms(symmetric)
@@ -240,6 +254,7 @@ def true_stiffness(
         enabled_alpha=alpha,
         enabled_gain=gain,
         enabled_offset=offset,
+        enabled_motion=seen,
         asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),

@@ -75,13 +75,20 @@ class Places:
 def places_of(layout: Layout, motion: Array | None = None) -> Places:
     """Return the places of the enabled actuators of a layout, and what a model of the glass tells.
 
-    That is (n, n) motion of all actuators, or (6, n, n) motion and changes.
+    That is (n, n) motion of all actuators, or (6, n, n) motion and changes. Disabled ones float:
+    what their sensors would read is that of the plate between the others.
     """
     on = layout.enabled
     places = Places(layout.x[on], layout.y[on], layout.nz[on])
     if motion is None:
         return places
-    seen = motion[..., on, :][..., on].reshape(-1, places.n, places.n)
+    read = np.zeros((layout.n, places.n))
+    read[on] = np.eye(places.n)
+    if not on.all():
+        at = np.stack([layout.x, layout.y]) / places.length
+        rows = np.concatenate([_plate(at[:, ~on], at[:, on])[0], _linear(at[:, ~on])], axis=1)
+        read[~on] = np.linalg.solve(_held_plate(at[:, on], at[:, on]).T, rows.T).T[:, : places.n]
+    seen = (motion[..., on, :] @ read).reshape(-1, places.n, places.n)
     return replace(places, motion=seen[0], changes=seen[1:] if len(seen) > 1 else None)
 
 
@@ -117,13 +124,9 @@ def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
     unit = places.length
     at = np.stack([places.x, places.y]) / unit
     seen = at - values.offset / unit
-    border = np.concatenate([np.ones((1, n)), at])
-    system = np.zeros((n + 3, n + 3))
-    system[:n, :n], dx, dy = _plate(seen, at)
-    system[:n, n:] = np.concatenate([np.ones((1, n)), seen]).T
-    system[n:, :n] = border
+    system, dx, dy = _held_plate(seen, at), *_plate(seen, at)[1:]
     rows = np.zeros((3, n, n + 3))
-    rows[0, :, :n], rows[0, :, n:] = _plate(at, at)[0], border.T
+    rows[0, :, :n], rows[0, :, n:] = _plate(at, at)[0], _linear(at)
     rows[1, :, :n], rows[1, :, n + 1] = dx / unit, 1.0 / unit
     rows[2, :, :n], rows[2, :, n + 2] = dy / unit, 1.0 / unit
     solved = lu_solve(lu_factor(system, check_finite=False), rows.reshape(3 * n, -1).T, trans=1)
@@ -158,6 +161,20 @@ def _by_glass(motion: Array, changes: Array, offset: Array) -> Sight:
     read[np.diag_indices(len(read))] += 1.0
     back = np.linalg.inv(read)
     return Sight(motion @ back, slopes @ back)
+
+
+def _held_plate(seen: Array, centres: Array) -> Array:
+    """Return (n + 3, n + 3) the equations of a plate held where (2, n) sensors see it."""
+    n = seen.shape[1]
+    system = np.zeros((n + 3, n + 3))
+    system[:n, :n], system[:n, n:] = _plate(seen, centres)[0], _linear(seen)
+    system[n:, :n] = _linear(centres).T
+    return system
+
+
+def _linear(of: Array) -> Array:
+    """Return (n, 3) 1, x and y of places (2, n)."""
+    return np.concatenate([np.ones((1, of.shape[1])), of]).T
 
 
 def _plate(of: Array, centres: Array) -> tuple[Array, Array, Array]:
