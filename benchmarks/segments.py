@@ -1,7 +1,7 @@
 """A mirror in segments from end to end: time, memory, and errors beside each segment's own bound.
 
     python benchmarks/segments.py [--mirror m4] [--cycles 2] [--seed 1] [--noise 1e-4] [-o FOLDER]
-    python benchmarks/segments.py --campaigns 40 [...]
+    python benchmarks/segments.py --campaigns 24 [...]
 
 The glass of each segment that differs by itself; then the commands `simulate`, `calibrate`,
 `report` and `modes`, each with its processor time, its time, and the memory of its largest process.
@@ -127,7 +127,7 @@ def errors(bench: SegmentedBench, work: Path, cycles: int) -> None:
 
 def many(bench: SegmentedBench, cycles: int, count: int) -> None:
     """Print the errors of campaigns of one segment after the other, and the means of all."""
-    of_all = []
+    of_all, least = [], [bound(one, cycles) for one in bench.benches]
     print(f"  segment   {HEAD}")
     for number in range(count):
         k = number % len(bench.benches)
@@ -135,7 +135,7 @@ def many(bench: SegmentedBench, cycles: int, count: int) -> None:
         noise = replace(one.truth, seed=one.truth.seed + SEEDS * (number + 1))
         one = replace(one, truth=noise)
         found = tn.calibrate(tn.Campaign(tuple(run_cycles(one, cycles))))
-        of_all.append(figures(one, bound(one, cycles), found))
+        of_all.append(figures(one, least[k], found))
         print(line(k + 1, of_all[-1]), flush=True)
     each = np.array(of_all)
     square = each[:, 2] ** 2
