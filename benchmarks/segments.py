@@ -1,7 +1,7 @@
 """A mirror in segments from end to end: time, memory, and errors beside each segment's own bound.
 
     python benchmarks/segments.py [--mirror m4] [--cycles 2] [--seed 1] [--noise 1e-4] [-o FOLDER]
-    python benchmarks/segments.py --campaigns 40 [...]
+    python benchmarks/segments.py --campaigns 24 [...]
 
 The glass of each segment that differs by itself; then the commands `simulate`, `calibrate`,
 `report` and `modes`, each with its processor time, its time, and the memory of its largest process.
@@ -13,7 +13,7 @@ and patterns are its axes, which err independently of each other. The few that a
 scale and two tilts, make most of the error of every actuator, so that actuators of one segment are
 covered together or not at all.
 
-With --campaigns so many campaigns of the first segment alone, which differ in their noise.
+With --campaigns so many more, of one segment after the other by itself, each with noise of its own.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from accuracy import TWO_SIGMA, rms
 
 import truenewton as tn
 from truenewton.arrays import Array
-from truenewton.bench.simulated.segmented import SegmentedBench, segmented_bench
+from truenewton.bench.simulated.segmented import SEEDS, SegmentedBench, segmented_bench
 from truenewton.bench.simulated.static import StaticBench, held_command, rows_of_cycle, run_cycles
 from truenewton.bench.simulated.truth import truth_path
 from truenewton.estimation.unknowns import Unknowns
@@ -125,20 +125,24 @@ def errors(bench: SegmentedBench, work: Path, cycles: int) -> None:
         print(line(number, figures(one, bound(one, cycles), found)), flush=True)
 
 
-def many(bench: StaticBench, cycles: int, count: int) -> None:
-    """Print the errors of campaigns of one segment that differ in their noise, and in all."""
-    least, all_of_them = bound(bench, cycles), []
-    print(f"  campaign  {HEAD}")
-    for number in range(1, count + 1):
-        other = replace(bench, truth=replace(bench.truth, seed=bench.truth.seed + 10**6 * number))
-        found = tn.calibrate(tn.Campaign(tuple(run_cycles(other, cycles))))
-        all_of_them.append(figures(bench, least, found))
-        print(line(number, all_of_them[-1]), flush=True)
-    each = np.array(all_of_them)
-    whole = each.mean(axis=0)
-    whole[2] = rms(each[:, 2])
-    print(line("all", whole))
-    uncertain = each.std(axis=0, ddof=1) / np.sqrt(count)
+def many(bench: SegmentedBench, cycles: int, count: int) -> None:
+    """Print the errors of campaigns of one segment after the other, and the means of all."""
+    of_all, least = [], [bound(one, cycles) for one in bench.benches]
+    print(f"  segment   {HEAD}")
+    for number in range(count):
+        k = number % len(bench.benches)
+        one = bench.benches[k]
+        noise = replace(one.truth, seed=one.truth.seed + SEEDS * (number + 1))
+        one = replace(one, truth=noise)
+        found = tn.calibrate(tn.Campaign(tuple(run_cycles(one, cycles))))
+        of_all.append(figures(one, least[k], found))
+        print(line(k + 1, of_all[-1]), flush=True)
+    each = np.array(of_all)
+    square = each[:, 2] ** 2
+    mean, uncertain = each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(count)
+    mean[2] = np.sqrt(square.mean())
+    uncertain[2] = 0.5 * square.std(ddof=1) / np.sqrt(count) / mean[2]
+    print(line("all", mean))
     print(line("+-", uncertain))
 
 
@@ -150,7 +154,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--noise", type=float, default=1e-4)
     parser.add_argument("--glass", type=int, help="only compute the glass of this segment")
-    parser.add_argument("--campaigns", type=int, help="of the first segment alone")
+    parser.add_argument("--campaigns", type=int, help="of one segment after the other")
     parser.add_argument("-o", "--output", type=Path, help="folder for the files, kept")
     arguments = parser.parse_args()
     mirror = whole_mirror_from(arguments.mirror)
@@ -163,7 +167,7 @@ def main() -> None:
         drawn = segmented_bench(
             mirror, arguments.seed, force_noise=arguments.noise, temperature=20.0
         )
-        many(drawn.benches[0], arguments.cycles, arguments.campaigns)
+        many(drawn, arguments.cycles, arguments.campaigns)
         return
     print(f"{mirror.name}: {len(mirror.segments)} segments, {mirror.layout.n} actuators")
     print("                              processor      clock    memory")

@@ -313,30 +313,35 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
     """
     shape, sign, position = rows_of_cycle(bench)
     mirror, start, time = bench.mirror, START, SECONDS_PER_SHAPE * np.arange(1.0, len(shape) + 1)
-    for load_index, load in enumerate(bench.loads):
+
+    def cycle(load_index: int, number: int) -> Cycle:
+        load = bench.loads[load_index]
+        labels = ((load.key, number, int(k), int(s)) for k, s in zip(shape, sign, strict=True))
+        taken = take(bench, loop, load_index, position, labels)
+        return Cycle(
+            instrument=mirror.name,
+            date=start,
+            number=number,
+            load=load,
+            weight=mirror.weight,
+            weight_error=mirror.weight_error,
+            layout=mirror.layout,
+            time=time,
+            shape=shape,
+            sign=sign,
+            force=taken.force.T,
+            valid=taken.settled,
+            temperature=np.full(len(shape), bench.coils.temperature),
+            position=taken.position.T,
+            gap=mirror.gap,
+            force_error=(bench.force_noise or None) if loop is None else None,
+            coil_gradient=bench.coils.coil_gradient,
+            bias_gradient=bench.coils.bias_gradient,
+        )
+
+    for load_index in range(len(bench.loads)):
         for number in range(1, cycles + 1):
-            labels = ((load.key, number, int(k), int(s)) for k, s in zip(shape, sign, strict=True))
-            taken = take(bench, loop, load_index, position, labels)
-            yield Cycle(
-                instrument=mirror.name,
-                date=start,
-                number=number,
-                load=load,
-                weight=mirror.weight,
-                weight_error=mirror.weight_error,
-                layout=mirror.layout,
-                time=time,
-                shape=shape,
-                sign=sign,
-                force=taken.force.T,
-                valid=taken.settled,
-                temperature=np.full(len(shape), bench.coils.temperature),
-                position=taken.position.T,
-                gap=mirror.gap,
-                force_error=(bench.force_noise or None) if loop is None else None,
-                coil_gradient=bench.coils.coil_gradient,
-                bias_gradient=bench.coils.bias_gradient,
-            )
+            yield cycle(load_index, number)
             start += datetime.timedelta(seconds=SECONDS_PER_SHAPE * (len(shape) + 1))
         start += PAUSE
 
