@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from truenewton.records.fault import Fault
 from truenewton.records.segment import require_segment
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, significant
-from truenewton.statics.layout import Layout, joined
+from truenewton.statics.layout import Layout
 
 # Of what stands between segments: standard deviations by which it is reciprocal, as noise is not;
 # and its rms in terms of that of a segment's own elements, beyond which it is no mere noise either.
@@ -94,7 +95,7 @@ class SegmentedData:
             whole = groups[numbers].layout
             for number in numbers:
                 parts.setdefault(number, whole.part(np.asarray(whole.segment) == number))
-        return joined([parts[number] for number in sorted(parts)])
+        return _joined([parts[number] for number in sorted(parts)])
 
     @property
     def instrument(self) -> str:
@@ -158,6 +159,22 @@ def _ordered(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
             path=groups[()][0].name,
         )
     return tuple(cycle for numbers in sorted(groups) for cycle in ordered_cycles(groups[numbers]))
+
+
+def _joined(parts: Sequence[Layout]) -> Layout:
+    """Return the actuators of several layouts, one after the other; None where one has none.
+
+    Raises
+    ------
+    GeometryError
+        They do not go together.
+    """
+    columns: dict[str, Any] = {}
+    for field in fields(Layout):
+        column = [getattr(part, field.name) for part in parts]
+        lacking = any(one is None for one in column)
+        columns[field.name] = None if lacking else np.concatenate(column)
+    return Layout(**columns)
 
 
 def segment_of_matrix(matrix: StiffnessMatrix, number: int) -> StiffnessMatrix:
