@@ -100,7 +100,7 @@ class SegmentedData:
     @property
     def instrument(self) -> str:
         """The mirror's name."""
-        return self.cycles[0].mirror if self.cycles else self._matrix.instrument
+        return mirror_of(self.cycles[0]) if self.cycles else self._matrix.instrument
 
     @property
     def _matrix(self) -> StiffnessMatrix:
@@ -124,11 +124,24 @@ class SegmentedData:
         """
         require_segment(number, self.numbers)
         matrix = None if self.stiffness is None else segment_of_matrix(self.stiffness, number)
-        own = tuple(cycle.of_segment(number) for cycle in self.cycles if number in cycle.numbers)
+        own = tuple(_part(cycle, number) for cycle in self.cycles if number in cycle.numbers)
         if own:
             return Campaign(own, matrix)
         assert matrix is not None
         return matrix
+
+
+def mirror_of(cycle: Cycle) -> str:
+    """Return the name of the whole mirror: INSTRUME, which may end in a single segment's number."""
+    name, numbers = cycle.instrument, cycle.numbers
+    return name.removesuffix(f" segment {numbers[0]}") if len(numbers) == 1 else name
+
+
+def _part(cycle: Cycle, number: int) -> Cycle:
+    """Return what concerns one segment, called by its number."""
+    if cycle.layout.segments:
+        return cycle.of_segment(number)
+    return replace(cycle, instrument=f"{mirror_of(cycle)} segment {number}")
 
 
 def in_segments(cycles: Sequence[Cycle]) -> bool:
@@ -146,9 +159,9 @@ def _ordered(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
     groups: dict[tuple[int, ...], list[Cycle]] = {}
     for cycle in cycles:
         groups.setdefault(cycle.numbers, []).append(cycle)
-        if cycle.mirror != cycles[0].mirror:
+        if mirror_of(cycle) != mirror_of(cycles[0]):
             raise CampaignMismatch(
-                f"is of {cycle.mirror}, {cycles[0].name} of {cycles[0].mirror}",
+                f"is of {mirror_of(cycle)}, {cycles[0].name} of {mirror_of(cycles[0])}",
                 remedy="calibrate files of one mirror only",
                 path=cycle.name,
             )
