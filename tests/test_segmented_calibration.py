@@ -10,6 +10,7 @@ from astropy.table import QTable
 from segmented import in_one, pieces
 
 import truenewton as tn
+from truenewton.calibration.segments import telling
 from truenewton.calibration.verdict import Level
 from truenewton.calibration.workers import side_by_side
 from truenewton.errors import (
@@ -19,11 +20,15 @@ from truenewton.errors import (
     TrueNewtonWarning,
     UnknownName,
 )
+from truenewton.figures.maps import dot_radius, segment_places
+from truenewton.mirrors.segmented import gmt
 from truenewton.modal.pupil import pupil_of
 from truenewton.modal.segments import modes_of_segments
 from truenewton.reading import read_one
+from truenewton.records.fault import Fault
 from truenewton.records.file import write_campaign
 from truenewton.records.segmented import coupling_faults
+from truenewton.rounding import numbered
 from truenewton.statics.arms import enabled_arms
 
 
@@ -361,6 +366,48 @@ def test_figures_show_all_segments(whole, inside, tmp_path):
     code, _, _ = inside("figures", tmp_path / "alpha.fits", "-o", tmp_path / "figures")
     assert code == 0
     assert (tmp_path / "figures" / "fig6-alpha-map.png").stat().st_size > 10_000
+
+
+def test_what_is_said_of_several_segments_is_said_once(data):
+    """With the figures of the first; what else differs, as names of actuators, stays apart."""
+
+    def said(fault, *numbers):
+        return {number: (Fault(fault.format(number), "do"),) for number in numbers}
+
+    made = tn.calibrate(data)
+    one = replace(made, segments={2: made.segments[2]}, refused=said("known to {}.5 %", 1, 3))
+    faults = [fault for fault, _ in one.verdict.faults]
+    assert faults[0] == "segments 1, 3, no alpha: known to 1.5 % (as of segment 1)"
+    other = replace(made, segments={3: made.segments[3]}, refused=said("actuator {} is dead", 1, 2))
+    assert [fault for fault, _ in other.verdict.faults][:2] == [
+        "segment 1, no alpha: actuator 1 is dead", "segment 2, no alpha: actuator 2 is dead",
+    ]  # fmt: skip
+    assert numbered("segment", [1, 2, 3, 5, 7, 8]) == "segments 1 to 3, 5, 7, 8"
+
+
+def test_segments_are_named_beside_their_actuators(whole):
+    """No dot is hidden, and the nearest is one of their own; the middle one's has no hole."""
+    wall = replace(
+        whole.layout, x=whole.layout.x - whole.layout.x[whole.layout.segment == 1].mean()
+    )
+    for some in (gmt().layout, whole.layout, wall):
+        places = segment_places(some)
+        assert [number for number, _, _ in places] == list(some.segments)
+        for number, x, y in places:
+            own = some.segment == number
+            near = np.hypot(1e3 * some.x - x, 1e3 * some.y - y)
+            assert near.min() > 2 * dot_radius(some)
+            assert own[near.argmin()]
+    assert segment_places(whole.segments[1].layout) == []
+
+
+def test_the_bar_counts_segments(data):
+    counts = []
+    with telling(lambda done, total: counts.append((done, total))):
+        tn.calibrate(data)
+    assert counts == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    tn.calibrate(data)
+    assert len(counts) == 4
 
 
 def test_json_of_segments(folder, inside):

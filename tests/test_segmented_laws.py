@@ -138,6 +138,35 @@ def test_the_command_tracks_all_segments(files, inside, tmp_path):
     assert "segment 2: 3 calibrations" in said
 
 
+def test_what_changed_is_told_by_segment(days, files, inside, tmp_path):
+    """Each with a ratio of its own; one actuator of all reaches the limit by chance, not six."""
+    other = days[2]
+    alpha = other.segments[2].alpha.copy()
+    alpha[3] *= 1.05
+    parts = dict(other.segments) | {2: replace(other.segments[2], alpha=alpha)}
+    moved = tn.change(days[0], replace(other, segments=parts))
+    alone = {n: tn.change(days[0].segments[n], parts[n]) for n in (1, 2, 3)}
+    for number, part in alone.items():
+        own = other.layout.segment == number
+        assert np.array_equal(moved.sigmas[own], part.sigmas)
+        assert moved.segments[number].ratio == part.ratio
+        assert moved.limit > part.limit
+    assert other.layout.id[moved.changed].tolist() == [other.segments[2].layout.id[3]]
+    page = tmp_path / "changed.html"
+    code, said, _ = inside("report", files[0], files[2], "-o", page)
+    assert code == 0
+    assert "No change" in said
+    assert "common ratios, second to first: 0.99" in said
+    assert 'data-key="segment"' in page.read_text()
+    lost = tn.change(without(days[0], 3), other)
+    assert set(lost.segments) == {1, 2}
+    assert np.isnan(lost.sigmas[other.layout.segment == 3]).all()
+    tn.write_report(page, lost, overwrite=True)
+    assert "no alpha in one of them" in page.read_text()
+    with pytest.raises(CampaignMismatch, match="the other of one body"):
+        tn.change(days[0], other.segments[1])
+
+
 @pytest.fixture(scope="module")
 def after():
     """A short run, bare, after actuator 105 of segment 1 was replaced."""

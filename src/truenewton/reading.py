@@ -314,10 +314,12 @@ def _flat(paths: Iterable[AnyPath | Iterable[AnyPath]]) -> list[AnyPath]:
     ]
 
 
-def read_calibrations(*paths: AnyPath, segment: int | None = None) -> tuple[Calibration, ...]:
+def read_calibrations(
+    *paths: AnyPath, segment: int | None = None
+) -> tuple[Calibration | SegmentedCalibration, ...]:
     """Read several calibrations; none where one of the paths holds something else.
 
-    Of mirrors in several segments that of one.
+    Of mirrors in several segments that of one, if it is chosen.
 
     Raises
     ------
@@ -326,4 +328,5 @@ def read_calibrations(*paths: AnyPath, segment: int | None = None) -> tuple[Cali
     files = [read_file(path) for path in paths if not Path(path).is_dir()]
     if len(files) < len(paths) or any("CALIBRATION" not in file.extensions for file in files):
         return ()
-    return tuple(of_segment(any_calibration_from(file), segment, file.path) for file in files)
+    every = [(any_calibration_from(file), file.path) for file in files]
+    return tuple(one if segment is None else of_segment(one, segment, path) for one, path in every)

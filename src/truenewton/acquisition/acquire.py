@@ -82,8 +82,7 @@ def acquire(
     >>> [file.name for file in tn.acquire(tn.SimulatedBench(tn.mirrors.p45()), plan, "one-cycle")]
     ['bare-001.fits']
     """
-    mirror, layout = planned_mirror(plan, beside), recorded_layout(plan, beside)
-    _check_agreement(bench, mirror, layout)
+    mirror, layout = _agreed(bench, plan, beside)
     operator = operator or _operator_of(bench)
     with Interruption() as interruption, locked(folder) as folder:
         plan, shapes = begin_or_resume(folder, plan, mirror, beside)
@@ -120,11 +119,14 @@ def _operator_of(bench: Bench) -> Operator:
     return bench
 
 
-def _check_agreement(bench: Bench, mirror: Mirror, recorded: Layout) -> None:
-    """Refuse a bench that is not the mirror of the plan.
+def _agreed(
+    bench: Bench, plan: CampaignPlan, beside: str | os.PathLike[str]
+) -> tuple[Mirror, Layout]:
+    """Return the mirror of a plan and its actuators as recorded; refuse a bench of another.
 
     A segment's may name and place its actuators as the segment does, or as the whole mirror.
     """
+    mirror, recorded = planned_mirror(plan, beside), recorded_layout(plan, beside)
     if bench.layout.n != mirror.layout.n:
         what = f"has {bench.layout.n} actuators, the plan's {mirror.name} {mirror.layout.n}"
     elif bench.instrument != mirror.name:
@@ -137,7 +139,7 @@ def _check_agreement(bench: Bench, mirror: Mirror, recorded: Layout) -> None:
         raise BenchFault(f"the bench gives a gap of {bench.gap!r} m", remedy="give its own [m]")
     else:
         gradients_of(bench)  # refused now, not when the first cycle is complete
-        return
+        return mirror, recorded
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
 
 

@@ -15,6 +15,7 @@ from truenewton.files.format import quantities
 from truenewton.records.fault import Fault
 from truenewton.records.notebook import html_table
 from truenewton.records.of_segments import OfSegments
+from truenewton.records.source import Source
 from truenewton.rounding import counted
 
 if TYPE_CHECKING:
@@ -95,6 +96,12 @@ class SegmentedCalibration(OfSegments[Calibration]):
                  for n, f in out.items()}  # fmt: skip
         kept = {number: one for number, one in self.segments.items() if number not in out}
         return replace(self, segments=kept, refused={**self.refused, **named})
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The files that went in, each once."""
+        every = (source for one in self.segments.values() for source in one.sources)
+        return tuple({source.sha256: source for source in every}.values())
 
     @property
     def scale(self) -> str:

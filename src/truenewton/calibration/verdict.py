@@ -6,7 +6,6 @@ the calibration was that wrote it.
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,14 +25,13 @@ from truenewton.estimation.identifiability import alike_loads_fault
 from truenewton.estimation.reciprocity.gate import BY_ML
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
+from truenewton.records.of_segments import alike
 from truenewton.rounding import numbered, percent, with_error
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
     from truenewton.calibration.segmented import SegmentedCalibration
 
-# By which the same fault of several segments differs; whole numbers may be names of actuators.
-FIGURE = re.compile(r"\d+\.\d+(e[+-]?\d+)?|\d+(?= %)")
 FAR = 5.0  # robust standard deviations, for an actuator off the others
 FEW = 0.03  # of the actuators, and two at least, may be dead or reversed: else all are in doubt
 IMPROBABLE = 1e-3  # of a fit; as weights are warned of
@@ -129,26 +127,16 @@ def verdict_on(calibration: Calibration) -> Verdict:
 def verdict_on_segments(c: SegmentedCalibration) -> Verdict:
     """Judge a mirror in several segments: each fault names its segment, the gravest first.
 
-    What is said of several in the same words is said once, with the figures of the first of them.
     It can be used as long as a segment can; it is sound where all are.
     """
     judged = {number: one.verdict for number, one in c.segments.items()}
     judged |= {number: Verdict(Level.NONE, faults) for number, faults in c.refused.items()}
-    worst_first = sorted(
-        judged, key=lambda number: (-GRAVITIES.index(judged[number].level), number)
-    )
-    alike: dict[tuple[Level, str, str], list[tuple[int, Fault]]] = {}
-    for number in worst_first:
-        for each in judged[number].faults:
-            fault, remedy = (FIGURE.sub("", part) for part in each)
-            alike.setdefault((judged[number].level, fault, remedy), []).append((number, each))
     faults = []
-    for (level, *_), said in alike.items():
-        first, (fault, remedy) = said[0]
-        of = numbered("segment", sorted({number for number, _ in said}))
-        of += f", {level}" if level in GRAVITIES[2:] else ""
-        as_said = f" (as of segment {first})" if len({each for _, each in said}) > 1 else ""
-        faults.append(Fault(f"{of}: {fault}{as_said}", remedy))
+    for level in reversed(GRAVITIES):
+        of_level = [(n, v) for n, v in sorted(judged.items()) if v.level == level]
+        for numbers, (fault, remedy) in alike((n, each) for n, v in of_level for each in v.faults):
+            of = numbered("segment", numbers) + (f", {level}" if level in GRAVITIES[2:] else "")
+            faults.append(Fault(f"{of}: {fault}", remedy))
     levels = {one.level for one in judged.values()}
     if not levels & {Level.SOUND, Level.LIMITED}:
         return Verdict(Level.UNUSABLE, tuple(faults))

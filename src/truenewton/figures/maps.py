@@ -159,7 +159,7 @@ def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
     for radius in ring_radii(layout):
         ax.add_patch(Circle((0, 0), radius, fill=False, color=FAINT, linewidth=0.4, zorder=0))
     farthest = np.hypot(layout.x, layout.y).max() / MILLIMETRE
-    named = max((np.hypot(x, y) for _, x, y in segment_places(layout)), default=0.0)
+    named = 1.1 * max((np.hypot(x, y) for _, x, y in segment_places(layout)), default=0.0)
     reach = 1.08 * max(farthest + dot_radius(layout), glass / MILLIMETRE, named)
     arrow = {"arrowstyle": "-|>", "color": INK, "linewidth": 0.6, "shrinkA": 0, "shrinkB": 0}
     for name, (x, y), ha, va in (("$x$", (reach, 0.0), "right", "bottom"),
@@ -179,20 +179,22 @@ def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
 def segment_places(layout: Layout) -> list[tuple[int, float, float]]:
     """Return number, x and y [mm] of where each segment is named: beyond it, seen from the middle.
 
-    In its middle where others stand in the way.
+    Where others stand in the way beyond another side of it, or in its middle.
     """
     x, y, away = layout.x / MILLIMETRE, layout.y / MILLIMETRE, 3.0 * dot_radius(layout)
-    middle_x, middle_y = x.mean(), y.mean()
     places = []
     for number in layout.segments:
         own = np.asarray(layout.segment) == number
-        dx, dy = x[own].mean() - middle_x, y[own].mean() - middle_y
-        far = max(float(np.hypot(dx, dy)), 1e-9)
-        reach = ((x[own] - middle_x) * dx + (y[own] - middle_y) * dy).max() / far + away
-        at_x, at_y = middle_x + dx / far * reach, middle_y + dy / far * reach
-        if np.hypot(x - at_x, y - at_y).min() < 0.9 * away or far < away:
-            at_x, at_y = x[own].mean(), y[own].mean()
-        places.append((number, float(at_x), float(at_y)))
+        at = middle_x, middle_y = float(x[own].mean()), float(y[own].mean())
+        first = np.arctan2(middle_y - y.mean(), middle_x - x.mean())
+        for angle in first + np.radians(45.0) * np.arange(8):
+            along = np.array([np.cos(angle), np.sin(angle)])
+            reach = float((along @ [x[own] - middle_x, y[own] - middle_y]).max()) + away
+            beyond_x, beyond_y = middle_x + reach * along[0], middle_y + reach * along[1]
+            if np.hypot(x - beyond_x, y - beyond_y).min() > 0.9 * away:
+                at = float(beyond_x), float(beyond_y)
+                break
+        places.append((number, *at))
     return places
 
 

@@ -248,14 +248,8 @@ class Cycle:
     @property
     def numbers(self) -> tuple[int, ...]:
         """Of the segments that it is of, ascending; none where ACTUATORS names none."""
-        layout = self.layout
-        return layout.segments or (() if layout.segment is None else (int(layout.segment[0]),))
-
-    @property
-    def mirror(self) -> str:
-        """The whole mirror's name: INSTRUME, which may end in the number of the segment."""
-        ends = [f" segment {number}" for number in self.numbers]
-        return self.instrument.removesuffix(ends[0]) if len(ends) == 1 else self.instrument
+        segment = self.layout.segment
+        return () if segment is None else tuple(np.unique(segment).tolist())
 
     def of_segment(self, number: int) -> Cycle:
         """Return what concerns one segment, which is a mirror in one piece.
@@ -265,8 +259,6 @@ class Cycle:
         GeometryError, FormatError
             It has no actuator that is enabled, or its readings hold what they may not.
         """
-        if not self.layout.segments:
-            return replace(self, instrument=f"{self.mirror} segment {number}")
         (own,) = [segment for segment in self.segments if segment.number == number]
         chosen = np.asarray(self.layout.segment) == number
         return replace(

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from truenewton.records.fault import Fault
 from truenewton.records.segment import require_segment
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted, significant
-from truenewton.statics.layout import Layout, joined
+from truenewton.statics.layout import Layout
 
 # Of what stands between segments: standard deviations by which it is reciprocal, as noise is not;
 # and its rms in terms of that of a segment's own elements, beyond which it is no mere noise either.
@@ -94,12 +95,12 @@ class SegmentedData:
             whole = groups[numbers].layout
             for number in numbers:
                 parts.setdefault(number, whole.part(np.asarray(whole.segment) == number))
-        return joined([parts[number] for number in sorted(parts)])
+        return _joined([parts[number] for number in sorted(parts)])
 
     @property
     def instrument(self) -> str:
         """The mirror's name."""
-        return self.cycles[0].mirror if self.cycles else self._matrix.instrument
+        return mirror_of(self.cycles[0]) if self.cycles else self._matrix.instrument
 
     @property
     def _matrix(self) -> StiffnessMatrix:
@@ -123,11 +124,24 @@ class SegmentedData:
         """
         require_segment(number, self.numbers)
         matrix = None if self.stiffness is None else segment_of_matrix(self.stiffness, number)
-        own = tuple(cycle.of_segment(number) for cycle in self.cycles if number in cycle.numbers)
+        own = tuple(_part(cycle, number) for cycle in self.cycles if number in cycle.numbers)
         if own:
             return Campaign(own, matrix)
         assert matrix is not None
         return matrix
+
+
+def mirror_of(cycle: Cycle) -> str:
+    """Return the name of the whole mirror: INSTRUME, which may end in a single segment's number."""
+    name, numbers = cycle.instrument, cycle.numbers
+    return name.removesuffix(f" segment {numbers[0]}") if len(numbers) == 1 else name
+
+
+def _part(cycle: Cycle, number: int) -> Cycle:
+    """Return what concerns one segment, called by its number."""
+    if cycle.layout.segments:
+        return cycle.of_segment(number)
+    return replace(cycle, instrument=f"{mirror_of(cycle)} segment {number}")
 
 
 def in_segments(cycles: Sequence[Cycle]) -> bool:
@@ -145,9 +159,9 @@ def _ordered(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
     groups: dict[tuple[int, ...], list[Cycle]] = {}
     for cycle in cycles:
         groups.setdefault(cycle.numbers, []).append(cycle)
-        if cycle.mirror != cycles[0].mirror:
+        if mirror_of(cycle) != mirror_of(cycles[0]):
             raise CampaignMismatch(
-                f"is of {cycle.mirror}, {cycles[0].name} of {cycles[0].mirror}",
+                f"is of {mirror_of(cycle)}, {cycles[0].name} of {mirror_of(cycles[0])}",
                 remedy="calibrate files of one mirror only",
                 path=cycle.name,
             )
@@ -158,6 +172,22 @@ def _ordered(cycles: Sequence[Cycle]) -> tuple[Cycle, ...]:
             path=groups[()][0].name,
         )
     return tuple(cycle for numbers in sorted(groups) for cycle in ordered_cycles(groups[numbers]))
+
+
+def _joined(parts: Sequence[Layout]) -> Layout:
+    """Return the actuators of several layouts, one after the other; None where one has none.
+
+    Raises
+    ------
+    GeometryError
+        They do not go together.
+    """
+    columns: dict[str, Any] = {}
+    for field in fields(Layout):
+        column = [getattr(part, field.name) for part in parts]
+        lacking = any(one is None for one in column)
+        columns[field.name] = None if lacking else np.concatenate(column)
+    return Layout(**columns)
 
 
 def segment_of_matrix(matrix: StiffnessMatrix, number: int) -> StiffnessMatrix:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.calibration.result import Calibration
+from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.written import AnyCalibration
 from truenewton.chance import normal_isf
-from truenewton.errors import CampaignMismatch
+from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.weights import typical
@@ -31,22 +33,25 @@ class Change:
         The calibrations.
     ratio, ratio_error
         Median of alpha after over alpha before, and its standard uncertainty; NaN where a scale is
-        a convention.
+        a convention, and for several segments.
     relative
         (n,) change of alpha beside the ratio, in terms of alpha; NaN where either is disabled.
     sigmas
         (n,) the same in terms of the readings' errors of both (E_STAT), taken as independent.
     limit
         Sigmas that one actuator of all reaches by chance in a hundredth of such comparisons.
+    segments
+        Of a mirror in several segments the change of each that has alpha in both, by its number.
     """
 
-    one: Calibration
-    other: Calibration
+    one: AnyCalibration
+    other: AnyCalibration
     ratio: float
     ratio_error: float
     relative: Array
     sigmas: Array
     limit: float
+    segments: Mapping[int, Change] = field(default_factory=dict)
 
     @property
     def changed(self) -> NDArray[np.int64]:
@@ -92,8 +97,8 @@ class Change:
         return ax
 
 
-def change(one: Calibration, other: Calibration) -> Change:
-    """Compare two calibrations of one mirror.
+def change(one: AnyCalibration, other: AnyCalibration) -> Change:
+    """Compare two calibrations of one mirror; of several segments each by itself.
 
     With r the median of alpha'/alpha, the change of actuator i is alpha'_i / r - alpha_i, with the
     variance E_STAT_i^2 + (E_STAT'_i / r)^2. The errors of the weights move all alphas together, so
@@ -108,6 +113,8 @@ def change(one: Calibration, other: Calibration) -> Change:
     ------
     CampaignMismatch
         The calibrations are not of the same actuators.
+    RankDeficient
+        No segment has alpha in both.
 
     Examples
     --------
@@ -115,6 +122,13 @@ def change(one: Calibration, other: Calibration) -> Change:
     >>> f"{moved.ratio:.2f}, and beside it {len(moved.changed)} actuators"
     '0.99, and beside it 0 actuators'
     """
+    if isinstance(one, SegmentedCalibration) and isinstance(other, SegmentedCalibration):
+        return _change_of_segments(one, other)
+    if isinstance(one, SegmentedCalibration) or isinstance(other, SegmentedCalibration):
+        raise CampaignMismatch(
+            "one calibration is of several segments, the other of one body",
+            remedy="choose the segment: --segment, or segment(...) in Python",
+        )
     a, b = one.layout, other.layout
     # Which are enabled may differ, and what was taken for their direction.
     alike = a.n == b.n and a.same_as(replace(b, enabled=a.enabled, nz=a.nz))
@@ -141,4 +155,37 @@ def change(one: Calibration, other: Calibration) -> Change:
         relative=moved / one.alpha,
         sigmas=np.where(np.isfinite(sigmas), sigmas, np.nan),
         limit=float(normal_isf(FALSE_ALARM / 2 / both.sum())),
+    )
+
+
+def _change_of_segments(one: SegmentedCalibration, other: SegmentedCalibration) -> Change:
+    """Compare each segment that has alpha in both, at the limit of all actuators together."""
+    a, b = one.layout, other.layout
+    if not (a.same_actuators_as(b) and one.numbers == other.numbers):
+        raise CampaignMismatch(
+            f"the calibrations of {one.instrument} and {other.instrument} are not of the same"
+            " segments",
+            remedy="compare two calibrations of one mirror",
+        )
+    parts = {
+        number: change(one.segments[number], other.segments[number])
+        for number in one.numbers
+        if number in one.segments and number in other.segments
+    }
+    if not parts:
+        raise RankDeficient("no segment has alpha in both", remedy="look at each file with `info`")
+    relative, sigmas = np.full((2, a.n), np.nan)
+    for number, part in parts.items():
+        own = np.asarray(a.segment) == number
+        relative[own], sigmas[own] = part.relative, part.sigmas
+    limit = float(normal_isf(FALSE_ALARM / 2 / np.isfinite(sigmas).sum()))
+    return Change(
+        one=one,
+        other=other,
+        ratio=math.nan,
+        ratio_error=math.nan,
+        relative=relative,
+        sigmas=sigmas,
+        limit=limit,
+        segments={number: replace(part, limit=limit) for number, part in parts.items()},
     )

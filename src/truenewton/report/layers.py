@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.written import AnyCalibration
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.identifiability import leverage
 from truenewton.figures.maps import plot_map
@@ -141,7 +142,7 @@ def segment_layers(c: SegmentedCalibration) -> tuple[Layer, ...]:
     return tuple(made)
 
 
-def alpha_layer(calibration: Calibration, key: str, name: str) -> Layer:
+def alpha_layer(calibration: AnyCalibration, key: str, name: str) -> Layer:
     """Return alpha, as far as its error goes, all included."""
     return Layer(key, name, "true N / commanded N", calibration.alpha,
                  "True Newton per commanded Newton, with its error, all included (E_ALPHA).",

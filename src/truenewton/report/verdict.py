@@ -135,12 +135,22 @@ def verdict_on_change(change: Change) -> Headline:
         ("changed actuators", f"{changed.size} of {compared}", f"beyond {change.limit:.1f} sigma"),
         ("largest change", f"{change.sigmas[farthest]:+.1f} sigma",
          f"actuator {ids[farthest]}, {significant(100 * change.relative[farthest])} %"),
-        ("common ratio, second to first", with_error(change.ratio, change.ratio_error)
-         if np.isfinite(change.ratio_error) else f"{change.ratio:.4f}",
-         "taken out; its error is that of the weights" if np.isfinite(change.ratio_error)
-         else "taken out; the scale of one is a convention"),
+        _ratio(change),
     )  # fmt: skip
     return Headline(level, title, sentence, numbers, tuple(advice))
+
+
+def _ratio(change: Change) -> tuple[str, str, str]:
+    """Return name, value and note of the common ratio, or of those of the segments."""
+    if change.segments:
+        ratios = [part.ratio for part in change.segments.values()]
+        return ("common ratios, second to first", f"{min(ratios):.4f} to {max(ratios):.4f}",
+                "of each segment, taken out; each in the table of segments")  # fmt: skip
+    name = "common ratio, second to first"
+    if np.isfinite(change.ratio_error):
+        return (name, with_error(change.ratio, change.ratio_error),
+                "taken out; its error is that of the weights")  # fmt: skip
+    return name, f"{change.ratio:.4f}", "taken out; the scale of one is a convention"
 
 
 def _actuators(c: Calibration) -> str:

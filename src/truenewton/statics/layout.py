@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -182,22 +181,6 @@ class Layout:
             np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=1e-9)
             for name in ("x", "y", "nz")
         )
-
-
-def joined(parts: Sequence[Layout]) -> Layout:
-    """Return the actuators of several layouts, one after the other; None where one has none.
-
-    Raises
-    ------
-    GeometryError
-        They do not go together.
-    """
-    columns: dict[str, Any] = {}
-    for field in fields(Layout):
-        column = [getattr(part, field.name) for part in parts]
-        lacking = any(one is None for one in column)
-        columns[field.name] = None if lacking else np.concatenate(column)
-    return Layout(**columns)
 
 
 @taking_units(x="m", y="m")

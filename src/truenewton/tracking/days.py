@@ -91,6 +91,17 @@ def named(item: Given) -> Named:
     return Named(f"{item.instrument} of {min(dates):%Y-%m-%d}" if dates else item.instrument, item)
 
 
+def of_one(given: Iterable[Given], segment: int | None) -> list[Named]:
+    """Read what is a path; of mirrors in several segments return that of one.
+
+    Raises
+    ------
+    UnreadableFile, FormatError, CampaignMismatch, UnknownName, RankDeficient
+    """
+    every = (named(item) for item in given)
+    return [Named(name, of_segment(data, segment, name)) for name, data in every]
+
+
 def gathered(given: Iterable[Given], *, force: bool = False) -> tuple[DatedCalibration, ...]:
     """Read and calibrate what is not yet; return the calibrations in the order of time.
 

@@ -12,7 +12,6 @@ from truenewton.arrays import Array, spread, spread_square
 from truenewton.chance import f_sf
 from truenewton.errors import CampaignMismatch, RankDeficient
 from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
-from truenewton.reading import of_segment
 from truenewton.rounding import counted
 from truenewton.tracking.days import (
     OTHER_UNIT,
@@ -20,9 +19,8 @@ from truenewton.tracking.days import (
     YEAR,
     DatedCalibration,
     Given,
-    Named,
     gathered,
-    named,
+    of_one,
     weight_groups,
 )
 from truenewton.tracking.family import (
@@ -71,9 +69,7 @@ def track(*given: Given, force: bool = False, segment: int | None = None) -> Tra
     >>> f"{100 * np.mean(tracking.coefficient):.2f} % per kelvin"
     '-0.10 % per kelvin'
     """
-    every = [named(item) for item in given]
-    chosen = [Named(name, of_segment(data, segment, name)) for name, data in every]
-    days = gathered(chosen, force=force)
+    days = gathered(of_one(given, segment), force=force)
     on = np.all([day.calibration.layout.enabled for day in days], axis=0)
     if np.count_nonzero(on) < 4:
         raise RankDeficient(

@@ -97,8 +97,7 @@ def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ..
         names, at_x, at_y = zip(*((str(k), x, y) for k, x, y in places), strict=True)
         plot.text(x=at_x, y=at_y, text=names, text_color=INK,
                   text_font=value(FONT), text_font_style="bold", text_font_size="1.1em",
-                  text_outline_color="white", text_align="center",
-                  text_baseline="middle")  # fmt: skip
+                  text_align="center", text_baseline="middle")  # fmt: skip
     bar = ColorBar(color_mapper=mapper, title=layers[0].title, name="bar", height=12,
                    title_text_font_style="normal", title_text_font=FONT,
                    major_label_text_font=FONT)  # fmt: skip

@@ -13,6 +13,7 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
+from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_words import segmented_headline
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.words import headline, summary_rows
@@ -26,7 +27,7 @@ from truenewton.report.page.actuator_plots import palette
 from truenewton.report.page.modal_sections import modal_sections
 from truenewton.report.page.section import TextTable
 from truenewton.report.page.sections import evidence_sections, times
-from truenewton.report.page.segments import segment_sections
+from truenewton.report.page.segments import changed_segments, segment_sections
 from truenewton.report.page.views import Actuators, calibration_views, change_views, segment_views
 from truenewton.report.verdict import verdict, verdict_on_change, verdict_on_whole
 
@@ -72,7 +73,6 @@ def write_report(
 def page(findings: Findings | Change | SegmentedCalibration, command: str = "") -> str:
     """Return the page as HTML."""
     if isinstance(findings, SegmentedCalibration):
-        sources = {s.sha256: s for one in findings.segments.values() for s in one.sources}
         return _rendered(
             title=f"{findings.instrument}: calibration of its segments",
             heading=segmented_headline(findings),
@@ -80,7 +80,7 @@ def page(findings: Findings | Change | SegmentedCalibration, command: str = "") 
             actuators=segment_views(findings),
             sections=tuple(segment_sections(findings)),
             drawn={},
-            tables=(_files(tuple(sources.values()), "Files"),),
+            tables=(_files(findings.sources, "Files"),),
             command=command,
         )
     if isinstance(findings, Change):
@@ -114,7 +114,9 @@ def page(findings: Findings | Change | SegmentedCalibration, command: str = "") 
 
 
 def _summaries(change: Change) -> TextTable:
-    pair = (change.one, change.other)
+    pair = [c for c in (change.one, change.other) if isinstance(c, Calibration)]
+    if len(pair) < 2:
+        return changed_segments(change)
     one, other = ({name: value for name, value, _ in summary_rows(c)} for c in pair)
     rows = [("measured", *(f"{c.date:%Y-%m-%d %H:%M}" for c in pair)),
             ("method", *(c.method for c in pair))]  # fmt: skip

@@ -10,6 +10,7 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import Level
 from truenewton.calibration.words import headline, summary_rows
 from truenewton.estimation.weights import typical
+from truenewton.report.change import Change
 from truenewton.report.page.section import Section, TextTable
 from truenewton.rounding import counted, percent, with_error
 
@@ -39,6 +40,23 @@ def segment_sections(c: SegmentedCalibration) -> Iterator[Section]:
         )
         said = f"{headline(one)}. The verdict: {one.verdict.level}."
         yield Section(key, title, (said, *faults), tables=(numbers,))
+
+
+def changed_segments(change: Change) -> TextTable:
+    """Return the table of what changed, segment by segment."""
+    rows = []
+    for number in change.one.layout.segments:
+        part = change.segments.get(number)
+        if part is None:
+            rows.append((str(number), "no alpha in one of them", "", ""))
+            continue
+        farthest = int(np.nanargmax(np.abs(part.sigmas)))
+        known = np.isfinite(part.ratio_error)
+        ratio = with_error(part.ratio, part.ratio_error) if known else f"{part.ratio:.4f}"
+        largest = f"{part.sigmas[farthest]:+.1f} sigma, actuator {part.one.layout.id[farthest]}"
+        rows.append((str(number), ratio, str(part.changed.size), largest))
+    head = ("segment", "common ratio, second to first", "changed actuators", "largest change")
+    return TextTable(counted(rows, "segment"), head, tuple(rows))
 
 
 def _row(c: SegmentedCalibration, number: int) -> tuple[str, ...]:

@@ -91,13 +91,16 @@ def change_views(change: Change) -> Actuators:
     """Return the views of what changed."""
     layers, layout = change.layers, change.one.layout
     source = actuator_source(layout, layers)
+    kind, title = "ring by ring from the centre", "Change by ring"
+    if layout.segments:
+        kind, title = "segment by segment", "Change by segment"
     ring_caption = (
-        "Change of each actuator in sigmas, ring by ring from the centre. Between the dashed lines"
+        f"Change of each actuator in sigmas, {kind}. Between the dashed lines"
         f" ({change.limit:.1f} sigma) chance alone explains it."
     )
     views = (
         View("map", "Map of the change", mirror_map(source, layout, layers), _map_caption(layout)),
-        View("rings", "Change by ring", change_by_ring(source, change, layers), ring_caption),
+        View("rings", title, change_by_ring(source, change, layers), ring_caption),
     )
     return Actuators(layout, layers, views)
 
