@@ -202,24 +202,16 @@ def find_modes(
     stiffness = stiffness_by(calibration)
     modes = stiffness.modes
     _refuse_negative(modes, force=force)
-    seen = seen_turbulence(
-        stiffness.enabled,
-        stiffness.commanded,
-        atmosphere or Atmosphere(0.8),
-        pupil_of(matrix.layout, diameter, radius),
-    )
+    atmosphere, pupil = atmosphere or Atmosphere(0.8), pupil_of(matrix.layout, diameter, radius)
+    seen = seen_turbulence(stiffness.enabled, stiffness.commanded, atmosphere, pupil)
     static = static_force(stiffness, calibration, at_rest)
     after = modal_base(matrix, stiffness, modes, seen, static, efficiency)
-
     return ModalFindings(
-        measured,
-        calibration,
-        after,
+        measured, calibration, after,
         partial(_uncalibrated, after, calibration, at_rest, stiffness_by),
-        (faults[0], stiffness.asymmetry),
-        (faults[1], stiffness.imbalance),
+        (faults[0], stiffness.asymmetry), (faults[1], stiffness.imbalance),
         _sources(reader, matrix),
-    )
+    )  # fmt: skip
 
 
 def _uncalibrated(
