@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
 from truenewton.errors import RankDeficient
+from truenewton.estimation.reciprocity.sight import Places, places_of, seen_from
 from truenewton.estimation.sifted_matrix import as_calibrated
 from truenewton.linalg import ROWS_AT_ONCE, symmetrised
 from truenewton.modal.actuator_roles import (
@@ -38,7 +39,7 @@ from truenewton.modal.actuator_roles import (
     matched_sensors,
     off_and_slaved,
     per_true_displacement,
-    seen_motion,
+    readings,
 )
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -71,6 +72,8 @@ class TrueStiffness:
         (n,) true displacement / reading of the enabled; 1 where it is not known.
     enabled_offset
         (2, n) x and y of their magnets less their sensors; 0 where it is not known [m].
+    places
+        Of the enabled, and what a model of the glass tells there.
     asymmetry
         |K - K'| / |K + K'| of the whole matrix, before it was made symmetric.
     actuator_asymmetry
@@ -88,6 +91,7 @@ class TrueStiffness:
     enabled_alpha: Array
     enabled_gain: Array
     enabled_offset: Array
+    places: Places
     asymmetry: float
     actuator_asymmetry: Array
     imbalance: float
@@ -136,7 +140,11 @@ class TrueStiffness:
     @property
     def seen(self) -> Array:
         """(n, n) true displacements of the enabled for what their sensors read: H diag(gain)."""
-        return seen_motion(self.enabled, self.enabled_gain, self.enabled_offset)
+        return seen_from(self.places, self.enabled_offset) * self.enabled_gain
+
+    def read(self, moved: Array) -> Array:
+        """Return (n, k) what the sensors of the enabled read of (n, k) true displacements."""
+        return readings(moved, self.places, self.enabled_gain, self.enabled_offset)
 
     @property
     def feed_forward_commanded(self) -> Array:
@@ -216,10 +224,11 @@ def true_stiffness(
     gain, offset = matched_sensors(layout, None if matrix.displaced == "true" else calibration)
     if sensor_gain is not None:
         gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
+    places = places_of(matrix.layout)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = matrix.used_stiffness  # a copy
     k *= alpha[:, None]
-    k = per_true_displacement(k, layout, gain, offset)
+    k = per_true_displacement(k, places, gain, offset)
     skew = _skew_norms(k)
     symmetric = symmetrised(k)
     size = 2.0 * _row_norms(symmetric)
@@ -240,6 +249,7 @@ def true_stiffness(
         enabled_alpha=alpha,
         enabled_gain=gain,
         enabled_offset=offset,
+        places=places,
         asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
