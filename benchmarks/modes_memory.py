@@ -54,7 +54,7 @@ def mirror_of(n: int) -> tuple[tn.StiffnessMatrix, tn.Calibration]:
     alpha = random.uniform(0.9, 1.1, n)
     matrix = tn.StiffnessMatrix(f"RING{n}", START, layout, 1e3 / n * root.T @ root / alpha[:, None])
     with warnings.catch_warnings(action="ignore"):
-        calibration = tn.calibrate(matrix, "ml")
+        calibration = tn.calibrate(matrix, "svd")
     sensors = tuple(
         Sensor(k, gain, 1e-3, x, 1e-5, y, 1e-5, "fitted")
         for k, gain, (x, y) in zip(

@@ -1,6 +1,7 @@
 """The modal base whole: found from P45's campaign, written, asked for on the command line."""
 
 import json
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,13 @@ from astropy.io import fits
 from modal_truth import score_modes
 
 import truenewton as tn
-from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.bench.simulated.static import START, run_cycles, static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnknownName
 from truenewton.estimation.diagnosis import Sensor
+from truenewton.modal import findings, words
 from truenewton.modal.dissipation import Budget
+from truenewton.modal.figures import modes_figures
 from truenewton.modal.file import modes_paths, write_modes
 from truenewton.modal.findings import find_modes
 from truenewton.modal.pupil import Pupil, pupil_of, seen_turbulence
@@ -372,3 +375,49 @@ def test_the_set_is_written_whole_or_not_at_all(p45, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["m.ff_matrix.fits"]
     with pytest.raises(FormatError, match="plain matrix"):
         tn.read(write_modes(found, tmp_path / "n.fits")[3])
+
+
+def random_mirror(n):
+    """Return a stiffness that lets rigid motions go free, in a spiral, and alpha of it."""
+    random, turn = np.random.default_rng(1), 2.4 * np.arange(n)
+    x, y = 0.1 * np.sqrt(np.arange(1, n + 1) / n) * np.stack([np.cos(turn), np.sin(turn)])
+    layout = tn.layout(x, y)
+    rigid = np.linalg.qr(np.stack([np.ones(n), x, y], axis=1))[0]
+    root = random.standard_normal((n, n))
+    root -= (root @ rigid) @ rigid.T
+    alpha = random.uniform(0.9, 1.1, n)
+    matrix = tn.StiffnessMatrix("ANY", START, layout, 1e3 / n * root.T @ root / alpha[:, None])
+    return matrix, replace(calibrate(matrix, "svd"), alpha=alpha)
+
+
+def test_a_large_mirror_takes_six_matrices_and_is_not_compared(monkeypatch):
+    """Those that are given not counted; of a still larger one blocks take a smaller share."""
+    n = 300
+    matrix, calibration = random_mirror(n)
+    monkeypatch.setattr(findings, "MOST_COMPARED", n - 1)
+    find_modes(matrix, calibration, force=True)  # what is imported on the way does not count
+    tracemalloc.start()
+    found = find_modes(matrix, calibration, force=True)
+    peak = tracemalloc.get_traced_memory()[1] / (8 * n * n)
+    told = words.values(found, Budget(power=0.1))
+    tracemalloc.stop()
+    assert 3.0 < peak < 6.5
+    assert told["uncalibrated_modes"] is None
+    assert {base["modes_within_uncalibrated"] for base in told["bases"]} == {None}
+    assert not any("alpha = 1 it would" in line for line in words.lines(found, Budget(power=0.1)))
+    assert "modes-comparison" not in modes_figures(found, Budget())
+    assert "before" not in vars(found)
+    # Against plain decompositions and products.
+    stiffness, C = found.after.stiffness.stiffness, found.after.seen.wavefront
+    values = np.linalg.eigvalsh(stiffness)
+    modes = found.after.modes.stiffness
+    np.testing.assert_allclose(np.sort(modes), values, atol=1e-10 * values[-1])
+    for cost in found.after.costs:
+        used = cost.modes[:, :123]
+        force = stiffness @ used @ used.T / 2
+        np.testing.assert_allclose(
+            cost.force[:, 122], np.sqrt(np.einsum("ij,jk,ik->i", force, C, force)), rtol=1e-8
+        )
+        np.testing.assert_allclose(cost.force_worst, cost.force.max(axis=0))
+        np.testing.assert_allclose(cost.power_total, cost.power.sum(axis=0))
+        np.testing.assert_allclose(cost.reach_worst, cost.reach.max(axis=0))

@@ -152,7 +152,7 @@ def eigenvectors(symmetric: Array) -> tuple[Array, Array]:
     """Return (n,) ascending eigenvalues and (n, n) eigenvectors, as columns, of a symmetric matrix.
 
     Two matrices of n x n are all it takes: the vectors, and ``symmetric``, which is overwritten
-    (LAPACK's dsyevr; dsyevd, which numpy takes, needs four).
+    (LAPACK's dsyevr; dsyevd, which NumPy calls, takes three, and a copy).
     """
     values, vectors = scipy.linalg.eigh(symmetric.T, driver="evr", overwrite_a=True)
     return values, transposed(vectors.T)  # as LAPACK stores them, each is a row in memory

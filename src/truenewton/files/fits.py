@@ -13,7 +13,7 @@ import io
 import os
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from io import BufferedIOBase, BufferedReader
 from typing import Any
 
@@ -35,7 +35,7 @@ from truenewton.files.format import (
 )
 from truenewton.files.opening import GZIP, open_plain, unpacked
 from truenewton.files.outputs import file_beside
-from truenewton.files.sizes import check_sizes
+from truenewton.files.sizes import BLOCK, check_sizes
 from truenewton.files.stored_rows import StoredRows, state_of
 from truenewton.files.stored_tables import long_rows, without_columns
 
@@ -224,33 +224,52 @@ def write_fits(
     FormatError
         A keyword holds what no FITS header can.
     """
-    matrix = None if form.matrix is None else _pixels(record, form.matrix)
-    hdus = fits.HDUList([fits.PrimaryHDU(matrix), *_parts(record, form)])
-    _add_cards(hdus[0], record, form, path)
-    for version, one in (versions or {}).items():
-        parts = _parts(one, of_version or form, version)
-        _add_cards(parts[0], one, of_version or form, path)
-        hdus.extend(parts)
-    for hdu in hdus:
-        # astropy would note the time of writing: the same data shall give the same bytes.
-        hdu.add_checksum(when="data unit checksum")
+    hdus = _hdus(record, form, versions or {}, of_version or form, path)
     with file_beside(path, overwrite=overwrite) as temporary, temporary.open("wb") as file:
-        whole = io.BytesIO()  # of a full disk astropy makes a riddle: let Python meet it
         if os.fspath(path).endswith(".gz"):
-            with gzip.GzipFile(filename="", mode="wb", fileobj=whole, mtime=0) as packed:
-                hdus.writeto(packed)
+            with gzip.GzipFile(filename="", mode="wb", fileobj=file, mtime=0) as packed:
+                packed.writelines(map(_bytes, hdus))
         else:
-            hdus.writeto(whole)
-        file.write(whole.getbuffer())
+            file.writelines(map(_bytes, hdus))
 
 
-def _parts(record: Any, form: FileFormat, version: int | None = None) -> list[Any]:
-    """Return the extensions of a record, but for those that are optional and have nothing."""
-    return [
-        _hdu(record, part, version)
-        for part in form.extensions
-        if not (isinstance(part, TableFormat) and part.optional and not value_of(record, part.of))
-    ]
+def _hdus(
+    record: Any,
+    form: FileFormat,
+    versions: Mapping[int, Any],
+    of_version: FileFormat,
+    path: str | os.PathLike[str],
+) -> Iterator[Any]:
+    """Yield the header-data units of a file; each is in memory only while it is written."""
+    primary = fits.PrimaryHDU(None if form.matrix is None else _pixels(record, form.matrix))
+    _add_cards(primary, record, form, path)
+    yield primary
+    yield from _parts(record, form)
+    for version, one in versions.items():
+        for number, part in enumerate(_parts(one, of_version, version)):
+            if number == 0:
+                _add_cards(part, one, of_version, path)
+            yield part
+
+
+def _bytes(hdu: Any) -> memoryview:
+    """Return header and data of a unit as they stand in a file.
+
+    Of a full disk astropy makes a riddle: Python meets it, when it writes these.
+    """
+    # astropy would note the time of writing: the same data shall give the same bytes.
+    hdu.add_checksum(when="data unit checksum")
+    first = isinstance(hdu, fits.PrimaryHDU)
+    whole = io.BytesIO()
+    fits.HDUList([hdu] if first else [fits.PrimaryHDU(), hdu]).writeto(whole)
+    return whole.getbuffer()[0 if first else BLOCK :]
+
+
+def _parts(record: Any, form: FileFormat, version: int | None = None) -> Iterator[Any]:
+    """Yield the extensions of a record, but for those that are optional and have nothing."""
+    for part in form.extensions:
+        if isinstance(part, ImageFormat) or not part.optional or value_of(record, part.of):
+            yield _hdu(record, part, version)
 
 
 def _add_cards(hdu: Any, record: Any, form: FileFormat, path: str | os.PathLike[str]) -> None:

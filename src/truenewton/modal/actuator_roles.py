@@ -11,7 +11,7 @@ from scipy.linalg import lu_factor, lu_solve
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.estimation.reciprocity.sight import places_of, seen_from
+from truenewton.estimation.reciprocity.sight import Places, seen_from
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
@@ -124,24 +124,25 @@ def matched_sensors(layout: Layout, calibration: Calibration | None) -> tuple[Ar
     return checked_gain(gain, np.ones(layout.n, dtype=bool)), offset
 
 
-def magnet_motion(layout: Layout, offset: Array, motion: Array | None) -> Array | None:
-    """Return (n, n) displacements at the magnets for those at the sensors; None where alike.
+def per_true_displacement(k: Array, places: Places, gain: Array, offset: Array) -> Array:
+    """Return (n, n) forces per true displacement for those per reading, which are overwritten.
 
-    Both of the n enabled actuators, with ``offset`` as of `matched_sensors`; ``motion`` is what a
-    model of the glass tells of all actuators of a layout (`places_of`); without it the glass bends
-    between them as a plate.
+    ``gain`` and ``offset`` as of `matched_sensors`, of the enabled, as ``places``. Between the
+    actuators the glass bends as a plate, unless a model of it tells (`sight`).
     """
-    if motion is None and not offset.any():
-        return None
-    return seen_from(places_of(layout, motion), offset)
-
-
-def per_true_displacement(k: Array, gain: Array, motion: Array | None) -> Array:
-    """Return (n, n) forces per true displacement for those per reading, which are overwritten."""
     k /= gain
-    if motion is None:
+    if places.motion is None and not offset.any():
         return k
-    return np.asarray(lu_solve(lu_factor(motion.T), k.T, overwrite_b=True).T)
+    factors = lu_factor(seen_from(places, offset).T, overwrite_a=True)
+    return np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
+
+
+def readings(moved: Array, places: Places, gain: Array, offset: Array) -> Array:
+    """Return (n, k) what the sensors read of (n, k) true displacements."""
+    if places.motion is None and not offset.any():
+        return moved / gain[:, None]
+    factors = lu_factor(seen_from(places, offset), overwrite_a=True)
+    return np.asarray(lu_solve(factors, moved) / gain[:, None])
 
 
 def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -26,17 +26,29 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 @dataclass(frozen=True, eq=False)
 class _Written:
-    """What goes into the files, ``cost`` being that of the stiffness modes.
-
-    ``true`` and ``commanded`` are (N, N) forces per true displacement [N/m].
-    """
+    """What goes into the files, ``cost`` being that of the stiffness modes."""
 
     findings: ModalFindings
     base: ModalBase
     cost: Dissipation
     limits: Budget
-    true: Array
-    commanded: Array
+
+    @property
+    def true(self) -> Array:
+        """(N, N) true forces per true displacement [N/m]."""
+        return self._whole(self.base.stiffness.acting_stiffness)
+
+    @property
+    def commanded(self) -> Array:
+        """(N, N) commanded forces per true displacement [N/m]."""
+        stiffness = self.base.stiffness
+        return self._whole(stiffness.acting_stiffness / stiffness.enabled_alpha[:, None])
+
+    def _whole(self, forces: Array) -> Array:
+        """Return (N, N) forces of all actuators from (n, n) of the enabled, read-only."""
+        all_of_them = self.base.on_all_actuators(self.base.on_all_actuators(forces).T).T
+        all_of_them.setflags(write=False)  # so that a record need not copy it
+        return all_of_them
 
 
 def _displacements(base: ModalBase, cost: int = 0) -> Array:
@@ -46,7 +58,7 @@ def _displacements(base: ModalBase, cost: int = 0) -> Array:
 
 def _readings(base: ModalBase) -> Array:
     """Return (n, m) what the sensors read of each mode."""
-    return np.asarray(np.linalg.solve(base.stiffness.seen, _displacements(base)))
+    return base.stiffness.read(_displacements(base))
 
 
 def _forces(base: ModalBase) -> Array:
@@ -205,25 +217,20 @@ def write_modes(
     """
     paths = modes_paths(path)
     base, stiffness = findings.after, findings.after.stiffness
-    forces = stiffness.acting_stiffness
-    true, commanded = (
-        base.on_all_actuators(base.on_all_actuators(each).T).T
-        for each in (forces, forces / stiffness.enabled_alpha[:, None])
-    )
+    written = _Written(findings, base, base.costs[0], limits or Budget())
     acts = np.isin(base.layout.id, stiffness.enabled.id[stiffness.acts])
     matrix = StiffnessMatrix(
         base.matrix.instrument,
         base.matrix.date,
         replace(base.layout, enabled=acts),
-        true,
+        written.true,
         displaced="true",
     )
-    written = _Written(findings, base, base.costs[0], limits or Budget(), true, commanded)
     with files_together(paths, overwrite=overwrite) as folder:
         target, for_true, for_commanded, *plain = (folder / path.name for path in paths)
         write_fits(target, MODES, written)
         write_stiffness(matrix, for_true)
-        write_stiffness(replace(matrix, stiffness=commanded), for_commanded)
+        write_stiffness(replace(matrix, stiffness=written.commanded), for_commanded)
         for target, form in zip(plain, PLAIN.values(), strict=True):
             write_fits(target, form, written)
     return list(paths)

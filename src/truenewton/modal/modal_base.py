@@ -50,6 +50,8 @@ class ModalBase:
     def on_all_actuators(self, values: Array) -> Array:
         """Return (N, k) values over all actuators from (n, k) over the enabled; 0 elsewhere."""
         on = self.layout.enabled
+        if on.all():
+            return values
         everywhere = np.zeros((on.size, values.shape[1]))
         everywhere[on] = values
         return everywhere

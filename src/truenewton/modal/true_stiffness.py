@@ -31,15 +31,16 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, freeze
 from truenewton.calibration.result import Calibration
 from truenewton.errors import RankDeficient
+from truenewton.estimation.reciprocity.sight import Places, places_of, seen_from
 from truenewton.estimation.sifted_matrix import as_calibrated
 from truenewton.linalg import ROWS_AT_ONCE, symmetrised
 from truenewton.modal.actuator_roles import (
     checked_gain,
-    magnet_motion,
     matched_alpha,
     matched_sensors,
     off_and_slaved,
     per_true_displacement,
+    readings,
 )
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -72,8 +73,8 @@ class TrueStiffness:
         (n,) true displacement / reading of the enabled; 1 where it is not known.
     enabled_offset
         (2, n) x and y of their magnets less their sensors; 0 where it is not known [m].
-    enabled_motion
-        (n, n) H, displacements at the magnets for those at the sensors; None where they are alike.
+    places
+        Of the enabled, and what a model of the glass tells there.
     asymmetry
         |K - K'| / |K + K'| of the whole matrix, before it was made symmetric.
     actuator_asymmetry
@@ -91,7 +92,7 @@ class TrueStiffness:
     enabled_alpha: Array
     enabled_gain: Array
     enabled_offset: Array
-    enabled_motion: Array | None
+    places: Places
     asymmetry: float
     actuator_asymmetry: Array
     imbalance: float
@@ -99,8 +100,6 @@ class TrueStiffness:
     def __post_init__(self) -> None:
         freeze(self, "followers", "acting_stiffness", "enabled_alpha", "enabled_gain",
                "enabled_offset", "actuator_asymmetry")  # fmt: skip
-        if self.enabled_motion is not None:
-            freeze(self, "enabled_motion")
 
     @property
     def commanded(self) -> NDArray[np.bool_]:
@@ -142,9 +141,11 @@ class TrueStiffness:
     @property
     def seen(self) -> Array:
         """(n, n) true displacements of the enabled for what their sensors read: H diag(gain)."""
-        if self.enabled_motion is None:
-            return np.diag(self.enabled_gain)
-        return np.asarray(self.enabled_motion * self.enabled_gain)
+        return seen_from(self.places, self.enabled_offset) * self.enabled_gain
+
+    def read(self, moved: Array) -> Array:
+        """Return (n, k) what the sensors of the enabled read of (n, k) true displacements."""
+        return readings(moved, self.places, self.enabled_gain, self.enabled_offset)
 
     @property
     def feed_forward_commanded(self) -> Array:
@@ -229,11 +230,11 @@ def true_stiffness(
     gain, offset = matched_sensors(layout, None if known else calibration)
     if sensor_gain is not None:
         gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
-    seen = magnet_motion(matrix.layout, offset, None if known else motion)
+    places = places_of(matrix.layout, None if known else motion)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = matrix.used_stiffness  # a copy
     k *= alpha[:, None]
-    k = per_true_displacement(k, gain, seen)
+    k = per_true_displacement(k, places, gain, offset)
     skew = _skew_norms(k)
     symmetric = symmetrised(k)
     size = 2.0 * _row_norms(symmetric)
@@ -254,7 +255,7 @@ def true_stiffness(
         enabled_alpha=alpha,
         enabled_gain=gain,
         enabled_offset=offset,
-        enabled_motion=seen,
+        places=places,
         asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
