@@ -289,18 +289,26 @@ def test_ctrl_c_while_loading_leaves_no_traceback():
     assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"")
 
 
-def test_a_shell_completes_commands(tmp_path):
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("truenewton re", ["recalibrate", "report"]),
+        ("truenewton calibrate --meth", ["--method"]),
+        ("truenewton calibrate --method r", ["reciprocity"]),
+    ],
+)
+def test_a_shell_completes_commands_options_and_choices(words, expected):
     """As bash asks: what begins with the last word, one a line."""
     import os
 
     asked = {
-        **os.environ, "_TRUENEWTON_COMPLETE": "complete_bash", "COMP_WORDS": "truenewton re",
-        "COMP_CWORD": "1",
+        **os.environ, "_TRUENEWTON_COMPLETE": "complete_bash", "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split()) - 1),
     }  # fmt: skip
     done = subprocess.run(
         [sys.executable, "-m", "truenewton"], capture_output=True, text=True, check=False, env=asked
     )
-    assert done.stdout.split() == ["recalibrate", "report"]
+    assert done.stdout.split() == expected
     assert done.stderr == ""
 
 

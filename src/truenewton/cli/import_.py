@@ -91,7 +91,10 @@ def run(
 
 
 def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | None]:
-    """Return in words what `calibrate` makes of the matrix, or why nothing; and what it made."""
+    """Return in words what `ml` makes of the matrix, or why nothing; and what it made.
+
+    Reciprocity, which `calibrate` tries too, takes several times as long.
+    """
     from truenewton.calibration.methods import calibrate
     from truenewton.calibration.words import summary_rows
     from truenewton.cli.terminal import busy
@@ -101,7 +104,7 @@ def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | 
         return [("alpha", "none of a matrix that looks transposed")], None
     try:
         with busy("calibrating"):
-            found = calibrate(made.matrix)
+            found = calibrate(made.matrix, "ml")
     except TrueNewtonError as error:
         return [("alpha", f"none: {error.fault}; {error.remedy}".rstrip("; "))], None
     rows = summary_rows(found)
@@ -109,6 +112,7 @@ def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | 
         (what, f"{value}, {note}")
         for what, (_, value, note) in zip(("alpha", "error", "scale"), rows, strict=False)
     ]
+    lines.append(("method", "ml; calibrate tries reciprocity too, which takes longer"))
     said = ["; ".join(filter(None, fault)) for fault in found.verdict.faults]
     return [*lines, ("verdict", ": ".join([found.verdict.level, *said[:1]]))] + [
         ("", each) for each in said[1:]

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 METHOD = typer.Option(
     None,
     metavar="[ml|svd|reciprocity|auto]",
+    autocompletion=lambda: ["ml", "svd", "reciprocity", "auto"],
     help="ml, maximum likelihood; svd, the paper's; reciprocity; auto, reciprocity where it holds,"
     " else ml. Unless given, auto of a matrix and with --mirror, else ml.",
 )
@@ -38,6 +39,7 @@ QUIET = typer.Option(False, "-q", "--quiet", help="Print only what was written a
 FIDELITY = typer.Option(
     "static",
     metavar="[static|loop]",
+    autocompletion=lambda: ["static", "loop"],
     help="static: shapes are held exactly; loop: in closed loop, sample by sample.",
 )
 OVERWRITE = typer.Option(False, "--overwrite", help="Replace an output that exists.")

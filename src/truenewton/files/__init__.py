@@ -1,4 +1,4 @@
-"""FITS and TOML on disk, whatever they mean; outputs that are complete or not there.
+"""FITS, HDF5 and TOML on disk, whatever they mean; outputs that are complete or not there.
 
 format         what a file of some kind holds, declared once for writing and reading
 fits           FITS in and out, safely: the only importer of astropy.io.fits
