@@ -158,7 +158,7 @@ def _mirror_in(path: Path) -> Mirror:
 def _is_segmented(name: str) -> FormatError:
     return FormatError(
         f"'{name}' is a mirror in segments",
-        remedy="simulate and plan take it; for anything else give the file of one segment",
+        remedy="give the file of one segment; simulate, plan and --mirror take all of it",
     )
 
 
