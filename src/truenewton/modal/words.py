@@ -126,6 +126,10 @@ def headline(findings: ModalFindings) -> str:
     )
 
 
+def _two(before: float, after: float) -> str:
+    return f"{percent(before):<12}{percent(after):<12}"
+
+
 def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     """Return name and value of what was found; no value where there is none."""
     base, measured = findings.after, findings.measured
@@ -137,9 +141,10 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
         ("measured stiffness", measured_text(measured) if measured else ""),
         ("", rigid_text(measured) if measured else ""),
         ("", f"{'alpha = 1':<12}calibrated"),
-        ("asymmetry of it", f"{percent(before.asymmetry):<12}{percent(after.asymmetry)}"),
-        ("imbalance of it", f"{percent(before.imbalance):<12}{percent(after.imbalance)}"),
-        ("piston and tilts", f"{'':<12}{rigid} N/m"),
+        ("asymmetry of it", _two(before.asymmetry, after.asymmetry) + "of K - K'"),
+        ("imbalance of it", _two(before.imbalance, after.imbalance) + "forces of its columns that"
+         " do not balance"),
+        ("piston and tilts", f"{'':<12}{rigid} N/m; of a free glass 0, but for {NEGATIVE}"),
         ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
          + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
         ("sensor gains", sensor_gains_text(base)),
