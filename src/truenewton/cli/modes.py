@@ -72,8 +72,6 @@ def run(
     if output is not None and not output.name.endswith(SUFFIXES):
         raise OutputFailed("is no name for a modal base", remedy="let -o end in .fits", path=output)
     atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
-    floating = options.ids(off, "--off") if off else ()
-    following = options.ids(slaved, "--slaved") if slaved else ()
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     data = read_data(*paths)
     several = data.numbers if isinstance(data, SegmentedData) and segment is None else ()
@@ -81,20 +79,20 @@ def run(
         refuse_existing(*modes_paths(path), overwrite=overwrite)
     asked: dict[str, Any] = {
         "diameter": diameter, "radius": radius, "efficiency": efficiency, "force": anyway,
-        "off": floating, "slaved": following,
+        "off": options.ids(off, "--off") if off else (),
+        "slaved": options.ids(slaved, "--slaved") if slaved else (),
     }  # fmt: skip
     with busy("finding modes"), about(paths):
-        if isinstance(data, SegmentedData) and segment is None:
-            options.motion_of(mirror, data)  # one mirror in one piece: not that of all segments
+        body = data if several else of_segment(data, segment, paths[0])
+        asked["motion"] = options.motion_of(mirror, body)
+        if isinstance(body, SegmentedData):
             alphas = None if calibration is None else read_segmented(calibration)
-            found: Mapping[int, Any] = modes_of_segments(data, alphas, atmosphere, **asked)
+            found: Mapping[int, Any] = modes_of_segments(body, alphas, atmosphere, **asked)
             told, schema = [*segment_lines(found, limits)], "modes-segments"
             as_values = segment_values(found, limits) if json else None
         else:
             alpha = None if calibration is None else read_calibration(calibration, segment=segment)
-            body = of_segment(data, segment, paths[0])
-            motion = options.motion_of(mirror, body)
-            one = find_modes(body, alpha, atmosphere, motion=motion, **asked)
+            one = find_modes(body, alpha, atmosphere, **asked)
             found, told, schema = {0: one}, lines(one, limits), "modes"
             as_values = values(one, limits) if json else None
         written = _written(found, output, figures, limits, overwrite=overwrite)

@@ -20,6 +20,10 @@ from truenewton.statics.layout import Layout, spherical_rings
 
 GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
 MOST_ACTUATORS = 5352
+MIRROR_UNITS = {"weight": "N", "weight_error": "N", "added_weight": "N", "added_weight_error": "N",
+                "bias_force": "N", "magnet_mass": "kg", "alpha_range": "", "gap": "m",
+                "puck_radius": "m", "vent_radius": "m", "tool_radius": "m", "coil_gradient": "1/m",
+                "bias_gradient": "N/m"}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +57,7 @@ class MirrorNumbers:
         Over which a reading is the mean displacement.
     tool_radius
         Of the circle on which the three wedges of the weight tool stand [m]; None for one just
-        outside the inner radius of the shell.
+        outside the inner radius of the shell, or, where that is 0, half the outer one.
     coil_gradient
         COILGRAD, relative change of a coil's force per displacement along +z [1/m].
     bias_gradient
@@ -78,11 +82,7 @@ class MirrorNumbers:
     bias_gradient: float = 0.0
 
     def __post_init__(self) -> None:
-        forces = ("weight", "weight_error", "added_weight", "added_weight_error", "bias_force")
-        lengths = ("gap", "puck_radius", "vent_radius", "tool_radius")
-        in_units(self, {**dict.fromkeys(forces, "N"), **dict.fromkeys(lengths, "m"),
-                        "magnet_mass": "kg", "alpha_range": "", "coil_gradient": "1/m",
-                        "bias_gradient": "N/m"})  # fmt: skip
+        in_units(self, MIRROR_UNITS)
 
 
 @dataclass(frozen=True, kw_only=True)

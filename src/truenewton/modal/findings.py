@@ -201,11 +201,10 @@ def find_modes(
     before = stiffness_by(None)
     faults = before.asymmetry, before.imbalance
     del before  # of large mirrors each matrix counts
-    stiffness = stiffness_by(calibration)
-    modes = stiffness.modes
+    modes = (stiffness := stiffness_by(calibration)).modes
     _refuse_negative(modes, force=force)
-    atmosphere, pupil = atmosphere or Atmosphere(0.8), pupil_of(matrix.layout, diameter, radius)
-    seen = seen_turbulence(stiffness.enabled, stiffness.commanded, atmosphere, pupil)
+    air, pupil = atmosphere or Atmosphere(0.8), pupil_of(matrix.layout, diameter, radius)
+    seen = seen_turbulence(stiffness.enabled, stiffness.commanded, air, pupil)
     static = static_force(stiffness, calibration, at_rest)
     after = modal_base(matrix, stiffness, modes, seen, static, efficiency)
     return ModalFindings(

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import of_each, sorted_out
@@ -29,6 +30,7 @@ def modes_of_segments(
     diameter: float | None = None,
     radius: float | None = None,
     efficiency: float = EFFICIENCY,
+    motion: Array | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     force: bool = False,
@@ -38,7 +40,7 @@ def modes_of_segments(
 
     Parameters
     ----------
-    data, calibration, atmosphere, efficiency, off, slaved, force
+    data, calibration, atmosphere, efficiency, motion, off, slaved, force
         As of `find_modes`, of all segments.
     diameter, radius
         Of the entrance pupil, and of all segments together that fill it [m]; see `pupil_of`. Each
@@ -66,14 +68,16 @@ def modes_of_segments(
         raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
-        of_it = set(data.layout.id[np.asarray(data.layout.segment) == number].tolist())
+        here = np.asarray(data.layout.segment) == number
+        of_it = set(data.layout.id[here].tolist())
         alpha: Calibration | None = None if calibration is None else calibration.segment(number)
-        here = [tuple(name for name in names if name in of_it) for names in (off, slaved)]
-        own = pupil_of(data.layout.part(np.asarray(data.layout.segment) == number)).radius
+        floats, follows = (tuple(k for k in names if k in of_it) for names in (off, slaved))
+        own = pupil_of(data.layout.part(here)).radius
         return partial(
             find_modes, calibration=alpha, atmosphere=atmosphere, radius=own,
             diameter=pupil.diameter * own / pupil.radius, efficiency=efficiency,
-            off=here[0], slaved=here[1], force=force,
+            motion=None if motion is None else motion[..., here, :][..., here],
+            off=floats, slaved=follows, force=force,
         )  # fmt: skip
 
     answers = list(of_each(data, solver, processes))

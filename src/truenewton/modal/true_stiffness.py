@@ -223,14 +223,9 @@ def true_stiffness(
     refuse_segments(matrix)
     if calibration is not None:
         matrix = as_calibrated(matrix, calibration.effects)
-    on = matrix.layout.enabled
-    layout = matrix.layout.part(on)
+    layout = matrix.layout.part(matrix.layout.enabled)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
-    known = matrix.displaced == "true"
-    gain, offset = matched_sensors(layout, None if known else calibration)
-    if sensor_gain is not None:
-        gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
-    places = places_of(matrix.layout, None if known else motion)
+    gain, offset, places = _sensors(matrix, layout, calibration, sensor_gain, motion)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = matrix.used_stiffness  # a copy
     k *= alpha[:, None]
@@ -260,6 +255,21 @@ def true_stiffness(
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
     )
+
+
+def _sensors(
+    matrix: StiffnessMatrix,
+    layout: Layout,
+    calibration: Calibration | None,
+    sensor_gain: Array | None,
+    motion: Array | None,
+) -> tuple[Array, Array, Places]:
+    """Return (n,) gains and (2, n) offsets of the enabled, and what is known of their glass."""
+    known = matrix.displaced == "true"
+    gain, offset = matched_sensors(layout, None if known else calibration)
+    if sensor_gain is not None:
+        gain, offset = checked_gain(sensor_gain, matrix.layout.enabled), np.zeros_like(offset)
+    return gain, offset, places_of(matrix.layout, None if known else motion)
 
 
 def _row_norms(matrix: Array) -> Array:

@@ -319,25 +319,14 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
         labels = ((load.key, number, int(k), int(s)) for k, s in zip(shape, sign, strict=True))
         taken = take(bench, loop, load_index, position, labels)
         return Cycle(
-            instrument=mirror.name,
-            date=start,
-            number=number,
-            load=load,
-            weight=mirror.weight,
-            weight_error=mirror.weight_error,
-            layout=mirror.layout,
-            time=time,
-            shape=shape,
-            sign=sign,
-            force=taken.force.T,
-            valid=taken.settled,
+            instrument=mirror.name, date=start, number=number, load=load,
+            weight=mirror.weight, weight_error=mirror.weight_error, layout=mirror.layout,
+            time=time, shape=shape, sign=sign, force=taken.force.T, valid=taken.settled,
             temperature=np.full(len(shape), bench.coils.temperature),
-            position=taken.position.T,
-            gap=mirror.gap,
+            position=taken.position.T, gap=mirror.gap,
             force_error=(bench.force_noise or None) if loop is None else None,
-            coil_gradient=bench.coils.coil_gradient,
-            bias_gradient=bench.coils.bias_gradient,
-        )
+            coil_gradient=bench.coils.coil_gradient, bias_gradient=bench.coils.bias_gradient,
+        )  # fmt: skip
 
     for load_index in range(len(bench.loads)):
         for number in range(1, cycles + 1):
