@@ -2,7 +2,7 @@
 
     [TRUENEWTON_REAL_DATA=FOLDER] python benchmarks/matrices.py [--seeds 20] [--faults]
     python benchmarks/matrices.py --mirror mmt336 --method auto [--seeds 20] [--faults]
-        [--first 0] [--laws proportional mixed]
+        [--first 0] [--laws proportional mixed] [--levels .1]
 
 The truth is that of a simulated mirror, or FOLDER/lbt672/lbt672-feedforward.fits made symmetric and
 balanced, divided by a known alpha that scatters by 5 %. Noise of .02, .05 and .1 %: in proportion
@@ -11,8 +11,8 @@ others (a factor of two each way). Prints the error of alpha, the stated one, ho
 95 % intervals cover, with the Monte Carlo error of that, the mean of e'C^-1 e over the number of
 patterns (1 where the covariance C is that of the errors e), bad actuators missed, sound ones left
 out, seeds refused, and seeds that `auto` left to `ml`; with --faults, the same with actuators that
-do not fit, .02 % of noise equal in all elements. --first begins with another seed, --laws takes
-some kinds of noise only.
+do not fit, .02 % of noise equal in all elements. --first begins with another seed, --laws and
+--levels (%) take some noise only.
 """
 
 import argparse
@@ -152,6 +152,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--levels", nargs="+", type=float, default=[100 * each for each in LEVELS])
     parser.add_argument("--laws", nargs="+", choices=LAWS, default=LAWS)
     parser.add_argument("--faults", action="store_true")
     parser.add_argument("--mirror", choices=("lbt672", "mmt336", "p45"), default="lbt672")
@@ -175,7 +176,7 @@ def main():
                 line(f"{fault}, {count}", rows)
         return
     for law in options.laws:
-        for level in LEVELS:
+        for level in (each / 100 for each in options.levels):
             for population in (False, True)[: 2 if options.method == "ml" else 1]:
                 rows = [
                     judged(*noisy(matrix, k, seed, law, level), method=options.method,

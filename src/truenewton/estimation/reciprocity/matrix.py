@@ -38,6 +38,7 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
 SYMMETRIC = 1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
+AT_MAGNETS = 5e-5  # rms offset [m] of sensors; beyond it a plate is not what they see of the glass
 HALVES = ("odd modes, fitted on the even", "even modes, fitted on the odd")
 
 
@@ -165,7 +166,8 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     ]
     by_balance, between, of_halves = np.nan, np.nan, disagreement(*fits)
     noise = noise_of(modes.stiffness, joint, modes.places)
-    excess = beyond_noise(fits, noise, alike=True)
+    doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS
+    excess = beyond_noise(fits, noise, alike=True, doubtful=doubtful)
     ways = (np.full(modes.places.n, np.nan),) * 2
     try:  # alpha only: the balance knows nothing of sensors
         alone = [one.fit(Asked(), reciprocity=False, start=known) for one in (modes, *halves)]
@@ -173,7 +175,9 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
         by_balance = float(np.linalg.norm(each))
         reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
         between = apart(alone[0], reciprocity, disagreement(*alone[1:]), of_halves)
-        excess = max(excess, beyond_noise((alone[0], reciprocity), noise, alike=False))
+        excess = max(
+            excess, beyond_noise((alone[0], reciprocity), noise, alike=False, doubtful=doubtful)
+        )
         ways = (alone[0].values.log_alpha, reciprocity.values.log_alpha)
     except (RankDeficient, NotConverged):
         pass  # where balance alone gives no alpha, nothing speaks against reciprocity
@@ -186,7 +190,9 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     )
     one, other = (half.values.log_alpha for half in fits)
     covariance = alpha_covariance(joint, noise)
-    if excess > 1.0:  # what a model leaves out is no better in the whole than in one half
+    if (
+        doubtful or excess > 1.0
+    ):  # what a model leaves out is no better in the whole than in one half
         of_one = 0.5 * float(np.var(one - other) / np.mean(np.diag(covariance)))
         covariance *= max(excess, of_one)
     return Examined(joint, tuple(lines), (one, other), covariance, ways, evidence)
@@ -197,8 +203,9 @@ def find(
 ) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Fault, ...]]:
     """Find relative alpha and the sensors; return what speaks against them, too.
 
-    The stated error is that of noise in the elements (`response`), enlarged where halves of the
-    modes, or balance and reciprocity, differ by more: what a real matrix leaves is not all noise.
+    The stated error is that of noise (`response`), enlarged where halves of the modes, or balance
+    and reciprocity, differ by more: what a real matrix leaves is not all noise. Where sensors are
+    off their magnets and the glass is not known it is at least that of one half.
 
     Parameters
     ----------

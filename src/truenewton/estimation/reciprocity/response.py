@@ -25,7 +25,7 @@ from truenewton.linalg import factor_of
 
 SEED = 1
 WORK = 1e9  # (n actuators)^3 times the draws, between a few and many
-FEWEST, MOST = 50, 1000
+FEWEST, MOST = 50, 300
 RARE = 0.01  # of draws: what differs by more than all but these may be no noise, and is none
 UNSURE = 1.5  # times beyond these, as the variance of the elements is not known for sure
 SCALE = 1e-9  # of the largest variance: below it only the scale is, which is no error
@@ -142,11 +142,12 @@ def _by_size(stated: Array, drawn: Array) -> tuple[Array, Array]:
     return held, vectors
 
 
-def beyond_noise(fits: Sequence[Fit], noise: Noise, *, alike: bool) -> float:
-    """Return the variance between the log alpha of two fits over that of noise; 1 if it is noise.
+def beyond_noise(fits: Sequence[Fit], noise: Noise, *, alike: bool, doubtful: bool) -> float:
+    """Return the variance between the log alpha of two fits over that of noise, 1 at least.
 
     Of patterns in terms of their errors; of fits that are alike, which err in more than a few
-    patterns, also of alpha as it is, whichever is more.
+    patterns, also of alpha as it is, whichever is more. Unless the model is doubtful, what noise
+    may do is noise.
     """
     one, other = fits
     difference = one.values.log_alpha - other.values.log_alpha
@@ -161,6 +162,6 @@ def beyond_noise(fits: Sequence[Fit], noise: Noise, *, alike: bool) -> float:
     excess = 1.0
     for way in (white, np.eye(len(held)))[: 1 + alike]:
         seen, usual = np.sum((difference @ way) ** 2), np.sum((drawn @ way) ** 2, axis=1)
-        if seen > UNSURE * np.quantile(usual, 1.0 - RARE):
+        if doubtful or seen > UNSURE * np.quantile(usual, 1.0 - RARE):
             excess = max(excess, float(seen / usual.mean()))
     return excess
