@@ -174,10 +174,12 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
         each = [one.imbalance(f.values) for one, f in zip(halves[::-1], alone[1:], strict=True)]
         by_balance = float(np.linalg.norm(each))
         reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
-        between = apart(alone[0], reciprocity, disagreement(*alone[1:]), of_halves)
-        excess = max(
-            excess, beyond_noise((alone[0], reciprocity), noise, alike=False, doubtful=doubtful)
-        )
+        pair = (alone[0], reciprocity)
+        excess = max(excess, beyond_noise(pair, noise, alike=False, doubtful=doubtful))
+        if noise.variance is None:
+            between = apart(*pair, disagreement(*alone[1:]), of_halves)
+        else:  # what the fits state is not their error
+            between = beyond_noise(pair, noise, alike=False, doubtful=True)
         ways = (alone[0].values.log_alpha, reciprocity.values.log_alpha)
     except (RankDeficient, NotConverged):
         pass  # where balance alone gives no alpha, nothing speaks against reciprocity
