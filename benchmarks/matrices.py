@@ -2,14 +2,17 @@
 
     [TRUENEWTON_REAL_DATA=FOLDER] python benchmarks/matrices.py [--seeds 20] [--faults]
     python benchmarks/matrices.py --mirror mmt336 --method auto [--seeds 20] [--faults]
+        [--first 0] [--laws proportional mixed] [--levels .1]
 
 The truth is that of a simulated mirror, or FOLDER/lbt672/lbt672-feedforward.fits made symmetric and
 balanced, divided by a known alpha that scatters by 5 %. Noise of .02, .05 and .1 %: in proportion
-to each element, equal in all elements, or more at some sensors than at others (a factor of two each
-way). Prints the error of alpha, the stated one, how much of the truth 95 % intervals cover, with
-the Monte Carlo error of that, bad actuators missed, sound ones left out, seeds refused, and seeds
-that `auto` left to `ml`; with --faults, the same with actuators that do not fit, .02 % of noise
-equal in all elements.
+to each element, equal in all elements, half of its variance each, or more at some sensors than at
+others (a factor of two each way). Prints the error of alpha, the stated one, how much of the truth
+95 % intervals cover, with the Monte Carlo error of that, the mean of e'C^-1 e over the number of
+patterns (1 where the covariance C is that of the errors e), bad actuators missed, sound ones left
+out, seeds refused, and seeds that `auto` left to `ml`; with --faults, the same with actuators that
+do not fit, .02 % of noise equal in all elements. --first begins with another seed, --laws and
+--levels (%) take some noise only.
 """
 
 import argparse
@@ -32,7 +35,7 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
 
 LEVELS = (2e-4, 5e-4, 1e-3)
-LAWS = ("proportional", "equal", "by sensor")
+LAWS = ("proportional", "equal", "mixed", "by sensor")
 FAULTS = ("sign", "times ten", "element", "own element", "rows exchanged", "exchanged", "off",
           "zeroed", "sensor gain", "sensor noise")  # fmt: skip
 
@@ -60,10 +63,8 @@ def noisy(matrix, k, seed, law, level):
     alpha = 1.0 + 0.05 * random.standard_normal(len(k))
     commanded = k / alpha[:, None]
     noise = random.standard_normal(k.shape)
-    if law == "proportional":
-        noise *= commanded
-    else:
-        noise *= np.sqrt(np.mean(commanded**2))
+    share = {"proportional": 1.0, "mixed": 0.5}.get(law, 0.0)
+    noise *= np.sqrt(share * commanded**2 + (1.0 - share) * np.mean(commanded**2))
     if law == "by sensor":
         noise *= np.exp(0.7 * random.standard_normal(len(k)))
     return alpha, replace(matrix, stiffness=commanded + level * noise)
@@ -106,7 +107,7 @@ def with_faults(matrix, seed, count, fault):
 
 
 def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
-    """Return error, stated error, coverage, bad ones missed, good ones left out, and if by ml."""
+    """Return error, stated error, coverage, chi2, bad missed, good left out, and if by ml."""
     try:
         sifted = sift_matrix(matrix)
         if method == "ml":
@@ -117,12 +118,19 @@ def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
             found, covariance = estimate.values, estimate.reading_covariance
             by_ml = estimate.method == "ml"
     except TrueNewtonError:
-        return (np.nan,) * 6
+        return (np.nan,) * 7
     on = sifted.matrix.layout.enabled
     error, stated = found - alpha[on] / alpha[on].mean(), np.sqrt(np.diag(covariance))
     covered, out = np.mean(np.abs(error) < 1.96 * stated), set(np.flatnonzero(~on).tolist())
     rms = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(stated**2))
-    return *rms, covered, len(bad - out), len(out - bad), by_ml
+    return *rms, covered, chi2(error, covariance), len(bad - out), len(out - bad), by_ml
+
+
+def chi2(error, covariance):
+    """Return e'C^-1 e over the number of patterns; the scale, which is no error, is none."""
+    values, vectors = np.linalg.eigh(covariance)
+    real = values > 1e-9 * values[-1]
+    return np.mean((error @ vectors[:, real]) ** 2 / values[real])
 
 
 def line(name, rows):
@@ -132,26 +140,30 @@ def line(name, rows):
     if not len(kept):
         print(f"  {name:36} refused", flush=True)
         return
-    error, stated, covered, missed, lost, by_ml = kept.mean(axis=0)
+    error, stated, covered, square, missed, lost, by_ml = kept.mean(axis=0)
     sure = kept[:, 2].std(ddof=1) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
     print(f"  {name:36} {100 * error:6.3f}  {100 * stated:6.3f}  {100 * covered:5.1f} +-"
-          f" {100 * sure:3.1f}  {missed:6.2f}  {lost:5.2f}  {len(rows) - len(kept):3d}"
-          f"      {by_ml * len(kept):3.0f}", flush=True)  # fmt: skip
+          f" {100 * sure:3.1f}  {square:5.2f}  {missed:6.2f}  {lost:5.2f}"
+          f"  {len(rows) - len(kept):3d}      {by_ml * len(kept):3.0f}", flush=True)  # fmt: skip
 
 
 def main():
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--levels", nargs="+", type=float, default=[100 * each for each in LEVELS])
+    parser.add_argument("--laws", nargs="+", choices=LAWS, default=LAWS)
     parser.add_argument("--faults", action="store_true")
     parser.add_argument("--mirror", choices=("lbt672", "mmt336", "p45"), default="lbt672")
     parser.add_argument("--method", choices=("ml", "auto"), default="ml")
     options = parser.parse_args()
-    seeds = range(options.seeds)
+    seeds = range(options.first, options.first + options.seeds)
     matrix = measured_or_made(options.mirror)
     k = true_stiffness(matrix)
     print(
-        f"{'':38} error  stated   covered     missed   lost  refused   ml   (%, actuators, seeds)"
+        f"{'':38} error  stated   covered      chi2  missed   lost  refused   ml"
+        "   (%, actuators, seeds)"
     )
     if options.faults:
         for fault in FAULTS:
@@ -163,8 +175,8 @@ def main():
                     rows.append(judged(alpha, *wrong, method=options.method))
                 line(f"{fault}, {count}", rows)
         return
-    for law in LAWS:
-        for level in LEVELS:
+    for law in options.laws:
+        for level in (each / 100 for each in options.levels):
             for population in (False, True)[: 2 if options.method == "ml" else 1]:
                 rows = [
                     judged(*noisy(matrix, k, seed, law, level), method=options.method,

@@ -15,6 +15,8 @@ docs/reciprocity.md. The files, in the order in which data pass through them:
     information    score and information, as sums of Hadamard products
     known_noise    states of a regressed stiffness whose noise is known
     binned_noise   noise from what is left, in bins of modes
+    element_noise  noise of single elements of a matrix, from what is left of their pairs
+    response       how fits answer to it: errors that hold whatever the weights
     iteration      steps, spreads of gains and offsets, and the end
     regression     the stiffness that a campaign measured, and the noise that it leaves
     condensation   actuators and sensors that do not obey it: found, and left free

@@ -92,8 +92,9 @@ def score(point: Point) -> Array:
     pull = weights.of_pairs * left.reciprocity
     by_rigid = point.fitted.by_reading @ (weights.rigid * left.rigid)
     parts = []
+    pulled = {id(design.q): pull @ design.q for design in point.designs.values()}
     for kind, design in point.designs.items():
-        part = np.sum(design.p * (pull @ design.q), axis=0)
+        part = np.sum(design.p * pulled[id(design.q)], axis=0)
         if kind == Kind.ALPHA:
             on = (weights.statics * left.statics) @ point.fitted.forces.T
             part += np.sum(states.rigid * on.T, axis=1)

@@ -21,9 +21,10 @@ from truenewton.estimation.reciprocity.gate import (
     refusals,
 )
 from truenewton.estimation.reciprocity.iteration import Fit, fit
+from truenewton.estimation.reciprocity.response import alpha_covariance, beyond_noise, noise_of
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
-from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
+from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Values
 from truenewton.estimation.stiffness_ml import NOT_BY_COLUMNS
 from truenewton.estimation.stiffness_svd import (
     Imbalance,
@@ -37,6 +38,7 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
 SYMMETRIC = 1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
+AT_MAGNETS = 5e-5  # rms offset [m] of sensors; beyond it a plate is not what they see of the glass
 HALVES = ("odd modes, fitted on the even", "even modes, fitted on the odd")
 
 
@@ -48,12 +50,15 @@ class Modes:
     ----------
     places, arms
         Of the actuators; (3, n) arms with lengths in units of the rms distance from the axis.
+    stiffness
+        (n, n) K_c, softest modes and all [N/m].
     forces, values, readings
         (n, m) U, (m,) S [N/m], (n, m) V.
     """
 
     places: Places
     arms: Array
+    stiffness: Array
     forces: Array
     values: Array
     readings: Array
@@ -102,11 +107,13 @@ def modes_of(
     stiffness = matrix.used_stiffness
     keep = np.ones(len(stiffness), dtype=bool) if keep is None else keep
     places = kept_places(places_of(matrix.layout, motion), keep, stiffness)
-    forces, values, readings = singular_values_and_vectors(condensed(stiffness, keep)[0])
+    measured = condensed(stiffness, keep)[0]
+    forces, values, readings = singular_values_and_vectors(measured)
     some = slice(elastic_count(values))
     return Modes(
         places,
         comparable_arms(matrix.layout)[:, keep],
+        measured,
         forces[:, some],
         values[some],
         readings[some].T,
@@ -125,8 +132,8 @@ class Examined:
         Of all modes, and of those held out.
     halves
         (n,) log alpha of two fits, each to every second mode.
-    of_halves
-        Variance between them over what they state, 1 at least.
+    covariance
+        (n, n) of log alpha of the joint fit.
     alone
         (n,) log alpha by balance alone and by reciprocity alone; NaN where there is none.
     evidence
@@ -136,21 +143,9 @@ class Examined:
     joint: Fit
     imbalances: tuple[Imbalance, ...]
     halves: tuple[Array, Array]
-    of_halves: float
+    covariance: Array
     alone: tuple[Array, Array]
     evidence: Evidence
-
-    @property
-    def excess(self) -> float:
-        """Variance of log alpha over what the joint fit states, 1 at least.
-
-        As much as halves, or balance and reciprocity, differ by more than they state; and no less
-        than of one half, by their difference: what a model leaves out is no better in the whole.
-        """
-        one, other = self.halves
-        stated = float(np.mean(np.diag(self.joint.covariance_of(Kind.ALPHA))))
-        of_one = 0.5 * float(np.var(one - other)) / stated
-        return float(np.nanmax([self.of_halves, self.evidence.apart, of_one]))
 
 
 def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
@@ -170,13 +165,21 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
         for name, judged, half in zip(HALVES, halves[::-1], fits, strict=True)
     ]
     by_balance, between, of_halves = np.nan, np.nan, disagreement(*fits)
+    noise = noise_of(modes.stiffness, joint, modes.places)
+    doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS
+    excess = beyond_noise(fits, noise, alike=True, doubtful=doubtful)
     ways = (np.full(modes.places.n, np.nan),) * 2
     try:  # alpha only: the balance knows nothing of sensors
         alone = [one.fit(Asked(), reciprocity=False, start=known) for one in (modes, *halves)]
         each = [one.imbalance(f.values) for one, f in zip(halves[::-1], alone[1:], strict=True)]
         by_balance = float(np.linalg.norm(each))
         reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
-        between = apart(alone[0], reciprocity, disagreement(*alone[1:]), of_halves)
+        pair = (alone[0], reciprocity)
+        excess = max(excess, beyond_noise(pair, noise, alike=False, doubtful=doubtful))
+        if noise.variance is None:
+            between = apart(*pair, disagreement(*alone[1:]), of_halves)
+        else:  # what the fits state is not their error
+            between = beyond_noise(pair, noise, alike=False, doubtful=True)
         ways = (alone[0].values.log_alpha, reciprocity.values.log_alpha)
     except (RankDeficient, NotConverged):
         pass  # where balance alone gives no alpha, nothing speaks against reciprocity
@@ -188,7 +191,13 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
         offset_spread=joint.asked.offset_spread,
     )
     one, other = (half.values.log_alpha for half in fits)
-    return Examined(joint, tuple(lines), (one, other), of_halves, ways, evidence)
+    covariance = alpha_covariance(joint, noise)
+    if (
+        doubtful or excess > 1.0
+    ):  # what a model leaves out is no better in the whole than in one half
+        of_one = 0.5 * float(np.var(one - other) / np.mean(np.diag(covariance)))
+        covariance *= max(excess, of_one)
+    return Examined(joint, tuple(lines), (one, other), covariance, ways, evidence)
 
 
 def find(
@@ -196,8 +205,9 @@ def find(
 ) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Fault, ...]]:
     """Find relative alpha and the sensors; return what speaks against them, too.
 
-    The stated error is that of the fit, enlarged by `Examined.excess`: what a real matrix leaves is
-    not all noise.
+    The stated error is that of noise (`response`), enlarged where halves of the modes, or balance
+    and reciprocity, differ by more: what a real matrix leaves is not all noise. Where sensors are
+    off their magnets and the glass is not known it is at least that of one half.
 
     Parameters
     ----------
@@ -226,9 +236,8 @@ def find(
     scale = np.exp(np.mean(np.log(by_balance[keep])))
     alpha[keep] = scale * joint.values.alpha
     alpha /= alpha.mean()
-    covariance = found.excess * joint.covariance_of(Kind.ALPHA)
     whole = np.diag(np.diag(base.reading_covariance)[:n] / by_balance**2)
-    whole[np.ix_(keep, keep)] = covariance
+    whole[np.ix_(keep, keep)] = found.covariance
     held = np.eye(n) - np.outer(np.ones(n), alpha / alpha.sum())  # mean alpha stays 1
     covariance = held @ whole @ held.T * np.outer(alpha, alpha)
     ids = matrix.layout.id[matrix.layout.enabled]

@@ -1,0 +1,167 @@
+"""How fits of a stiffness answer to noise of its elements: what their errors are.
+
+A fit weighs residuals of modes as if they were independent. Noise of elements is not so: where it
+is in proportion to each it sits near the diagonal, and all modes share it. To first order the error
+of a fit is -C s(E), with its covariance C and the score s of noise E, whatever the weights. So
+noise is drawn as the elements have it, the same for all fits, and errors are counted. Where noise
+is one of modes the fit's covariance is that of its errors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.estimation.reciprocity.blocks import Residuals
+from truenewton.estimation.reciprocity.element_noise import cost_of_modes, element_variance
+from truenewton.estimation.reciprocity.information import score
+from truenewton.estimation.reciprocity.iteration import Fit
+from truenewton.estimation.reciprocity.sight import Places
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind
+from truenewton.linalg import factor_of
+
+SEED = 1
+WORK = 1e9  # (n actuators)^3 times the draws, between a few and many
+FEWEST, MOST = 50, 300
+RARE = 0.01  # of draws: what differs by more than all but these may be no noise, and is none
+UNSURE = 1.5  # times beyond these, as the variance of the elements is not known for sure
+SCALE = 1e-9  # of the largest variance: below it only the scale is, which is no error
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Noise of a stiffness.
+
+    Attributes
+    ----------
+    variance
+        (n, n) of its elements [(N/m)^2]; None where it is one of modes.
+    scatter
+        Standard deviations of log g and of the offsets [m], as far as noise does not feign them.
+    """
+
+    variance: Array | None
+    scatter: tuple[float, float] = (0.0, 0.0)
+
+    def of(self, asked: Asked, n: int) -> Array:
+        """Return (u,) standard deviations of the unknowns that are drawn."""
+        gain, offset = self.scatter
+        spreads = {Kind.ALPHA: 0.0, Kind.GAIN: gain, Kind.X: offset, Kind.Y: offset}
+        return np.repeat([spreads[kind] for kind in asked.kinds], n)
+
+
+def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
+    """Return the noise of an (n, n) K_c, of elements or modes, whichever is likelier.
+
+    How sensors scatter beyond that of elements the fit tells.
+    """
+    variance, cost = element_variance(stiffness, fit, places)
+    if cost > cost_of_modes(fit):
+        return Noise(None)
+    n = len(variance)
+    by_noise = -scores(fit, variance) @ fit.covariance
+    unit = np.random.default_rng(SEED).standard_normal(by_noise.shape)
+    pulled = unit - (unit * fit.asked.information(n)) @ fit.covariance
+    scatter = []
+    for kinds in ((Kind.GAIN,), OFFSETS):
+        which = [kind for kind in kinds if kind in fit.asked.kinds]
+        if not which:
+            scatter.append(0.0)
+            continue
+        found = sum(float(np.sum(fit.values.of(kind) ** 2)) for kind in which)
+        some = np.isin(np.repeat(fit.asked.kinds, n), which)
+        feigned, passed = (np.sum(each[:, some] ** 2) / len(each) for each in (by_noise, pulled))
+        scatter.append(float(np.sqrt(max(found - feigned, 0.0) / passed)))
+    return Noise(variance, (scatter[0], scatter[1]))
+
+
+def scores(fit: Fit, variance: Array) -> Array:
+    """Return (draws, u) scores of a fit for noise whose elements have (n, n) variance."""
+    n = len(variance)
+    random, states, alpha = np.random.default_rng(SEED), fit.point.states, fit.values.alpha[:, None]
+    used = states.forces / alpha  # rigid motions are judged by the forces of the modes alone
+    used = used / np.linalg.norm(used, axis=0)
+    size, w = alpha * np.sqrt(variance), states.displacements
+    found = []
+    for _ in range(int(np.clip(WORK / n**3, FEWEST, MOST))):
+        noise = size * random.standard_normal(size.shape)
+        pushed = noise @ states.readings
+        rigid = alpha * (used @ (used.T @ ((noise @ states.rigid_readings) / alpha)))
+        left = Residuals(states.rigid.T @ pushed, w.T @ rigid, w.T @ pushed)
+        found.append(score(replace(fit.point, left=left)))
+    return np.array(found)
+
+
+def errors(fit: Fit, variance: Array, noise: Noise) -> Array:
+    """Return (draws, n) errors of log alpha; the same noise and sensors for all fits."""
+    n = len(variance)
+    total = scores(fit, variance)
+    unit = np.random.default_rng([SEED, 1]).standard_normal((len(total), 3 * n))
+    sensors = np.concatenate([np.zeros((len(total), n)), unit], axis=1)[:, : total.shape[1]]
+    total += sensors * noise.of(fit.asked, n) * fit.asked.information(n)
+    return np.asarray(-total @ fit.covariance[:, :n])
+
+
+def alpha_covariance(fit: Fit, noise: Noise) -> Array:
+    """Return the (n, n) covariance of log alpha."""
+    stated = fit.covariance_of(Kind.ALPHA)
+    if noise.variance is None:
+        return stated
+    return covariance_of_draws(stated, errors(fit, noise.variance, noise))
+
+
+def covariance_of_draws(stated: Array, drawn: Array) -> Array:
+    """Return the (n, n) covariance of (draws, n) errors, of which there may be few.
+
+    As if that of `_by_size` had been seen in n draws before (the mean of an inverse Wishart
+    distribution).
+    """
+    draws, n = drawn.shape
+    held, vectors = _by_size(stated, drawn)
+    return np.asarray((drawn.T @ drawn + n * (vectors * held) @ vectors.T) / (draws + n))
+
+
+def _by_size(stated: Array, drawn: Array) -> tuple[Array, Array]:
+    """Return variances of the patterns of an (n, n) covariance, descending, and the patterns.
+
+    Each is as much larger or smaller than stated as those of about its size are in the draws, in
+    bands of as many patterns as there are before.
+    """
+    values, vectors = (each[..., ::-1] for each in np.linalg.eigh(stated))
+    base = np.maximum(values, SCALE * values[0])
+    along, start = np.mean((drawn @ vectors) ** 2, axis=0) / base, 0
+    held = np.zeros(len(values))
+    while start < len(values):
+        some = slice(start, max(1, 2 * start))
+        held[some] = base[some] * np.mean(along[some])
+        start = some.stop
+    held[values < SCALE * values[0]] = 0.0
+    return held, vectors
+
+
+def beyond_noise(fits: Sequence[Fit], noise: Noise, *, alike: bool, doubtful: bool) -> float:
+    """Return the variance between the log alpha of two fits over that of noise, 1 at least.
+
+    Of patterns in terms of their errors; of fits that are alike, which err in more than a few
+    patterns, also of alpha as it is, whichever is more. Unless the model is doubtful, what noise
+    may do is noise.
+    """
+    one, other = fits
+    difference = one.values.log_alpha - other.values.log_alpha
+    stated = one.covariance_of(Kind.ALPHA) + other.covariance_of(Kind.ALPHA)
+    if noise.variance is None:
+        factor = factor_of(stated)
+        drawn = np.random.default_rng(SEED).standard_normal((MOST, factor.shape[1])) @ factor.T
+    else:
+        drawn = errors(one, noise.variance, noise) - errors(other, noise.variance, noise)
+    held, vectors = _by_size(stated, drawn)
+    white = vectors[:, held > 0.0] / np.sqrt(held[held > 0.0])
+    excess = 1.0
+    for way in (white, np.eye(len(held)))[: 1 + alike]:
+        seen, usual = np.sum((difference @ way) ** 2), np.sum((drawn @ way) ** 2, axis=1)
+        if doubtful or seen > UNSURE * np.quantile(usual, 1.0 - RARE):
+            excess = max(excess, float(seen / usual.mean()))
+    return excess
