@@ -28,15 +28,27 @@ from truenewton.mirrors.known import lbt672, p45, ring
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import seen_by
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import arms
 from truenewton.statics.layout import layout as actuators_at
 
 
-def matrix_of(random, glass, layout, *, gain=0.004, offset=0.0, asymmetry=0.0, dead=0):
-    """Return a stiffness as measured in 8 readings with 1 mN of noise, and log alpha."""
+def matrix_of(
+    random, glass, layout, *, gain=0.004, offset=0.0, asymmetry=0.0, balanced=True, dead=0
+):
+    """Return a stiffness as measured in 8 readings with 1 mN of noise, and log alpha.
+
+    Asymmetry is relative, of each element; it leaves forces in balance and rigid motions free
+    unless it is not ``balanced``.
+    """
     n = layout.n
     values = drawn(random, n, gain, offset)
     stiffness = 0.5 * (glass.stiffness + glass.stiffness.T)
-    stiffness = stiffness * (1.0 + asymmetry * random.standard_normal((n, n)))
+    wrong = asymmetry * random.standard_normal((n, n)) * stiffness
+    if balanced:
+        rigid = np.linalg.qr(arms(layout).T)[0]
+        elastic = np.eye(n) - rigid @ rigid.T
+        wrong = elastic @ wrong @ elastic
+    stiffness = stiffness + wrong
     motion = sight(places_of(layout), values, slopes=bool(offset)).motion
     stiffness = stiffness @ (motion * values.gain) / values.alpha[:, None]
     stiffness = with_noise(random, stiffness, values).stiffness
@@ -52,7 +64,10 @@ FAULTS = {
     "offsets 1 mm": {"offset": 1e-3},
     "offsets 3 mm": {"offset": 3e-3},
     "asymmetry 1e-3": {"asymmetry": 1e-3},
+    "asymmetry 3e-3": {"asymmetry": 3e-3},
     "asymmetry 1e-2": {"asymmetry": 1e-2},
+    "asymmetry 3e-2": {"asymmetry": 3e-2},
+    "1e-2, unbalanced": {"asymmetry": 1e-2, "balanced": False},
     "gains 2 %": {"gain": 0.02},
     "10 sensors dead": {"dead": 10},
 }
