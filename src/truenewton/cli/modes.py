@@ -53,6 +53,7 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
+    from truenewton.calibration.verdict import refuse_unusable
     from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
@@ -88,6 +89,8 @@ def run(
             as_values = segment_values(found, limits) if json else None
         else:
             alpha = None if calibration is None else read_calibration(calibration, segment=segment)
+            if alpha is not None:
+                refuse_unusable(alpha, force=anyway, path=calibration)
             body = of_segment(data, segment, paths[0])
             one = find_modes(body, alpha, atmosphere, **asked)
             found, told, schema = {0: one}, lines(one, limits), "modes"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import refuse_unusable
-from truenewton.errors import CampaignMismatch
+from truenewton.errors import CampaignMismatch, UnreadableFile
 from truenewton.files.fits import write_fits
 from truenewton.files.format import FileFormat, Keyword
 from truenewton.files.outputs import folder_beside
@@ -97,7 +97,14 @@ def export_supervisor(
     >>> done = tn.export_supervisor(".", calibration, "in-true-newtons")
     """
     refuse_unusable(calibration, force=force)
-    channels = channels_of(folder := Path(folder))
+    folder = Path(folder)
+    if not (folder / MATRIX).is_file():
+        raise UnreadableFile(
+            f"holds no {MATRIX}",
+            remedy="give the supervisor's folder of a measurement, named by its track number",
+            path=folder,
+        )
+    channels = channels_of(folder)
     alpha = _alpha_of(channels, calibration, folder)
     stored = read_stored(folder / MATRIX)
     matrix = only_array(folder / MATRIX).values
