@@ -442,7 +442,7 @@ def test_a_wide_text_file_names_the_place_of_what_is_no_number(tmp_path):
     lines = semicolons(CASE.k).splitlines()
     lines[4] = "oops" + lines[4][lines[4].index(";") :]
     (tmp_path / "k.csv").write_text("\n".join(lines))
-    with pytest.raises(FormatError, match="could not convert string 'oops' to float64 at row 4"):
+    with pytest.raises(FormatError, match="row 5, column 1 is 'oops'; give a number there"):
         tn.stiffness_from(tmp_path / "k.csv", XY)
 
 

@@ -200,7 +200,7 @@ FAULTS = {
         one_file_everywhere, REFUSED + NOT, "copy of another file", "leave the copy out",
     ),
     "a load that was never on": (
-        never_on, NOT, "the forces are the same under all loads", "lay on the mirror",
+        never_on, NOT + REFUSED, "the forces are the same under all loads", "lay on the mirror",
     ),
     "a date of next century": (
         changed(dated, ONE), LIMITED, "by DATE-OBS 13149 days lie between ring 3 and the other",

@@ -11,7 +11,7 @@ from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import ErrorKind
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.fit_warnings import PLAUSIBLE
-from truenewton.estimation.identifiability import ALIKE, alike_loads_fault
+from truenewton.estimation.identifiability import ALIKE, NO_LOAD_SEEN, alike_loads_fault
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, significant
@@ -39,10 +39,6 @@ LOOKS = {
 }
 COUNTS = Fault(
     "FORCE looks as if in counts of the electronics, or in another unit than N", FORCE_IN
-)
-NO_LOAD_SEEN = Fault(
-    "the forces are the same under all loads: none but the first seems to have been on",
-    "check that each load lay on the mirror in the files of its name; or ADDED, in N",
 )
 UNTOLD = 1 / 3  # of alpha, its error from readings: beyond, it is not told from 0 by three sigma
 NEAR = 2.2  # times a unit

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.calibration.scale_faults import (
-    NO_LOAD_SEEN,
     UNTOLD,
     scale_faults,
     unit_fault,
@@ -27,7 +26,7 @@ from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.effects.words import MISFIT, effect_warnings
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.files_apart import STILL
-from truenewton.estimation.identifiability import alike_loads_fault
+from truenewton.estimation.identifiability import NO_LOAD_SEEN, alike_loads_fault
 from truenewton.estimation.matrix_order import AS_A_WHOLE
 from truenewton.estimation.reciprocity.gate import BY_ML
 from truenewton.estimation.weights import typical
