@@ -11,8 +11,9 @@ from astropy.table import QTable
 from balanced import p45_bench
 
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import RankDeficient
-from truenewton.estimation.matrix_order import order_effects, rigid_cost
+from truenewton.errors import RankDeficient, TrueNewtonWarning
+from truenewton.estimation.matrix_order import TRANSPOSED, order_effects, rigid_cost
+from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.estimation.stiffness_svd import (
     balance_modes,
     elastic_modes,
@@ -116,13 +117,27 @@ def test_a_matrix_of_low_rank_is_refused_by_its_file():
         calibrate(replace(matrix, stiffness=low, source=source))
 
 
-def test_a_transposed_matrix_is_warned_of():
+def test_a_transposed_matrix_is_not_to_be_used():
+    """Its alpha is that of the sensors: 10 % from the truth, stated to be known to .05 %."""
     matrix, _ = commanded_stiffness()
-    turned = StiffnessMatrix("P45", DATE, matrix.layout, matrix.stiffness.T)
-    assert calibrate(matrix, "ml").diagnosis.warnings == ()
-    [(fault, remedy)] = calibrate(turned, "ml").diagnosis.warnings
+    assert sift_matrix(matrix).effects == ()
+    turned = replace(matrix, stiffness=matrix.stiffness.T)
+    [effect] = sift_matrix(turned).effects
+    assert effect.name == TRANSPOSED
+    assert "[i, j], the force of actuator i per displacement of sensor j" in effect.remedy
+    with pytest.warns(TrueNewtonWarning, match="transposed stiffness"):
+        made = calibrate(turned, "svd")
+    assert made.verdict.level == "not to be used"
+
+
+def test_what_costs_as_much_as_gains_of_sensors_only_looks_transposed():
+    """Where alpha is put right already, sensors scatter more, and nothing is wrong."""
+    matrix, truth = commanded_stiffness()
+    gains = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(len(truth))
+    right = replace(matrix, stiffness=truth[:, None] * matrix.stiffness * gains)
+    assert sift_matrix(right).effects == ()
+    [(fault, _)] = calibrate(right, "svd").diagnosis.warnings
     assert "looks transposed" in fault
-    assert "[i, j], the force of actuator i per displacement of sensor j" in remedy
 
 
 def test_imbalance_is_the_rms_over_modes_and_equations():

@@ -293,7 +293,7 @@ def test_one_sensor_without_numbers_is_left_out():
     k[[3, 9], bad] = np.nan
     made = tn.stiffness_from(k, XY)
     assert f"2 elements of sensor {bad + 1} are no numbers" in text(made)
-    assert not made.matrix.stiffness[bad].any()
+    assert "its sensor reads nothing" in text(made)
     assert not made.matrix.stiffness[:, bad].any()
 
 
@@ -380,6 +380,9 @@ def scrambled():
         ({"matrix": CASE.k[:, 1:]}, "holds no square matrix"),
         ({"matrix": 1j * CASE.k}, "holds no real numbers"),
         ({"matrix": np.where(np.eye(N, k=5), np.nan, CASE.k)}, "elements are NaN or infinite"),
+        ({"matrix": np.triu(CASE.k)}, "zero below its diagonal: half of it is not there; store"),
+        ({"matrix": np.clip(CASE.k, -1e5, 1e5)}, "144 own elements of STIFFNESS are the same"),
+        ({"matrix": np.linalg.pinv(CASE.k), "unit": "unknown"}, "looks like a compliance, disp"),
         ({"ids": [1] * N}, "actuator ID 1 stands 144 times"),
         ({"ids": [1, 2]}, "2 IDs for 144 rows"),
         ({"shell": 2}, "there is no shell 2"),
@@ -398,13 +401,29 @@ def test_what_is_wrong_is_said_in_one_line(change, said):
     assert "\n" not in str(caught.value)
 
 
+def test_a_header_of_several_lines_is_passed_over(tmp_path):
+    k = tmp_path / "k.csv"
+    np.savetxt(k, CASE.k, delimiter=",", header="Feed forward, saved by me\nact1,...", comments="")
+    np.testing.assert_array_equal(tn.stiffness_from(k, XY).matrix.stiffness, -CASE.k)
+
+
+def test_polar_coordinates_are_no_x_and_y(tmp_path):
+    path = tmp_path / "xy.csv"
+    np.savetxt(path, XY.T, delimiter=",", header="r [mm],theta [deg]", comments="")
+    with pytest.raises(FormatError, match=r"holds polar coordinates, .* give X and Y, both in a"):
+        tn.stiffness_from(CASE.k, path)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
         ("a.npy", b"\x93NUMPYjunk", "a.npy: cannot be read"),
         ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "a.mat: cannot be read"),
         ("a.png", b"\x89PNG\r\n\x1a\n\0\0", "a.png: is of no kind that is read here"),
-        ("a.csv", b"1,2,3\n4,5\n7,8,9\n", "a row has 2 columns and the first 3: '4,5'"),
+        ("a.csv", b"1,2,3\n4,5\n7,8,9\n", "row 2 has 2 columns and the first 3: '4,5'"),
+        ("a.csv", b"1,2,3\n4,5,six\n7,8,9\n", "holds no square matrix; give as many rows as col"),
+        ("a.csv", b"1,2\n" * 4, "holds no square matrix; give as many rows as columns; there"),
+        ("a.csv", b"1,5,2,5,3,5\n" * 3, "are decimal ones too, put semicolons between columns"),
         ("a.csv", b"a,b,c\n", "holds a header and no numbers"),
         ("a.txt", b"# nothing\n", "holds no numbers"),
         ("a.txt", b"double 3 3\n1 2 3 4\n", "holds 4 numbers; give 3 x 3 numbers"),
@@ -423,7 +442,7 @@ def test_a_wide_text_file_names_the_place_of_what_is_no_number(tmp_path):
     lines = semicolons(CASE.k).splitlines()
     lines[4] = "oops" + lines[4][lines[4].index(";") :]
     (tmp_path / "k.csv").write_text("\n".join(lines))
-    with pytest.raises(FormatError, match="could not convert string 'oops' to float64 at row 4"):
+    with pytest.raises(FormatError, match="row 5, column 1 is 'oops'; give a number there"):
         tn.stiffness_from(tmp_path / "k.csv", XY)
 
 

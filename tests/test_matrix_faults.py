@@ -12,10 +12,14 @@ from simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
-from truenewton.estimation.matrix_faults import condensed, relative_couplings, row_order
+from truenewton.estimation.couplings import relative_couplings
+from truenewton.estimation.matrix_faults import SENSOR, condensed
+from truenewton.estimation.matrix_order import row_order
 from truenewton.estimation.reciprocity.condensation import odd_actuators
 from truenewton.estimation.sifted_matrix import sift_matrix
-from truenewton.mirrors.known import mmt336
+from truenewton.estimation.stiffness_ml import column_fit
+from truenewton.estimation.stiffness_svd import columns_of
+from truenewton.mirrors.known import mmt336, ring
 from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.investigate import investigate
@@ -105,6 +109,69 @@ def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, s
     expected = alpha[~out] / alpha[~out].mean()
     z = (calibration.alpha[~out] - expected) / calibration.error[~out]
     assert np.sqrt(np.mean(z**2)) < 1.6
+
+
+def element(k, other):
+    """An element so large that rows seem exchanged."""
+    k[BAD, other] *= 100.0
+
+
+def rows_lost(k, _):
+    """Three rows were not stored."""
+    k[[3, 9, BAD]] = 0.0
+
+
+def sensors_silent(k, _):
+    """Three sensors read nothing."""
+    k[:, [3, 9, BAD]] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "reason", "where"),
+    [
+        (element, "an element of its row is wrong", [BAD]),
+        (rows_lost, "its row is zero, though it pushed", [3, 9, BAD]),
+        (sensors_silent, "its sensor reads nothing", [3, 9, BAD]),
+    ],
+)
+def test_what_is_missing_or_too_large_is_named_and_the_rest_is_within_its_errors(
+    change, reason, where
+):
+    matrix, alpha = measured(change)
+    sifted = sift_matrix(matrix)
+    on = sifted.matrix.layout.enabled
+    assert np.flatnonzero(~on).tolist() == where
+    assert {effect.name.partition(": ")[2] for effect in sifted.effects} == {reason}
+    found = column_fit(columns_of(sifted))
+    expected = alpha[on] / alpha[on].mean()
+    z = (found.alpha - expected) / np.sqrt(np.diag(found.covariance))
+    assert np.sqrt(np.mean(z**2)) < 1.6
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_sensors_of_a_sector_that_read_noise_are_told_from_their_actuators(seed):
+    """Their columns balance with nothing, and are not asked what rows are worth."""
+    truth, random = static_bench(ring(144), 7).truth, np.random.default_rng(seed)
+    alpha, layout = 1.0 + 0.05 * random.standard_normal(144), truth.layout
+    k = truth.stiffness / alpha[:, None]
+    k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal(k.shape)
+    first = random.integers(144)
+    bad = np.argsort(np.hypot(layout.x - layout.x[first], layout.y - layout.y[first]))[:10]
+    k[:, bad] *= 3.0 * (1.0 + 0.3 * random.standard_normal((144, 10)))
+    sifted = sift_matrix(StiffnessMatrix("RING", DATE, layout, k))
+    assert np.flatnonzero(~sifted.matrix.layout.enabled).tolist() == sorted(bad.tolist())
+    assert {effect.name.partition(": ")[2] for effect in sifted.effects} == {SENSOR}
+
+
+def test_a_matrix_made_symmetric_is_not_to_be_used():
+    """Half of what tells alpha from gains of sensors is gone: 7 % wrong, 3 % stated."""
+    matrix, _ = measured(lambda k, other: None)
+    k = 0.5 * (matrix.stiffness + matrix.stiffness.T)
+    with pytest.warns(TrueNewtonWarning, match="STIFFNESS made symmetric"):
+        calibration = calibrate(replace(matrix, stiffness=k), "ml")
+    assert calibration.verdict.level == "not to be used"
+    with pytest.raises(RankDeficient, match="made symmetric; give it as it was measured"):
+        calibrate(replace(matrix, stiffness=k), "svd")
 
 
 def test_a_sound_matrix_loses_nobody():

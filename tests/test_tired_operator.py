@@ -75,6 +75,17 @@ def two_campaigns():
     return [*quiet(), *(replace(c, number=c.number + 4) for c in of_another(4))]
 
 
+def never_on():
+    """The ring lay beside the mirror."""
+    ring = quiet()[4].load
+    return [c if c.number < 3 else replace(c, load=ring, number=c.number - 2) for c in quiet()[:4]]
+
+
+def one_file_everywhere():
+    first = quiet()[0]
+    return [replace(c, force=first.force, position=first.position) for c in quiet()[2:6]]
+
+
 def dated(cycle):
     return replace(cycle, date=cycle.date.replace(year=2062))
 
@@ -181,6 +192,16 @@ FAULTS = {
     "two campaigns": (
         two_campaigns, REFUSED, "files of two mirrors, campaigns", "and 6 more", "of one mirror",
     ),
+    "bare of one, ring of another mirror": (
+        lambda: [*quiet()[:4], *of_another(4)[4:]],
+        NOT, "files of two mirrors", "against ring 1", "of one mirror",
+    ),
+    "one file everywhere": (
+        one_file_everywhere, REFUSED + NOT, "copy of another file", "leave the copy out",
+    ),
+    "a load that was never on": (
+        never_on, NOT + REFUSED, "the forces are the same under all loads", "lay on the mirror",
+    ),
     "a date of next century": (
         changed(dated, ONE), LIMITED, "by DATE-OBS 13149 days lie between ring 3 and the other",
         "correct DATE-OBS",
@@ -197,6 +218,16 @@ def test_it_is_said_first_where_it_is_and_what_to_do(made, level, words):
     assert found in level
     text = "; ".join(sentences)
     assert all(word in text for word in words), text
+
+
+def test_readings_cut_off_are_seen_beside_gradients_of_the_coils():
+    """As they were read: times 1 + COILGRAD z no two of them are alike to the last bit."""
+    bench = replace(static_bench(p45_mirror(), 1), force_noise=1e-4)
+    cut = with_forces(list(run_cycles(bench, 1)), lambda k, f: np.clip(f, -0.24, 0.24))
+    assert cut[0].coil_gradient
+    [effect] = sift(Campaign(tuple(cut))).clipped
+    assert effect.name == "readings cut off at a limit"
+    assert "at 0.24 N" in effect.where
 
 
 @pytest.mark.parametrize("name", ["mN", "LOAD 'rign'", "two campaigns",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, ParamSpec, TypeVar
 
@@ -15,6 +16,17 @@ from truenewton.errors import FormatError
 Array = NDArray[np.float64]
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
+
+
+def jsonable(value: Any) -> Any:
+    """Return what JSON can hold of numbers, arrays, lists and mappings: it knows no NaN."""
+    if isinstance(value, Mapping):
+        return {key: jsonable(item) for key, item in value.items()}
+    if hasattr(value, "tolist"):
+        return jsonable(value.tolist())
+    if isinstance(value, list | tuple):
+        return [jsonable(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def in_unit(value: Any, unit: str, name: str) -> Any:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import datetime
 import json
-import math
 import os
 import re
 import time
 from pathlib import Path
 from typing import Any
 
+from truenewton.arrays import jsonable
 from truenewton.errors import OutputFailed
 from truenewton.files.outputs import in_one_line
 
@@ -46,7 +46,7 @@ class RunLog:
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         elapsed = round(time.monotonic() - self._start, 4)
         line = {"time": now, "elapsed": elapsed, "event": event, **values}
-        text = json.dumps({key: _plain(value) for key, value in line.items()})
+        text = json.dumps(jsonable(line))
         with in_one_line(self.path):
             os.write(self._handle, text.encode() + b"\n")
 
@@ -58,10 +58,3 @@ class RunLog:
     def close(self) -> None:
         """Close the file."""
         os.close(self._handle)
-
-
-def _plain(value: Any) -> Any:
-    """Return what JSON can hold: it knows no NaN."""
-    if hasattr(value, "item"):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -11,7 +11,7 @@ from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import ErrorKind
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.fit_warnings import PLAUSIBLE
-from truenewton.estimation.identifiability import ALIKE, alike_loads_fault
+from truenewton.estimation.identifiability import ALIKE, NO_LOAD_SEEN, alike_loads_fault
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
 from truenewton.records.fault import Fault
 from truenewton.rounding import percent, significant
@@ -40,13 +40,19 @@ LOOKS = {
 COUNTS = Fault(
     "FORCE looks as if in counts of the electronics, or in another unit than N", FORCE_IN
 )
+UNTOLD = 1 / 3  # of alpha, its error from readings: beyond, it is not told from 0 by three sigma
 NEAR = 2.2  # times a unit
 LIKE_OTHERS, MOST = 0.5, 0.9  # relative to the median, of how many: else it is no unit alone
 
 
 def unit_fault(c: Calibration) -> Fault | None:
-    """Return that alpha is so far from 1 that a unit must be wrong, and which one it may be."""
+    """Return that alpha is so far from 1 that a unit must be wrong, and which one it may be.
+
+    Or that no load is seen: then alpha is large, but no more than noise.
+    """
     median = float(np.nanmedian(c.alpha))
+    if c.scale == Scale.WEIGHTS and typical(c.reading_error, c.alpha) > UNTOLD:
+        return NO_LOAD_SEEN if abs(median) > PLAUSIBLE[1] else None
     alike = np.abs(c.alpha[c.layout.enabled] / median - 1.0) < LIKE_OTHERS
     if PLAUSIBLE[0] < abs(median) < PLAUSIBLE[1] or np.mean(alike) < MOST:
         return None

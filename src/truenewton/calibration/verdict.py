@@ -15,13 +15,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.calibration.scale_faults import scale_faults, unit_fault, weights_along_axis
+from truenewton.calibration.scale_faults import (
+    UNTOLD,
+    scale_faults,
+    unit_fault,
+    weights_along_axis,
+)
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
 from truenewton.estimation.effects.words import MISFIT, effect_warnings
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.files_apart import STILL
-from truenewton.estimation.identifiability import alike_loads_fault
+from truenewton.estimation.identifiability import NO_LOAD_SEEN, alike_loads_fault
+from truenewton.estimation.matrix_order import AS_A_WHOLE
 from truenewton.estimation.reciprocity.gate import BY_ML
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
@@ -36,8 +42,6 @@ FAR = 5.0  # robust standard deviations, for an actuator off the others
 FEW = 0.03  # of the actuators, and two at least, may be dead or reversed: else all are in doubt
 IMPROBABLE = 1e-3  # of a fit; as weights are warned of
 MANY = 0.02  # of the rows left out
-# Beyond, alpha of a typical actuator cannot be told from 0 by three sigma.
-UNKNOWN = 1 / 3
 # Of chi2/DOF. E_STAT grows with its root, as if what is left were noise; where that is a hundred
 # times the noise it is the data that are not what they say: with a mN of noise, 0.1 N per reading.
 SENSELESS = 1e4
@@ -58,7 +62,7 @@ OF_FILES = (
     "files of two mirrors",
     STILL.name,
     "asymmetric stiffness",
-    "coordinates in another order than STIFFNESS",
+    *AS_A_WHOLE,
     UNUSABLE_BEFORE,
 )
 # Labels of rows say which of them repeat, which the balance of each does not ask: where the rest
@@ -191,7 +195,7 @@ def _grave(c: Calibration) -> Iterator[Fault]:
     senseless = list(_senseless(c))
     if negative > few or senseless:  # what was found of the bench is the cause
         yield from effect_warnings(_uncorrected(c))
-    if negative > few:
+    if negative > few and unit != NO_LOAD_SEEN:
         yield Fault(
             f"alpha is negative for {negative} of {alpha.size} actuators",
             "turn the sign of FORCE, which is positive upwards; or ADDED stands at the wrong load"
@@ -210,7 +214,7 @@ def _senseless(c: Calibration) -> Iterator[Fault]:
             "add cycles under a load of another known weight",
         )
     error = typical(c.error, c.alpha)
-    if error > UNKNOWN:
+    if error > UNTOLD:
         alike = alike_loads_fault(weights_along_axis(c)) if weighed else None
         if alike:
             yield alike

@@ -12,6 +12,7 @@ import typer
 from truenewton.cli import options
 
 if TYPE_CHECKING:
+    from truenewton.calibration.result import Calibration
     from truenewton.modal.dissipation import Budget
 
 
@@ -57,7 +58,6 @@ def run(
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
     from truenewton.cli.terminal import about, busy, print_result
-    from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
     from truenewton.modal.dissipation import Budget
     from truenewton.modal.file import modes_paths, numbered
@@ -65,12 +65,10 @@ def run(
     from truenewton.modal.segments import modes_of_segments
     from truenewton.modal.turbulence import Atmosphere
     from truenewton.modal.words import lines, segment_lines, segment_values, values
-    from truenewton.reading import of_segment, read_calibration, read_data, read_segmented
-    from truenewton.records.file import SUFFIXES
+    from truenewton.reading import of_segment, read_data, read_segmented
     from truenewton.records.segmented import SegmentedData
 
-    if output is not None and not output.name.endswith(SUFFIXES):
-        raise OutputFailed("is no name for a modal base", remedy="let -o end in .fits", path=output)
+    _refuse_name(output)
     atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     data = read_data(*paths)
@@ -91,13 +89,32 @@ def run(
             told, schema = [*segment_lines(found, limits)], "modes-segments"
             as_values = segment_values(found, limits) if json else None
         else:
-            alpha = None if calibration is None else read_calibration(calibration, segment=segment)
-            one = find_modes(body, alpha, atmosphere, **asked)
+            one = find_modes(body, _usable(calibration, segment, anyway), atmosphere, **asked)
             found, told, schema = {0: one}, lines(one, limits), "modes"
             as_values = values(one, limits) if json else None
         written = _written(found, output, figures, limits, overwrite=overwrite)
     nothing = () if output or figures else (None,)
     print_result(told, *written, *nothing, values=as_values, schema=schema, quiet=quiet)
+
+
+def _refuse_name(output: Path | None) -> None:
+    from truenewton.errors import OutputFailed
+    from truenewton.records.file import SUFFIXES
+
+    if output is not None and not output.name.endswith(SUFFIXES):
+        raise OutputFailed("is no name for a modal base", remedy="let -o end in .fits", path=output)
+
+
+def _usable(path: Path | None, segment: int | None, force: bool) -> Calibration | None:
+    """Return the calibration of a file, None without; by its name refused where it is unusable."""
+    from truenewton.calibration.verdict import refuse_unusable
+    from truenewton.reading import read_calibration
+
+    if path is None:
+        return None
+    alpha = read_calibration(path, segment=segment)
+    refuse_unusable(alpha, force=force, path=path)
+    return alpha
 
 
 def _written(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
+from truenewton.arrays import jsonable
 from truenewton.errors import (
     NotConverged,
     NotToBeUsed,
@@ -37,18 +37,6 @@ def about(paths: Sequence[Path]) -> Iterator[None]:
         raise located(error, paths[0]) if len(paths) == 1 else error from None
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def print_result(
     lines: Iterable[str],
     *written: Path | None,
@@ -64,7 +52,7 @@ def print_result(
     Of the values what is not finite becomes null, which JSON can hold.
     """
     if values is not None:
-        print(json.dumps(_plain({"schema": f"truenewton.{schema}/1", **values}), indent=2))
+        print(json.dumps(jsonable({"schema": f"truenewton.{schema}/1", **values}), indent=2))
         return
     say(*(() if quiet else lines), *(f"written: {path}" for path in filter(None, written)))
     if None in written and not quiet:

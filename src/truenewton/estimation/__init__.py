@@ -56,8 +56,8 @@ files, in the order in which data pass through them:
     column_terms     what they leave and hold at one alpha
     column_noise     what that noise follows, chosen by the columns
     bad_sensors      sensors that read something else, told from actuators that push otherwise
-    matrix_orientation  whether a matrix lies the right way round
-    matrix_order     whether coordinates stand in its order
+    couplings        of actuators in a matrix: how large, how far, what pairs say of alpha
+    matrix_order     whether it is a stiffness, lies the right way round, in the order of places
     matrix_faults    actuators of a matrix that do not fit, found and set free
     sifted_matrix    a matrix without them
     population       what is not smooth in log alpha, as samples of one population

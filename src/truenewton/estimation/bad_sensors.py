@@ -7,10 +7,13 @@ of its sensor, but not with a row that was made to agree with its column.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.estimation.couplings import pair_ratios, typical_spacing
 
 GAIN = 1.1  # from that of other sensors, from which one is wrong, and
 APART = 4.5  # times what is typical of log t: sensors off their magnets feign gains, all of them
@@ -26,7 +29,9 @@ STEPS = 25  # of reweighting
 LEAST = 0.02  # factor that is taken for none, in reweighting
 
 
-def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
+def wrong_gains(
+    even: Array, a: Array, strong: NDArray[np.bool_], noisy: Sequence[int] = ()
+) -> Array:
     """Return (n,) gains of the sensors, 1 but where one is wrong.
 
     A gain g makes a row that agrees with its column g times too large. Many in one sector are found
@@ -42,8 +47,11 @@ def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
         (3, n) arms in comparable units.
     strong
         (n, n) which pairs are coupled, the diagonal not.
+    noisy
+        Whose columns are unlike their rows: where many are found together, what noise leaves of
+        these out of balance is no matter of rows.
     """
-    together = _gains_together(even, a)
+    together = _gains_together(even, a, noisy)
     if together is not None:
         return together
     even, n = even.copy(), len(even)
@@ -78,7 +86,7 @@ def wrong_gains(even: Array, a: Array, strong: NDArray[np.bool_]) -> Array:
     return gain
 
 
-def _gains_together(even: Array, a: Array) -> Array | None:
+def _gains_together(even: Array, a: Array, noisy: Sequence[int]) -> Array | None:
     """Return (n,) gains that cure the columns about them all; None where no few do.
 
     Rows t with a diag(t) K = 0 by least absolute imbalance of columns, |t - 1| of each row
@@ -88,6 +96,7 @@ def _gains_together(even: Array, a: Array) -> Array | None:
     columns = even / np.where(own > 0.0, own, np.median(own))
     before = np.linalg.norm(a @ columns, axis=0)
     out = before > OUT * np.median(before)
+    columns[:, list(noisy)], out[list(noisy)] = 0.0, False
     far = np.arange(len(even))
     for penalty in (PENALTY, NONE):
         t = _row_factors(columns, a, far, penalty)
@@ -147,6 +156,43 @@ def signs(even: Array, a: Array, wrong: NDArray[np.int64], strong: NDArray[np.bo
     return sign
 
 
+def other_half(k: Array, a: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Return the matrix with rows that are zero by their columns and the reverse, and which.
+
+    An actuator of which a row is there pushed, whatever its sensor reads; one of which the column
+    is there pushed if the other columns balance with the row that symmetry lets expect.
+
+    Parameters
+    ----------
+    k, a
+        (n, n) stiffness [N/m] and (3, n) arms in comparable units.
+
+    Returns
+    -------
+    Array
+        (n, n), own elements as they balance.
+    rows, columns
+        Indices of those that were zero.
+    """
+    there, read = k.any(axis=1), k.any(axis=0)
+    rows, columns = np.flatnonzero(read & ~there), np.flatnonzero(there & ~read)
+    if not (rows.size or columns.size):
+        return k, rows, columns
+    factor = np.exp(pair_ratios(k)[0])[:, None]
+    even = factor * k
+    even = columns_by_rows(even, a, columns)
+    filled = columns_by_rows(even.T, a, rows).T
+    sound = there & read
+    own = np.diag(even)[sound]
+    before, after = (
+        np.sum(np.abs(a @ each[:, sound] / np.where(own != 0.0, own, np.inf)))
+        for each in (even, filled)
+    )
+    if after > CURED * before:
+        return even / factor, rows[:0], columns
+    return filled / factor, rows, columns
+
+
 def better_by_row(even: Array, a: Array, i: int, near: NDArray[np.bool_]) -> bool:
     """Tell whether columns near an actuator balance better with its row than with its column.
 
@@ -173,6 +219,27 @@ def agrees(even: Array, i: int, near: NDArray[np.bool_]) -> bool:
     """Tell whether a column of an (n, n) stiffness is its row, at the (n,) others near it."""
     far = np.abs(even[near, i] - even[i, near]) > ALIKE * np.abs(even[i, near])
     return not far.any() or float(np.median(far)) < 0.5
+
+
+def columns_by_rows(even: Array, a: Array, bad: NDArray[np.int64]) -> Array:
+    """Return an (n, n) stiffness with the columns of bad sensors by the rows of their actuators.
+
+    Between two of them neither element is right: both count half, and take what the column is then
+    out of balance by, those of neighbours most.
+    """
+    out, some = even.copy(), np.ix_(bad, bad)
+    out[some] = 0.5 * (even[some] + even[some].T)
+    for i in bad.tolist():
+        out[:, i] = column_by_row(out, a, i)
+    if bad.size < 2:
+        return out
+    arms, spacing = a[:, bad], typical_spacing(a)
+    distance = np.hypot(arms[1][:, None] - arms[1], arms[2][:, None] - arms[2])
+    for i, weight in zip(bad.tolist(), (1.0 + (distance / spacing) ** 2) ** -2.0, strict=True):
+        reach = (weight * arms).T
+        out[bad, i] -= reach @ np.linalg.pinv(arms @ reach) @ (a @ out[:, i])
+    out[some] = 0.5 * (out[some] + out[some].T)
+    return out
 
 
 def column_by_row(even: Array, a: Array, i: int) -> Array:

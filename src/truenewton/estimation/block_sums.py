@@ -269,13 +269,17 @@ def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSum
 
 
 def _printed(read: list[ReadRows]) -> list[tuple[int, NDArray[np.int64], Array]]:
-    """Return the rows of which prints are taken, with their labels, by part of a file."""
-    return [
-        (part.cycle_index, part.printed[some], force[some])
-        for part, force, _ in read
-        for some in [part.printed != 0]
-        if some.any()
-    ]
+    """Return the rows of which prints are taken, with their labels, by part of a file.
+
+    As they were read: with displacements put to use none would repeat another to the last bit.
+    """
+    printed = []
+    for part, force, _ in read:
+        some, rows = part.printed != 0, part.balanced
+        if some.any():
+            raw = rows.used(rows.force, part.row[some]) if rows.displaced else force[some]
+            printed.append((part.cycle_index, part.printed[some], raw))
+    return printed
 
 
 def mean_displacement(block: GroupBlock) -> tuple[int, Array]:

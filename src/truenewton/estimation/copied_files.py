@@ -19,8 +19,8 @@ def copied_files(
 ) -> tuple[FoundEffect, ...]:
     """Name files that hold the readings of others: rows of the same SHAPE and SIGN, bit by bit.
 
-    Nothing is said where even files of different origin repeat to the last bit: then there is no
-    noise, or less than rounding hides.
+    Of files under one load nothing is said where even those of different origin repeat to the last
+    bit: then there is no noise, or less than rounding hides.
 
     Parameters
     ----------
@@ -44,7 +44,11 @@ def copied_files(
             same[one, other] = alike / len(common)
     if by_chance and len(cycles) > 2 and not _one_file(campaign, same):
         usual = BY_CHANCE * min(by_chance)
-        same = {pair: alike for pair, alike in same.items() if alike > usual}
+        same = {
+            (one, other): alike
+            for (one, other), alike in same.items()
+            if alike > usual or campaign.load_index[one] != campaign.load_index[other]
+        }
     return tuple(
         FoundEffect(
             name="copy of another file",

@@ -35,6 +35,7 @@ from truenewton.estimation.identifiability import (
     leverage,
     refuse,
     structural_faults,
+    unseen_load_fault,
 )
 from truenewton.estimation.likelihood import chi2_at, gram_of_e
 from truenewton.estimation.minimum import Minimum, Prior
@@ -205,7 +206,8 @@ def _fitted(
         diagnosis = diagnose(campaign, moments)  # which knows better what is missing
         if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
             alike = alike_loads_fault(campaign.effective_weights)
-            refuse((*diagnosis.faults, alike), diagnosis.undetermined)
+            unseen = unseen_load_fault(problem.a[0], campaign.effective_weights, moments)
+            refuse((unseen, *diagnosis.faults, alike), diagnosis.undetermined)
             raise
     for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
         patterns = undetermined_patterns(problem, moments, count)

@@ -28,6 +28,7 @@ DIFFERS = 0.3  # of a column's size, beyond which it is not what it is in the ot
 CURES = 0.3  # of that distance, which the right column leaves at most
 MOST = 1000  # columns that are put in order
 UNLIKE = 0.02  # of their size two lots of files differ
+FAR_UNLIKE = 0.08  # where each file repeats, and nothing but the balance speaks against them
 UNIT = 2.0  # times as large, or as small, as the others a file is in another unit
 SAID, FILES = 4, 2  # actuators, and files, that are named one by one
 
@@ -90,8 +91,18 @@ def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...
     )
 
 
-def unlike_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
-    """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do."""
+def unlike_files(
+    campaign: Campaign, prints: RowPrints, least: float = UNLIKE
+) -> tuple[FoundEffect, ...]:
+    """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do.
+
+    Parameters
+    ----------
+    campaign, prints
+        The files; some of their rows.
+    least
+        Of their size by which the lots differ.
+    """
     rows = prints.common_rows()
     if len(rows) < 3 or rows.shape[1] < FEWEST:
         return ()
@@ -100,7 +111,7 @@ def unlike_files(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ..
     for one, other in combinations(range(len(rows)), 2):
         distance[one, other] = distance[other, one] = _apart(rows[one], rows[other])
     lot = clusters(distance, 2)
-    if lot is None or distance[lot[:, None] != lot].min() < UNLIKE:
+    if lot is None or distance[lot[:, None] != lot].min() < least:
         return ()
     fewer = lot == np.bincount(lot).argmin()
     names = np.array([cycle.name for cycle in campaign.cycles])

@@ -30,6 +30,12 @@ from truenewton.rounding import counted
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
 
+UNSEEN_LOAD = 0.1  # of what loads differ by, that commanded forces do
+NO_LOAD_SEEN = Fault(
+    "the forces are the same under all loads: none but the first seems to have been on",
+    "check that each load lay on the mirror in the files of its name; or ADDED, in N",
+)
+
 
 def balance_spectrum(force: Array, a: Array, variance: Array) -> Array:
     """Return (n,) ascending eigenvalues of G in terms of D.
@@ -228,6 +234,13 @@ def load_fault(campaign: Campaign) -> Fault | None:
             "check ADDED and TILT, or add a load that differs",
         )
     return None
+
+
+def unseen_load_fault(nz: Array, weights: Array, moments: Moments) -> Fault | None:
+    """Return that forces hardly differ between loads of (L,) weights [N]; (n,) cosines NZ."""
+    share = moments.of_load * moments.weight[:, None]
+    rest = (share.T @ moments.mean @ nz) / share.sum(axis=0)
+    return NO_LOAD_SEEN if np.ptp(rest) < UNSEEN_LOAD * np.ptp(weights) else None
 
 
 def alike_loads_fault(weights: Array) -> Fault | None:

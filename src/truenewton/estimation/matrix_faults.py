@@ -8,6 +8,7 @@ in which such actuators push nothing say nothing of them, whatever their sensors
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,10 +17,14 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation import bad_sensors
-from truenewton.linalg import assignment
+from truenewton.estimation.couplings import (
+    NEAR,
+    pair_ratios,
+    relative_couplings,
+    typical_spacing,
+)
+from truenewton.estimation.matrix_order import row_order
 
-STRONG = 0.05  # coupling in terms of both own stiffnesses, from which a pair counts
-EVEN = 0.1  # coupling from which pairs count alike: one wrong element is not to outweigh the rest
 FACTOR = 3.0  # of alpha from that of the others
 TIMES = 8.0  # what is typical of an actuator, and
 LEAST = 0.05  # of its couplings: how far from symmetry one does not fit
@@ -29,14 +34,14 @@ ELEMENT_TIMES = 30.0  # what is typical of elements of its size and of both actu
 ELEMENT = 0.01  # of the own stiffness: an element that differs from its transpose
 EXCHANGED = 1.2  # times better with both exchanged; good neighbours are at 0.6 at most
 FEW = 0.1  # of all actuators may not fit; beyond it nothing does
-NEAR = 6.0  # spacings
 
 OTHER_ORDER, OTHER_SIGN = "its row or column exchanged with another", "wrong sign"
 SENSOR_SIGN = "its sensor has the other sign"
 SENSOR_GAIN, SENSOR = "its sensor has another gain", "its sensor reads something else"
 UNLIKE = "its row unlike its column"
 ELEMENT_WRONG = "an element of its row is wrong"
-DOUBT = {SENSOR: 0.1, UNLIKE: 0.3, ELEMENT_WRONG: 0.03}
+NO_SENSOR, NO_FORCE = "its sensor reads nothing", "its row is zero, though it pushed"
+DOUBT = {SENSOR: 0.1, NO_SENSOR: 0.3, NO_FORCE: 0.3, UNLIKE: 0.3, ELEMENT_WRONG: 0.03}
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,9 @@ class FitsNoSymmetry(RankDeficient):
     """So many actuators do not fit the others that there is no telling which."""
 
 
-def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, ...], Array]:
+def bad_actuators(
+    k: Array, a: Array, gaps: Array, filled: Sequence[int] = ()
+) -> tuple[tuple[BadActuator, ...], Array]:
     """Return the actuators that do not fit the others, and the stiffness mended where it can be.
 
     Parameters
@@ -67,6 +74,8 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     a, gaps
         (3, n) arms in comparable units; and (3, m) of actuators that are not in the matrix, about
         which columns need not balance.
+    filled
+        Whose rows or columns were not there, and are by symmetry.
 
     Raises
     ------
@@ -104,7 +113,8 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     turned = bad_sensors.signs(even, a, wrong[own[wrong] != 0.0], linked)
     found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
     factor, k, even = factor * turned, k * turned, even * np.outer(turned, turned)
-    gain = bad_sensors.wrong_gains(even, a, linked)
+    noisy = [i for i, _ in _unlike_their_columns(misfit)]
+    gain = bad_sensors.wrong_gains(even, a, linked, noisy)
     deaf = np.flatnonzero(gain != 1.0)
     misfit[deaf], misfit[:, deaf] = np.nan, np.nan
     log_alpha = log_alpha - np.log(gain)
@@ -114,13 +124,13 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
         add(far[far == one], f"its row {ratio[0]:.2g} times as large as those of others", ratio)
     factor = factor * np.exp(log_alpha)
     even = factor[:, None] * k[order] / gain
-    for i in deaf.tolist():
-        only_gain = bad_sensors.agrees(even, i, linked[i])
-        add(np.array([i]), SENSOR_GAIN if only_gain else SENSOR, gain[[i]])
-        if not only_gain:
-            even[:, i] = bad_sensors.column_by_row(even, a, i)
+    only_gain = np.array([bad_sensors.agrees(even, i, linked[i]) for i in deaf.tolist()], bool)
+    for some, reason in ((deaf[only_gain], SENSOR_GAIN), (deaf[~only_gain], SENSOR)):
+        add(some, reason, gain[some])
+    even = bad_sensors.columns_by_rows(even, a, deaf[~only_gain])
     unlike = _unlike_their_columns(misfit)
     add(*_apart(unlike, UNLIKE))
+    mended = [*filled, *deaf[~only_gain].tolist(), *(i for i, _ in unlike)]
     for i, _ in unlike:
         if bad_sensors.better_by_row(even, a, i, linked[i]):
             even[:, i] = bad_sensors.column_by_row(even, a, i)
@@ -130,63 +140,13 @@ def bad_actuators(k: Array, a: Array, gaps: Array) -> tuple[tuple[BadActuator, .
     moved = np.flatnonzero(place != np.arange(n))
     add(moved, "exchanged with a neighbour", np.ones(len(moved)))
     holes = np.concatenate([gaps, a[:, [i for i, _ in unlike]]], axis=1)
-    add(*_apart(_mend_elements(even, a[:, place], holes), ELEMENT_WRONG))
+    add(*_apart(_mend_elements(even, a[:, place], holes, mended), ELEMENT_WRONG))
     return tuple(found[i] for i in sorted(found)), even / factor[:, None]
 
 
 def _apart(pairs: list[tuple[int, float]], reason: str) -> tuple[NDArray[np.int64], str, Array]:
     indices, sizes = (np.array([pair[which] for pair in pairs]) for which in (0, 1))
     return indices.astype(np.int64), reason, sizes.astype(float)
-
-
-def row_order(k: Array) -> NDArray[np.int64]:
-    """Return (n,) the row that belongs to each column of an (n, n) stiffness.
-
-    Of a positive matrix the product of all diagonal elements is the largest of any order of rows,
-    as |k_ij|^2 < k_ii k_jj; factors of rows and columns change all these products alike.
-    """
-    size = np.abs(k)
-    least = 1e-12 * float(size.max())
-    # The order that is there must be worse to be left: not by rounding alone.
-    cost = -np.log(np.maximum(size, least)) - 1e-6 * np.eye(len(k))
-    return assignment(cost.T)
-
-
-def relative_couplings(k: Array) -> Array:
-    """Return (n, n) elements in terms of the own stiffness of both actuators."""
-    own = np.sqrt(np.abs(np.diag(k)))
-    stiff = own > 0.0
-    own = np.where(stiff, own, np.median(own[stiff]) if stiff.any() else 1.0)
-    return np.asarray(k / np.outer(own, own))
-
-
-def pair_ratios(k: Array) -> tuple[Array, Array]:
-    """Return (n,) log alpha from symmetry, with median 0, and the (n, n) misfit of strong pairs.
-
-    Least absolute deviations of log(k_ij / k_ji) = log alpha_j - log alpha_i, weights the squared
-    coupling up to `EVEN`. The misfit is NaN where a pair is weak, infinite where its elements
-    differ in sign.
-    """
-    c, n = np.abs(relative_couplings(k)), len(k)
-    linked = np.maximum(c, c.T) > STRONG
-    np.fill_diagonal(linked, False)
-    same = linked & (k * k.T > 0.0)
-    ratio = np.zeros_like(k)
-    ratio[same] = np.log(k[same] / k.T[same])
-    weight = np.where(same, np.minimum(c * c.T, EVEN**2), 0.0)
-    log_alpha, robust = np.zeros(n), weight
-    for _ in range(50):
-        laplacian = np.diag(robust.sum(axis=1)) - robust
-        held = max(float(np.median(np.diag(laplacian))), 1e-300)
-        laplacian += held / n + 1e-9 * held * np.eye(n)
-        before = log_alpha
-        log_alpha = np.linalg.solve(laplacian, -(robust * ratio).sum(axis=1))
-        log_alpha -= np.median(log_alpha)
-        misfit = np.abs(ratio - (log_alpha - log_alpha[:, None]))
-        robust = weight / np.maximum(misfit, 1e-3)
-        if np.abs(log_alpha - before).max() < 1e-4:
-            break
-    return log_alpha, np.where(same, misfit, np.where(linked, np.inf, np.nan))
 
 
 def _unlike_their_columns(misfit: Array) -> list[tuple[int, float]]:
@@ -238,19 +198,14 @@ def exchanged_places(k: Array, a: Array) -> NDArray[np.int64]:
     return place
 
 
-def typical_spacing(a: Array) -> float:
-    """Return the median distance to the nearest actuator, in the units of (3, n) arms."""
-    distance = np.hypot(a[1][:, None] - a[1], a[2][:, None] - a[2])
-    np.fill_diagonal(distance, np.inf)
-    return float(np.median(distance.min(axis=1)))
-
-
-def _mend_elements(k: Array, a: Array, holes: Array) -> list[tuple[int, float]]:
+def _mend_elements(
+    k: Array, a: Array, holes: Array, mended: Sequence[int]
+) -> list[tuple[int, float]]:
     """Return actuators whose row has an element that cannot be, and mend it in place.
 
     A force too much in a column shows where it is: its moments over its size are its place. And an
     element that differs from its transpose is wrong in the column that is further from balance.
-    About (3, h) holes columns need not balance.
+    About (3, h) holes columns need not balance, nor need those that were mended.
     """
     out: list[tuple[int, float]] = []
     own = np.abs(np.diag(k))
@@ -280,6 +235,7 @@ def _mend_elements(k: Array, a: Array, holes: Array) -> list[tuple[int, float]]:
         k[row, column] = k[column, row]
         out.append((int(row), float(times[i, j])))
     limit = np.maximum(COLUMN_TIMES * np.median(size) * usual, COLUMN)
+    size[list(mended)] = 0.0
     for j in np.flatnonzero((size > limit) & ~explained):
         force = rho[:, j] @ a / np.sum(a**2, axis=0)
         left = np.linalg.norm(rho[:, [j]] - force * a, axis=0)

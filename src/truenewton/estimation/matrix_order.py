@@ -1,7 +1,9 @@
-"""Whether coordinates stand in the order of a stiffness matrix, and in which they would.
+"""Whether a stiffness matrix is one, lies the right way round, and in the order of its places.
 
 A free shell costs no force where it is moved rigidly: K {1, x, y} vanishes but for the gains of the
-sensors, and {1, x, y}' K but for alpha. With coordinates of other actuators it is bent.
+sensors, and {1, x, y}' K but for alpha, which scatters more; transposed, they change places. With
+coordinates of other actuators the shell is bent. Which way round it lies is judged by medians over
+actuators: a few bad ones say nothing of the rest.
 """
 
 from __future__ import annotations
@@ -12,20 +14,119 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.errors import RankDeficient
+from truenewton.estimation.couplings import NEAR, relative_couplings, typical_spacing
 from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.linalg import assignment, asymmetry
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
 
+FEWEST = 20  # actuators among which one can be told not to fit
 # Gains or alpha that scatter by 10 % cost 0.08, neighbours exchanged on 45 actuators 0.09; random
 # places 0.9, those sorted by radius 0.4.
 BENT = 0.12
 DISORDERED = "coordinates in another order than STIFFNESS"
+INCOMPLETE = "forces missing in STIFFNESS"
+MADE_SYMMETRIC = "STIFFNESS made symmetric"
+TRANSPOSED = "transposed stiffness"
+AS_A_WHOLE = DISORDERED, INCOMPLETE, MADE_SYMMETRIC, TRANSPOSED  # no single actuator explains
 SUSPECT = 0.005  # cost from which other orders are tried
 BETTER = 3.0  # times less it costs in the right one
 SAME_RADIUS = 1e-3  # of the largest: actuators of one ring
+DOUBTFUL_ORDER = 0.65  # of the couplings, explained by distance
+TURNED = 2.0  # times as much that rigid displacements cost as forces are out of balance
+SENSORS = 0.05  # of the own stiffness: more than gains of sensors cost, which scatter by per cent
+SYMMETRIC = 1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
+OUT = 0.02  # of the own stiffness: columns out of balance, beyond what sensors and alpha leave both
+ALIKE = 1e-9  # of an own element, to be the same number as others
+SOFTEST_MOST = 1.5  # cost of rigid motions in terms of any, where a stiffness has next to none
+
+
+def refuse_no_stiffness(k: Array) -> None:
+    """Refuse an (n, n) array that is no stiffness as it was measured, whatever its unit.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    own = np.diag(k)
+    below, above = np.tril(k, -1).any(), np.triu(k, 1).any()
+    if len(k) > 1 and k.any() and not (below and above):
+        fault = "diagonal: no actuator feels another"
+        if below or above:
+            fault = f"zero {'above' if below else 'below'} its diagonal: half of it is not there"
+        raise RankDeficient(
+            f"STIFFNESS is {fault}",
+            remedy="store the forces of all actuators for a displacement of each",
+        )
+    if len(k) < FEWEST:
+        return
+    typical = float(np.median(own))
+    same = np.count_nonzero(np.abs(own - typical) < ALIKE * abs(typical))
+    if 2 * same > len(k):
+        raise RankDeficient(
+            f"{same} of {len(k)} own elements of STIFFNESS are the same number, {typical:.3g}: rows"
+            " were divided by them, or cut off at a limit",
+            remedy="give the matrix as it was measured",
+            got=same,
+        )
+
+
+def refuse_compliance(matrix: StiffnessMatrix) -> None:
+    """Refuse a matrix in which rigid motions count most: the softest are the largest.
+
+    Raises
+    ------
+    RankDeficient
+    """
+    k, on = matrix.used_stiffness, matrix.layout.enabled
+    cost = rigid_cost((k.T @ k, k @ k.T), matrix.layout.x[on], matrix.layout.y[on])
+    if cost > SOFTEST_MOST:
+        raise RankDeficient(
+            "STIFFNESS looks like a compliance, displacement per force: rigid motions are its"
+            " largest part",
+            remedy="give force per displacement, its inverse but for rigid motions",
+            got=cost,
+        )
+
+
+def row_order(k: Array) -> NDArray[np.int64]:
+    """Return (n,) the row that belongs to each column of an (n, n) stiffness.
+
+    Of a positive matrix the product of all diagonal elements is the largest of any order of rows,
+    as |k_ij|^2 < k_ii k_jj; factors of rows and columns change all these products alike. Wrong
+    elements may exceed that bound: rows stay where they are unless they are more like the columns
+    where they would go.
+    """
+    size = np.abs(k)
+    least = 1e-12 * float(size.max())
+    # The order that is there must be worse to be left: not by rounding alone.
+    cost = -np.log(np.maximum(size, least)) - 1e-6 * np.eye(len(k))
+    order = assignment(cost.T)
+    left = {int(i) for i in np.flatnonzero(order != np.arange(len(k)))}
+    while left:
+        cycle = [left.pop()]
+        while (after := int(order[cycle[-1]])) != cycle[0]:
+            left.remove(after)
+            cycle.append(after)
+        at = np.array(cycle)
+        if _likeness(k, order, at, at) >= _likeness(k, order, at, order[at]):
+            order[at] = at
+    return order
+
+
+def _likeness(
+    k: Array, order: NDArray[np.int64], at: NDArray[np.int64], rows: NDArray[np.int64]
+) -> float:
+    """Return how like columns are the rows taken for them, by the elements with all others."""
+    others = np.delete(np.arange(len(k)), at)
+    r, c = k[np.ix_(rows, others)], k[np.ix_(order[others], at)].T
+    sizes = np.linalg.norm(r, axis=1) * np.linalg.norm(c, axis=1)
+    return float(np.sum(np.abs(np.sum(r * c, axis=1)) / np.maximum(sizes, 1e-300)))
 
 
 def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[FoundEffect]:
-    """Say that the coordinates are not those of the matrix's actuators.
+    """Say that the coordinates are not those of the matrix's actuators, or forces are missing.
 
     Parameters
     ----------
@@ -48,12 +149,42 @@ def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[FoundEffe
     orders = ((cost(order), name) for name, order in other_orders(x, y))
     least, name = min(orders, default=(np.inf, ""))
     told = least * BETTER < size
+    unit = "of the force that any displacement costs, to move it rigidly"
     if told or (not named and size > BENT):
+        if told or not share_by_distance(k, comparable_arms(layout)) > DOUBTFUL_ORDER:
+            yield FoundEffect(
+                name=DISORDERED + (f": {name}" if told else ""),
+                size=size,
+                unit=unit,
+                remedy="put the rows of ACTUATORS in the order of rows and columns of STIFFNESS",
+            )
+        else:
+            yield FoundEffect(
+                name=INCOMPLETE,
+                size=size,
+                unit=unit,
+                remedy="look for elements that are zero, cut off at a limit or in another unit, and"
+                " check X and Y",
+            )
+
+
+def orientation_effects(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
+    """Say that a matrix is transposed, or was made symmetric: alpha is then that of sensors."""
+    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    cost, imbalance = rigid_cost_and_imbalance(k, a)
+    if len(k) >= FEWEST and asymmetry(k) < SYMMETRIC and imbalance > OUT:
         yield FoundEffect(
-            name=DISORDERED + (f": {name}" if told else ""),
-            size=size,
-            unit="of the force that any displacement costs, to move it rigidly",
-            remedy="put the rows of ACTUATORS in the order of rows and columns of STIFFNESS",
+            name=MADE_SYMMETRIC,
+            size=imbalance,
+            unit="of the own stiffness, columns out of balance",
+            remedy="give it as it was measured: what tells alpha from gains of sensors is gone",
+        )
+    elif looks_transposed(k, a) and cost > SENSORS:
+        yield FoundEffect(
+            name=TRANSPOSED,
+            size=cost,
+            unit="of the own stiffness, to move it rigidly",
+            remedy="store [i, j], the force of actuator i per displacement of sensor j",
         )
 
 
@@ -86,3 +217,57 @@ def other_orders(x: Array, y: Array) -> Iterator[tuple[str, NDArray[np.int64]]]:
         for step in (-1, 1):
             turned = [np.roll(ring, step) for ring in rings]
             yield "rings that start at another actuator", np.concatenate(turned)
+
+
+def rigid_cost_and_imbalance(k: Array, a: Array) -> tuple[float, float]:
+    """Return what a rigid displacement costs, and how far a column is out of balance.
+
+    K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
+    {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
+
+    Parameters
+    ----------
+    k, a
+        (n, n) stiffness [N/m] and (3, n) arms in comparable units.
+
+    Returns
+    -------
+    tuple of float
+        Each in terms of the own stiffness of an actuator, the median over all.
+    """
+    own = np.abs(np.diag(k))
+    own = np.where(own > 0.0, own, np.inf)
+    rows, columns = np.linalg.norm(k @ a.T, axis=1), np.linalg.norm(a @ k, axis=0)
+    return float(np.median(rows / own)), float(np.median(columns / own))
+
+
+def looks_transposed(k: Array, a: Array) -> bool:
+    """Tell whether an (n, n) stiffness looks transposed; (3, n) arms."""
+    cost, imbalance = rigid_cost_and_imbalance(k, a)
+    return cost > TURNED * imbalance
+
+
+def share_by_distance(k: Array, a: Array) -> float:
+    """Return which part of the couplings is what their distance lets expect, 1 for all.
+
+    Neighbours are coupled most, and in one glass alike; positions in another order than rows and
+    columns leave nothing of that. For fewer than four actuators NaN.
+
+    Parameters
+    ----------
+    k, a
+        (n, n) stiffness [N/m] and (3, n) arms in comparable units.
+    """
+    if len(k) < 4:
+        return float("nan")
+    distance = np.hypot(a[1][:, None] - a[1], a[2][:, None] - a[2]) / typical_spacing(a)
+    c = relative_couplings(0.5 * (k + k.T))
+    pairs = np.triu_indices(len(k), 1)
+    c, bins = c[pairs], np.minimum((8.0 * distance[pairs]).astype(int), int(16 * NEAR))
+    c = np.clip(c, -1.0, 1.0)
+    order = np.argsort(bins, kind="stable")
+    expected = np.zeros_like(c)
+    for some in np.split(order, np.flatnonzero(np.diff(bins[order])) + 1):
+        expected[some] = np.median(c[some])
+    whole = float(np.sum(c**2))
+    return 1.0 - float(np.sum((c - expected) ** 2)) / whole if whole else float("nan")

@@ -27,7 +27,7 @@ from truenewton.estimation.file_labels import (
     mislabelled_files,
     mislabelled_rows,
 )
-from truenewton.estimation.files_apart import files_apart, unlike_files
+from truenewton.estimation.files_apart import FAR_UNLIKE, files_apart, unlike_files
 from truenewton.estimation.moments import QUARTILE, Moments
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
@@ -63,6 +63,8 @@ class Sifted:
         Files that are not what they say, readings that freeze.
     clipped
         Readings that end at a limit: a fault where the data do not fit.
+    unlike
+        Files that differ in two lots, as those of two mirrors do: a fault where nothing balances.
     samples
         (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N], in
         some parts.
@@ -76,6 +78,7 @@ class Sifted:
     structure: Structure | None
     suspects: tuple[FoundEffect, ...] = ()
     clipped: tuple[FoundEffect, ...] = ()
+    unlike: tuple[FoundEffect, ...] = ()
 
 
 def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
@@ -129,7 +132,9 @@ def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
     moments = replace(sums.moments, displacement=sums.displacement())
     moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
     samples = tuple(sums.samples)
-    return Sifted(campaign, sound, tuple(rejected), moments, samples, structure, suspects, clipped)
+    unlike = () if suspects else unlike_files(campaign, prints, FAR_UNLIKE)
+    left_out = tuple(rejected)
+    return Sifted(campaign, sound, left_out, moments, samples, structure, suspects, clipped, unlike)
 
 
 def _require_stored(campaign: Campaign) -> None:

@@ -10,25 +10,32 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
+from truenewton.estimation.bad_sensors import other_half
+from truenewton.estimation.couplings import pair_ratios, typical_spacing
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.matrix_faults import (
+    NO_FORCE,
+    NO_SENSOR,
     UNLIKE,
     BadActuator,
     FitsNoSymmetry,
     bad_actuators,
     condensed,
     left_over,
-    pair_ratios,
-    typical_spacing,
 )
-from truenewton.estimation.matrix_order import order_effects
+from truenewton.estimation.matrix_order import (
+    FEWEST,
+    order_effects,
+    orientation_effects,
+    refuse_compliance,
+    refuse_no_stiffness,
+)
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms
 
-FEWEST = 20  # actuators among which one can be told not to fit
 NO_FIT = "actuator does not fit"
 IS_OFF = "actuator is off"
 OFF = "row or column is zero"
@@ -74,24 +81,28 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     """
     refuse_segments(matrix)
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
-    if len(k) > 1 and np.count_nonzero(k) == np.count_nonzero(np.diag(k)):
-        raise RankDeficient(
-            "STIFFNESS is diagonal: no actuator feels another",
-            remedy="store the forces of all actuators for a displacement of each",
-        )
+    refuse_no_stiffness(k)
+    refuse_compliance(matrix)
     disorder = tuple(order_effects(matrix, named=True))
     if disorder:  # whoever stands where is then no matter of single actuators
         n = len(k)
         return SiftedMatrix(matrix, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
     ids = matrix.layout.id[matrix.layout.enabled]
+    k, *halves = other_half(k, a)
     off = np.asarray(~(k.any(axis=0) & k.any(axis=1)), dtype=np.bool_)
+    half = [
+        BadActuator(int(i), reason, 0.0)
+        for some, reason in zip(halves, (NO_FORCE, NO_SENSOR), strict=True)
+        for i in some
+    ]
     bad: tuple[BadActuator, ...] = ()
     unsure: tuple[Fault, ...] = ()
     measured = np.flatnonzero(~off)
     if len(measured) >= FEWEST:
         block = np.ix_(measured, measured)
+        filled = np.searchsorted(measured, [each.index for each in half]).tolist()
         try:
-            found, mended = bad_actuators(k[block], a[:, ~off], a[:, off])
+            found, mended = bad_actuators(k[block], a[:, ~off], a[:, off], filled)
         except FitsNoSymmetry as error:
             found, mended, unsure = (), k[block], (_as_measured(error),)
         bad = tuple(replace(each, index=int(measured[each.index])) for each in found)
@@ -100,6 +111,8 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         unlike = [each.index for each in bad if each.reason == UNLIKE]
         if unlike and _better_as_read(raw, k, a, ~off, bad, unlike):
             k[unlike] = raw[unlike]
+    known = {each.index for each in half}
+    bad = (*(each for each in bad if each.index not in known), *half)
     good, doubt = np.asarray(~off, dtype=np.bool_), np.zeros(len(k))
     good[[each.index for each in bad]] = False
     doubt[[each.index for each in bad]] = [each.doubt for each in bad]
@@ -127,7 +140,11 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         start,
         disturbance,
         (*unsure, *_warnings(ids, out, bad, pushing=pushing)),
-        (*(_effect(ids, each) for each in (*bad, *out)), *order_effects(sifted, named=False)),
+        (
+            *(_effect(ids, each) for each in (*bad, *out)),
+            *order_effects(sifted, named=False),
+            *orientation_effects(sifted),
+        ),
         pushing,
     )
 

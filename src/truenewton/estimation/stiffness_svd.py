@@ -20,8 +20,7 @@ from truenewton.estimation.column_terms import Columns
 from truenewton.estimation.diagnosis import Diagnosis, FoundEffect
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.identifiability import geometry_fault, refuse
-from truenewton.estimation.matrix_order import DISORDERED
-from truenewton.estimation.matrix_orientation import looks_transposed
+from truenewton.estimation.matrix_order import TRANSPOSED, looks_transposed
 from truenewton.estimation.sifted_matrix import SiftedMatrix
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
@@ -37,6 +36,7 @@ USUAL, SOFT, STIFF = 2e6, 2e4, 2e9
 UNITS = {-1: "N/mm", -2: "N/um", -3: "N/nm"}  # by powers of a thousand
 # Asymmetry that no gains explain: a third of scatter in alpha makes a quarter, another order one.
 DISORDER = 0.5
+EVEN, ODD = slice(0, None, 2), slice(1, None, 2)  # modes, the first stiffest
 
 
 @dataclass(frozen=True)
@@ -217,11 +217,12 @@ def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
         fitted = fit(columns_of(sifted))
     except (RankDeficient, NotConverged) as error:
         for effect in sifted.effects:  # the reason, where alpha cannot even be found
-            if effect.name.startswith(DISORDERED):
+            if not effect.corrected:
                 raise error.changed(fault=effect.name, remedy=effect.remedy) from None
         raise
     n, singular_values = len(fitted.alpha), fitted.singular_values
-    of_file = (*_unit_warnings(matrix), *orientation_warnings(matrix))
+    turned = () if _named(sifted, TRANSPOSED) else _orientation_warnings(matrix)
+    of_file = (*_unit_warnings(matrix), *turned)
     warnings = (*sifted.warnings, *of_file, *fitted.warnings)
     return Estimate(
         method=fitted.method,
@@ -235,6 +236,10 @@ def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
         diagnosis=Diagnosis(eigenvalues=tuple((singular_values**2).tolist()), warnings=warnings),
         effects=(*_not_as_agreed(matrix), *sifted.effects),
     )
+
+
+def _named(sifted: SiftedMatrix, name: str) -> bool:
+    return any(effect.name == name for effect in sifted.effects)
 
 
 def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
@@ -267,7 +272,7 @@ def _unit_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
         )
 
 
-def orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
+def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
     """Warn of a transposed matrix: a rigid displacement must cost little force."""
     if looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout)):
         yield Fault(
@@ -295,20 +300,34 @@ def imbalances(sifted: SiftedMatrix, fit: ElasticMethod, alpha: Array) -> tuple[
     """
     columns = columns_of(sifted)
     left, values, right = singular_values_and_vectors(columns.stiffness)
-    elastic = elastic_count(values)
-    every, even, odd = (slice(start, elastic, step) for start, step in ((0, 1), (0, 2), (1, 2)))
-    ones = np.ones(columns.a.shape[1])
+    elastic = slice(elastic_count(values))
+    left, values, right = left[:, elastic], values[elastic], right[elastic]
+    parts = ((left[:, half] * values[half]) @ right[half] for half in (EVEN, ODD))
+    halves = (fit(replace(columns, stiffness=part)).alpha for part in parts)
+    return imbalances_of(left, columns.a, alpha, *halves)
 
-    def test(name: str, judged: slice, by: Array) -> Imbalance:
-        before, after = (rms_imbalance(left[:, judged].T, a, columns.a) for a in (ones, by))
+
+def imbalances_of(
+    forces: Array, a: Array, alpha: Array, of_even: Array, of_odd: Array
+) -> tuple[Imbalance, ...]:
+    """Return the imbalance of all modes and of every second one, with alpha of the others.
+
+    Parameters
+    ----------
+    forces, a
+        (n, m) elastic modes of unit length, stiffest first; (3, n) arms.
+    alpha, of_even, of_odd
+        (n,) fitted on all modes, on the even and on the odd; their mean counts as 1.
+    """
+    ones = np.ones(len(alpha))
+
+    def of(name: str, some: slice, fitted: Array) -> Imbalance:
+        modes = forces[:, some].T
+        before, after = (rms_imbalance(modes, x / x.mean(), a) for x in (ones, fitted))
         return Imbalance(name, before, after)
 
-    def fitted(some: slice) -> Array:
-        part = (left[:, some] * values[some]) @ right[some]
-        return fit(replace(columns, stiffness=part)).alpha
-
     return (
-        test("all modes, fitted", every, alpha),
-        test("odd modes, fitted on the even", odd, fitted(even)),
-        test("even modes, fitted on the odd", even, fitted(odd)),
+        of("all modes, fitted", slice(None), alpha),
+        of("odd modes, fitted on the even", ODD, of_even),
+        of("even modes, fitted on the odd", EVEN, of_odd),
     )

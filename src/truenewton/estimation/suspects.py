@@ -34,12 +34,15 @@ class Suspects:
         Files that are not what they say; actuators whose reading does not change.
     order, exchanged
         Columns in another order, by the stiffness that shapes show; by the balance.
+    unlike
+        Files in two lots, each of which repeats.
     """
 
     files: tuple[FoundEffect, ...]
     actuators: tuple[FoundEffect, ...]
     order: tuple[FoundEffect, ...]
     exchanged: tuple[FoundEffect, ...] = ()
+    unlike: tuple[FoundEffect, ...] = ()
 
     @property
     def columns(self) -> tuple[FoundEffect, ...]:
@@ -52,9 +55,14 @@ class Suspects:
         return (*self.files, *self.actuators, *self.columns)
 
     def where_nothing_balances(self, problem: Problem, moments: Moments) -> Suspects:
-        """Return these, with columns that would balance exchanged; a dead actuator explains all."""
+        """Return these, with files in two lots, or columns that would balance exchanged.
+
+        A dead actuator explains all.
+        """
         if self.actuators:
             return self
+        if self.unlike:
+            return replace(self, files=self.files + self.unlike, unlike=())
         return replace(self, exchanged=exchanged_columns(problem, moments))
 
 
@@ -72,6 +80,7 @@ def suspects_of(sifted: Sifted, problem: Problem) -> Suspects:
         sifted.suspects,
         constant_actuators(sifted.campaign, change),
         misordered_columns(sifted.campaign, sifted.moments),
+        unlike=sifted.unlike,
     )
 
 

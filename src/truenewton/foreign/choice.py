@@ -13,7 +13,8 @@ from truenewton.foreign.stored import Item, Stored
 
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
 POSITION_NAMES = ("coordinates", "coords", "act_coordinates", "act_coord", "positions", "xy")
-LENGTHS = "um|mm|cm|m|in|inch|micron"
+LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
+POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
 ID_NAMES = ("id", "ids", "actuator", "act", "index", "number", "no", "channel", "ch", "nr")
 
 
@@ -57,7 +58,7 @@ def matrix_in(stored: Stored, dataset: str | None) -> Item:
     if len(square) != 1:
         fault = f"holds {len(square)} square matrices" if square else "holds no square matrix"
         many = "say which by --dataset (dataset=): " + ", ".join(square)
-        raise FormatError(fault, remedy=many if square else _there_is(stored), path=stored.path)
+        raise FormatError(fault, remedy=many if square else _none_square(stored), path=stored.path)
     return next(iter(square.values()))
 
 
@@ -125,6 +126,12 @@ def _by_columns(columns: Mapping[str, Item], path: str) -> Places | None:
         plain, unit = _name_and_unit(name)
         known.setdefault(plain, Item(item.values, item.unit or unit))
     if "x" not in known or "y" not in known:
+        if POLAR[0].intersection(known) and POLAR[1].intersection(known):
+            raise FormatError(
+                f"holds polar coordinates, {' and '.join(columns)}",
+                remedy="give X and Y, both in a unit of length",
+                path=path,
+            )
         return None
     x, y = known["x"], known["y"]
     numbers = [known[n].values for n in ID_NAMES if n in known and _integers(known[n].values)]
@@ -159,6 +166,14 @@ def _name_and_unit(name: str) -> tuple[str, str]:
 
 def _integers(values: Any) -> bool:
     return bool(np.isfinite(values).all() and (values == np.round(values)).all())
+
+
+def _none_square(stored: Stored) -> str:
+    """Return what to do about a file without a square matrix."""
+    shapes = [item.values.shape for item in stored.arrays.values()]
+    twice = any(len(shape) == 2 and shape[1] == 2 * shape[0] for shape in shapes)
+    commas = ": where commas are decimal ones too, put semicolons between columns" if twice else ""
+    return f"give as many rows as columns{commas}; {_there_is(stored)}"
 
 
 def _there_is(stored: Stored) -> str:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import refuse_unusable
-from truenewton.errors import CampaignMismatch
+from truenewton.errors import CampaignMismatch, UnreadableFile
 from truenewton.files.fits import write_fits
 from truenewton.files.format import FileFormat, Keyword
 from truenewton.files.outputs import folder_beside
@@ -97,16 +97,10 @@ def export_supervisor(
     >>> done = tn.export_supervisor(".", calibration, "in-true-newtons")
     """
     refuse_unusable(calibration, force=force)
-    channels = channels_of(folder := Path(folder))
+    folder = Path(folder)
+    channels, matrix = _measured(folder)
     alpha = _alpha_of(channels, calibration, folder)
     stored = read_stored(folder / MATRIX)
-    matrix = only_array(folder / MATRIX).values
-    if matrix.shape != (len(channels), len(channels)):
-        raise CampaignMismatch(
-            f"is {' x '.join(map(str, matrix.shape))} for {len(channels)} channels",
-            remedy="give ff_matrix.fits and ff_list.fits of one measurement",
-            path=folder / MATRIX,
-        )
     known = np.isfinite(alpha)
     corrected = np.where(known, alpha, 1.0)[:, None] * matrix
     forces, values, positions = decomposed(corrected)
@@ -135,6 +129,25 @@ def export_supervisor(
         ids = ", ".join(map(str, channels[~known][:12].tolist()))
         lines.append(f"  without alpha, as they were: {ids}")
     return tuple(lines)
+
+
+def _measured(folder: Path) -> tuple[NDArray[np.int64], Array]:
+    """Return (m,) channels of a supervisor's folder and the (m, m) matrix, as stored."""
+    if not (folder / MATRIX).is_file():
+        raise UnreadableFile(
+            f"holds no {MATRIX}",
+            remedy="give the supervisor's folder of a measurement, named by its track number",
+            path=folder,
+        )
+    channels = channels_of(folder)
+    matrix = only_array(folder / MATRIX).values
+    if matrix.shape != (len(channels), len(channels)):
+        raise CampaignMismatch(
+            f"is {' x '.join(map(str, matrix.shape))} for {len(channels)} channels",
+            remedy="give ff_matrix.fits and ff_list.fits of one measurement",
+            path=folder / MATRIX,
+        )
+    return channels, matrix
 
 
 def _alpha_of(channels: NDArray[np.int64], calibration: Calibration, folder: Path) -> Array:

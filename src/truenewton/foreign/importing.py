@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array, taking_units
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
+from truenewton.estimation.matrix_order import refuse_no_stiffness
 from truenewton.foreign.given import Given, Surface, date_of, read_given
 from truenewton.foreign.positions import Positions, in_unit
 from truenewton.foreign.soundness import Judged, OtherOrder, judge, silent_actuators, turned_sign
@@ -203,6 +204,7 @@ def _in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arr
     most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
     if most > LARGEST:
         raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again", got=most)
+    refuse_no_stiffness(np.nan_to_num(k))
     own = np.abs(np.diag(k))
     own = own[np.isfinite(own) & (own > 0.0)]
     typical = float(np.median(own)) if own.size else 0.0
@@ -222,7 +224,8 @@ def _in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arr
         fitting = [name for name, f in per.items() if LIKELY[0] <= typical * f < LIKELY[1]]
         raise FormatError(
             f"declares no unit, and a median own stiffness of {typical:.3g} N/m is no mirror's",
-            remedy=f"say which by --unit (unit=), as {', '.join((*fitting, 'unknown'))}",
+            remedy=f"say which by --unit (unit=), as {', '.join((*fitting, 'unknown'))}; of"
+            " displacement per force give the inverse",
             got=typical,
         )
     return k, f"N/m, as the median own stiffness is {typical:.3g}"
@@ -337,5 +340,8 @@ def _without_nan(k: Array, positions: Positions, path: str) -> tuple[Array, str]
         )
     of = f"{'sensor' if one is sensors else 'actuator'} {ids[one][0]}"
     count = np.count_nonzero(wrong)
-    said = f"{count} elements of {of} are no numbers: its row and column set to zero"
-    return np.where(np.logical_or.outer(one, one), 0.0, k), said
+    half = "column" if one is sensors else "row"
+    said = f"{count} elements of {of} are no numbers: its {half} set to zero"
+    k = k.copy()
+    (k.T if one is sensors else k)[one] = 0.0
+    return k, said

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
-from truenewton.estimation.matrix_orientation import (
+from truenewton.estimation.matrix_order import (
+    DOUBTFUL_ORDER,
     looks_transposed,
+    refuse_compliance,
     rigid_cost_and_imbalance,
     share_by_distance,
 )
@@ -19,7 +21,7 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout
 
-OTHER_ORDER, DOUBTFUL_ORDER = 0.2, 0.65  # of the couplings, explained by distance
+OTHER_ORDER = 0.2  # of the couplings, explained by distance
 MOST_NAMES = 12
 
 
@@ -58,6 +60,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     OtherOrder, RankDeficient
         Its positions are in another order, or rows in another than columns.
     """
+    refuse_compliance(matrix)
     measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
     k = matrix.used_stiffness[np.ix_(measured, measured)]
     a = comparable_arms(matrix.layout)[:, measured]
@@ -86,8 +89,9 @@ def judge(matrix: StiffnessMatrix) -> Judged:
         )
     for warning in sifted.warnings:
         if "zero in row or column" not in warning.fault or sifted.pushing:
-            said = warning.fault.partition("fit the others: ")[2] or warning.fault
-            lines.append(("do not fit", f"{said} (calibrate leaves them out)"))
+            named_ones = warning.fault.partition("fit the others: ")[2]
+            said = f"{named_ones} (calibrate leaves them out)" if named_ones else warning.fault
+            lines.append(("do not fit", said))
     return Judged(tuple(lines), off, looks_transposed(k, a))
 
 

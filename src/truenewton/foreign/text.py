@@ -85,6 +85,8 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
         data = [line for line in lines if line and line[0] not in COMMENT.replace(";", "")]
     if comma:
         data = [line.replace(",", ".") for line in data]
+    while len(data) > 1 and not _has_number(data[1], delimiter):  # a header of several lines
+        data = data[1:]
     names = _words(data[0], delimiter)
     if all(NUMBER.fullmatch(name) for name in names):
         comments = [line for line in lines if line and line[0] in COMMENT]
@@ -116,6 +118,10 @@ def _words(line: str, delimiter: str | None) -> list[str]:
     return words[:-1] if delimiter and len(words) > 1 and not words[-1] else words
 
 
+def _has_number(line: str, delimiter: str | None) -> bool:
+    return any(NUMBER.fullmatch(word) for word in _words(line, delimiter))
+
+
 def _typed(sizes: str, lines: list[str], path: Any) -> NDArray[Any]:
     shape = tuple(map(int, sizes.split()))[::-1]
     words = " ".join(lines).split()
@@ -128,14 +134,7 @@ def _typed(sizes: str, lines: list[str], path: Any) -> NDArray[Any]:
 
 
 def _narrow(lines: list[str], delimiter: str | None, names: list[str], path: Any) -> TextTable:
-    rows = [_words(line, delimiter) for line in lines]
-    for row, line in zip(rows, lines, strict=True):
-        if len(row) != len(rows[0]):
-            raise FormatError(
-                f"a row has {len(row)} columns and the first {len(rows[0])}: '{line[:40]}'",
-                remedy="give all rows alike",
-                path=path,
-            )
+    rows = _alike(lines, delimiter, path)
     columns: list[NDArray[Any] | None] = []
     for cells in zip(*rows, strict=True):
         sound = all(not cell or NUMBER.fullmatch(cell) for cell in cells)
@@ -151,6 +150,19 @@ def _narrow(lines: list[str], delimiter: str | None, names: list[str], path: Any
     return TextTable(_unlabelled(np.array(columns).T, bool(names)), named)
 
 
+def _alike(lines: list[str], delimiter: str | None, path: Any) -> list[list[str]]:
+    """Return the words of lines, as many in each."""
+    rows = [_words(line, delimiter) for line in lines]
+    for number, (row, line) in enumerate(zip(rows, lines, strict=True), 1):
+        if len(row) != len(rows[0]):
+            raise FormatError(
+                f"row {number} has {len(row)} columns and the first {len(rows[0])}: '{line[:40]}'",
+                remedy="give all rows alike; begin lines of words with #",
+                path=path,
+            )
+    return rows
+
+
 def _wide(lines: list[str], delimiter: str | None, path: Any) -> NDArray[Any]:
     try:
         return np.loadtxt(
@@ -158,9 +170,15 @@ def _wide(lines: list[str], delimiter: str | None, path: Any) -> NDArray[Any]:
             delimiter=delimiter, ndmin=2, comments=None,
         )  # fmt: skip
     except ValueError as error:
-        raise FormatError(
-            str(error).split(";")[0].rstrip("."), remedy="give a number there", path=path
-        ) from None
+        for number, row in enumerate(_alike(lines, delimiter, path), 1):
+            for column, word in enumerate(row, 1):
+                if not NUMBER.fullmatch(word):
+                    raise FormatError(
+                        f"row {number}, column {column} is '{word[:40]}'",
+                        remedy="give a number there; begin lines of words with #",
+                        path=path,
+                    ) from None
+        raise FormatError(f"{error}", remedy="give rows of numbers", path=path) from None
 
 
 def _unlabelled(values: NDArray[Any], header: bool) -> NDArray[Any]:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.matrix_faults import condensed, pair_ratios
+from truenewton.estimation.couplings import pair_ratios
+from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.sight import Places
 

@@ -11,6 +11,7 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.matrix_faults import condensed
+from truenewton.estimation.matrix_order import SYMMETRIC, looks_transposed
 from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
 from truenewton.estimation.reciprocity.condensation import kept, kept_places
 from truenewton.estimation.reciprocity.gate import (
@@ -27,19 +28,18 @@ from truenewton.estimation.reciprocity.sight import Places, places_of
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Values
 from truenewton.estimation.stiffness_ml import NOT_BY_COLUMNS
 from truenewton.estimation.stiffness_svd import (
+    EVEN,
+    ODD,
     Imbalance,
     elastic_count,
-    orientation_warnings,
-    rms_imbalance,
+    imbalances_of,
 )
 from truenewton.linalg import asymmetry, singular_values_and_vectors
 from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
-SYMMETRIC = 1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
 AT_MAGNETS = 5e-5  # rms offset [m] of sensors; beyond it a plate is not what they see of the glass
-HALVES = ("odd modes, fitted on the even", "even modes, fitted on the odd")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +68,9 @@ class Modes:
         return replace(self, forces=self.forces[:, some], values=self.values[some],
                        readings=self.readings[:, some])  # fmt: skip
 
-    def imbalance(self, values: Values | None = None) -> float:
-        """Return the rms imbalance of the modes, each of unit length, with alpha of mean 1."""
-        alpha = np.ones(self.places.n) if values is None else values.alpha / values.alpha.mean()
-        return rms_imbalance(self.forces.T, alpha, self.arms)
+    def imbalances(self, *fits: Fit) -> tuple[Imbalance, ...]:
+        """Return how modes balance with alpha of fits to all, to the even and to the odd."""
+        return imbalances_of(self.forces, self.arms, *(each.values.alpha for each in fits))
 
     def fit(
         self,
@@ -156,14 +155,10 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     RankDeficient, NotConverged
     """
     joint = modes.fit(asked)
-    halves = modes.every(slice(0, None, 2)), modes.every(slice(1, None, 2))
+    halves = modes.every(EVEN), modes.every(ODD)
     fits = [half.fit(asked, start=joint.values) for half in halves]
     known = replace(joint.values, log_alpha=np.zeros(modes.places.n))
-    lines = [Imbalance("all modes, fitted", modes.imbalance(), modes.imbalance(joint.values))]
-    lines += [
-        Imbalance(name, judged.imbalance(), judged.imbalance(half.values))
-        for name, judged, half in zip(HALVES, halves[::-1], fits, strict=True)
-    ]
+    lines = modes.imbalances(joint, *fits)
     by_balance, between, of_halves = np.nan, np.nan, disagreement(*fits)
     noise = noise_of(modes.stiffness, joint, modes.places)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS
@@ -171,8 +166,7 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     ways = (np.full(modes.places.n, np.nan),) * 2
     try:  # alpha only: the balance knows nothing of sensors
         alone = [one.fit(Asked(), reciprocity=False, start=known) for one in (modes, *halves)]
-        each = [one.imbalance(f.values) for one, f in zip(halves[::-1], alone[1:], strict=True)]
-        by_balance = float(np.linalg.norm(each))
+        by_balance = _unseen(modes.imbalances(*alone))
         reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
         pair = (alone[0], reciprocity)
         excess = max(excess, beyond_noise(pair, noise, alike=False, doubtful=doubtful))
@@ -184,7 +178,7 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     except (RankDeficient, NotConverged):
         pass  # where balance alone gives no alpha, nothing speaks against reciprocity
     evidence = Evidence(
-        held_out=float(np.hypot(lines[1].after, lines[2].after)),
+        held_out=_unseen(lines),
         by_balance=by_balance,
         apart=between,
         gain_spread=joint.asked.gain_spread,
@@ -192,12 +186,16 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     )
     one, other = (half.values.log_alpha for half in fits)
     covariance = alpha_covariance(joint, noise)
-    if (
-        doubtful or excess > 1.0
-    ):  # what a model leaves out is no better in the whole than in one half
+    if doubtful or excess > 1.0:
+        # What a model leaves out is no better in the whole than in one half.
         of_one = 0.5 * float(np.var(one - other) / np.mean(np.diag(covariance)))
         covariance *= max(excess, of_one)
-    return Examined(joint, tuple(lines), (one, other), covariance, ways, evidence)
+    return Examined(joint, lines, (one, other), covariance, ways, evidence)
+
+
+def _unseen(imbalances: tuple[Imbalance, ...]) -> float:
+    """Return the imbalance of the modes that fits have not seen, over both halves."""
+    return float(np.linalg.norm([line.after for line in imbalances[1:]]))
 
 
 def find(
@@ -252,6 +250,6 @@ def find(
     said += left_free(ids[~keep])
     diagnosis = replace(base.diagnosis, warnings=tuple(said))
     estimate = replace(estimate, diagnosis=diagnosis)
-    transposed = any(orientation_warnings(matrix))
+    transposed = looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout))
     evidence = replace(found.evidence, odd=odd, transposed=transposed)
     return estimate, found.imbalances, tuple(refusals(evidence))
