@@ -109,7 +109,9 @@ def measure(n: int, files: int, workers: int, pieces: int) -> dict[str, Any]:
             [sys.executable, memory, *map(str, make)], check=True, stderr=subprocess.DEVNULL
         )
         if pieces > 1:
-            in_pieces(folder, pieces)
+            # In a process of its own: a child begins with the peak of memory of its parent.
+            join = [sys.executable, __file__, "--join", str(folder), "--pieces", str(pieces)]
+            subprocess.run(join, check=True)
         size = sum(path.stat().st_size for path in folder.iterdir())
         done = subprocess.run(
             [sys.executable, __file__, "--run", folder, "--workers", str(workers)],
@@ -232,7 +234,11 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1000.0)
     parser.add_argument("--nodes", type=int, default=64, help="workers of the year")
     parser.add_argument("--run", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--join", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.join:
+        in_pieces(options.join, options.pieces)
+        return
     if options.run:
         run(options.run, options.workers)
         return
