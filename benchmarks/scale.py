@@ -1,13 +1,14 @@
 """What a calibration by a dask cluster takes, against the number of files and of actuators.
 
-    python benchmarks/scale.py [--actuators 45,132,336,892] [--files 4,8,16] [--figure]
+    python benchmarks/scale.py [--actuators 45,132,336,892] [--files 4,8,16] [--pieces 1] [--figure]
 
 For each size a campaign of FORCE, POSITION and both gradients is written into a temporary folder
 and read and calibrated by processes of their own: a client and its workers, of which CPU time (the
 machine may have other work) and the peak of memory above an idle process are printed, then how both
-grow. `--figure` draws docs/images/scale.png. At last what a year of telemetry of a mirror of
-`--segments` x `--segment` actuators at `--rate` readings per second would take, by what was
-measured; nothing of that size is run.
+grow. With `--pieces 6` each mirror stands there six times, as segments of one. `--figure` draws
+docs/images/scale.png. At last what a year of telemetry of a mirror of `--segments` x `--segment`
+actuators at `--rate` readings per second would take, by what was measured; nothing of that size is
+run.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +69,37 @@ def run(folder: Path, workers: int) -> None:
     print(json.dumps({"wall": wall, "client": took.pop("client"), "workers": list(took.values())}))
 
 
-def measure(n: int, files: int, workers: int) -> dict[str, Any]:
+def in_pieces(folder: Path, pieces: int) -> None:
+    """Put so many mirrors in the place of one, as segments that have the same readings."""
+    import truenewton as tn
+
+    for path in sorted(folder.iterdir()):
+        (cycle,) = tn.read_campaign(path)
+        assert cycle.position is not None
+        one, load = cycle.layout, cycle.load
+        away = 1.1 * np.ptp(one.x) * np.arange(pieces)
+        layout = tn.layout(
+            (one.x + away[:, None]).ravel(),
+            np.tile(one.y, pieces),
+            nz=np.tile(one.nz, pieces),
+            segment=np.repeat(np.arange(1, pieces + 1), one.n),
+        )
+        weights = cycle.weight, cycle.weight_error, load.added, load.added_error
+        root = np.sqrt(pieces)
+        whole = replace(
+            cycle,
+            layout=layout,
+            segments=tuple(tn.Segment(k, *weights) for k in range(1, pieces + 1)),
+            weight=pieces * cycle.weight,
+            weight_error=root * cycle.weight_error,
+            load=replace(load, added=pieces * load.added, added_error=root * load.added_error),
+            force=np.tile(np.asarray(cycle.force), pieces),
+            position=np.tile(np.asarray(cycle.position), pieces),
+        )
+        tn.write_cycle(whole, path, overwrite=True)
+
+
+def measure(n: int, files: int, workers: int, pieces: int) -> dict[str, Any]:
     """Make a campaign, calibrate it in processes of their own, and return what that took."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "campaign"
@@ -76,6 +108,10 @@ def measure(n: int, files: int, workers: int) -> dict[str, Any]:
         subprocess.run(
             [sys.executable, memory, *map(str, make)], check=True, stderr=subprocess.DEVNULL
         )
+        if pieces > 1:
+            # In a process of its own: a child begins with the peak of memory of its parent.
+            join = [sys.executable, __file__, "--join", str(folder), "--pieces", str(pieces)]
+            subprocess.run(join, check=True)
         size = sum(path.stat().st_size for path in folder.iterdir())
         done = subprocess.run(
             [sys.executable, __file__, "--run", folder, "--workers", str(workers)],
@@ -85,7 +121,7 @@ def measure(n: int, files: int, workers: int) -> dict[str, Any]:
     took = json.loads(done.stdout.splitlines()[-1])
     cpu, peak = np.array(took["workers"]).T
     found = {
-        "actuators": n,
+        "actuators": pieces * n,
         "files": files,
         "bytes": size,
         "client_cpu": took["client"][0],
@@ -94,7 +130,7 @@ def measure(n: int, files: int, workers: int) -> dict[str, Any]:
         "worker_peak": float(peak.max()),
     }
     print(
-        f"{n:6d} actuators {files:4d} files {1e-6 * size:8.1f} MB"
+        f"{pieces * n:6d} actuators {files:4d} files {1e-6 * size:8.1f} MB"
         f"   client {found['client_cpu']:7.2f} s {1e-6 * found['client_peak']:7.1f} MB"
         f"   workers {found['worker_cpu']:7.2f} s, largest {1e-6 * found['worker_peak']:7.1f} MB"
         f"   wall {took['wall']:.1f} s",
@@ -191,22 +227,31 @@ def main() -> None:
     parser.add_argument("--actuators", type=numbers, default=[45, 132, 336, 892])
     parser.add_argument("--files", type=numbers, default=[4, 8, 16])
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--pieces", type=int, default=1, help="segments of each mirror")
     parser.add_argument("--figure", action="store_true")
     parser.add_argument("--segments", type=int, default=6)
     parser.add_argument("--segment", type=int, default=892)
     parser.add_argument("--rate", type=float, default=1000.0)
     parser.add_argument("--nodes", type=int, default=64, help="workers of the year")
     parser.add_argument("--run", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--join", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.join:
+        in_pieces(options.join, options.pieces)
+        return
     if options.run:
         run(options.run, options.workers)
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     middle = options.actuators[len(options.actuators) // 2]
-    by_actuators = [measure(n, options.files[0], options.workers) for n in options.actuators]
+    by_actuators = [
+        measure(n, options.files[0], options.workers, options.pieces) for n in options.actuators
+    ]
     exponents(by_actuators, "actuators")
-    same = [row for row in by_actuators if row["actuators"] == middle]
-    by_files = same + [measure(middle, files, options.workers) for files in options.files[1:]]
+    same = [row for row in by_actuators if row["actuators"] == options.pieces * middle]
+    by_files = same + [
+        measure(middle, files, options.workers, options.pieces) for files in options.files[1:]
+    ]
     exponents(by_files, "files")
     on_paper(by_actuators[-1], options)
     if options.figure:
