@@ -217,12 +217,11 @@ def loop_of(bench: StaticBench) -> Loop:
     LoopUnstable
         The gains do not hold it.
     """
-    n = bench.mirror.layout.n
     shapes = static_shapes(bench.glass)
     mass, pucks = moving_mass(bench.glass, shapes)
     # M z'' + C z' + K~ z = S' f, in terms of f
     to_forces = np.asarray(np.linalg.inv(pucks.T), dtype=float)
-    softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(n)
+    softer = bench.glass.stiffness - bench.coils.bias_gradient * np.eye(bench.mirror.layout.n)
     feed_forward = softer / bench.coils.alpha[:, None] * bench.sensors.gain
     loop = Loop(
         softer,
@@ -269,19 +268,18 @@ def take(
     stream = STATIC if loop is None else LOOP
     noise = [row_noise(bench.truth.seed, *label, stream) for label in labels]
     if loop is not None:
-        load_force = bench.load_force[load_index][:, None]
+        load_force = bench.load_force[load_index, :, None]
         return record(loop, position.T, load_force, noise, samples=samples)
     n = bench.mirror.layout.n
     drawn = np.array([row.standard_normal(2 * n) for row in noise]) * np.sqrt(SAMPLES / samples)
     force = held_command(bench, load_index, position) + bench.force_noise * drawn[:, :n]
-    each = force.T.shape  # its scatter takes the room of one number
     return Record(
         force=force.T,
-        force_scatter=np.broadcast_to(bench.force_noise * np.sqrt(SAMPLES), each),
+        force_scatter=np.broadcast_to(bench.force_noise * np.sqrt(SAMPLES), force.T.shape),
         position=(position + SENSOR_NOISE * drawn[:, n:]).T,
-        position_scatter=np.broadcast_to(SENSOR_NOISE * np.sqrt(SAMPLES), each),
+        position_scatter=np.broadcast_to(SENSOR_NOISE * np.sqrt(SAMPLES), force.T.shape),
         settled=np.ones(len(force), dtype=bool),
-        force_error=np.broadcast_to(bench.force_noise * np.sqrt(SAMPLES / samples), each),
+        force_error=np.broadcast_to(bench.force_noise * np.sqrt(SAMPLES / samples), force.T.shape),
     )
 
 
@@ -314,8 +312,7 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
     shape, sign, position = rows_of_cycle(bench)
     mirror, start, time = bench.mirror, START, SECONDS_PER_SHAPE * np.arange(1.0, len(shape) + 1)
 
-    def cycle(load_index: int, number: int) -> Cycle:
-        load = bench.loads[load_index]
+    def cycle(load_index: int, load: Load, number: int) -> Cycle:
         labels = ((load.key, number, int(k), int(s)) for k, s in zip(shape, sign, strict=True))
         taken = take(bench, loop, load_index, position, labels)
         return Cycle(
@@ -328,9 +325,9 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
             coil_gradient=bench.coils.coil_gradient, bias_gradient=bench.coils.bias_gradient,
         )  # fmt: skip
 
-    for load_index in range(len(bench.loads)):
+    for load_index, load in enumerate(bench.loads):
         for number in range(1, cycles + 1):
-            yield cycle(load_index, number)
+            yield cycle(load_index, load, number)
             start += datetime.timedelta(seconds=SECONDS_PER_SHAPE * (len(shape) + 1))
         start += PAUSE
 
