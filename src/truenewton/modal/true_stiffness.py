@@ -226,8 +226,7 @@ def true_stiffness(
         gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
     places = places_of(matrix.layout)
     floats, follows = off_and_slaved(layout, off, slaved)
-    k = matrix.used_stiffness  # a copy
-    k *= alpha[:, None]
+    k = alpha[:, None] * matrix.used_stiffness
     k = per_true_displacement(k, places, gain, offset)
     skew = _skew_norms(k)
     symmetric = symmetrised(k)
@@ -240,20 +239,13 @@ def true_stiffness(
     followers = _following(symmetric, floats, follows)
     symmetric.setflags(write=False)  # so that the record need not copy it
     return TrueStiffness(
-        layout=layout.part(~(floats | follows)),
-        calibrated=calibration is not None,
-        enabled=layout,
-        acts=~floats,
-        followers=followers,
-        acting_stiffness=symmetric,
-        enabled_alpha=alpha,
-        enabled_gain=gain,
-        enabled_offset=offset,
-        places=places,
+        layout=layout.part(~(floats | follows)), calibrated=calibration is not None,
+        enabled=layout, acts=~floats, followers=followers, acting_stiffness=symmetric,
+        enabled_alpha=alpha, enabled_gain=gain, enabled_offset=offset, places=places,
         asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
-    )
+    )  # fmt: skip
 
 
 def _row_norms(matrix: Array) -> Array:
