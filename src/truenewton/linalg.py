@@ -141,7 +141,7 @@ def symmetrised(matrix: Array) -> Array:
 
 
 def rearranged(matrix: Array, columns: NDArray[np.int64]) -> Array:
-    """Put the columns of a matrix in another order, in place; return it."""
+    """Put the columns of a (p, n) matrix in another order, (n,), in place; return it."""
     for start in range(0, len(matrix), ROWS_AT_ONCE):
         rows = matrix[start : start + ROWS_AT_ONCE]
         rows[:] = rows[:, columns]

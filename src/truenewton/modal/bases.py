@@ -100,7 +100,7 @@ def karhunen_loeve_modes(covariance: Array) -> Array:
 
 
 def overwritten_by_modes(covariance: Array) -> Array:
-    """Return the same modes; the covariance, which is theirs to overwrite, is spoilt."""
+    """Return the same (n, n) modes; the covariance, which is theirs to overwrite, is spoilt."""
     n = len(covariance)
     # Piston moves from the eigenvalue 0 to the far end, and keeps off the faintest modes.
     covariance -= np.trace(covariance) / n

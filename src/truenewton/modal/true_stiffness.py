@@ -227,8 +227,7 @@ def true_stiffness(
     alpha = matched_alpha(layout, matrix.instrument, calibration)
     gain, offset, places = _sensors(matrix, layout, calibration, sensor_gain, motion)
     floats, follows = off_and_slaved(layout, off, slaved)
-    k = matrix.used_stiffness  # a copy
-    k *= alpha[:, None]
+    k = alpha[:, None] * matrix.used_stiffness
     k = per_true_displacement(k, places, gain, offset)
     skew = _skew_norms(k)
     symmetric = symmetrised(k)
@@ -241,20 +240,13 @@ def true_stiffness(
     followers = _following(symmetric, floats, follows)
     symmetric.setflags(write=False)  # so that the record need not copy it
     return TrueStiffness(
-        layout=layout.part(~(floats | follows)),
-        calibrated=calibration is not None,
-        enabled=layout,
-        acts=~floats,
-        followers=followers,
-        acting_stiffness=symmetric,
-        enabled_alpha=alpha,
-        enabled_gain=gain,
-        enabled_offset=offset,
-        places=places,
+        layout=layout.part(~(floats | follows)), calibrated=calibration is not None,
+        enabled=layout, acts=~floats, followers=followers, acting_stiffness=symmetric,
+        enabled_alpha=alpha, enabled_gain=gain, enabled_offset=offset, places=places,
         asymmetry=float(np.linalg.norm(skew) / np.linalg.norm(size)),
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
-    )
+    )  # fmt: skip
 
 
 def _sensors(
