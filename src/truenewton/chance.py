@@ -16,12 +16,14 @@ from scipy import special
 
 def chi2_sf(x: Any, degrees: Any) -> Any:
     """Return the chance that chi-squared of so many degrees of freedom exceeds x."""
-    return special.chdtrc(_some(degrees), np.maximum(x, 0.0))
+    some, x = _some(degrees), np.maximum(x, 0.0)
+    return np.where(np.isnan(some), np.nan, special.chdtrc(some, x))[()]  # below SciPy 1.15: 0 or 1
 
 
 def chi2_cdf(x: Any, degrees: Any) -> Any:
     """Return the chance that chi-squared of so many degrees of freedom stays below x."""
-    return special.chdtr(_some(degrees), np.maximum(x, 0.0))
+    some, x = _some(degrees), np.maximum(x, 0.0)
+    return np.where(np.isnan(some), np.nan, special.chdtr(some, x))[()]
 
 
 def chi2_isf(chance: Any, degrees: Any) -> Any:
@@ -43,7 +45,7 @@ def f_logsf(x: Any, above: Any, below: Any) -> Any:
     """Return the natural logarithm of that chance, minus infinity where it is none."""
     beyond, within = f_sf(x, above, below), special.fdtr(above, below, np.maximum(x, 0.0))
     with np.errstate(divide="ignore"):
-        return np.where(beyond < 0.5, np.log(beyond), np.log1p(-within))[()]
+        return np.where(beyond >= 0.5, np.log1p(-within), np.log(beyond))[()]
 
 
 def f_isf(chance: Any, above: Any, below: Any) -> Any:
