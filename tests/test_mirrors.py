@@ -8,7 +8,8 @@ import pytest
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
 from truenewton.files.toml import read_toml
 from truenewton.mirrors import known
-from truenewton.mirrors.file import check_glass, mirror_from
+from truenewton.mirrors.checks import check_glass
+from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.glass import Annulus, Shell
 
 MINE = """
@@ -100,10 +101,15 @@ def test_a_table_with_units_and_names(mine):
         ('name = "MINE"', "name = 3", FormatError, "name is 3; give text"),
         ("weight = -1.0", "weight = 1.0", FormatError, "weight is 1; weights are negative"),
         ("weight = -1.0", "weight = nan", FormatError, "weight is nan; give a number"),
-        ("weight = -1.0", "weigth = -1.0", FormatError, "knows no 'weigth'"),
+        ("weight = -1.0", "weigth = -1.0", FormatError, "knows no 'weigth'; did you mean"),
+        ("weight = -1.0", "weight = -0.1", GeometryError, "weight is -0.1 N, but glass of 1.6 mm"),
+        ("weight = -1.0", "weight = -10", GeometryError, "6 magnets of 2.75 g weigh -1.36 N; corr"),
+        ("[shell]", "[shell]\ntool_radius = 0.05", FormatError, "write it above [shell]"),
         ("weight = -1.0", "", FormatError, "lacks 'weight'"),
         ("weight = -1.0", "weight = ", UnreadableFile, "is not TOML"),
-        ("thickness = 1.6e-3", "thickness = 0", GeometryError, "0 m thick"),
+        ("thickness = 1.6e-3", "thickness = 0", GeometryError, "thickness is 0 m"),
+        ("thickness = 1.6e-3", "thickness = 1.6", GeometryError, "metres: 1.6 mm are 1.6e-3"),
+        ("thickness = 1.6e-3", "thickness = 1.6e-6", GeometryError, "thickness is 1.6e-06 m, of"),
         ("inner_radius = 0.02", "inner_radius = 0.06", GeometryError, "actuator 1 stands 0.05 m"),
         ("inner_radius = 0.02", "inner_radius = 0.2", GeometryError, "from 0.2 m to 0.1 m"),
         ("thickness", "radius_of_curvature = -0.05\nthickness", GeometryError, "cannot carry"),
@@ -114,7 +120,7 @@ def test_a_table_with_units_and_names(mine):
         ("[shell]", "alpha_range = [5e-324, 1.0]\n[shell]", FormatError, "positive and near 1"),
         ("[shell]", "coil_gradient = -1e6\n[shell]", FormatError, "sign within the gap"),
         ("actuators.csv", "nowhere.csv", UnreadableFile, "cannot be read"),
-        ("actuators.csv", "mine.toml", FormatError, "lacks column 'X'"),
+        ("actuators.csv", "mine.toml", FormatError, "lacks column 'X'; it has 'name = "),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_file_is_said_in_one_line(mine, old, new, error, said):
@@ -123,6 +129,25 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(mine, old, new, error, sa
         mirror_from(mine)
     assert said in str(refused.value)
     assert ".toml: " in str(refused.value) or ".csv: " in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("0.05,0.0\n", "\nO.05,0.0\n", "actuators.csv: line 3: X is 'O.05'; give a number"),
+        ("0.05,0.0\n", "0.05,\n", "actuators.csv: line 2: Y is empty; give a number"),
+        ("0.05,0.0\n", "0.05,inf\n", "actuators.csv: line 2: Y is inf; give a number"),
+        ("0.05,0.0\n", "0.09,0.0\n", "actuators.csv: actuator 1 stands 0.09 m from the axis"),
+        ("X,Y", "X;Y", "actuators.csv: lacks column 'X'; it has 'X;Y'; name the columns"),
+    ],
+)
+def test_what_is_wrong_with_a_table_names_it_and_the_line(mine, old, new, said):
+    assert old in TABLE
+    table = TABLE.replace(old, new, 1)
+    (mine.parent / "actuators.csv").write_text(table.replace(",", ";") if ";" in new else table)
+    with pytest.raises((FormatError, GeometryError)) as refused:
+        mirror_from(mine)
+    assert said in str(refused.value)
 
 
 def test_a_folder_or_nothing_is_no_toml(tmp_path):

@@ -118,14 +118,14 @@ def test_a_text_has_an_end(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("X,Y\n0.1,0.2\n,0.3\n", "has empty cells"),
+        ("X,Y\n0.1,0.2\n,0.3\n", "line 3: X is empty; give a number"),
         ("ID,X,Y\n1.5,0.1,0.2\n2,0.2,0.3\n", "ID holds float64"),
         ("ID,X,Y\n99999999999999999999,0.1,0.2\n2,0.2,0.3\n", "ID holds"),
         ("ENABLED,X,Y\nmaybe,0.1,0.2\nTrue,0.2,0.3\n", "ENABLED holds other words"),
         ("ENABLED,X,Y\n2,0.1,0.2\n1,0.2,0.3\n", "ENABLED holds other words"),
-        ("X,Y\none,0.2\ntwo,0.3\n", "is not a table of actuators"),
-        ("X,Y\n0.1\n", "Y has empty cells"),
-        ("X,Y\n1e400,0.2\n0.1,0.3\n", "is not finite"),
+        ("X,Y\none,0.2\ntwo,0.3\n", "line 2: X is 'one'; give a number"),
+        ("X,Y\n0.1\n", "line 2: Y is empty"),
+        ("X,Y\n1e400,0.2\n0.1,0.3\n", "line 2: X is inf"),
     ],
 )
 def test_a_table_of_text_is_held_against_what_it_is_to_be(tmp_path, table, said):
@@ -243,7 +243,7 @@ def test_optics_next_to_nothing_are_refused(make):
 
 
 def test_a_glass_next_to_nothing_is_refused():
-    with pytest.raises(GeometryError, match="give a positive thickness, 1e-06 m"):
+    with pytest.raises(GeometryError, match="thickness is 1e-12 m"):
         check_shell(Shell(0.02, 0.1, 1e-12))
 
 

@@ -19,7 +19,7 @@ from truenewton.mirrors.file import mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.air_film import VISCOSITY, film_damping
-from truenewton.mirrors.shell.held_glass import forces_under, held_glass, weight_on
+from truenewton.mirrors.shell.held_glass import forces_under, held_glass, tool_wedges, weight_on
 from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
 from truenewton.mirrors.shell.puck_motion import displaced_readings
 from truenewton.statics.arms import external_load, resultants
@@ -250,7 +250,11 @@ def test_points_of_an_outline_from_a_table(corner):
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("X,Y\n0,0\n1,0\n", "an outline of shape (2, 2)"),
+        ("X,Y\n0,0\n1,0\n", "edge.csv: the edge has 2 points; give three"),
+        ("X,Y\n0,0\n0.1,O.1\n0,0.1\n", "edge.csv: line 3: Y is 'O.1'; give a number"),
+        ("X,Y\n0,0\n0.1,0\n0.1,0.1\n0,0\n", "edge.csv: points 4 and 1 of the edge stand"),
+        ("X,Y\n-0.1,-0.1\n0.1,0.05\n0.1,-0.1\n-0.1,0.05\n",
+         "edge.csv: the edge crosses itself at x = 0 m, y = -0.025"),
         ("X,Y\n0,0\n100,0\n0,100\n", "the outline reaches 100 m from the axis; x and y are"),
         ("X,Y,LOOP\n0,0,1\n", "LOOP holds 1; number the points of the edge 0"),
         ("X,Y,LOOP\n0,0,a\n", "LOOP holds"),
@@ -278,19 +282,34 @@ def test_tables_that_are_no_outline(corner, table, said):
         ("inner_radius = 0.01", "inner_radius = 0.12", "the weight tool, 0.1215 m from"),
         ("outer_radius = 0.16", "outer_radius = 0.1", "the outline reaches 0.14"),
         ("mesh_size = 0.025", "mesh_size = 0.0", "mesh size 0 m"),
-        ("[0.02, 0.12]", "[0.15, -0.15]", "turns back to"),
-        ("[0.07, -0.05], [0.09, -0.05]", "[0.07, 0.05], [0.09, 0.05]", "outline meet"),
+        ("[0.02, 0.12]", "[0.0, -0.05]", "the edge turns back to"),
+        ("[0.02, 0.12]", "[0.15, -0.15]", "the edge crosses itself at x ="),
+        ("[0.07, -0.05], [0.09, -0.05]", "[0.07, 0.05], [0.09, 0.05]", "the edge and hole 1 meet"),
+        ("[0.07, -0.05]", "[0.12, -0.08]", "edge and hole 1 meet at x = 0.120"),  # a corner of both
         ("[0.12, 0.02]", "[0.12]", "give 2 values"),
         ("[0.12, -0.08], ", "[0.11, -0.08], ", "actuator 4 stands 0.1167 m"),
-        ("edge =", "rim =", "knows no 'rim'"),
+        ("edge =", "rim =", "knows no 'rim'; the keys are points, edge, holes, mesh_size"),
+        ("edge =", "point = 'edge.csv'\nedge =", "did you mean 'points'?"),
     ],
 )
 def test_outlines_that_cannot_be(corner, old, new, said):
     assert old in MINE
     corner.write_text(MINE.replace(old, new, 1))
-    with pytest.raises(Exception, match=r"corner\.toml: ") as refused:
+    with pytest.raises(Exception, match=r"(corner\.toml|actuators\.csv): ") as refused:
         mirror_from(corner)
     assert said in str(refused.value)
+
+
+def test_radii_beside_an_outline_may_be_left_out(corner):
+    """The outer one is as far as the glass reaches; a tool without its own stands half as far."""
+    radii = "inner_radius = 0.01\nouter_radius = 0.16\n"
+    assert radii in MINE
+    corner.write_text(MINE.replace(radii, "").replace("[shell]", "tool_radius = 0.02\n[shell]", 1))
+    mirror = mirror_from(corner)
+    reach = 2.0 * np.arcsin(np.hypot(0.12, 0.08) / 2.0)  # along the sphere
+    assert (mirror.shell.inner_radius, mirror.shell.outer_radius) == (0.0, pytest.approx(reach))
+    wedges = np.hypot(*tool_wedges(replace(mirror, tool_radius=None)))
+    assert wedges == pytest.approx(np.full(3, reach / 2))
 
 
 def test_rings_of_fourier_refuse_an_outline():

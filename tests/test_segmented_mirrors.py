@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 import truenewton as tn
 from truenewton.bench.simulated.segmented import bench_of, campaign_on, truth_of
 from truenewton.files.fits import read_fits
-from truenewton.mirrors.file import check_glass, mirror_from, whole_mirror_from
+from truenewton.mirrors.checks import check_glass
+from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.known import GRAVITY
 from truenewton.mirrors.segmented import SEGMENTED
 from truenewton.records.file import cycle_from
@@ -134,7 +135,13 @@ def test_true_forces_of_each_segment_balance_its_own_load(tiny):
         ("x = 0.02, y = -0.19", "x = 0.11, y = 0.0", "two actuators stand at"),
         ("x = 0.02, ", "", "lacks 'x'; add it"),
         ('"disc.toml", x = 0.11', '"no.toml", x = 0.11', "no.toml: cannot be read"),
-        ('"disc.toml", x = 0.11', '"tiny.toml", x = 0.11', "is a mirror in segments; simulate"),
+        ('"disc.toml", x = 0.11', '"tiny.toml", x = 0.11', "takes tiny.toml for a segment"),
+        (
+            "x = 0.02, y = -0.19",
+            "x = 0.11, y = -0.14",
+            "1 (DISC) and 3 (DISC) overlap, by 10 mm",
+        ),
+        ("x = -0.1, y = 0.08", "x = 0.0, y = 0.0", "segments 1 (DISC) and 2 (SQUARE) overlap, by"),
         ("x = 0.11", "x = 110.0", "an actuator stands 110 m from the axis"),
     ],
 )

@@ -7,7 +7,8 @@ import json
 import math
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from types import UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -35,7 +36,13 @@ def read_toml(path: str | os.PathLike[str]) -> dict[str, Any]:
         ) from error
 
 
-def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: str = "") -> Filled:
+def filled(
+    kind: type[Filled],
+    table: Mapping[str, Any],
+    path: object,
+    where: str = "",
+    above: Sequence[str] = (),
+) -> Filled:
     """Return a dataclass filled from a table, its values held against their types.
 
     Parameters
@@ -46,6 +53,8 @@ def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: st
         Keys are the fields' names; a field with a default may be left out.
     path, where
         The file and the table, for the message.
+    above
+        Keys of the table round this one, where a key may have been meant to stand.
 
     Raises
     ------
@@ -55,18 +64,13 @@ def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: st
         What the dataclass itself refuses.
     """
     fields = {field.name: field for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    prefix = f"[{where}] " if where else ""
-    for key in table:
-        if key not in fields:
-            raise FormatError(
-                f"{prefix}knows no '{key}'", remedy=f"the keys are {', '.join(fields)}", path=path,
-                got=key, want=tuple(fields),
-            )  # fmt: skip
+    prefix = _prefix(where)
+    check_keys(table, tuple(fields), path, where, above)
     hints, values = get_type_hints(kind), {}
     for name, field in fields.items():
         if name in table:
             inside = f"{where}.{name}" if where else name
-            values[name] = _value(hints[name], table[name], path, inside)
+            values[name] = _value(hints[name], table[name], path, inside, tuple(fields))
         elif field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING:
             raise FormatError(f"{prefix}lacks '{name}'", remedy="add it", path=path, want=name)
     try:
@@ -75,19 +79,49 @@ def filled(kind: type[Filled], table: Mapping[str, Any], path: object, where: st
         raise error.changed(fault=f"{prefix}{error.fault}", path=path) from None
 
 
-def _value(kind: Any, value: Any, path: object, where: str) -> Any:
+def check_keys(
+    table: Mapping[str, Any],
+    known: Sequence[str],
+    path: object,
+    where: str = "",
+    above: Sequence[str] = (),
+) -> None:
+    """Refuse the first key of a table that is none of those known; the rest as of `filled`.
+
+    Raises
+    ------
+    FormatError
+    """
+    for key in table:
+        if key in known:
+            continue
+        meant = f"the keys are {', '.join(known)}"
+        if key in above:
+            meant = f"write it above [{where}]"
+        elif close := get_close_matches(key, known, 1):
+            meant = f"did you mean '{close[0]}'? {meant}"
+        raise FormatError(
+            f"{_prefix(where)}knows no '{key}'", remedy=meant, path=path, got=key, want=tuple(known)
+        )
+
+
+def _prefix(where: str) -> str:
+    return f"[{where}] " if where else ""
+
+
+def _value(kind: Any, value: Any, path: object, where: str, above: Sequence[str]) -> Any:
     if get_origin(kind) in (Union, UnionType):
         kind = next(part for part in get_args(kind) if part is not type(None))
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         if isinstance(value, Mapping):
-            return filled(kind, value, path, where)
+            return filled(kind, value, path, where, above)
         raise _wrong(where, "a table", value, path)
     if get_origin(kind) is tuple:
         inner = get_args(kind)
         if not isinstance(value, list) or (inner[-1] is not ... and len(value) != len(inner)):
             raise _wrong(where, "a list" if inner[-1] is ... else counted(inner, "value"), value,
                          path)  # fmt: skip
-        return tuple(_value(inner[0], part, path, where) for part in value)
+        return tuple(_value(inner[0], part, path, where, above) for part in value)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value) if abs(value) < 1e300 else math.inf
     if isinstance(value, str) and "\0" in value:  # no name of a file can hold it

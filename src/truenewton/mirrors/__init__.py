@@ -4,6 +4,7 @@ known      P45, LBT672, MMT336, ...: numbers with their standing
 segmented  mirrors of several segments, those that are known among them
 glass      glass and sensors: dimensions, outline and material
 file       mirrors that someone else has: TOML and a table
+checks     what a glass must be, beside its actuators, tool and weight
 tables     where actuators stand, points of an outline
 shell/     the elastic shell: what forces hold it, and how it moves
 """

@@ -10,16 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.arrays import Array
 from truenewton.errors import FormatError, GeometryError, located
-from truenewton.files.toml import filled, read_toml
-from truenewton.mirrors.glass import check_shell
+from truenewton.files.toml import check_keys, filled, read_toml
+from truenewton.mirrors.checks import CHECKS, check_actuators, check_outline
+from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import KNOWN, Mirror, MirrorNumbers, mirror
 from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
-from truenewton.mirrors.shell.finite_elements.meshing import mesh_size_of
-from truenewton.mirrors.shell.finite_elements.outline import checked_sides, depth_inside
-from truenewton.mirrors.shell.held_glass import tool_wedges
-from truenewton.mirrors.shell.places import SMALLEST_HOLE
 from truenewton.mirrors.tables import layout_in, outline_in
 from truenewton.records.file import SUFFIXES
 from truenewton.records.segment import require_segment
@@ -98,7 +94,7 @@ def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
     written = filled(_WrittenSegments, tables, path)
     files = {placed.file for placed in written.segments}
     # Read once, so that segments of one file are seen to share their glass.
-    made = {file: mirror_from(path.parent / file) for file in sorted(files)}
+    made = {file: _segment_from(path.parent / file, path) for file in sorted(files)}
     try:
         return SegmentedMirror(
             name=written.name,
@@ -107,6 +103,16 @@ def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
         )
     except GeometryError as error:
         raise located(error, path) from None
+
+
+def _segment_from(file: Path, whole: Path) -> Mirror:
+    if "segments" in read_toml(file):
+        raise FormatError(
+            f"takes {file.name} for a segment, which is a mirror in segments itself",
+            remedy="name the files of its segments here",
+            path=whole,
+        )
+    return _mirror_in(file)
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
@@ -134,7 +140,8 @@ def _mirror_in(path: Path) -> Mirror:
     tables = read_toml(path)
     if "segments" in tables:
         raise _is_segmented(str(path))
-    written = filled(_Written, _with_points(tables, path), path)
+    tables, points = _with_points(tables, path)
+    written = _within_reach(filled(_Written, tables, path), points)
     _refuse_absurd(written, path)
     for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
                       ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0),
@@ -163,10 +170,12 @@ def _mirror_in(path: Path) -> Mirror:
     numbers = dict(vars(written))
     actuators = path.parent / numbers.pop("actuators")
     made = Mirror(layout=layout_in(actuators), **numbers)
-    try:
-        check_glass(made)
-    except GeometryError as error:
-        raise located(error, path) from None
+    files = {check_outline: points, check_actuators: actuators}
+    for check in CHECKS:
+        try:
+            check(made)
+        except GeometryError as error:
+            raise located(error, files.get(check, path)) from None
     return made
 
 
@@ -178,23 +187,55 @@ def _is_segmented(name: str) -> FormatError:
     )
 
 
-def _with_points(tables: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return the tables of a mirror, points of its outline read from the file that they name."""
+def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Path]:
+    """Return the tables of a mirror and the file in which its outline stands.
+
+    Points are read from the file that the outline names; radii may be left out beside it.
+    """
     shell = tables.get("shell")
-    if not isinstance(shell, dict):
-        return tables
-    outline = shell.get("outline")
-    if not isinstance(outline, dict) or not isinstance(outline.get("points"), str):
-        return tables
-    for twice in {"edge", "holes"} & set(outline):
-        raise FormatError(
-            f"[shell.outline] has points and {twice}",
-            remedy="give the outline here or in a file of points, not both",
-            path=path,
+    if not isinstance(shell, dict) or not isinstance(shell.get("outline"), dict):
+        return tables, path
+    outline = shell["outline"]
+    known = ("points", *(field.name for field in fields(Outline)))
+    check_keys(outline, known, path, "shell.outline")
+    shell, points = {"inner_radius": 0.0, "outer_radius": np.inf, **shell}, path
+    if isinstance(outline.get("points"), str):
+        for twice in {"edge", "holes"} & set(outline):
+            raise FormatError(
+                f"[shell.outline] has points and {twice}",
+                remedy="give the outline here or in a file of points, not both",
+                path=path,
+            )
+        points = path.parent / outline["points"]
+        edge, *holes = outline_in(points)
+        own = {key: value for key, value in outline.items() if key != "points"}
+        outline = {**own, "edge": edge, "holes": holes}
+    return {**tables, "shell": {**shell, "outline": outline}}, points
+
+
+def _within_reach(written: _Written, points: Path) -> _Written:
+    """Return a mirror with the outer radius that its outline reaches, where it gives none."""
+    shell = written.shell
+    if shell.outline is None:
+        return written
+    try:
+        _check_reach(shell.outline)
+        if shell.outer_radius < np.inf:
+            return written
+        reach = float(np.hypot(*shell.polygons()[0].T).max(initial=0.0))
+    except GeometryError as error:
+        raise located(error, points) from None
+    return replace(written, shell=replace(shell, outer_radius=reach))
+
+
+def _check_reach(outline: Outline) -> None:
+    loops = outline.edge, *outline.holes
+    furthest = max((abs(part) for loop in loops for at in loop for part in at), default=0.0)
+    if furthest > FARTHEST:
+        raise GeometryError(
+            f"the outline reaches {furthest:.3g} m from the axis",
+            remedy="x and y are metres; check their unit",
         )
-    edge, *holes = outline_in(path.parent / outline["points"])
-    own = {key: value for key, value in outline.items() if key != "points"}
-    return {**tables, "shell": {**shell, "outline": {**own, "edge": edge, "holes": holes}}}
 
 
 def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
@@ -220,63 +261,3 @@ def _numbers(value: Any) -> Iterator[float]:
             yield from _numbers(part)
     elif isinstance(value, float):
         yield value
-
-
-def check_glass(mirror: Mirror) -> None:
-    """Refuse a shell that cannot be, and actuators off the glass.
-
-    Raises
-    ------
-    GeometryError
-    """
-    shell = mirror.shell
-    check_shell(shell, SMALLEST_HOLE if shell.outline is None and shell.inner_radius else 0.0)
-    at = shell.along(mirror.layout.x, mirror.layout.y)
-    wedges = np.stack(tool_wedges(mirror), axis=1)
-    r, reach = np.hypot(*at), max(mirror.puck_radius, mirror.sensor.outer_radius)
-    if shell.outline is None:
-        a, b = shell.inner_radius, shell.outer_radius
-        off = ((r - reach < a) & (a > 0)) | (r + reach > b)
-        where, radius = f"that is from {a:g} m to {b:g} m", np.hypot(*wedges.T)
-        tool_off = (radius < a) | (radius > b)
-    else:
-        loops = _loops_of(mirror, at)
-        off = depth_inside(loops, np.stack(at, axis=1)) < reach
-        where = "bring it further within the outline"
-        tool_off = depth_inside(loops, wedges) < 0
-    if off.any():
-        i = off.argmax()
-        raise GeometryError(
-            f"actuator {mirror.layout.id[i]} stands {r[i]:.4g} m from the axis: it or its"
-            " sensor reaches off the glass",
-            remedy=f"{where}; the sensor reaches {reach:g} m",
-        )
-    if tool_off.any():
-        raise GeometryError(
-            f"the weight tool, {np.hypot(*wedges[0]):g} m from the axis, stands off the glass",
-            remedy="give as tool_radius that of a circle on the glass, about x = y = 0",
-        )
-
-
-def _loops_of(mirror: Mirror, places: tuple[Array, Array]) -> list[Array]:
-    """Return the polygons of an outlined glass, once they can be and keep within its outer radius.
-
-    The places of the actuators along the glass tell how fine a mesh will be.
-    """
-    shell, outline = mirror.shell, mirror.shell.outline
-    assert outline is not None
-    loops = outline.edge, *outline.holes
-    furthest = max((abs(part) for loop in loops for at in loop for part in at), default=0.0)
-    if furthest > FARTHEST:
-        raise GeometryError(
-            f"the outline reaches {furthest:.3g} m from the axis",
-            remedy="x and y are metres; check their unit",
-        )
-    sides = checked_sides(shell.polygons(), mesh_size_of(shell, *places))
-    furthest = float(np.hypot(*sides[0].T).max())
-    if furthest > shell.outer_radius:
-        raise GeometryError(
-            f"the outline reaches {furthest:.6g} m from the axis",
-            remedy=f"give an outer radius that it stays within, more than {shell.outer_radius:g} m",
-        )
-    return sides

@@ -45,6 +45,7 @@ class Annulus:
 
 
 THINNEST = 1e-6  # [m]
+THINNEST_PART = 1e-4  # of the outer radius; large shells have 1.6e-3
 
 
 def rim(puck_radius: float) -> Annulus | None:
@@ -83,8 +84,8 @@ class Shell:
     ----------
     inner_radius, outer_radius, thickness
         Dimensions [m]; radii along the glass, arcs on a sphere; an inner radius of 0 makes a full
-        disc. Where there is an outline, of the circle round which a weight tool stands, and of one
-        that the glass stays within.
+        disc. Where there is an outline, of a circle just outside which a weight tool stands unless
+        its radius is given, and of one that the glass stays within.
     young_modulus
         E [Pa]; Zerodur 90.3 GPa [conf].
     poisson_ratio
@@ -145,7 +146,7 @@ class Shell:
         """Return the edge and the holes as seen along the axis, (vertices, 2) each [m]."""
         if self.outline is not None:
             return [np.reshape(loop, (-1, 2)) for loop in (self.outline.edge, *self.outline.holes)]
-        turn = np.linspace(0.0, 2 * np.pi, 361)
+        turn = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
         circle, bend = np.stack([np.cos(turn), np.sin(turn)], axis=1), 1 / self.radius_of_curvature
         return [
             r * np.sinc(r * bend / np.pi) * circle
@@ -192,14 +193,17 @@ def check_shell(shell: Shell, smallest_hole: float = 0.0) -> None:
             " thousandth at least",
             got=(a, b),
         )
-    stiffness, nu = shell.bending_stiffness, shell.poisson_ratio
-    thick = THINNEST <= shell.thickness <= b
-    if not (0 < stiffness < np.inf and thick and -1 < nu < 0.5):
+    if not max(THINNEST, THINNEST_PART * b) <= shell.thickness <= b:
         raise GeometryError(
-            f"a glass {shell.thickness:.6g} m thick, bending stiffness {stiffness:.6g} N m and"
-            f" Poisson ratio {nu:.6g}",
-            remedy=f"give a positive thickness, {THINNEST:g} m to the outer radius, a positive"
-            " Young's modulus, and a ratio in (-1, 0.5)",
+            f"thickness is {shell.thickness:.6g} m, of a glass that reaches to {b:.6g} m",
+            remedy="give metres: 1.6 mm are 1.6e-3",
+            got=shell.thickness,
+        )
+    nu = shell.poisson_ratio
+    if not (0 < shell.bending_stiffness < np.inf and -1 < nu < 0.5):
+        raise GeometryError(
+            f"Young's modulus {shell.young_modulus:.6g} Pa and Poisson ratio {nu:.6g}",
+            remedy="give a positive modulus, and a ratio in (-1, 0.5)",
         )
     if not abs(curvature) > b:
         raise GeometryError(

@@ -53,7 +53,7 @@ class MirrorNumbers:
         Over which a reading is the mean displacement.
     tool_radius
         Of the circle on which the three wedges of the weight tool stand [m]; None for one just
-        outside the inner radius of the shell.
+        outside the inner radius of the shell, or, where that is 0, half the outer one.
     coil_gradient
         COILGRAD, relative change of a coil's force per displacement along +z [1/m].
     bias_gradient

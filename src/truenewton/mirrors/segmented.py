@@ -15,8 +15,12 @@ from truenewton.arrays import Array, in_units
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline, Polygon, Shell
 from truenewton.mirrors.known import GRAVITY, SHARED, Mirror, MirrorNumbers
-from truenewton.mirrors.shell.finite_elements.outline import depth_inside
+from truenewton.mirrors.shell.finite_elements.outline import depth_inside, sides_of
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, layout, rings
+
+TOUCHING = 1e-3  # in radii of a segment, as far as rounded corners of neighbours overlap
+POINTS_OF_SIDE = 16  # so close, segments are seen to overlap
 
 
 @dataclass(frozen=True)
@@ -62,7 +66,7 @@ class SegmentedMirror:
     ------
     GeometryError
         Fewer than two segments, forces that do not point along +z, gradients or gaps that differ,
-        two actuators at one place.
+        segments that overlap.
     """
 
     name: str
@@ -72,7 +76,7 @@ class SegmentedMirror:
     def __post_init__(self) -> None:
         if len(self.segments) < 2:
             raise GeometryError(
-                f"{self.name} has {len(self.segments)} segments",
+                f"{self.name} has {counted(self.segments, 'segment')}",
                 remedy="give two or more; a mirror in one piece has a file of its own",
             )
         for segment in self.segments:
@@ -88,7 +92,37 @@ class SegmentedMirror:
                         f"{name} of {segment.name} is not that of {self.segments[0].name}",
                         remedy="give all segments the same: a cycle file holds one",
                     )
-        self.layout  # noqa: B018  refuses what cannot stand together
+        self.layout  # noqa: B018  refuses places that cannot be
+        self._refuse_overlaps()
+
+    def _refuse_overlaps(self) -> None:
+        """Refuse two segments of which one has points of the edge or actuators on the other."""
+        loops = [
+            [_moved(edge, place) for edge in segment.shell.seen_edges()]
+            for place, segment in zip(self.places, self.segments, strict=True)
+        ]
+        middle = np.array([(place.x, place.y) for place in self.places])
+        reach = np.array(
+            [
+                np.hypot(*(np.concatenate(own) - at).T).max()
+                for own, at in zip(loops, middle, strict=True)
+            ]
+        )
+        apart = np.hypot(*np.moveaxis(middle[:, None] - middle, -1, 0))
+        at, number = np.stack([self.layout.x, self.layout.y], axis=1), self.layout.segment
+        for i, j in np.argwhere(apart < reach[:, None] + reach).tolist():
+            if i == j:
+                continue
+            touching = TOUCHING * min(reach[i], reach[j])
+            points = np.concatenate([_along_edges(loops[i]), at[number == i + 1]])
+            depth = float(depth_inside(loops[j], points).max())
+            if depth > touching:
+                one, other = sorted((i, j))
+                raise GeometryError(
+                    f"segments {one + 1} ({self.segments[one].name}) and {other + 1}"
+                    f" ({self.segments[other].name}) overlap, by {1e3 * depth:.3g} mm",
+                    remedy="correct x, y (of the origin of each, in m) or turned (degrees)",
+                )
 
     @property
     def kinds(self) -> list[tuple[Mirror, list[int]]]:
@@ -118,10 +152,22 @@ class SegmentedMirror:
     def seen_edges(self) -> list[Array]:
         """Return the edges of all segments as seen along the axis, (vertices, 2) each [m]."""
         return [
-            (np.insert(edge, 0, 1.0, axis=1) @ place.motion.T)[:, 1:]
+            _moved(edge, place)
             for place, segment in zip(self.places, self.segments, strict=True)
             for edge in segment.shell.seen_edges()
         ]
+
+
+def _moved(points: Array, place: Place) -> Array:
+    """Return (n, 2) points of a segment in the frame of the mirror."""
+    return np.asarray((np.insert(points, 0, 1.0, axis=1) @ place.motion.T)[:, 1:])
+
+
+def _along_edges(loops: list[Array]) -> Array:
+    """Return (n, 2) points along polygons, their corners among them."""
+    part = np.linspace(0.0, 1.0, POINTS_OF_SIDE, endpoint=False)[:, None, None]
+    start, end = sides_of(loops)
+    return np.asarray((start + part * (end - start)).reshape(-1, 2))
 
 
 def m4() -> SegmentedMirror:

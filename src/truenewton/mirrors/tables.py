@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,6 +17,7 @@ from truenewton.files.fits import read_fits
 from truenewton.files.format import Column, FileFormat, TableFormat
 from truenewton.files.opening import read_text
 from truenewton.records.file import SUFFIXES, read_layout
+from truenewton.rounding import listed
 from truenewton.statics.layout import Layout, layout
 
 Made = TypeVar("Made")
@@ -96,8 +97,7 @@ def outline_in(path: Path) -> list[list[list[float]]]:
 
 def _points_of(table: Any) -> _Points:
     loop = _cells(table, "LOOP") if "LOOP" in table.colnames else np.zeros(len(table), dtype=int)
-    x, y = (_cells(table, name) for name in "XY")
-    return _Points(x, y, loop)
+    return _Points(table["X"], table["Y"], loop)
 
 
 def _made_of(path: Path, make: Callable[[Any], Made], what: str) -> Made:
@@ -106,20 +106,54 @@ def _made_of(path: Path, make: Callable[[Any], Made], what: str) -> Made:
 
     form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
     lines = read_text(path).splitlines()
+    numbers = [k for k, line in enumerate(lines, 1) if line.strip() and line[0] != "#"][1:]
     try:
         # Of what overflows or is odd astropy warns; it is refused below, by what it became.
         with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
-            return make(QTable.read(lines, format=form, guess=False))
+            table = QTable.read(lines, format=form, guess=False)
+            for name in "XY":
+                if name not in table.colnames:
+                    raise _lacking(name, table.colnames)
+                _check_numbers(table[name], name, numbers if len(numbers) == len(table) else None)
+            return make(table)
     except TrueNewtonError as error:
         raise located(error, path) from None
-    except KeyError as error:
-        raise FormatError(f"lacks column {error}", remedy="give X and Y", path=path) from error
     except Exception as error:
         raise FormatError(
             f"is not a table of {what} ({error})",
             remedy="write columns X and Y as CSV or ECSV, lengths in metres",
             path=path,
         ) from error
+
+
+def _lacking(name: str, columns: Sequence[str]) -> FormatError:
+    has = listed([f"'{column}'" for column in columns], 4) if columns else "none"
+    return FormatError(
+        f"lacks column '{name}'; it has {has}",
+        remedy="name the columns X and Y in the first line, with commas between",
+    )
+
+
+def _check_numbers(cells: Any, name: str, lines: Sequence[int] | None) -> None:
+    """Refuse the first cell of a column that is no finite number; its line where they are known.
+
+    That is, where no cell goes over several.
+    """
+    empty = np.broadcast_to(getattr(cells, "mask", False), len(cells)).tolist()
+    for i, value in enumerate(np.asarray(cells).tolist()):
+        if empty[i] or not _is_finite(value):
+            where = f"row {i + 1}" if lines is None else f"line {lines[i]}"
+            raise FormatError(
+                f"{where}: {name} is {'empty' if empty[i] else repr(value)[:60]}",
+                remedy="give a number",
+            )
+
+
+def _is_finite(value: Any) -> bool:
+    try:
+        return bool(np.isfinite(float(value)))
+    except ValueError:
+        return False
 
 
 def _cells(table: Any, name: str) -> Any:

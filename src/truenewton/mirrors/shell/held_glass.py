@@ -157,9 +157,10 @@ def weight_on(
 def tool_wedges(mirror: Mirror) -> Points:
     """Return x, y [m] of the weight tool's three wedges, 120 degrees apart."""
     angle = np.radians([90.0, 210.0, 330.0])
-    radius = mirror.tool_radius
-    if radius is None:
-        radius = mirror.shell.inner_radius + WEDGE_MARGIN
+    shell, radius = mirror.shell, mirror.tool_radius
+    if radius is None:  # round a hole; on a full disc not all on the magnet in its middle
+        hole = shell.inner_radius
+        radius = hole + WEDGE_MARGIN if hole else shell.outer_radius / 2
     return radius * np.cos(angle), radius * np.sin(angle)
 
 

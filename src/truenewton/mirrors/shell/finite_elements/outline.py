@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import areas_and_moments
+from truenewton.rounding import counted
 
 SHARPEST_CORNER = 45.0  # [deg]; below, halving one side of a corner crowds the other for ever
 MOST_TRIANGLES = 100_000  # 22 000 of a curved glass take 1.5 GB, and more than in proportion
@@ -34,8 +35,49 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
     Raises
     ------
     GeometryError
-        A mesh size that is not positive or far too fine; a polygon without three finite vertices,
-        with corners too sharp, crossing itself or another; holes off the glass.
+        What `checked_polygons` and `check_mesh_size` refuse.
+    """
+    loops = checked_polygons(polygons)
+    check_mesh_size(loops, mesh_size)
+    return loops
+
+
+def checked_polygons(polygons: Sequence[ArrayLike]) -> list[Array]:
+    """Return the outline and its holes as (n_vertices, 2) arrays [m], once they can be.
+
+    Raises
+    ------
+    GeometryError
+        A polygon without three finite vertices, with corners too sharp, crossing itself or another;
+        holes off the glass; far too many vertices. Points and holes are counted from 1.
+    """
+    loops = [np.asarray(polygon, dtype=float) for polygon in polygons]
+    vertices = sum(map(len, loops))
+    if vertices > MOST_VERTICES:
+        raise GeometryError(
+            f"an outline of {vertices} vertices",
+            remedy=f"thin it to {MOST_VERTICES} at most; one in each element will do",
+            got=vertices,
+        )
+    for k, loop in enumerate(loops):
+        _check_points(loop, _named(k))
+    _check_crossings(loops)
+    for k, loop in enumerate(loops):
+        _check_corners(loop, _named(k))
+    for k, hole in enumerate(loops[1:], 1):
+        if not inside(loops[:k] + loops[k + 1 :], hole[:1]).all():
+            raise GeometryError(
+                f"hole {k} does not lie in the glass", remedy="give holes within the edge, apart"
+            )
+    return loops
+
+
+def check_mesh_size(loops: Sequence[Array], mesh_size: float) -> None:
+    """Refuse a size of elements [m] that is not positive or far too fine for (n, 2) polygons [m].
+
+    Raises
+    ------
+    GeometryError
     """
     if not FINEST <= mesh_size < np.inf:
         raise GeometryError(
@@ -43,18 +85,7 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
             remedy=f"give a positive length, {FINEST:g} m at least",
             got=mesh_size,
         )
-    loops = [np.asarray(polygon, dtype=float) for polygon in polygons]
-    vertices = sum(map(len, loops))
-    if vertices > MOST_VERTICES:
-        raise GeometryError(
-            f"an outline of {vertices} vertices",
-            remedy=f"thin it to {MOST_VERTICES} at most; one every {mesh_size:.2g} m will do",
-            got=vertices,
-        )
-    for loop in loops:
-        _check_loop(loop)
-    area = areas_and_moments(loops)[0]
-    triangles = area / (np.sqrt(3 / 16) * mesh_size**2)
+    triangles = areas_and_moments(loops)[0] / (np.sqrt(3 / 16) * mesh_size**2)
     if triangles > MOST_TRIANGLES:
         coarser = mesh_size * np.sqrt(triangles / MOST_TRIANGLES)
         raise GeometryError(
@@ -62,20 +93,6 @@ def checked_sides(polygons: Sequence[ArrayLike], mesh_size: float) -> list[Array
             remedy=f"give {coarser:.2g} m or more",
             got=mesh_size,
         )
-    start, end = sides_of(loops)
-    for i in range(len(start)):
-        if _meets(start[i], end[i], start, end).any():
-            raise GeometryError(
-                f"two sides of the outline meet near x = {start[i, 0]:.6g} m, "
-                f"y = {start[i, 1]:.6g} m",
-                remedy="give polygons that cross neither themselves nor one another",
-            )
-    for i, hole in enumerate(loops[1:]):
-        if not inside(loops[: i + 1] + loops[i + 2 :], hole[:1]).all():
-            raise GeometryError(
-                f"hole {i} does not lie in the glass", remedy="give holes within the outline, apart"
-            )
-    return loops
 
 
 def sides_of(loops: Sequence[NDArray[Any]]) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -111,41 +128,82 @@ def checked_places(loops: Sequence[Array], x: Array, y: Array, mesh_size: float)
     return places
 
 
-def _check_loop(loop: Array) -> None:
-    if loop.ndim != 2 or loop.shape[0] < 3 or loop.shape[1] != 2 or not np.isfinite(loop).all():
+def _named(k: int) -> str:
+    return f"hole {k}" if k else "the edge"
+
+
+def _check_points(loop: Array, name: str) -> None:
+    if loop.ndim != 2 or loop.shape[1] != 2 or not np.isfinite(loop).all():
         raise GeometryError(
-            f"an outline of shape {loop.shape}",
-            remedy="give three or more vertices, x and y of each, all finite",
+            f"{name} is an array of shape {loop.shape}",
+            remedy="give x and y of each point, all finite",
             got=loop.shape,
         )
-    ahead, back = np.roll(loop, -1, axis=0) - loop, np.roll(loop, 1, axis=0) - loop
-    length = np.linalg.norm(ahead, axis=1)
+    if len(loop) < 3:
+        raise GeometryError(
+            f"{name} has {counted(loop, 'point')}", remedy="give three or more", got=len(loop)
+        )
+    length = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=1)
     if length.min() <= 1e-9 * length.max():
         i = int(length.argmin())
         raise GeometryError(
-            f"vertices {i} and {(i + 1) % len(loop)} of the outline stand at one place",
-            remedy="give every vertex once; the polygon closes itself",
+            f"points {i + 1} and {(i + 1) % len(loop) + 1} of {name} stand at one place",
+            remedy="give every point once; the polygon closes itself",
         )
-    cosine = (ahead * back).sum(axis=1) / (length * np.roll(length, 1))
+
+
+def _check_corners(loop: Array, name: str) -> None:
+    ahead, back = np.roll(loop, -1, axis=0) - loop, np.roll(loop, 1, axis=0) - loop
+    cosine = (ahead * back).sum(axis=1) / np.hypot(*ahead.T) / np.hypot(*back.T)
     angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
     if angle.min() < SHARPEST_CORNER:
         i = int(angle.argmin())
         raise GeometryError(
-            f"the outline turns back to {angle[i]:.3g} degrees at its vertex {i}",
+            f"{name} turns back to {angle[i]:.3g} degrees at its point {i + 1}, {_at(loop[i])}",
             remedy=f"blunt corners below {SHARPEST_CORNER:g} degrees",
             got=float(angle[i]),
         )
 
 
+def _check_crossings(loops: Sequence[Array]) -> None:
+    """Refuse sides that meet, but for the ends of neighbours."""
+    start, end = sides_of(loops)
+    sizes = [len(loop) for loop in loops]
+    loop_of = np.repeat(np.arange(len(loops)), sizes)
+    first = np.repeat(np.cumsum([0, *sizes[:-1]]), sizes)
+    place = np.arange(len(start)) - first  # within its own polygon
+    before = first + (place - 1) % np.repeat(sizes, sizes)
+    after = first + (place + 1) % np.repeat(sizes, sizes)
+    for i in range(len(start)):
+        met = _meets(start[i], end[i], start, end)
+        met[[before[i], i, after[i]]] = False
+        if not met.any():
+            continue
+        j = int(met.argmax())
+        at = _at(_meeting_point(start[i], end[i], start[j], end[j]))
+        one, other = loop_of[[i, j]].tolist()
+        if one == other:
+            raise GeometryError(
+                f"{_named(one)} crosses itself at {at}, with its sides after points"
+                f" {place[i] + 1} and {place[j] + 1}",
+                remedy="give its points in their order along it, each once",
+            )
+        raise GeometryError(
+            f"{_named(one)} and {_named(other)} meet at {at}",
+            remedy="keep holes within the edge, and apart",
+        )
+
+
+def _at(point: Array) -> str:
+    return "x = {:.5g} m, y = {:.5g} m".format(*(np.round(point, 9) + 0.0))
+
+
 def _meets(p: Array, q: Array, start: Array, end: Array) -> NDArray[np.bool_]:
-    """Tell which sides start-end touch the side p-q without sharing a vertex with it."""
+    """Tell which sides start-end touch the side p-q."""
 
     def turn(a: Array, b: Array, c: Array) -> Array:
         (u, v), (s, t) = np.moveaxis(b - a, -1, 0), np.moveaxis(c - a, -1, 0)
         return np.asarray(np.sign(u * t - v * s))
-
-    def ends_at(r: Array) -> NDArray[np.bool_]:
-        return np.asarray((start == r).all(axis=1) | (end == r).all(axis=1))
 
     crossing = (turn(p, q, start) * turn(p, q, end) <= 0) & (
         turn(start, end, p) * turn(start, end, q) <= 0
@@ -153,7 +211,16 @@ def _meets(p: Array, q: Array, start: Array, end: Array) -> NDArray[np.bool_]:
     overlap = (np.minimum(start, end) <= np.maximum(p, q)) & (
         np.maximum(start, end) >= np.minimum(p, q)
     )
-    return np.asarray(crossing & overlap.all(axis=1) & ~ends_at(p) & ~ends_at(q))
+    return np.asarray(crossing & overlap.all(axis=1))
+
+
+def _meeting_point(p: Array, q: Array, start: Array, end: Array) -> Array:
+    """Return a point that two sides share: where they cross, or an end that lies on the other."""
+    across = np.stack([q - p, start - end], axis=1)
+    if abs(np.linalg.det(across)) > 1e-12 * np.prod(np.linalg.norm(across, axis=0)):
+        return np.asarray(p + np.linalg.solve(across, start - p)[0] * (q - p))
+    longest = int(np.abs(q - p).argmax())
+    return np.asarray(sorted([p, q, start, end], key=lambda point: float(point[longest]))[1])
 
 
 def depth_inside(loops: Sequence[Array], places: Array) -> Array:
