@@ -13,9 +13,16 @@ from step_response import plot_step_responses
 from truenewton.calibration.figures import write_figures
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import OutputExists
-from truenewton.figures.maps import plot_layout, plot_map
+from truenewton.figures.maps import (
+    mark_rings,
+    names_by_ring,
+    numbers_by_ring,
+    plot_layout,
+    plot_map,
+)
 from truenewton.figures.style import COLUMN
 from truenewton.mirrors.known import p45
+from truenewton.statics.layout import layout, ring_centre, ring_of, rings
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +61,20 @@ def test_alpha_stands_with_three_sigma_bars_ring_by_ring(calibration):
     named = {text.get_text() for text in ax.texts}
     extremes = {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
     assert named == {"ring 1", "ring 2", "ring 3"} | extremes
+
+
+def test_a_segment_beside_the_axis_has_its_own_rings_and_its_own_ids():
+    """Ring by ring about its middle; ticks name the actuators, not their places on the axis."""
+    one = rings([0.04, 0.07], [9, 15])
+    away = layout(one.x + 0.3, one.y - 0.2, id=np.arange(24, 0, -1) + 100)
+    assert np.array_equal(ring_of(away), ring_of(one))
+    assert ring_centre(away) == pytest.approx((0.3, -0.2))
+    assert (ring_centre(one), names_by_ring(one)) == ((0.0, 0.0), {})
+    ax = Figure().add_subplot()
+    ax.plot(numbers_by_ring(away), away.x)
+    mark_rings(ax, away)
+    written = ax.xaxis.get_major_formatter()
+    assert [written(place, None) for place in (0, 1, 9, 24, 25)] == ["", "124", "116", "101", ""]
 
 
 def test_the_errors_have_a_panel_of_their_own_in_per_cent_of_alpha(calibration):

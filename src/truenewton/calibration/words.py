@@ -157,7 +157,7 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
             c.loads, c.torque_y, c.torque_x, c.torque_errors, strict=True
         ):
             my, mx = (with_error(1e3 * m, 1e3 * e) for m, e in zip(torques, errors, strict=True))
-            yield f"torques, {load.name}", f"{my}, {mx}", "M_y, M_x [mN m]"
+            yield f"torques, {load.name}", f"{my}, {mx}", "M_y, M_x [mN m] about x = y = 0"
     if fitted := [sensor for sensor in c.sensors if sensor.state == "fitted"]:
         gains = float(np.std([sensor.gain for sensor in fitted]))
         off = float(np.sqrt(np.mean([[s.x**2, s.y**2] for s in fitted])))

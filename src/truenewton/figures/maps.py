@@ -12,12 +12,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Circle, Polygon
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, styled_axes
 from truenewton.rounding import significant
-from truenewton.statics.layout import Layout, group_name, group_of, ring_of
+from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
 
 LEAST_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
@@ -29,6 +30,14 @@ def numbers_by_ring(layout: Layout) -> NDArray[np.int64]:
     Of a mirror in several segments, segment by segment.
     """
     return np.argsort(np.argsort(group_of(layout), kind="stable")) + 1
+
+
+def names_by_ring(layout: Layout) -> dict[int, str]:
+    """Return the ID of each actuator by its number ring by ring; none where all are the same."""
+    numbers = numbers_by_ring(layout)
+    if np.array_equal(numbers, layout.id):
+        return {}
+    return {int(k): str(name) for k, name in zip(numbers, layout.id, strict=True)}
 
 
 def ring_edges(layout: Layout) -> Array:
@@ -47,12 +56,16 @@ def ring_radii(layout: Layout) -> list[float]:
     """Return the mean radius of each ring [mm]; none where actuators stand on no rings."""
     if layout.segments:
         return []
-    radius, ring = np.hypot(layout.x, layout.y) / MILLIMETRE, ring_of(layout)
+    (x, y), ring = ring_centre(layout), ring_of(layout)
+    radius = np.hypot(layout.x - x, layout.y - y) / MILLIMETRE
     return [float(radius[ring == k].mean()) for k in range(ring.max() + 1) if ring.any()]
 
 
 def mark_rings(ax: Axes, layout: Layout) -> None:
-    """Name an axis of actuators ring by ring, and draw lines between the rings."""
+    """Name an axis of actuators ring by ring, its ticks too, and draw lines between the rings."""
+    if names := names_by_ring(layout):
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+        ax.xaxis.set_major_formatter(FuncFormatter(lambda place, _: names.get(round(place), "")))
     for edge in ring_edges(layout):
         ax.axvline(edge, color=FAINT, linewidth=0.5, linestyle=":", zorder=0)
     ax.set_xlabel(ring_label(layout))
@@ -156,8 +169,18 @@ def plot_map(
 
 def _frame(layout: Layout, ax: Axes, glass: float = 0.0) -> None:
     """Draw rings and axes, in millimetres, seen along -z, of a glass that reaches so far [m]."""
+    x, y = ring_centre(layout)
     for radius in ring_radii(layout):
-        ax.add_patch(Circle((0, 0), radius, fill=False, color=FAINT, linewidth=0.4, zorder=0))
+        ax.add_patch(
+            Circle(
+                (x / MILLIMETRE, y / MILLIMETRE),
+                radius,
+                fill=False,
+                color=FAINT,
+                linewidth=0.4,
+                zorder=0,
+            )
+        )
     farthest = np.hypot(layout.x, layout.y).max() / MILLIMETRE
     named = 1.1 * max((np.hypot(x, y) for _, x, y in segment_places(layout)), default=0.0)
     reach = 1.08 * max(farthest + dot_radius(layout), glass / MILLIMETRE, named)

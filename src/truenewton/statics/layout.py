@@ -308,17 +308,33 @@ def spherical_rings(
     return rings(list(radius * np.sin(t)), counts, nz=list(np.cos(t)), turned=turned)
 
 
+def ring_centre(layout: Layout) -> tuple[float, float]:
+    """Return x and y about which actuators stand on rings [m]: the origin, or their own middle.
+
+    The latter of a segment beside the axis, where it makes fewer rings of them.
+    """
+    own = float(layout.x.mean()), float(layout.y.mean())
+    return min(((0.0, 0.0), own), key=lambda centre: int(_radius_number(layout, centre).max()))
+
+
 def ring_of(layout: Layout) -> NDArray[np.int64]:
     """Return (n,) the ring of each actuator, 0 the innermost, by radius to a tenth of a millimetre.
 
-    All zeros where the actuators stand on no rings (as many radii as half the actuators).
+    About `ring_centre`. All zeros where the actuators stand on no rings (as many radii as half the
+    actuators).
     """
-    radius = np.hypot(layout.x, layout.y)
+    ring = _radius_number(layout, ring_centre(layout))
+    return ring if ring.max() < layout.n // 2 else np.zeros(layout.n, dtype=np.int64)
+
+
+def _radius_number(layout: Layout, centre: tuple[float, float]) -> NDArray[np.int64]:
+    """Return (n,) which of the radii that differ is that of each actuator, 0 the smallest."""
+    radius = np.hypot(layout.x - centre[0], layout.y - centre[1])
     order = np.argsort(radius, kind="stable")
     steps = np.diff(radius[order], prepend=radius[order[0]]) > 1e-4
-    ring = np.empty(layout.n, dtype=np.int64)
-    ring[order] = np.cumsum(steps)
-    return ring if ring.max() < layout.n // 2 else np.zeros(layout.n, dtype=np.int64)
+    number = np.empty(layout.n, dtype=np.int64)
+    number[order] = np.cumsum(steps)
+    return number
 
 
 def group_of(layout: Layout) -> NDArray[np.int64]:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from bokeh.core.properties import value
 from bokeh.models import (
+    BasicTicker,
     BoxSelectTool,
     BoxZoomTool,
     ColumnDataSource,
@@ -31,6 +32,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.figures.maps import (
     dot_radius,
+    names_by_ring,
     numbers_by_ring,
     ring_edges,
     ring_label,
@@ -40,7 +42,7 @@ from truenewton.figures.maps import (
 from truenewton.figures.style import ACCENT, ALARM, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
-from truenewton.statics.layout import Layout, group_name, group_of
+from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
 
 FONT = "system-ui, sans-serif"
 CROWDED = 1000  # beyond so many actuators, outlines would be all that is seen
@@ -76,7 +78,8 @@ def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ..
     plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm)", "y (mm)"
     plot.grid.visible = False
     if radii := ring_radii(layout):
-        plot.circle(x=0.0, y=0.0, radius=radii, fill_color=None, line_color=FAINT, line_width=0.5,
+        x, y = np.divide(ring_centre(layout), MILLIMETRE).tolist()
+        plot.circle(x=x, y=y, radius=radii, fill_color=None, line_color=FAINT, line_width=0.5,
                     level="underlay")  # fmt: skip
     low, high = layers[0].limits
     mapper = LinearColorMapper(
@@ -150,6 +153,9 @@ def _actuator_points(
         plot.add_layout(Span(location=edge, dimension="height", line_color=FAINT,
                              line_dash="dotted", line_width=1))  # fmt: skip
     plot.xaxis.axis_label = ring_label(layout)
+    if names := names_by_ring(layout):
+        plot.xaxis.ticker = BasicTicker(min_interval=1)
+        plot.xaxis.major_label_overrides = {0: "", **names}
     plot.x_range.range_padding = 0.04  # the first and the last dot shall not be cut
     plot.y_range.range_padding = 0.15
     _add_actuator_tools(plot, dots, layout, layers)

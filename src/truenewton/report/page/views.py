@@ -65,7 +65,8 @@ def calibration_views(findings: Findings, c: Calibration) -> Actuators:
     views = (
         View("map", "Map of the mirror", mirror_map(source, c.layout, layers),
              _map_caption(c.layout, _extremes(c))),
-        View("rings", "Alpha by ring", alpha_by_ring(source, c, layers), _ring_caption(c)),
+        View("rings", "Alpha by ring" if ring_of(c.layout).any() else "Alpha by actuator",
+             alpha_by_ring(source, c, layers), _ring_caption(c)),
     )  # fmt: skip
     return Actuators(c.layout, layers, views)
 
@@ -114,9 +115,9 @@ def _map_caption(layout: Layout, extremes: str = "") -> str:
 
 def _extremes(c: Calibration) -> str:
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
-    ring = ring_of(c.layout) + 1
+    ring = ring_of(c.layout)
     lowest, highest = (
-        f"actuator {c.layout.id[k]} on ring {ring[k]}"
+        f"actuator {c.layout.id[k]}{f' on ring {ring[k] + 1}' if ring.any() else ''}"
         f" ({to_digits(float(c.alpha[k]), float(c.error[k]))})"
         for k in (low, high)
     )
@@ -128,7 +129,8 @@ def _ring_caption(c: Calibration) -> str:
     ring = ring_of(c.layout)
     means = [float(np.nanmean(c.alpha[ring == k])) if np.isfinite(c.alpha[ring == k]).any()
              else float("nan") for k in range(ring.max() + 1)]  # fmt: skip
-    words = "Alpha of each actuator, ring by ring from the centre. Bars: three standard"
+    order = ", ring by ring from the centre" if ring.any() else ""
+    words = f"Alpha of each actuator{order}. Bars: three standard"
     words += " uncertainties from the readings (3 E_STAT)"
     if c.scale != Scale.MEAN_ONE:
         scale = percent(typical(c.systematic_error, c.alpha))
