@@ -24,7 +24,7 @@ import truenewton as tn
 from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import at_nominal
-from truenewton.mirrors.shell.puck_motion import motion_for
+from truenewton.mirrors.sight import motion_for
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.dissipation import Dissipation, dissipation
 from truenewton.modal.findings import find_modes

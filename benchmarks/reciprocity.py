@@ -43,7 +43,7 @@ from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values, at_nominal
 from truenewton.estimation.sifted import sift
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.shell.puck_motion import motion_for
+from truenewton.mirrors.sight import motion_for
 from truenewton.records.campaign import Campaign
 
 GAINS = {"gains known": Asked(), "gains +- 0.4 %": Asked(0.004), "gains free": Asked(np.inf)}

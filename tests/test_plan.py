@@ -30,7 +30,7 @@ from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import READINGS, tilt_as_load, typical
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.puck_motion import motion_for
+from truenewton.mirrors.sight import motion_for
 from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain
 from truenewton.planning.outlook import duration, outlook, predicted, with_sensors

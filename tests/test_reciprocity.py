@@ -35,7 +35,8 @@ from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values
 from truenewton.estimation.sifted import sift
 from truenewton.mirrors.known import mmt336, p45, ring
 from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.puck_motion import motion_for, puck_motion
+from truenewton.mirrors.shell.puck_motion import puck_motion
+from truenewton.mirrors.sight import motion_for
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,13 @@ from truenewton.bench.simulated.segmented import bench_of, campaign_on, truth_of
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.checks import check_glass
 from truenewton.mirrors.file import mirror_from, whole_mirror_from
+from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import GRAVITY
 from truenewton.mirrors.segmented import SEGMENTED
+from truenewton.mirrors.sight import motion_for
 from truenewton.records.file import cycle_from
 from truenewton.statics.arms import effective_weight, external_load, resultants
+from truenewton.statics.layout import layout
 
 WHOLE = """
 name = "TINY"
@@ -193,7 +197,7 @@ def test_a_plan_of_segments_is_that_of_the_worst(inside, tiny):
     assert said["tiny"]["instrument"] == f"TINY segment {number}, the worst of 2 that differ"
     code, _, error = inside("acquire", path, "-o", tiny.with_name("c"))
     assert code == 2
-    assert "is a mirror in segments; simulate and plan take it, acquire and serve one" in error
+    assert "is a mirror in segments; simulate, plan and --mirror take it, acquire" in error
 
 
 def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
@@ -232,6 +236,35 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
 def inside_simulation(inside, tiny):
     assert inside("simulate", tiny, "-o", tiny.with_name("whole"), "--cycles", 1)[0] == 0
     return tiny.with_name("whole.truth.fits")
+
+
+def test_what_sensors_of_segments_see(inside, tiny):
+    """Turned as a glass whose outline was turned; by reciprocity alpha is within its errors."""
+    whole = whole_mirror_from(tiny)
+    square, place = whole.segments[1], whole.places[1]
+    own = whole.layout.segment == 2
+    seen = motion_for(whole, whole.layout)
+    assert not seen[:, own][:, :, ~own].any()
+    assert np.array_equal(motion_for(whole, whole.layout.part(own)), seen[:, own][:, :, own])
+    (edge,) = (whole.seen_edges()[1] - [place.x, place.y],)
+    at = whole.layout.part(own)
+    alone = replace(
+        square,
+        shell=replace(square.shell, outline=Outline(tuple(map(tuple, edge.tolist())))),
+        layout=layout(at.x - place.x, at.y - place.y),
+    )
+    expected = motion_for(alone, alone.layout)
+    for one, other in zip(seen[:, own][:, :, own], expected, strict=True):
+        assert np.linalg.norm(one - other) < 0.02 * np.linalg.norm(other)
+    folder, found = tiny.with_name("r"), tiny.with_name("r.fits")
+    assert inside("simulate", tiny, "-o", folder, "--cycles", 2, "--noise", 3e-5)[0] == 0
+    asked = ("--method", "reciprocity", "--mirror", tiny)
+    assert inside("calibrate", folder, *asked, "-o", found)[0] == 0
+    truth, calibrated = tn.read_truth(tiny.with_name("r.truth.fits")), tn.read(found)
+    assert np.abs((calibrated.alpha - truth.alpha) / calibrated.error).max() < 4
+    code, _, error = inside("calibrate", folder, *asked[:3], tiny.with_name("square.toml"))
+    assert code == 2
+    assert "with its ACTUATORS table; of a segment, that of the whole" in error
 
 
 def test_the_wall_of_the_page(tmp_path):

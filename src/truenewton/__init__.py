@@ -42,7 +42,7 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.segmented import SegmentedCalibration as SegmentedCalibration
     from truenewton.foreign.export import export_supervisor as export_supervisor
     from truenewton.foreign.importing import stiffness_from as stiffness_from
-    from truenewton.mirrors.shell.puck_motion import motion_for as motion_for
+    from truenewton.mirrors.sight import motion_for as motion_for
     from truenewton.modal.bases import karhunen_loeve_modes as karhunen_loeve_modes
     from truenewton.modal.bases import zernike_modes as zernike_modes
     from truenewton.modal.dissipation import Budget as Budget
@@ -107,7 +107,7 @@ _NAMES = {
     "calibration.segmented": ["SegmentedCalibration"],
     "foreign.export": ["export_supervisor"],
     "foreign.importing": ["stiffness_from"],
-    "mirrors.shell.puck_motion": ["motion_for"],
+    "mirrors.sight": ["motion_for"],
     "modal.bases": ["karhunen_loeve_modes", "zernike_modes"],
     "modal.dissipation": ["Budget"],
     "modal.file": ["write_modes"],

@@ -62,7 +62,7 @@ def calibrate_segments(
     solve
         Calibrates a mirror in one piece, given its motion by that name: `calibrate`, or a partial.
     motion
-        (n, n), as of `calibrate`, of all segments; or None.
+        (6, n, n) or (n, n), as of `calibrate`, of all segments; or None.
     processes
         How many at once; None for as many as there are processors, if segments are large.
 
@@ -79,7 +79,7 @@ def calibrate_segments(
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], Calibration]:
         own = segment == number
-        return partial(solve, motion=None if motion is None else motion[np.ix_(own, own)])
+        return partial(solve, motion=None if motion is None else motion[..., own, :][..., own])
 
     made, refused = sorted_out(data, of_each(data, solver, processes), "alpha")
     made = {number: frozen_again(one) for number, one in made.items()}

@@ -60,10 +60,10 @@ def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedDa
     """
     if mirror is None:
         return None
-    from truenewton.mirrors.file import mirror_from
-    from truenewton.mirrors.shell.puck_motion import motion_for
+    from truenewton.mirrors.file import whole_mirror_from
+    from truenewton.mirrors.sight import motion_for
 
-    return motion_for(mirror_from(mirror), data.layout)
+    return motion_for(whole_mirror_from(mirror), data.layout)
 
 
 def ids(text: str, option: str) -> list[int]:

@@ -11,14 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.errors import CampaignMismatch, GeometryError
+from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import rim
-from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.shell.condensation import condense, rigid_motions
-from truenewton.mirrors.shell.held_glass import HeldGlass, held_glass, influence
+from truenewton.mirrors.shell.held_glass import HeldGlass, influence
 from truenewton.mirrors.shell.moving_mass import shapes_at
 from truenewton.statics.arms import arms
-from truenewton.statics.layout import Layout
 
 # Between places [m]: first differences are then good to 1e-4 of themselves, where neighbouring
 # pucks are 12 mm from the edge of a sensor.
@@ -38,45 +36,11 @@ def puck_motion(glass: HeldGlass) -> Array:
     return np.asarray(glass.exchange @ pucks @ np.linalg.inv(glass.exchange))
 
 
-def motion_for(mirror: Mirror, layout: Layout) -> Array:
-    """Return what sensors see of a mirror whose actuators are those of data.
-
-    Returns
-    -------
-    numpy.ndarray
-        (6, n, n): `puck_motion` and `displaced_readings`. (1, n, n) where the latter are not known:
-        of a sensor that touches its puck, another's or an edge.
-
-    Parameters
-    ----------
-    mirror
-        The glass and its actuators.
-    layout
-        The n actuators of the data.
-
-    Raises
-    ------
-    CampaignMismatch
-        The actuators are others.
-    GeometryError
-        What `held_glass` raises.
-
-    Examples
-    --------
-    >>> motion = tn.motion_for(tn.mirrors.p45(), campaign.layout)
-    >>> tn.calibrate(campaign, motion=motion).method
-    'reciprocity'
-    """
-    if not mirror.layout.same_actuators_as(layout):
-        raise CampaignMismatch(
-            f"the actuators of {mirror.name} are not those of the data",
-            remedy="give the mirror that was measured, with its ACTUATORS table",
-        )
-    return seen_by(held_glass(mirror))
-
-
 def seen_by(glass: HeldGlass) -> Array:
-    """Return (6, n, n) or (1, n, n) as `motion_for`, of a glass."""
+    """Return `puck_motion` and `displaced_readings` of a glass, (6, n, n).
+
+    Or the former alone, (1, n, n), of a sensor that touches its puck, another's or an edge.
+    """
     motion = puck_motion(glass)[None]
     try:
         return np.concatenate([motion, displaced_readings(glass)])

@@ -1,0 +1,92 @@
+"""What the sensors of a mirror see of its glass, for data that were taken on it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from truenewton.arrays import Array
+from truenewton.errors import CampaignMismatch
+from truenewton.mirrors.known import Mirror
+from truenewton.mirrors.segmented import SegmentedMirror
+from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.shell.puck_motion import seen_by
+from truenewton.statics.layout import Layout
+
+
+def motion_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
+    """Return what sensors see of a mirror whose actuators are those of data.
+
+    Returns
+    -------
+    numpy.ndarray
+        (6, n, n): `puck_motion` and `displaced_readings`. (1, n, n) where the latter are not known:
+        of a sensor that touches its puck, another's or an edge. Zeros between segments.
+
+    Parameters
+    ----------
+    mirror
+        The glass and its actuators.
+    layout
+        The n actuators of the data, of a mirror in segments all or those of some.
+
+    Raises
+    ------
+    CampaignMismatch
+        The actuators are others.
+    GeometryError
+        What `held_glass` raises.
+
+    Examples
+    --------
+    >>> motion = tn.motion_for(tn.mirrors.p45(), campaign.layout)
+    >>> tn.calibrate(campaign, motion=motion).method
+    'reciprocity'
+    """
+    segmented, known = isinstance(mirror, SegmentedMirror), mirror.layout
+    if segmented and layout.segment is not None:
+        measured = np.isin(np.asarray(known.segment), layout.segment)
+        known = known.part(measured) if measured.any() else known
+    if not known.same_actuators_as(layout):
+        part = layout.segment is not None and not segmented
+        whole = "; of a segment, that of the whole" if part else ""
+        raise CampaignMismatch(
+            f"the actuators of {mirror.name} are not those of the data",
+            remedy=f"give the mirror that was measured, with its ACTUATORS table{whole}",
+        )
+    if isinstance(mirror, SegmentedMirror):
+        return _seen_by_segments(mirror, layout)
+    return seen_by(held_glass(mirror))
+
+
+def _seen_by_segments(mirror: SegmentedMirror, layout: Layout) -> Array:
+    """Return (6, n, n) or (1, n, n) as `motion_for`, of the segments that a layout holds."""
+    number = np.asarray(layout.segment)
+    blocks: dict[int, Array] = {}
+    for glass, alike in mirror.kinds:
+        measured = sorted(set(alike) & set(number.tolist()))
+        if measured:
+            blocks.update(dict.fromkeys(measured, seen_by(held_glass(glass))))
+    depth = min(map(len, blocks.values()))
+    whole = np.zeros((depth, layout.n, layout.n))
+    for k, seen in blocks.items():
+        own = np.ix_(number == k, number == k)
+        whole[:, *own] = _turned(seen[:depth], mirror.places[k - 1].turned)
+    return whole
+
+
+def _turned(seen: Array, degrees: float) -> Array:
+    """Return (6, n, n) or (1, n, n), derivatives along axes that the segment is turned from."""
+    if len(seen) == 1 or not degrees:
+        return seen
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    motion, x, y, xx, xy, yy = seen
+    return np.stack(
+        [
+            motion,
+            c * x - s * y,
+            s * x + c * y,
+            c * c * xx - 2 * c * s * xy + s * s * yy,
+            c * s * (xx - yy) + (c * c - s * s) * xy,
+            s * s * xx + 2 * c * s * xy + c * c * yy,
+        ]
+    )
