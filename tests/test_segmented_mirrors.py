@@ -193,8 +193,8 @@ def test_a_plan_of_segments_is_that_of_the_worst(inside, tiny):
         said[name] = json.loads(out)
     worst = max(("disc", "square"), key=lambda name: said[name]["typical_error"])
     assert said["tiny"]["typical_error"] == said[worst]["typical_error"]
-    number = 1 + (worst == "square")
-    assert said["tiny"]["instrument"] == f"TINY segment {number}, the worst of 2 that differ"
+    which = {"disc": "1 (as segment 3)", "square": "2"}[worst]
+    assert said["tiny"]["instrument"] == f"TINY segment {which}, the worst of 2 that differ"
     code, _, error = inside("acquire", path, "-o", tiny.with_name("c"))
     assert code == 2
     assert "is a mirror in segments; simulate, plan and --mirror take it, acquire" in error

@@ -21,6 +21,7 @@ from truenewton.mirrors.file import mirror_from, segment_from, whole_mirror_from
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
 from truenewton.records.file import SUFFIXES, cycle_name
+from truenewton.rounding import numbered
 from truenewton.statics.layout import MOST_ACTUATORS, Layout
 from truenewton.statics.load import Load, check_load
 
@@ -335,7 +336,11 @@ def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> 
     whole = whole_mirror_from(_mirror_of(plan, folder))
     if not isinstance(whole, SegmentedMirror):
         return {whole.name: whole}
-    return {f"{whole.name} segment {alike[0]}": segment for segment, alike in whole.kinds}
+    bodies = {}
+    for segment, (first, *others) in whole.kinds:
+        alike = f" (as {numbered('segment', others)})" if others else ""
+        bodies[f"{whole.name} segment {first}{alike}"] = segment
+    return bodies
 
 
 def _mirror_of(plan: CampaignPlan, folder: str | os.PathLike[str]) -> Path | str:

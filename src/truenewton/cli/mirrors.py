@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 
 
 def run(
-    mirror: str = typer.Argument("", help="A mirror to tell more of: its name, or a TOML file."),
+    mirror: str = typer.Argument(
+        "", help="A mirror to tell more of: its name, or a TOML file (docs/simulated-bench.md)."
+    ),
     plot: bool = typer.Option(
         False, "--plot", help="Draw its actuators and glass (figure 2) as PNG."
     ),
@@ -71,7 +73,7 @@ def run(
         ]
     else:
         numbers = _numbers(known)
-        lines = [f"  {name:<22}{value}" for name, value in numbers.items()]
+        lines = [f"  {line}" for line in _lines_of(known)]
     makers = KNOWN | SEGMENTED
     source = makers.get(mirror.lower(), ring if mirror.lower().startswith("ring") else None)
     if source:
@@ -118,10 +120,26 @@ def _lines_of_part(whole: SegmentedMirror, part: Mirror, alike: list[int]) -> li
         f"{k} at {round(at.x, 9):.4g}, {round(at.y, 9):.4g} m, turned {at.turned:g} deg"
         for k, at in ((k, whole.places[k - 1]) for k in alike)
     )
-    numbers = _numbers(part)
-    if isinstance(numbers.get("outline"), dict):
-        numbers["outline"] = f"a polygon of {len(part.shell.polygons()[0])} corners"
-    return [f"  segments {places}:", *(f"    {name:<22}{value}" for name, value in numbers.items())]
+    return [f"  segments {places}:", *(f"    {line}" for line in _lines_of(part))]
+
+
+def _lines_of(mirror: Mirror) -> list[str]:
+    """Return what is known of a mirror in one piece, each with its unit."""
+    from truenewton.mirrors.glass import SHELL_UNITS
+    from truenewton.mirrors.known import MIRROR_UNITS
+    from truenewton.rounding import counted
+
+    units, sensor = {**SHELL_UNITS, **MIRROR_UNITS}, mirror.sensor
+    said = {"sensor": f"{sensor.inner_radius:g} to {sensor.outer_radius:g} m from its actuator"}
+    if mirror.tool_radius is None:
+        said["tool_radius"] = "not given"
+    if mirror.shell.outline is not None:
+        edge, *holes = mirror.shell.polygons()
+        said["outline"] = f"{counted(edge, 'corner')}, {counted(holes, 'hole')}"
+    return [
+        f"{name:<22}{said.get(name, value)} {units.get(name, '') * (name not in said)}".rstrip()
+        for name, value in _numbers(mirror).items()
+    ]
 
 
 def _numbers_of_whole(whole: SegmentedMirror) -> dict[str, object]:

@@ -53,6 +53,8 @@ def rim(puck_radius: float) -> Annulus | None:
     return Annulus(puck_radius, puck_radius) if puck_radius else None
 
 
+SHELL_UNITS = {"inner_radius": "m", "outer_radius": "m", "thickness": "m", "young_modulus": "Pa",
+               "poisson_ratio": "", "density": "kg/m3", "radius_of_curvature": "m"}  # fmt: skip
 Polygon = tuple[tuple[float, float], ...]
 
 
@@ -111,9 +113,7 @@ class Shell:
     outline: Outline | None = None
 
     def __post_init__(self) -> None:
-        in_units(self, {"inner_radius": "m", "outer_radius": "m", "thickness": "m",
-                        "young_modulus": "Pa", "poisson_ratio": "", "density": "kg/m3",
-                        "radius_of_curvature": "m"})  # fmt: skip
+        in_units(self, SHELL_UNITS)
 
     @property
     def bending_stiffness(self) -> float:

@@ -20,6 +20,10 @@ from truenewton.statics.layout import Layout, spherical_rings
 
 GRAVITY = 9.80665  # standard acceleration of gravity [m/s^2]
 MOST_ACTUATORS = 5352
+MIRROR_UNITS = {"weight": "N", "weight_error": "N", "added_weight": "N", "added_weight_error": "N",
+                "bias_force": "N", "magnet_mass": "kg", "alpha_range": "", "gap": "m",
+                "puck_radius": "m", "vent_radius": "m", "tool_radius": "m", "coil_gradient": "1/m",
+                "bias_gradient": "N/m"}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,11 +82,7 @@ class MirrorNumbers:
     bias_gradient: float = 0.0
 
     def __post_init__(self) -> None:
-        forces = ("weight", "weight_error", "added_weight", "added_weight_error", "bias_force")
-        lengths = ("gap", "puck_radius", "vent_radius", "tool_radius")
-        in_units(self, {**dict.fromkeys(forces, "N"), **dict.fromkeys(lengths, "m"),
-                        "magnet_mass": "kg", "alpha_range": "", "coil_gradient": "1/m",
-                        "bias_gradient": "N/m"})  # fmt: skip
+        in_units(self, MIRROR_UNITS)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,10 @@ def segment_sections(c: SegmentedCalibration) -> Iterator[Section]:
     words = (
         "Each is a body of its own: it was balanced by itself, with its own weight, B and torques."
     )
-    words += " A page with the residuals and the modes of one: truenewton report ... --segment 1."
+    words += (
+        f" With --segment {c.numbers[0]} added, the command at the end of this page makes one with"
+        " its residuals and modes, where it was given the data."
+    )
     table = TextTable(counted(c.numbers, "segment"), HEAD, rows)
     yield Section("segments", "Segments", (words,), tables=(table,))
     for number in c.numbers:
