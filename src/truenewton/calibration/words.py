@@ -178,9 +178,9 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         note = f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2"
         yield "least known", c.diagnosis.weakest, note
     if c.diagnosis is not None and c.diagnosis.eigenvalues:
-        note = "second over smallest singular value; noise alone gives 1"
+        note = "the next best answer balances so many times worse; noise alone gives 1"
         yield "alpha stands apart by", f"{c.diagnosis.separation:.3g}", note
-    note = f"of E, each coordinate in units of its RMS; rank {c.rank}"
+    note = f"of E, the equations of balance, in units of their RMS; rank {c.rank}"
     if np.isfinite(c.condition):
         yield "condition", f"{c.condition:.3g}", note
     if np.isfinite(c.solved_condition):

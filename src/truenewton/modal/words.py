@@ -131,7 +131,7 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     """Return name and value of what was found; no value where there is none."""
     base, measured = findings.after, findings.measured
     asymmetry, imbalance = (
-        "".join(f"{percent(fault):<12}" for fault in faults).rstrip()
+        "".join(f"{percent(fault):<12}" for fault in faults)
         for faults in (findings.asymmetry, findings.imbalance)
     )
     elastic = base.modes.stiffness[3:]
@@ -141,9 +141,9 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
         ("measured stiffness", measured_text(measured) if measured else ""),
         ("", rigid_text(measured) if measured else ""),
         ("", f"{'alpha = 1':<12}calibrated"),
-        ("asymmetry of it", asymmetry),
-        ("imbalance of it", imbalance),
-        ("piston and tilts", f"{'':<12}{rigid} N/m"),
+        ("asymmetry of it", f"{asymmetry}of K - K'"),
+        ("imbalance of it", f"{imbalance}forces of its columns that do not balance"),
+        ("piston and tilts", f"{'':<12}{rigid} N/m; of a free glass 0, but for {NEGATIVE}"),
         ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
          + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
         ("sensor gains", sensor_gains_text(base)),

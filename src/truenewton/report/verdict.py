@@ -103,6 +103,8 @@ def verdict_on_whole(c: SegmentedCalibration) -> Headline:
 def _headline(
     verdict: Verdict, sentence: str, numbers: tuple[tuple[str, str, str], ...]
 ) -> Headline:
+    if verdict.level == Level.LIMITED:
+        sentence += " It can be used; what limits it stands below."
     return Headline(verdict.level, verdict.level.capitalize(), sentence, numbers, verdict.faults)
 
 
