@@ -182,8 +182,8 @@ def _mirror_in(path: Path) -> Mirror:
 def _is_segmented(name: str) -> FormatError:
     return FormatError(
         f"'{name}' is a mirror in segments",
-        remedy="give the file of one segment; simulate, plan and --mirror take all of it, acquire"
-        " and serve one, by --segment",
+        remedy="simulate, plan and --mirror take it, acquire and serve one segment of it,"
+        " --segment; for anything else give the file of one segment",
     )
 
 

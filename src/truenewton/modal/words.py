@@ -134,6 +134,10 @@ def _two(before: float, after: float) -> str:
 def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     """Return name and value of what was found; no value where there is none."""
     base, measured = findings.after, findings.measured
+    asymmetry, imbalance = (
+        "".join(f"{percent(fault):<12}" for fault in faults)
+        for faults in (findings.asymmetry, findings.imbalance)
+    )
     elastic = base.modes.stiffness[3:]
     rigid = ", ".join(f"{value:.3g}" for value in base.modes.stiffness[:3])
     negative = int(np.count_nonzero(elastic < 0))
@@ -141,9 +145,8 @@ def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
         ("measured stiffness", measured_text(measured) if measured else ""),
         ("", rigid_text(measured) if measured else ""),
         ("", f"{'alpha = 1':<12}calibrated"),
-        ("asymmetry of it", _two(*findings.asymmetry) + "of K - K'"),
-        ("imbalance of it", _two(*findings.imbalance) + "forces of its columns that do not"
-         " balance"),
+        ("asymmetry of it", f"{asymmetry}of K - K'"),
+        ("imbalance of it", f"{imbalance}forces of its columns that do not balance"),
         ("piston and tilts", f"{'':<12}{rigid} N/m; of a free glass 0, but for {NEGATIVE}"),
         ("elastic modes", f"{'':<12}{elastic.min():.3g} .. {elastic.max():.3g} N/m"
          + (f"; {negative} negative: {NEGATIVE}" if negative else "")),
