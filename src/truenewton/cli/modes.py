@@ -39,12 +39,8 @@ def run(
         0.51, help="Commanded force per root of power [N/W^1/2]; LBT's."
     ),
     off: str = typer.Option("", help="IDs of actuators that will be off, as 17,18: they float."),
-    slaved: str = typer.Option(
-        "", help="IDs that the optics do not command: they follow with least force."
-    ),
-    mirror: str | None = typer.Option(
-        None, help="Its glass, known or a TOML file: what its sensors see."
-    ),
+    slaved: str = typer.Option("", help="IDs not commanded: they follow with least force."),
+    mirror: str | None = options.GLASS,
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Modal base to write; matrices are written beside it."
     ),
@@ -72,8 +68,6 @@ def run(
     if output is not None and not output.name.endswith(SUFFIXES):
         raise OutputFailed("is no name for a modal base", remedy="let -o end in .fits", path=output)
     atmosphere, limits = Atmosphere(seeing, outer_scale), Budget(power, total_power, force)
-    floating = options.ids(off, "--off") if off else ()
-    following = options.ids(slaved, "--slaved") if slaved else ()
     refuse_existing(*(modes_paths(output) if output else ()), figures, overwrite=overwrite)
     data = read_data(*paths)
     several = data.numbers if isinstance(data, SegmentedData) and segment is None else ()
@@ -81,7 +75,8 @@ def run(
         refuse_existing(*modes_paths(path), overwrite=overwrite)
     asked: dict[str, Any] = {
         "diameter": diameter, "radius": radius, "efficiency": efficiency, "force": anyway,
-        "off": floating, "slaved": following,
+        "off": options.ids(off, "--off") if off else (),
+        "slaved": options.ids(slaved, "--slaved") if slaved else (),
     }  # fmt: skip
     with busy("finding modes"), about(paths):
         if isinstance(data, SegmentedData) and segment is None:

@@ -175,10 +175,8 @@ def find_modes(
     matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
     stiffnesses = [
-        true_stiffness(
-            matrix, alpha, sensor_gain=sensor_gain, motion=motion, off=off, slaved=slaved
-        )
-        for alpha in (None, calibration)
+        true_stiffness(matrix, one, sensor_gain=sensor_gain, motion=motion, off=off, slaved=slaved)
+        for one in (None, calibration)
     ]
     seen = seen_turbulence(
         stiffnesses[0].enabled,

@@ -163,8 +163,7 @@ def true_stiffness(
         calibration knows of gains and places of the sensors counts, if the matrix does not hold it
         already (`StiffnessMatrix.displaced`).
     motion
-        (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
-        displacements where forces act for those seen. Of no use where the matrix holds it already.
+        (6, n, n) or (n, n) as of `calibrate`; does not count if the matrix holds it already.
     off, slaved
         IDs.
 
@@ -188,11 +187,7 @@ def true_stiffness(
     on = matrix.layout.enabled
     layout = matrix.layout.part(on)
     alpha = matched_alpha(layout, matrix.instrument, calibration)
-    known = matrix.displaced == "true"
-    gain, offset = matched_sensors(layout, None if known else calibration)
-    if sensor_gain is not None:
-        gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
-    seen = seen_motion(matrix.layout, gain, offset, None if known else motion)
+    gain, offset, seen = _sensors(matrix, calibration, sensor_gain, motion)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = np.linalg.solve(seen.T, (alpha[:, None] * matrix.used_stiffness).T).T
     skew, symmetric = _row_norms(k - k.T), 0.5 * (k + k.T)
@@ -222,6 +217,22 @@ def true_stiffness(
         actuator_asymmetry=skew / size,
         imbalance=float(2 * np.sqrt(2) * np.linalg.norm(coupling) / np.linalg.norm(size)),
     )
+
+
+def _sensors(
+    matrix: StiffnessMatrix,
+    calibration: Calibration | None,
+    sensor_gain: Array | None,
+    motion: Array | None,
+) -> tuple[Array, Array, Array]:
+    """Return gains, offsets, and true displacements for readings, as of `TrueStiffness`."""
+    on = matrix.layout.enabled
+    if matrix.displaced == "true":
+        calibration, motion = None, None
+    gain, offset = matched_sensors(matrix.layout.part(on), calibration)
+    if sensor_gain is not None:
+        gain, offset = checked_gain(sensor_gain, on), np.zeros_like(offset)
+    return gain, offset, seen_motion(matrix.layout, gain, offset, motion)
 
 
 def _row_norms(matrix: Array) -> Array:
