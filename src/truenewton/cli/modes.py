@@ -40,12 +40,8 @@ def run(
         0.51, help="Commanded force per root of power [N/W^1/2]; LBT's."
     ),
     off: str = typer.Option("", help="IDs of actuators that will be off, as 17,18: they float."),
-    slaved: str = typer.Option(
-        "", help="IDs that the optics do not command: they follow with least force."
-    ),
-    mirror: str | None = typer.Option(
-        None, help="Its glass, known or a TOML file: what its sensors see."
-    ),
+    slaved: str = typer.Option("", help="IDs not commanded: they follow with least force."),
+    mirror: str | None = options.GLASS,
     output: Path | None = typer.Option(
         None, "-o", "--output", help="Modal base to write; matrices are written beside it."
     ),

@@ -23,7 +23,7 @@ POPULATION = typer.Option(
     False, "--population", help="Take alpha for samples of one normal population (ml)."
 )
 GLASS = typer.Option(
-    None, "--mirror", help="Its glass, known or a TOML file: what its sensors see (reciprocity)."
+    None, "--mirror", help="Its glass, known or a TOML file: what its sensors see."
 )
 ANYWAY = typer.Option(
     False, "--anyway", help="Go on though the verdict on alpha is 'not to be used'."

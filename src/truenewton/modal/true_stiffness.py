@@ -201,8 +201,7 @@ def true_stiffness(
         calibration knows of gains and places of the sensors counts, if the matrix does not hold it
         already (`StiffnessMatrix.displaced`).
     motion
-        (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
-        displacements where forces act for those seen. Of no use where the matrix holds it already.
+        (6, n, n) or (n, n) as of `calibrate`; does not count if the matrix holds it already.
     off, slaved
         IDs.
 

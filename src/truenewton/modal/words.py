@@ -127,10 +127,6 @@ def headline(findings: ModalFindings) -> str:
     )
 
 
-def _two(before: float, after: float) -> str:
-    return f"{percent(before):<12}{percent(after):<12}"
-
-
 def summary_rows(findings: ModalFindings) -> list[tuple[str, str]]:
     """Return name and value of what was found; no value where there is none."""
     base, measured = findings.after, findings.measured
