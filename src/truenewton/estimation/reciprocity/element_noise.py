@@ -28,6 +28,7 @@ STEPS = 40
 SETTLED = 2e-3  # relative change of what matters to the variance
 LEAST = 1e-24  # variance in terms of the mean square of an element
 ALIKE = 4.0  # residuals' worth of belief that a sensor is as noisy as the others
+MOST_TAKEN = 0.9  # of a pair, by factors: beyond, too little is left to tell noise
 LITTLE = 1e-4  # share of the variance that does not matter
 
 
@@ -63,7 +64,7 @@ def _likeliest(stiffness: Array, fit: Fit, seen: Sight) -> tuple[Array, float]:
     back = np.linalg.inv(seen.motion * fit.values.gain)
     true = alpha[:, None] * stiffness @ back
     apart, whole = true - true.T, 0.5 * (true + true.T)
-    left = 1.0 - max(2.0 / n, fit.parameters[2] / fit.equations[2])
+    left = 1.0 - max(0.0, fit.parameters[2] - n) / fit.equations[2]  # by what else is fitted
     mixed, own, mean = back**2, alpha[:, None] ** 2, float(np.mean(stiffness**2))
     laws = np.stack([np.broadcast_to(own, stiffness.shape), own * stiffness**2 / mean])
     moved = _by_offsets(true @ seen.motion, fit, seen)
@@ -74,7 +75,7 @@ def _likeliest(stiffness: Array, fit: Fit, seen: Sight) -> tuple[Array, float]:
         total = (each * sensor) @ mixed + offsets * moved
         total = total + total.T
         np.fill_diagonal(total, np.inf)  # nothing is its own transpose
-        square = _without_factors(apart, whole, 1.0 / total) ** 2 / left
+        square = _without_factors(apart, whole, 1.0 / total) / left
         wanted, had = square / total**2, 1.0 / total
         offsets *= float(np.sqrt(np.sum(moved * wanted) / max(np.sum(moved * had), 1e-300)))
         wanted, had = wanted @ mixed.T, had @ mixed.T
@@ -112,9 +113,15 @@ def _by_offsets(forces: Array, fit: Fit, seen: Sight) -> Array:
 
 
 def _without_factors(apart: Array, whole: Array, weight: Array) -> Array:
-    """Return (n, n) differences of pairs without what one factor of each actuator explains."""
+    """Return (n, n) squared differences of pairs without what one factor of each explains.
+
+    Each over 1 less its leverage: a few strong pairs make most of a factor.
+    """
     links = weight * whole**2
     laplacian = np.diag(links.sum(axis=1)) - links
     laplacian += np.trace(laplacian) / len(links) ** 2  # the factor of all is free
-    factor = np.linalg.solve(laplacian, np.sum(weight * whole * apart, axis=1))
-    return np.asarray(apart - whole * (factor[:, None] - factor))
+    inverse = np.linalg.inv(laplacian)
+    factor = inverse @ np.sum(weight * whole * apart, axis=1)
+    own = np.diag(inverse)
+    leverage = np.minimum(links * (own[:, None] + own - 2.0 * inverse), MOST_TAKEN)
+    return np.asarray((apart - whole * (factor[:, None] - factor)) ** 2 / (1.0 - leverage))
