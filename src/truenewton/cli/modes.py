@@ -12,6 +12,7 @@ import typer
 from truenewton.cli import options
 
 if TYPE_CHECKING:
+    from truenewton.calibration.result import Calibration
     from truenewton.modal.dissipation import Budget
 
 
@@ -53,7 +54,6 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Find stiffness modes, and how many can be corrected within a power or a force."""
-    from truenewton.calibration.verdict import refuse_unusable
     from truenewton.cli.terminal import about, busy, print_result
     from truenewton.errors import OutputFailed
     from truenewton.files.outputs import refuse_existing
@@ -63,7 +63,7 @@ def run(
     from truenewton.modal.segments import modes_of_segments
     from truenewton.modal.turbulence import Atmosphere
     from truenewton.modal.words import lines, segment_lines, segment_values, values
-    from truenewton.reading import of_segment, read_calibration, read_data, read_segmented
+    from truenewton.reading import of_segment, read_data, read_segmented
     from truenewton.records.file import SUFFIXES
     from truenewton.records.segmented import SegmentedData
 
@@ -88,9 +88,7 @@ def run(
             told, schema = [*segment_lines(found, limits)], "modes-segments"
             as_values = segment_values(found, limits) if json else None
         else:
-            alpha = None if calibration is None else read_calibration(calibration, segment=segment)
-            if alpha is not None:
-                refuse_unusable(alpha, force=anyway, path=calibration)
+            alpha = _usable(calibration, segment, force=anyway)
             body = of_segment(data, segment, paths[0])
             one = find_modes(body, alpha, atmosphere, **asked)
             found, told, schema = {0: one}, lines(one, limits), "modes"
@@ -98,6 +96,18 @@ def run(
         written = _written(found, output, figures, limits, overwrite=overwrite)
     nothing = () if output or figures else (None,)
     print_result(told, *written, *nothing, values=as_values, schema=schema, quiet=quiet)
+
+
+def _usable(path: Path | None, segment: int | None, *, force: bool) -> Calibration | None:
+    """Read the calibration that was given, if one was; a refusal names its file."""
+    from truenewton.calibration.verdict import refuse_unusable
+    from truenewton.reading import read_calibration
+
+    if path is None:
+        return None
+    calibration = read_calibration(path, segment=segment)
+    refuse_unusable(calibration, force=force, path=path)
+    return calibration
 
 
 def _written(

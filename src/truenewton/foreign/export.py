@@ -97,14 +97,7 @@ def export_supervisor(
     >>> done = tn.export_supervisor(".", calibration, "in-true-newtons")
     """
     refuse_unusable(calibration, force=force)
-    folder = Path(folder)
-    if not (folder / MATRIX).is_file():
-        raise UnreadableFile(
-            f"holds no {MATRIX}",
-            remedy="give the supervisor's folder of a measurement, named by its track number",
-            path=folder,
-        )
-    channels = channels_of(folder)
+    channels = _channels(folder := Path(folder))
     alpha = _alpha_of(channels, calibration, folder)
     stored = read_stored(folder / MATRIX)
     matrix = only_array(folder / MATRIX).values
@@ -142,6 +135,16 @@ def export_supervisor(
         ids = ", ".join(map(str, channels[~known][:12].tolist()))
         lines.append(f"  without alpha, as they were: {ids}")
     return tuple(lines)
+
+
+def _channels(folder: Path) -> NDArray[np.int64]:
+    if not (folder / MATRIX).is_file():
+        raise UnreadableFile(
+            f"holds no {MATRIX}",
+            remedy="give the supervisor's folder of a measurement, named by its track number",
+            path=folder,
+        )
+    return channels_of(folder)
 
 
 def _alpha_of(channels: NDArray[np.int64], calibration: Calibration, folder: Path) -> Array:
