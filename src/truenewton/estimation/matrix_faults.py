@@ -113,8 +113,7 @@ def bad_actuators(
     turned = bad_sensors.signs(even, a, wrong[own[wrong] != 0.0], linked)
     found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
     factor, k, even = factor * turned, k * turned, even * np.outer(turned, turned)
-    noisy = [i for i, _ in _unlike_their_columns(misfit)]
-    gain = bad_sensors.wrong_gains(even, a, linked, noisy)
+    gain = bad_sensors.wrong_gains(even, a, linked, [i for i, _ in _unlike_their_columns(misfit)])
     deaf = np.flatnonzero(gain != 1.0)
     misfit[deaf], misfit[:, deaf] = np.nan, np.nan
     log_alpha = log_alpha - np.log(gain)
@@ -139,6 +138,7 @@ def bad_actuators(
     place = exchanged_places(even, a)
     moved = np.flatnonzero(place != np.arange(n))
     add(moved, "exchanged with a neighbour", np.ones(len(moved)))
+    mended = [*filled, *deaf[~only_gain].tolist(), *(i for i, _ in unlike)]
     holes = np.concatenate([gaps, a[:, [i for i, _ in unlike]]], axis=1)
     add(*_apart(_mend_elements(even, a[:, place], holes, mended), ELEMENT_WRONG))
     return tuple(found[i] for i in sorted(found)), even / factor[:, None]
