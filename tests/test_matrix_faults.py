@@ -12,7 +12,7 @@ from simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
-from truenewton.estimation.couplings import relative_couplings
+from truenewton.estimation.couplings import pair_ratios, relative_couplings
 from truenewton.estimation.matrix_faults import SENSOR, condensed
 from truenewton.estimation.matrix_order import row_order
 from truenewton.estimation.reciprocity.condensation import odd_actuators
@@ -333,6 +333,8 @@ def test_most_own_stiffnesses_may_be_zero():
     lost = np.arange(33)
     k[lost, lost] = 0.0
     assert np.isfinite(relative_couplings(k)).all()
+    for alone in (k, np.diag(k.diagonal() + 1.0)):  # without couplings, too
+        assert np.isfinite(pair_ratios(alone)[0]).all()
     assert not np.isin(odd_actuators(k), lost).any()
 
 

@@ -36,7 +36,8 @@ def pair_ratios(k: Array) -> tuple[Array, Array]:
     log_alpha, robust = np.zeros(n), weight
     for _ in range(50):
         laplacian = np.diag(robust.sum(axis=1)) - robust
-        held = max(float(np.median(np.diag(laplacian))), 1e-300)
+        own = np.diag(laplacian)
+        held = float(np.median(own[own > 0.0])) if own.any() else 1.0
         laplacian += held / n + 1e-9 * held * np.eye(n)
         before = log_alpha
         log_alpha = np.linalg.solve(laplacian, -(robust * ratio).sum(axis=1))
