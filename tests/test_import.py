@@ -32,6 +32,7 @@ from truenewton.errors import (
     UnreadableFile,
 )
 from truenewton.foreign.supervisor import supervisor_order
+from truenewton.rounding import percent
 from truenewton.statics.layout import ring_of
 
 CASE = measured()
@@ -478,7 +479,7 @@ def test_the_command_says_what_it_found_and_writes_what_calibrate_reads(tmp_path
     assert found["found"]["sign"].startswith("negative: turned")
     table = found["calibration"]["actuators"]
     alpha, error = (np.array(table[name], dtype=float) for name in ("alpha", "e_alpha"))
-    assert f"  error        {100 * np.nanmedian(error / alpha):.2g} %, " in done.stdout
+    assert f"  error        {percent(np.nanmedian(error / alpha))}, " in done.stdout
     np.testing.assert_array_equal(np.isfinite(alpha), np.isfinite(CASE.alpha))
 
 

@@ -488,7 +488,7 @@ def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
         ('mirror = "p45"', 'mirror = "none.toml"', "none.toml: cannot be read"),
         ("cycles = 4", "cycles = 0", "cycles is 0; give 1 to 999"),
         ("cycles = 4", "cycles = 4.0", "cycles is 4.0; give an integer"),
-        ("cycles = 4", "cyclse = 4", "knows no 'cyclse'; the keys are"),
+        ("cycles = 4", "cyclse = 4", "knows no 'cyclse'; did you mean 'cycles'?"),
         ("cycles = 4", "cycles = ", "is not TOML"),
         ("samples = 2048", "samples = 0", "samples is 0; give 1 to"),
         ("settling = 0.15", "settling = -1", "settling is -1.0; give zero or more"),

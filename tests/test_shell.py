@@ -325,7 +325,7 @@ def test_three_actuators_bend_nothing():
         (replace(GLASS, inner_radius=130e-3), X, Y, "reaches from 0.13 m to 0.125 m"),
         (replace(GLASS, inner_radius=0.0), X, Y, "0 makes a full disc"),
         (replace(GLASS, outer_radius=np.nan), X, Y, "reaches from"),
-        (replace(GLASS, thickness=-1.6e-3), X, Y, "positive thickness"),
+        (replace(GLASS, thickness=-1.6e-3), X, Y, "thickness is -0.0016 m"),
         (replace(GLASS, poisson_ratio=0.7), X, Y, "Poisson ratio 0.7"),
         (replace(GLASS, outer_radius=100e-3), X, Y, "force 24 .* off the glass"),
         (replace(GLASS, inner_radius=50e-3), X, Y, "force 0 .* off the glass"),

@@ -265,7 +265,7 @@ def test_a_calibration_of_a_stiffness_keeps_its_verdict(tmp_path, inside):
     assert back.imbalances == made.imbalances != ()
     assert back.verdict == made.verdict
     [(note, _)] = back.verdict.notes  # annular sensors, read without the glass
-    assert note.startswith("alpha is by ml, not by reciprocity: alpha by balance and alpha by")
+    assert note.startswith("alpha is by ml, not by reciprocity: its errors are 0.32 % typically")
     assert back.verdict.level == tn.calibrate(stiffness(), "ml").verdict.level == Level.SOUND
     assert note in inside("info", tmp_path / "alpha.fits")[1]
     assert note[1:] in inside("report", tmp_path / "alpha.fits", "-o", tmp_path / "p.html")[1]

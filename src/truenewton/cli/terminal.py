@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
-from truenewton.arrays import jsonable
 from truenewton.errors import (
     NotConverged,
     NotToBeUsed,
@@ -52,6 +51,8 @@ def print_result(
     Of the values what is not finite becomes null, which JSON can hold.
     """
     if values is not None:
+        from truenewton.arrays import jsonable  # NumPy, which --help does not need
+
         print(json.dumps(jsonable({"schema": f"truenewton.{schema}/1", **values}), indent=2))
         return
     say(*(() if quiet else lines), *(f"written: {path}" for path in filter(None, written)))

@@ -50,9 +50,13 @@ class BlockRows:
         follow = bool((np.diff(row) == 1).all())
         return slice(int(row[0]), int(row[-1]) + 1) if follow and row.size else row
 
-    def read(self) -> tuple[Array, Array | None]:
-        """Return (m, n) c (1 + COILGRAD z) [N], and (m, 3) A (BIASGRAD z) or None."""
-        return self.balanced.at(self.where)
+    def read(self) -> tuple[Array, Array | None, Array]:
+        """Return (m, n) c (1 + COILGRAD z) [N], (m, 3) A (BIASGRAD z) or None, and c of prints.
+
+        Prints are of what was read: with displacements put to use no row repeats to the last bit.
+        """
+        raw, position = self.balanced.read(self.where)
+        return *self.balanced.of(raw, position), raw[self.printed != 0]
 
     def without(self, lost: NDArray[np.bool_]) -> BlockRows:
         """Return the rows that are not (m,) lost."""

@@ -72,11 +72,25 @@ class GroupBlock:
 
 
 class ReadRows(NamedTuple):
-    """Rows of a file that were read: where they stand, (m, n) forces [N], (m, 3) known balance."""
+    """Rows of a file that were read.
+
+    Where they stand, (m, n) forces [N], (m, 3) known balance, commanded forces of those of which
+    prints are taken.
+    """
 
     of: BlockRows
     force: Array
     known: Array | None
+    printed: Array
+
+    def without(self, lost: NDArray[np.bool_]) -> ReadRows:
+        """Return those that are not (m,) lost."""
+        if not lost.any():
+            return self
+        part, force, known, printed = self
+        left = ~lost[part.printed != 0]
+        known = None if known is None else known[~lost]
+        return ReadRows(part.without(lost), force[~lost], known, printed[left])
 
 
 FileSums = dict[int, Array]
@@ -176,12 +190,7 @@ def without_worst(
         return WithoutWorst(rest, worst, None), {}
     before = _summed(block, read)[1]
     kept = [
-        ReadRows(part.without(lost), force[~lost], None if known is None else known[~lost])
-        if lost.any()
-        else ReadRows(part, force, known)
-        for part, force, known in read
-        for lost in [_lost(part, worst)]
-        if not lost.all()
+        rows.without(lost) for rows in read for lost in [_lost(rows.of, worst)] if not lost.all()
     ]
     sums, after = _summed(rest, kept)
     change = added(after, {k: -of_file for k, of_file in before.items()})
@@ -201,7 +210,7 @@ def _worst_rows(
     worst: dict[int, RejectedRow] = {}
     pairs: list[RejectedRow] = []
     mean, every = _means(block, read)[0], np.arange(block.groups)
-    for part, force, _ in read:
+    for part, force, _, _ in read:
         further = np.sqrt(_further(block, part.weight))[part.at][:, None]
         sigmas = np.abs((force - mean[part.at]) * further) / noise
         group, number = every[part.at], block.number[part.at]
@@ -230,7 +239,7 @@ def _means(block: GroupBlock, read: list[ReadRows]) -> tuple[Array, Array]:
     """Return (groups, n) and (groups, 3) means over the rows of each group [N]."""
     n = read[0].force.shape[1]
     mean, known = np.zeros((block.groups, n)), np.zeros((block.groups, 3))
-    for part, force, of_balance in read:
+    for part, force, of_balance, _ in read:
         share = part.weight / block.heaviest
         mean[part.at] += force if share == 1.0 else share * force
         if of_balance is not None:
@@ -245,7 +254,7 @@ def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSum
     n = mean.shape[1]
     scatter, furthest, sample = np.zeros(n), np.zeros(n), []
     by_file = {HOURS: np.zeros((2, n))}
-    for part, force, _ in reversed(read):  # the last are in the cache still
+    for part, force, _, _ in reversed(read):  # the last are in the cache still
         further = _further(block, part.weight)
         apart = force - mean[part.at]
         chosen = part.sampled & (block.number[part.at] > 1)
@@ -269,17 +278,12 @@ def _summed(block: GroupBlock, read: list[ReadRows]) -> tuple[BlockSums, FileSum
 
 
 def _printed(read: list[ReadRows]) -> list[tuple[int, NDArray[np.int64], Array]]:
-    """Return the rows of which prints are taken, with their labels, by part of a file.
-
-    As they were read: with displacements put to use none would repeat another to the last bit.
-    """
-    printed = []
-    for part, force, _ in read:
-        some, rows = part.printed != 0, part.balanced
-        if some.any():
-            raw = rows.used(rows.force, part.row[some]) if rows.displaced else force[some]
-            printed.append((part.cycle_index, part.printed[some], raw))
-    return printed
+    """Return the rows of which prints are taken, with their labels, by part of a file."""
+    return [
+        (rows.of.cycle_index, rows.of.printed[rows.of.printed != 0], rows.printed)
+        for rows in read
+        if rows.printed.size
+    ]
 
 
 def mean_displacement(block: GroupBlock) -> tuple[int, Array]:

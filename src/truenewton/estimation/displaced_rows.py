@@ -93,10 +93,14 @@ class BalancedRows:
 
     def at(self, rows: slice | NDArray[np.int64]) -> tuple[Array, Array | None]:
         """Read some rows; return c (1 + COILGRAD z), (m, n), and A (BIASGRAD z), (m, 3)."""
+        return self.of(*self.read(rows))
+
+    def read(self, rows: slice | NDArray[np.int64]) -> tuple[Array, Array | None]:
+        """Read (m, n) forces [N] of some rows and readings [m], None where they do not count."""
         position = None
         if self.position is not None and self.displaced:
             position = self.used(self.position, rows)
-        return self.of(self.used(self.force, rows), position)
+        return self.used(self.force, rows), position
 
     def of(self, force: Array, position: Array | None) -> tuple[Array, Array | None]:
         """Return the same of (m, n) forces [N] and readings [m], None where they do not count."""

@@ -46,6 +46,8 @@ class Evidence:
         Whether something pushes many actuators at once, from reading to reading.
     untried
         Number of actuators, where nobody has held errors of so many against the truth.
+    error, error_by_balance
+        Typical relative E_STAT, with reciprocity and of `ml`.
     gain_spread, offset_spread
         Spreads of log g and of the offsets [m], as the data give them.
     """
@@ -58,6 +60,8 @@ class Evidence:
     transposed: bool = False
     disturbed: bool = False
     untried: int = 0
+    error: float = float("nan")
+    error_by_balance: float = float("nan")
     gain_spread: float = float("nan")
     offset_spread: float = float("nan")
 
@@ -98,6 +102,12 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
         yield Fault(
             f"alpha by balance and alpha by reciprocity are {np.sqrt(evidence.apart):.2g} times"
             " as far apart as their errors let expect",
+            REMEDY,
+        )
+    if evidence.error > evidence.error_by_balance:
+        yield Fault(
+            f"its errors are {percent(evidence.error)} typically, those of ml"
+            f" {percent(evidence.error_by_balance)}",
             REMEDY,
         )
     if evidence.offset_spread > FARTHEST:

@@ -251,5 +251,15 @@ def find(
     diagnosis = replace(base.diagnosis, warnings=tuple(said))
     estimate = replace(estimate, diagnosis=diagnosis)
     transposed = looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout))
-    evidence = replace(found.evidence, odd=odd, transposed=transposed)
+    stated, of_balance = (
+        float(np.median((np.sqrt(np.diag(each.reading_covariance)[:n]) / each.values[:n])[keep]))
+        for each in (estimate, base)
+    )
+    evidence = replace(
+        found.evidence,
+        odd=odd,
+        transposed=transposed,
+        error=stated,
+        error_by_balance=of_balance,
+    )
     return estimate, found.imbalances, tuple(refusals(evidence))
