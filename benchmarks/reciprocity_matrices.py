@@ -194,11 +194,11 @@ def examine(matrix, motion=None):
         f"    halves differ by {np.std(one - other):.4f} rms, without degree 6 and below by"
         f" {np.std(without_smooth(layout, one - other)):.4f}"
     )
-    formal = np.sqrt(np.mean(np.diag(found.joint.covariance_of(Kind.ALPHA))))
-    print(
-        f"    formal error {formal:.4f}, halves differ by {np.sqrt(found.of_halves):.2f} times what"
-        f" they state; E_STAT {formal * np.sqrt(found.excess):.4f}"
+    formal, stated = (
+        np.sqrt(np.mean(np.diag(each)))
+        for each in (found.joint.covariance_of(Kind.ALPHA), found.covariance)
     )
+    print(f"    formal error {formal:.4f}, E_STAT {stated:.4f}")
     print(f"    held out {evidence.held_out:.4f}, by balance alone {evidence.by_balance:.4f}")
     alone, apart = found.alone, [without_smooth(layout, each) for each in found.alone]
     print(
@@ -225,7 +225,7 @@ def large():
         ("shell, annuli, 1 mN at 0.4 N", "without", 1e-3, np.inf),
         ("the same, glass known", "with", 1e-3, np.inf),
     )
-    print(f"{'':<32}rms      bound    /bound  formal  coverage  excess  by E_STAT")
+    print(f"{'':<32}rms      bound    /bound  formal  coverage  E_STAT   coverage")
     for name, shell, noise, stroke in cases:
         random = np.random.default_rng([0, 7])
         values = drawn(random, at.n, offset=5e-4)
@@ -237,15 +237,17 @@ def large():
         least = bound_of_matrix(made, at, USUAL, motion)
         error = found.joint.values.log_alpha - values.log_alpha
         error -= error.mean()
-        stated = np.sqrt(np.diag(found.joint.covariance_of(Kind.ALPHA)))
-        inside, grown = (
-            np.mean(np.abs(error) < 1.96 * size * stated) for size in (1.0, np.sqrt(found.excess))
+        formal, stated = (
+            np.sqrt(np.diag(each))
+            for each in (found.joint.covariance_of(Kind.ALPHA), found.covariance)
         )
+        inside, by_stated = (np.mean(np.abs(error) < 1.96 * each) for each in (formal, stated))
+        size = np.sqrt(np.mean(stated**2))
         print(
             f"{name:<32}{np.std(error):.5f}  {least:.5f}  {np.std(error) / least:.3f}  "
-            f" {np.sqrt(np.mean(stated**2)):.5f}  {inside:.3f}     {found.excess:.2f}   {grown:.3f}"
+            f" {np.sqrt(np.mean(formal**2)):.5f}  {inside:.3f}     {size:.5f}  {by_stated:.3f}"
             f"   halves {np.std(found.halves[0] - found.halves[1]):.5f},"
-            f" {found.of_halves:.2f} apart {found.evidence.apart:.2f}",
+            f" apart {found.evidence.apart:.2f}",
             flush=True,
         )
 
