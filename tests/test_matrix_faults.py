@@ -17,13 +17,14 @@ from truenewton.estimation.matrix_faults import SENSOR, condensed
 from truenewton.estimation.matrix_order import row_order
 from truenewton.estimation.reciprocity.condensation import odd_actuators
 from truenewton.estimation.sifted_matrix import sift_matrix
-from truenewton.estimation.stiffness_ml import column_fit
-from truenewton.estimation.stiffness_svd import columns_of
+from truenewton.estimation.stiffness_ml import column_fit, likeliest
+from truenewton.estimation.stiffness_svd import columns_of, elastic_modes
 from truenewton.mirrors.known import mmt336, ring
 from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.investigate import investigate
 from truenewton.report.page.page import page
+from truenewton.statics.arms import comparable_arms
 
 DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 BAD = 20
@@ -325,6 +326,14 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
         f"actuator {i}" for i in layout.id[sector]
     }
     assert all("its sensor has another gain" in effect.name for effect in sifted.effects)
+
+
+def test_a_row_of_nothing_but_rounding_gives_no_alpha():
+    k, layout = p45_bench().truth.stiffness.copy(), p45_bench().truth.layout
+    k[BAD] *= 1e-9
+    modes = elastic_modes(StiffnessMatrix("P45", DATE, layout, k))
+    with pytest.raises(RankDeficient, match="of a few actuators alone"):
+        likeliest(modes, comparable_arms(layout))
 
 
 def test_most_own_stiffnesses_may_be_zero():

@@ -113,7 +113,14 @@ def _at_spread(
 ) -> ElasticFit:
     n, freedom = a.shape[1], 3 * len(modes) - a.shape[1] + 1
     s, smooth = (a * start**2) @ a.T, smooth_patterns(a)
-    rows = balance_rows(modes, np.linalg.inv(np.linalg.cholesky(s)) @ a) @ start
+    try:
+        white = np.linalg.inv(np.linalg.cholesky(s)) @ a
+    except np.linalg.LinAlgError:
+        raise RankDeficient(
+            "the alpha that balances STIFFNESS is that of a few actuators alone",
+            remedy="look for rows that are not like the others",
+        ) from None
+    rows = balance_rows(modes, white) @ start
     least = 1e-18 / n  # rounding of a mode's element
     variance, values = max(float(rows @ rows) / freedom, least), start
     for _ in range(20):

@@ -189,7 +189,7 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     if doubtful or excess > 1.0:
         # What a model leaves out is no better in the whole than in one half.
         of_one = 0.5 * float(np.var(one - other) / np.mean(np.diag(covariance)))
-        covariance *= max(excess, of_one)
+        covariance = covariance * max(excess, of_one)
     return Examined(joint, lines, (one, other), covariance, ways, evidence)
 
 
