@@ -143,8 +143,9 @@ def judge(command: str, words: list[str], code: int, out: str, error: str) -> st
         except ValueError:
             found = True
         return f"JSON: {out[:60]!r}" if found else ""
-    # A flat glass; any name, any cause that was not seen.
-    out = re.sub(r"radius_of_curvature +inf|written: .*|'[^']*'|% if \w+", "", out)
+    # A flat glass; any name, that of a mirror before a date; any cause that was not seen.
+    names = r"written: .*|'[^']*'|% if \w+|^\w+(?=, \d{4}-)"
+    out = re.sub(rf"radius_of_curvature +inf|{names}", "", out, flags=re.MULTILINE)
     if code == 0 and (said := re.search(r".*\b(?<!/)(nan|inf)\b(?!:|/).*", out)):
         return f"said: {re.sub(r'[0-9.]+', '#', said[0])[:90]}"
     return ""

@@ -28,7 +28,9 @@ exclude_patterns = ["_build", "jupyter_execute"]
 nitpicky = True
 smartquotes = False  # a prime is a transpose
 # Overloads stand as they are written, with the alias.
-nitpick_ignore_regex = [("py:class", r"numpy\._typing\..*|TypeAliasForwardRef|tuple\[float|Array")]
+nitpick_ignore_regex = [
+    ("py:class", r"numpy\._typing\..*|TypeAliasForwardRef|Found|tuple\[float|Array")
+]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3

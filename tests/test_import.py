@@ -388,6 +388,7 @@ def scrambled():
         ({"ids": [1, 2]}, "2 IDs for 144 rows"),
         ({"shell": 2}, "there is no shell 2"),
         ({"matrix": CASE.k + 1e40 * np.eye(N)}, "holds an element of 1e[+]40; measure it again"),
+        ({"matrix": np.full((N, N), np.inf)}, "holds no finite number; measure it again"),
         ({"coordinates": XY * np.inf}, "holds no finite positions; give X and Y"),
         ({"coordinates": XY + np.where(np.arange(N), 0.0, np.inf)}, "actuator 1 is not finite"),
         ({"curvature": np.inf}, "curvature radius is inf m"),

@@ -204,7 +204,9 @@ def _in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Arr
     most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
     if most > LARGEST:
         raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again", got=most)
-    refuse_no_stiffness(np.nan_to_num(k))
+    if not np.isfinite(k).any():
+        raise FormatError("holds no finite number", remedy="measure it again")
+    refuse_no_stiffness(np.nan_to_num(k, posinf=0.0, neginf=0.0))
     own = np.abs(np.diag(k))
     own = own[np.isfinite(own) & (own > 0.0)]
     typical = float(np.median(own)) if own.size else 0.0
