@@ -328,6 +328,15 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
     assert all("its sensor has another gain" in effect.name for effect in sifted.effects)
 
 
+def test_a_place_a_metre_off_whose_alpha_is_negative_is_not_to_be_used():
+    truth = static_bench(ring(36), 1).truth
+    k, x = truth.stiffness / truth.alpha[:, None], truth.layout.x.copy()
+    k, x[3] = k * (1 + 1e-4 * np.random.default_rng(1).standard_normal(k.shape)), 1.086
+    matrix = StiffnessMatrix("RING", DATE, replace(truth.layout, x=x), k)
+    with pytest.warns(TrueNewtonWarning, match="not to be used: the data show: coordinates"):
+        assert np.nanmin(calibrate(matrix).alpha) < 0.0
+
+
 def test_a_row_of_nothing_but_rounding_gives_no_alpha():
     k, layout = p45_bench().truth.stiffness.copy(), p45_bench().truth.layout
     k[BAD] *= 1e-9

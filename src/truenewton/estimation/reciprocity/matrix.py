@@ -231,7 +231,8 @@ def find(
     joint, n = found.joint, len(keep)
     by_balance = base.values[:n]
     alpha = by_balance.copy()
-    scale = np.exp(np.mean(np.log(by_balance[keep])))
+    positive = by_balance[keep & (by_balance > 0.0)]  # some are, as their mean is 1
+    scale = np.exp(np.mean(np.log(positive)))
     alpha[keep] = scale * joint.values.alpha
     alpha /= alpha.mean()
     whole = np.diag(np.diag(base.reading_covariance)[:n] / by_balance**2)
