@@ -29,7 +29,10 @@ nitpicky = True
 smartquotes = False  # a prime is a transpose
 # Overloads stand as they are written, with the alias.
 nitpick_ignore_regex = [
-    ("py:class", r"numpy\._typing\..*|TypeAliasForwardRef|Found\]?|collections\.abc\.Mapping\[int|tuple\[float|Array")
+    (
+        "py:class",
+        r"numpy\._typing\..*|TypeAliasForwardRef|Found\]?|collections\.abc\.Mapping\[int|tuple\[float|Array",
+    )
 ]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]

@@ -12,9 +12,11 @@ from simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
+from truenewton.estimation import stiffness_svd
 from truenewton.estimation.couplings import pair_ratios, relative_couplings
 from truenewton.estimation.matrix_faults import SENSOR, condensed
 from truenewton.estimation.matrix_order import row_order
+from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.condensation import odd_actuators
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.estimation.stiffness_ml import column_fit, likeliest
@@ -328,13 +330,13 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
     assert all("its sensor has another gain" in effect.name for effect in sifted.effects)
 
 
-def test_a_place_a_metre_off_whose_alpha_is_negative_is_not_to_be_used():
-    truth = static_bench(ring(36), 1).truth
-    k, x = truth.stiffness / truth.alpha[:, None], truth.layout.x.copy()
-    k, x[3] = k * (1 + 1e-4 * np.random.default_rng(1).standard_normal(k.shape)), 1.086
-    matrix = StiffnessMatrix("RING", DATE, replace(truth.layout, x=x), k)
-    with pytest.warns(TrueNewtonWarning, match="not to be used: the data show: coordinates"):
-        assert np.nanmin(calibrate(matrix).alpha) < 0.0
+def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
+    matrix, _ = measured(lambda k, _: None)
+    sifted = sift_matrix(matrix)
+    base = stiffness_svd.find(sifted, column_fit)
+    values = np.where(np.arange(len(base.values)) == BAD, -0.02, base.values)
+    found = reciprocity_of_matrix.find(sifted.matrix, replace(base, values=values))[0]
+    assert np.isfinite(found.values).all()
 
 
 def test_a_row_of_nothing_but_rounding_gives_no_alpha():
