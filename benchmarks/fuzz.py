@@ -143,8 +143,8 @@ def judge(command: str, words: list[str], code: int, out: str, error: str) -> st
         except ValueError:
             found = True
         return f"JSON: {out[:60]!r}" if found else ""
-    # A flat glass; any name, that of a mirror before a date; any cause that was not seen.
-    names = r"written: .*|'[^']*'|% if \w+|^\w+(?=, \d{4}-)"
+    # A flat glass; any name, that of a mirror before a date; any load, any cause that was not seen.
+    names = r"written: .*|'[^']*'|torques, \w+|% if \w+|^\w+(?=, \d{4}-)"
     out = re.sub(rf"radius_of_curvature +inf|{names}", "", out, flags=re.MULTILINE)
     if code == 0 and (said := re.search(r".*\b(?<!/)(nan|inf)\b(?!:|/).*", out)):
         return f"said: {re.sub(r'[0-9.]+', '#', said[0])[:90]}"
