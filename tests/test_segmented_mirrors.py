@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 import truenewton as tn
 from truenewton.bench.simulated.segmented import bench_of, campaign_on, truth_of
 from truenewton.files.fits import read_fits
-from truenewton.mirrors.checks import check_glass
+from truenewton.mirrors.checks import CHECKS
 from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import GRAVITY
@@ -71,7 +71,8 @@ def test_known_segments_stand_on_their_glass(name, counts):
     mirror = SEGMENTED[name]()
     assert np.bincount(mirror.layout.segment)[1:].tolist() == counts
     for segment in {id(one): one for one in mirror.segments}.values():
-        check_glass(segment)
+        for check in CHECKS:
+            check(segment)
         mass = segment.shell.mass + segment.magnet_mass * segment.layout.n
         assert -segment.weight == pytest.approx(mass * GRAVITY, abs=6e-3)
     places = np.stack([mirror.layout.x, mirror.layout.y], axis=1)

@@ -21,17 +21,6 @@ from truenewton.rounding import counted
 OTHER_WEIGHT = 3.0  # and its inverse: so far may it be from glass and magnets, which vary
 
 
-def check_glass(mirror: Mirror) -> None:
-    """Refuse a shell that cannot be, actuators and a tool off the glass, and a foreign weight.
-
-    Raises
-    ------
-    GeometryError
-    """
-    for check in CHECKS:
-        check(mirror)
-
-
 def _check_shell(mirror: Mirror) -> None:
     shell = mirror.shell
     check_shell(shell, SMALLEST_HOLE if shell.outline is None and shell.inner_radius else 0.0)
@@ -96,6 +85,8 @@ def _check_weight(mirror: Mirror) -> None:
         )
 
 
+# Each refuses with a GeometryError: a shell that cannot be, actuators or a tool off the glass, a
+# foreign weight.
 CHECKS = (_check_shell, check_outline, _check_elements, check_actuators, _check_tool,
           _check_weight)  # fmt: skip
 
