@@ -38,6 +38,8 @@ class Evidence:
         Rms imbalance of modes that the fit has not seen, with reciprocity and by balance alone.
     apart
         chi2 per degree of freedom between alpha by balance alone and by reciprocity alone.
+    as_stated
+        The same by the covariances of the fits, to which noise is one of modes.
     odd
         Actuators that are not like the others; more than may be left free.
     transposed
@@ -56,6 +58,7 @@ class Evidence:
     held_out: float = float("nan")
     by_balance: float = float("nan")
     apart: float = float("nan")
+    as_stated: float = float("nan")
     odd: tuple[int, ...] = ()
     transposed: bool = False
     disturbed: bool = False
@@ -104,7 +107,7 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
             " as far apart as their errors let expect",
             REMEDY,
         )
-    if evidence.error > evidence.error_by_balance:
+    if evidence.as_stated > APART and evidence.error > evidence.error_by_balance:
         yield Fault(
             f"its errors are {percent(evidence.error)} typically, those of ml"
             f" {percent(evidence.error_by_balance)}",

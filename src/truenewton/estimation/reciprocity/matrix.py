@@ -159,7 +159,7 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     fits = [half.fit(asked, start=joint.values) for half in halves]
     known = replace(joint.values, log_alpha=np.zeros(modes.places.n))
     lines = modes.imbalances(joint, *fits)
-    by_balance, between, of_halves = np.nan, np.nan, disagreement(*fits)
+    by_balance = between = as_stated = np.nan
     noise = noise_of(modes.stiffness, joint, modes.places)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS
     excess = beyond_noise(fits, noise, alike=True, doubtful=doubtful)
@@ -170,9 +170,8 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
         reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
         pair = (alone[0], reciprocity)
         excess = max(excess, beyond_noise(pair, noise, alike=False, doubtful=doubtful))
-        if noise.variance is None:
-            between = apart(*pair, disagreement(*alone[1:]), of_halves)
-        else:  # what the fits state is not their error
+        between = as_stated = apart(*pair, disagreement(*alone[1:]), disagreement(*fits))
+        if noise.variance is not None:  # what the fits state is not their error
             between = beyond_noise(pair, noise, alike=False, doubtful=True)
         ways = (alone[0].values.log_alpha, reciprocity.values.log_alpha)
     except (RankDeficient, NotConverged):
@@ -181,6 +180,7 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
         held_out=_unseen(lines),
         by_balance=by_balance,
         apart=between,
+        as_stated=as_stated,
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
