@@ -51,11 +51,9 @@ class SegmentedCalibration(OfSegments[Calibration]):
     """
 
     def __repr__(self) -> str:
-        no = f", {len(self.refused)} refused" if self.refused else ""
         alpha = self.alpha[np.isfinite(self.alpha)]
         return (
-            f"<SegmentedCalibration of {self.instrument}: {counted(self.numbers, 'segment')}{no},"
-            f" {counted(int(alpha.size), 'actuator')},"
+            f"{super().__repr__()[:-1]}, {counted(int(alpha.size), 'actuator')},"
             f" alpha {alpha.min():.3g} .. {alpha.max():.3g}>"
         )
 

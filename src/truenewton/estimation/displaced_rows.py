@@ -91,10 +91,6 @@ class BalancedRows:
         """Whether POSITION has a say in the balance."""
         return self.position is not None and bool(self.coil or self.bias)
 
-    def at(self, rows: slice | NDArray[np.int64]) -> tuple[Array, Array | None]:
-        """Read some rows; return c (1 + COILGRAD z), (m, n), and A (BIASGRAD z), (m, 3)."""
-        return self.of(*self.read(rows))
-
     def read(self, rows: slice | NDArray[np.int64]) -> tuple[Array, Array | None]:
         """Read (m, n) forces [N] of some rows and readings [m], None where they do not count."""
         position = None
@@ -103,7 +99,10 @@ class BalancedRows:
         return self.used(self.force, rows), position
 
     def of(self, force: Array, position: Array | None) -> tuple[Array, Array | None]:
-        """Return the same of (m, n) forces [N] and readings [m], None where they do not count."""
+        """Return (m, n) c (1 + COILGRAD z) [N] and (m, 3) A (BIASGRAD z) of what was read.
+
+        The latter is None where readings do not count.
+        """
         if position is None:
             return force, None
         z = position - self.zero

@@ -12,6 +12,7 @@ from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_file import any_calibration_from
 from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.segments import InSegments
 from truenewton.calibration.verdict import Level, Verdict, refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
@@ -158,9 +159,8 @@ def _of_body(
     if isinstance(known, Calibration | Tracking):
         return name, known
     number = None if layout.segment is None else int(layout.segment[0])
-    if isinstance(known, SegmentedCalibration):
-        return name, part_of(known, number, name)
-    return name, part_of(known, number, name)
+    several: InSegments[Known] = known
+    return name, part_of(several, number, name)
 
 
 def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:

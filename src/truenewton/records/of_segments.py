@@ -14,6 +14,7 @@ from truenewton.arrays import Array
 from truenewton.errors import FormatError, RankDeficient
 from truenewton.records.fault import Fault
 from truenewton.records.segment import require_segment
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
 # By which the same fault of several differs; whole numbers may be names of actuators.
@@ -111,6 +112,11 @@ class OfSegments(Generic[Found]):
         for name in ("segments", "refused"):
             ordered = dict(sorted(getattr(self, name).items()))
             object.__setattr__(self, name, MappingProxyType(ordered))
+
+    def __repr__(self) -> str:
+        no = f", {len(self.refused)} refused" if self.refused else ""
+        name = f"{type(self).__name__} of {self.instrument}"
+        return f"<{name}: {counted(self.numbers, 'segment')}{no}>"
 
     @property
     def numbers(self) -> tuple[int, ...]:

@@ -38,10 +38,6 @@ class SegmentedTracking(OfSegments[Tracking]):
         Why the others did not, each with its remedy, by number.
     """
 
-    def __repr__(self) -> str:
-        no = f", {len(self.refused)} refused" if self.refused else ""
-        return f"<SegmentedTracking of {self.instrument}: {len(self.numbers)} segments{no}>"
-
     @property
     def days(self) -> tuple[DayRecord, ...]:
         """The days of the first segment that gave a law: those of all, with its alpha."""
