@@ -99,3 +99,11 @@ def test_every_name_in_the_glossary_exists():
     assert [name for name in names if not exists(name)] == []
     assert not exists("estimation.minimum.Minimum.feigned")
     assert not exists("estimation.nowhere")
+
+
+def test_every_benchmark_is_evidence():
+    page = (ROOT / "docs" / "evidence.md").read_text(encoding="utf-8")
+    on_page = set(re.findall(r"`python benchmarks/(\w+)\.py`", page))
+    files = (ROOT / "benchmarks").glob("*.py")
+    run = {path.stem for path in files if "__main__" in path.read_text(encoding="utf-8")}
+    assert on_page == run
