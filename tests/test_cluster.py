@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import shutil
 import signal
 import sys
 from dataclasses import replace
@@ -9,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from balanced import campaign_of
+from raw_samples import stream
 from test_files import same
 
 import truenewton as tn
@@ -16,6 +18,7 @@ from truenewton import cluster, errors
 from truenewton.errors import ClusterFailed, FormatError, TrueNewtonError, UnreadableFile
 from truenewton.estimation import repeats
 from truenewton.records.file import write_campaign, write_cycle
+from truenewton.records.samples import AveragedRows
 
 ERRORS = [
     kind
@@ -111,6 +114,86 @@ def test_two_workers_find_what_one_machine_finds(workers, folder, alone, small_t
 def test_a_command_prints_the_same(workers, folder, inside):
     address = workers.scheduler.address
     assert inside("calibrate", folder, "--cluster", address) == inside("calibrate", folder)
+
+
+@pytest.fixture(scope="module")
+def raw_folder(folder, tmp_path_factory):
+    """The same as raw samples."""
+    path = tmp_path_factory.mktemp("cluster") / "raw"
+    path.mkdir()
+    for k, cycle in enumerate(cycle for cycle in tn.read(folder) if cycle.number < 3):
+        stream(cycle, path / f"c{k}.h5", seed=k)
+    return path
+
+
+def test_raw_samples_are_averaged_by_the_workers(workers, raw_folder):
+    here, there = tn.read(raw_folder), tn.read(raw_folder, client=workers)
+    for one, other in zip(here, there, strict=True):
+        assert isinstance(other.force, AveragedRows)
+        assert other.force_error == one.force_error
+    one, other = tn.calibrate(here), tn.calibrate(there, client=workers)
+    assert np.isfinite(one.alpha).sum() == 13
+    assert other.verdict == one.verdict
+    assert other.rejected_rows == one.rejected_rows
+    for name in ("alpha", "reading_error", "cycle_error"):
+        assert getattr(other, name) == pytest.approx(getattr(one, name), rel=1e-9, nan_ok=True)
+
+
+def without_force(file):
+    del file["SAMPLES/FORCE"]
+
+
+def short_of_samples(file):
+    short = file["SAMPLES/TIME"][:-1]
+    del file["SAMPLES/TIME"]
+    file.create_dataset("SAMPLES/TIME", data=short).attrs["unit"] = "s"
+
+
+def without_shapes(file):
+    file["SAMPLES/SHAPE"][...] = 0
+
+
+def not_a_number(file):
+    file["SAMPLES/FORCE"][30, 0] = np.nan
+
+
+def damaged(file):
+    chunk = file["SAMPLES/FORCE"].id.get_chunk_info(0)
+    file.close()
+    return chunk.byte_offset
+
+
+SPOILT = {
+    without_force: "SAMPLES has no column FORCE",
+    short_of_samples: "TIME of SAMPLES has ",
+    without_shapes: "SAMPLES has no valid sample of a shape",
+    not_a_number: "FORCE in row 1 is nan for actuator ",
+    damaged: "/SAMPLES/FORCE is damaged",
+}
+
+
+@pytest.mark.parametrize(
+    ("spoil", "line"), SPOILT.items(), ids=[spoil.__name__ for spoil in SPOILT]
+)
+def test_spoilt_samples_give_the_same_line(workers, raw_folder, tmp_path, monkeypatch, spoil, line):
+    h5py = pytest.importorskip("h5py")
+    for name in ("c0.h5", "c1.h5"):
+        shutil.copy(raw_folder / name, tmp_path)
+    with h5py.File(tmp_path / "c1.h5", "r+") as file:
+        offset = spoil(file)
+    if offset is not None:
+        raw = bytearray((tmp_path / "c1.h5").read_bytes())
+        raw[offset] ^= 1
+        (tmp_path / "c1.h5").write_bytes(raw)
+    monkeypatch.chdir(tmp_path)
+
+    def said(client):
+        with pytest.raises(TrueNewtonError) as refused:
+            tn.read("c0.h5", "c1.h5", client=client)
+        return str(refused.value)
+
+    assert said(workers) == said(None)
+    assert said(None).startswith(f"c1.h5: {line}")
 
 
 DAMAGES = {

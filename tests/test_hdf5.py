@@ -1,6 +1,7 @@
 """HDF5: cycle files under the names of the FITS contract, and streams of raw samples."""
 
 import os
+import pickle
 import sys
 import tracemalloc
 from dataclasses import replace
@@ -8,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from balanced import campaign_of
+from raw_samples import stream
 from test_files import same
 
 import truenewton as tn
@@ -15,7 +17,10 @@ from truenewton import reading
 from truenewton.errors import FormatError, OutputFailed, TrueNewtonError, UnreadableFile
 from truenewton.files import stored_rows
 from truenewton.files.hdf5 import Hdf5Rows
+from truenewton.files.stored_rows import columns_of
 from truenewton.records.file import write_campaign
+from truenewton.records.opened import open_by_worker
+from truenewton.records.samples import AveragedRows
 
 h5py = pytest.importorskip("h5py", reason="h5py, extra `hdf5`, is missing")
 
@@ -178,32 +183,6 @@ def test_without_h5py_the_extra_is_named(cycles, folder, monkeypatch):
         tn.write_cycle(cycles[0], folder / "x.h5")
 
 
-def stream(cycle, path, *, per_row=40, way=7, noise=1e-3, seed=1):
-    """Write raw samples of each row of a cycle, on their way between; return them, by row."""
-    random = np.random.default_rng(seed)
-    number = per_row + random.integers(0, 9, len(cycle.time))
-    held = np.repeat(np.arange(len(number)), number + way)
-    place = np.concatenate([np.arange(m + way) for m in number])
-    moving = place < way
-    samples = {"TIME": 1e-3 * np.arange(len(held))}
-    samples["SHAPE"] = np.where(moving, 0, cycle.shape[held])
-    samples["SIGN"] = np.where(moving, 0, cycle.sign[held])
-    samples["FORCE"] = cycle.force[held] + noise * random.standard_normal((len(held), 14))
-    samples["FORCE"][moving] += 50.0
-    samples["VALID"] = cycle.valid[held]
-    samples["POSITION"] = 1e-8 * random.standard_normal((len(held), 14))
-    tn.write_cycle(cycle, path, overwrite=True)
-    units = {"TIME": "s", "FORCE": "N", "POSITION": "m"}
-    with h5py.File(path, "r+") as file:
-        del file["MEASUREMENTS"]
-        for name, values in samples.items():
-            file.create_dataset(f"SAMPLES/{name}", data=values)
-            if name in units:
-                file[f"SAMPLES/{name}"].attrs["unit"] = units[name]
-    rows = [np.flatnonzero((held == k) & ~moving) for k in np.flatnonzero(cycle.valid)]
-    return samples, rows
-
-
 @pytest.mark.parametrize("block", [2**24, 3000, 1], ids=["at once", "in blocks", "by batches"])
 def test_samples_are_averaged_as_numpy_does(cycles, tmp_path, monkeypatch, block):
     monkeypatch.setattr(stored_rows, "BLOCK_BYTES", block)
@@ -254,13 +233,40 @@ def test_a_stream_may_be_larger_than_memory(cycles, tmp_path, monkeypatch):
     monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 2**17)
     samples, _ = stream(cycles[0], tmp_path / "raw.h5", per_row=2000)
     size = 2 * samples["FORCE"].nbytes
-    tn.averaged(tmp_path / "raw.h5")
-    tracemalloc.start()
-    tn.averaged(tmp_path / "raw.h5")
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 0.6 * size
+    names = str(tmp_path / "raw.h5"), "raw.h5"
+    tn.averaged(names[0])
+    for read in (lambda: tn.averaged(names[0]), lambda: open_by_worker(names)):
+        tracemalloc.start()
+        made = read()
+        np.asarray(made.cycle.force)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 0.6 * size
     assert size > 10e6
+    assert isinstance(made.cycle.force, AveragedRows)
+    assert len(pickle.dumps(made)) < 0.002 * size  # what a worker says of it
+
+
+def test_means_left_in_the_file_are_those_of_one_reading(cycles, tmp_path, monkeypatch):
+    """Whatever rows and columns are asked for, in whatever order, to the last bit."""
+    monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 3000)
+    stream(cycles[0], tmp_path / "raw.h5")
+    whole = tn.averaged(tmp_path / "raw.h5").cycle
+    left = open_by_worker((str(tmp_path / "raw.h5"), "raw.h5")).require_cycle()
+    assert left.force_error == whole.force_error
+    assert left.largest_force == whole.largest_force
+    columns = np.arange(14) % 3 == 1  # without the disabled one
+    for name in ("force", "position"):
+        means, rows = getattr(whole, name), getattr(left, name)
+        assert isinstance(rows, AveragedRows)
+        assert np.array_equal(rows, means, equal_nan=True)
+        assert np.array_equal(rows[3], means[3], equal_nan=True)
+        for some in (slice(4, 9), [5, 2, 3, 2], slice(0, 0)):
+            assert np.array_equal(rows[some], means[some], equal_nan=True)
+            chosen = columns_of(rows, columns)[some]
+            assert np.array_equal(chosen, means[some][:, columns])
+    moved = replace(left.position, in_unit=lambda values: values - 1.0)
+    assert np.array_equal(moved[:3], whole.position[:3] - 1.0)
 
 
 def without_shapes(file):

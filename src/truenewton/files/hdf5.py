@@ -22,7 +22,7 @@ from truenewton.files.content import FitsFile, Image, Table
 from truenewton.files.format import FileFormat, TableFormat, columns_of, header_of, value_of
 from truenewton.files.opening import MOST_UNPACKED, open_plain
 from truenewton.files.outputs import file_beside
-from truenewton.files.stored_rows import StoredRows, state_of
+from truenewton.files.stored_rows import StoredRows, runs, state_of
 
 SUFFIXES = (".h5", ".hdf5")
 MAGIC = b"\x89HDF\r\n\x1a\n"
@@ -49,14 +49,12 @@ class Hdf5Rows(StoredRows):
             raise EOFError
         first, last = self.span
         values = np.empty((len(rows), last - first), dtype=self.stored)
-        edges = (np.flatnonzero(np.diff(rows) != 1) + 1).tolist()
         try:
             with _open(self.path) as held:
                 dataset = held[self.dataset]
-                for start, end in zip([0, *edges], [*edges, len(rows)], strict=True):
-                    if end > start:
-                        some = slice(int(rows[start]), int(rows[end - 1]) + 1)
-                        values[start:end] = dataset[some, first:last]
+                for run in runs(rows):
+                    some = slice(int(rows[run][0]), int(rows[run][-1]) + 1)
+                    values[run] = dataset[some, first:last]
         except (OSError, KeyError) as error:
             raise UnreadableFile(
                 f"{self.dataset} is damaged", remedy="fetch the file again", path=self.path
@@ -166,7 +164,7 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
                 path=path,
             )
         rows = len(dataset)
-        vectors = dataset.ndim == 2 and dataset.dtype.kind == "f"
+        vectors = dataset.ndim == 2 and dataset.dtype.kind in "fiu"
         stay = vectors and (table == STREAM or not whole)
         columns[name.upper()] = (
             Hdf5Rows(

@@ -26,6 +26,13 @@ def blocks(rows: int, row_bytes: int) -> Iterator[slice]:
         yield slice(start, min(start + step, rows))
 
 
+def runs(rows: NDArray[np.int64]) -> Iterator[slice]:
+    """Cut rows into slices of those that follow each other."""
+    edges = (np.flatnonzero(np.diff(rows) != 1) + 1).tolist()
+    if len(rows):
+        yield from map(slice, [0, *edges], [*edges, len(rows)])
+
+
 def state_of(file: BufferedIOBase) -> tuple[int, int]:
     """Return what tells whether an open file has changed: its size and time of change [ns]."""
     status = os.fstat(file.fileno())
@@ -138,7 +145,10 @@ def columns_of(values: Rows, columns: NDArray[np.bool_]) -> Rows:
         return values[:, columns]
     at = np.flatnonzero(columns)
     chosen = at if values.chosen is None else values.chosen[at]
-    return replace(values, shape=(len(values), chosen.size), chosen=chosen)
+    some = replace(values, shape=(len(values), chosen.size), chosen=chosen)
+    known = ((np.frombuffer(key, dtype=bool), found) for key, found in values.largest.items())
+    some.largest.update((of[columns].tobytes(), v) for of, v in known if not (of & ~columns).any())
+    return some
 
 
 def largest_in_rows(values: Rows, columns: NDArray[np.bool_]) -> Array:
@@ -185,11 +195,10 @@ def read_rows(
     if not size:
         return values
     together = 1 if stride > (FAR + 1) * size else max(1, BLOCK_BYTES // max(stride, 1))
-    edges = np.flatnonzero(np.diff(at) != 1) + 1
     raw = bytearray(min(together, max(len(at), 1)) * stride + size)
-    for first, end in zip([0, *edges.tolist()], [*edges.tolist(), len(at)], strict=True):
-        for row in range(first, end, together):
-            rows = min(together, end - row)
+    for run in runs(at):
+        for row in range(run.start, run.stop, together):
+            rows = min(together, run.stop - row)
             span = (rows - 1) * stride + size
             file.seek(start + int(at[row]) * stride)
             if file.readinto(memoryview(raw)[:span]) != span:

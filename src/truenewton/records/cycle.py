@@ -261,7 +261,7 @@ class Cycle:
         """
         (own,) = [segment for segment in self.segments if segment.number == number]
         chosen = np.asarray(self.layout.segment) == number
-        return replace(
+        part = replace(
             self,
             instrument=f"{self.instrument} segment {number}",
             load=replace(self.load, added=own.added, added_error=own.added_error),
@@ -272,6 +272,10 @@ class Cycle:
             position=None if self.position is None else columns_of(self.position, chosen),
             segments=(),
         )
+        if "_rest_and_stroke" in vars(self):  # POSITION is not read again
+            own_enabled = chosen[self.layout.enabled]
+            vars(part)["_rest_and_stroke"] = tuple(v[own_enabled] for v in self._rest_and_stroke)
+        return part
 
     @property
     def used_force(self) -> Array:

@@ -30,17 +30,19 @@ from truenewton.records.formats import (
     OF_SEGMENTS,
     RAW,
     SEGMENTED_CYCLE,
+    SEGMENTED_RAW,
     SEGMENTS,
     STIFFNESS,
 )
-from truenewton.records.samples import rows_of_samples, sample_means
+from truenewton.records.samples import SampleMeans, left_in_file, rows_of_samples, sample_means
 from truenewton.records.segment import Segment, lacks_weights, sums_of
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
-from truenewton.statics.load import Load
+from truenewton.statics.load import LEAST_NOISE, Load
 
 SUFFIXES = (".fits", ".fits.gz")
+ROUNDING = 1e-12  # of the largest mean
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +90,8 @@ def read_layout(path: str | os.PathLike[str]) -> Layout:
     return layout_from(read_file(path, whole=False))
 
 
-def cycle_from(file: FitsFile) -> Cycle:
-    """Return the cycle that a file holds.
+def cycle_from(file: FitsFile, *, whole: bool = True) -> Cycle:
+    """Return the cycle that a file holds; if not whole, means of samples are left in the file.
 
     Raises
     ------
@@ -105,25 +107,25 @@ def cycle_from(file: FitsFile) -> Cycle:
             path=file.path,
         )
     if STREAM in file.extensions:
-        return averaged_from(file).cycle
+        return averaged_from(file, whole=whole).cycle
+    return file.filled(Cycle, _values(file, CYCLE, SEGMENTED_CYCLE))
+
+
+def _values(file: FitsFile, form: FileFormat, segmented: FileFormat) -> dict[str, Any]:
+    """Return what a file holds; weights of segments stand in SEGMENTS, and there alone."""
     layout = layout_from(file)  # what is wrong with it comes first: FORCE has its width
     known = {"layout": layout, "source": Source(file.path, file.sha256)}
-    if SEGMENTS.name in file.extensions:
-        return _segmented_cycle(file, known)
-    if layout.segments:
-        raise located(lacks_weights(layout), file.path)
-    return file.filled(Cycle, file.values(CYCLE) | known)
-
-
-def _segmented_cycle(file: FitsFile, known: dict[str, Any]) -> Cycle:
-    """Return a cycle whose weights stand in SEGMENTS, and there alone."""
+    if SEGMENTS.name not in file.extensions:
+        if layout.segments:
+            raise located(lacks_weights(layout), file.path)
+        return file.values(form) | known
     if both := [name for name in OF_SEGMENTS if name in file.header]:
         raise FormatError(
             f"{' and '.join(both)} stand both in the primary header and in SEGMENTS",
             remedy="take them out of the header: SEGMENTS says them of each segment",
             path=file.path,
         )
-    values = file.values(SEGMENTED_CYCLE)
+    values = file.values(segmented)
     columns = values.pop("segments")
     if len(columns["number"]) == 0:
         raise FormatError(
@@ -133,7 +135,7 @@ def _segmented_cycle(file: FitsFile, known: dict[str, Any]) -> Cycle:
     sums = sums_of(segments)
     values["weight"], values["weight_error"] = sums["weight"], sums["weight_error"]
     values["load"] |= {"added": sums["added"], "added_error": sums["added_error"]}
-    return file.filled(Cycle, values | known | {"segments": segments})
+    return values | known | {"segments": segments}
 
 
 def holds_cycle(file: FitsFile) -> bool:
@@ -168,8 +170,10 @@ def averaged(path: str | os.PathLike[str]) -> Averaged:
     return averaged_from(file)
 
 
-def averaged_from(file: FitsFile) -> Averaged:
+def averaged_from(file: FitsFile, *, whole: bool = True) -> Averaged:
     """Return the cycle of the samples that a file holds, and their scatter.
+
+    If not whole, FORCE and POSITION are left in the file, and averaged anew whenever they are used.
 
     Raises
     ------
@@ -182,27 +186,28 @@ def averaged_from(file: FitsFile) -> Averaged:
             remedy="keep one of them in a file",
             path=file.path,
         )
-    layout = layout_from(file)
-    values = file.values(RAW)
+    values = _values(file, RAW, SEGMENTED_RAW)
     try:
         first, number = rows_of_samples(values["shape"], values["sign"], values["valid"])
     except FormatError as error:
         raise located(error, file.path) from None
-    of_force = sample_means(values["force"], first, number)
-    values |= {"force": of_force.mean, "shape": values["shape"][first]}
-    values |= {"sign": values["sign"][first], "valid": np.ones(len(first), dtype=bool)}
+    values |= {name: values[name][first] for name in ("shape", "sign")}
+    values["valid"] = np.ones(len(first), dtype=bool)
     for name in ("time", "temperature"):
         if values[name] is not None:
             values[name] = sample_means(values[name][:, None], first, number).mean[:, 0]
-    position_variance = None
-    if values["position"] is not None:
-        of_position = sample_means(values["position"], first, number)
-        values["position"], position_variance = of_position.mean, of_position.variance
-    known = of_force.of_mean[number > 1][:, layout.enabled]
-    values["force_error"] = float(np.sqrt(known.mean())) or None if known.size else None
-    known_beside = {"layout": layout, "source": Source(file.path, file.sha256)}
-    cycle = file.filled(Cycle, values | known_beside)
-    return Averaged(cycle, number, of_force.variance, position_variance)
+    of, layout = dict[str, SampleMeans](), values["layout"]
+    counted = [layout.enabled, *(layout.enabled & (layout.segment == k) for k in layout.segments)]
+    for name in ("force", "position"):
+        if (samples := values[name]) is not None:
+            of[name] = sample_means(samples, first, number)
+            values[name] = of[name].mean if whole else left_in_file(samples, of[name], counted)
+    known = of["force"].of_mean[number > 1][:, layout.enabled]
+    noise = float(np.sqrt(known.mean())) if known.size else 0.0
+    least = max(LEAST_NOISE, ROUNDING * float(np.abs(of["force"].mean[:, layout.enabled]).max()))
+    values["force_error"] = noise if noise > least else None  # forces that are held have none
+    position_variance = of["position"].variance if "position" in of else None
+    return Averaged(file.filled(Cycle, values), number, of["force"].variance, position_variance)
 
 
 def stiffness_from(file: FitsFile) -> StiffnessMatrix:

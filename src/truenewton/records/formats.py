@@ -70,7 +70,9 @@ SEGMENTED_CYCLE = FileFormat(
     tuple(keyword for keyword in CYCLE.keywords if keyword.name not in OF_SEGMENTS),
     (*CYCLE.extensions, SEGMENTS),
 )
-RAW = FileFormat(CYCLE.keywords, (ACTUATORS, TableFormat(STREAM, MEASUREMENTS.columns)))
+SAMPLES = TableFormat(STREAM, MEASUREMENTS.columns)
+RAW = FileFormat(CYCLE.keywords, (ACTUATORS, SAMPLES))
+SEGMENTED_RAW = FileFormat(SEGMENTED_CYCLE.keywords, (ACTUATORS, SAMPLES, SEGMENTS))
 STIFFNESS = FileFormat(
     (
         INSTRUMENT,

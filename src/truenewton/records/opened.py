@@ -7,7 +7,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from truenewton.errors import FormatError, TrueNewtonError, UnreadableFile
-from truenewton.files.content import FitsFile
+from truenewton.files.content import FitsFile, Table
+from truenewton.files.hdf5 import STREAM
 from truenewton.files.stored_rows import StoredRows
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import cycle_from, holds_cycle, read_file
@@ -31,35 +32,41 @@ class Opened(NamedTuple):
 
 def open_file(path: str | os.PathLike[str], *, whole: bool) -> Opened:
     """Open a file; if not whole, vector columns are left in it."""
-    file, cycle = read_file(path, whole=whole), None
-    if holds_cycle(file):
-        try:
-            cycle = cycle_from(file)
-        except TrueNewtonError as error:
-            return Opened(file, error)
-    return Opened(file, cycle)
+    return _opened(read_file(path, whole=whole), whole=True)
+
+
+def _opened(file: FitsFile, *, whole: bool) -> Opened:
+    """Return a file, and its cycle; if not whole, means of samples are left in the file."""
+    if not holds_cycle(file):
+        return Opened(file, None)
+    # Columns of samples are as long as the stream; what they say is in the cycle.
+    light = {n: Table(0, {}) if n == STREAM else part for n, part in file.extensions.items()}
+    kept = replace(file, extensions=light)
+    try:
+        cycle = cycle_from(file, whole=whole)
+        if not whole:
+            _require_stored(cycle)
+            cycle.stroke  # noqa: B018  # reads POSITION, here rather than where all files are wanted
+    except UnreadableFile:
+        raise
+    except TrueNewtonError as error:
+        return Opened(kept, error.changed(path=file.path))
+    return Opened(kept, cycle)
+
+
+def _require_stored(cycle: Cycle) -> None:
+    if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
+        raise FormatError(
+            "is gzipped, or FORCE or POSITION has TSCAL or TDIM: no worker can read parts of it",
+            remedy="write it anew, by write_cycle, or calibrate without a cluster",
+            path=cycle.name,
+        )
 
 
 def open_by_worker(names: tuple[str, str]) -> Opened:
     """Open a file whose rows stay in it, given its absolute path, and the name to call it by."""
     path, name = names
     try:
-        file = replace(read_file(path, whole=False), path=name)
-        if not holds_cycle(file):
-            return Opened(file, None)
-        cycle = cycle_from(file)
-        if not all(isinstance(rows, StoredRows | None) for rows in (cycle.force, cycle.position)):
-            raise FormatError(
-                "is gzipped, holds raw samples, or FORCE or POSITION has TSCAL or TDIM: no worker"
-                " can read parts of it",
-                remedy="write it anew, by write_cycle, or calibrate without a cluster",
-                path=name,
-            )
-        cycle.stroke  # noqa: B018  # reads POSITION, here rather than where all files are wanted
-        return Opened(file, cycle)
+        return _opened(replace(read_file(path, whole=False), path=name), whole=False)
     except TrueNewtonError as error:
-        if error.path == path:
-            error = error.changed(path=name)
-        if isinstance(error, UnreadableFile):
-            raise error from None
-        return Opened(file, error)
+        raise error.changed(path=name) from None

@@ -8,8 +8,10 @@ it comes from the means of eight batches of each row (as FORCERR of the simulate
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from io import BufferedIOBase
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,14 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.files import stored_rows
-from truenewton.files.stored_rows import Rows
+from truenewton.files.stored_rows import (
+    Rows,
+    StoredRows,
+    columns_of,
+    largest_in_rows,
+    runs,
+    state_of,
+)
 
 BATCHES = 8  # of a row; of fewer samples each is one
 
@@ -41,6 +50,56 @@ class SampleMeans:
     mean: Array
     variance: Array
     of_mean: Array
+
+
+@dataclass(frozen=True, eq=False)
+class AveragedRows(StoredRows):
+    """Means of samples that stay in their file, (N, n): averaged anew whenever they are used.
+
+    Attributes
+    ----------
+    samples
+        (m, n), left in the file, in the unit wanted.
+    first, number
+        (N,) first sample of each row, and how many.
+    """
+
+    samples: StoredRows = field(kw_only=True)
+    first: NDArray[np.int64] = field(kw_only=True)
+    number: NDArray[np.int64] = field(kw_only=True)
+
+    def values(self, file: BufferedIOBase, rows: NDArray[np.int64]) -> NDArray[Any]:
+        """Average the `span` of some rows, (rows, span); those that follow each other together."""
+        if state_of(file) != self.state:
+            raise EOFError
+        spanned = np.zeros(self.samples.shape[1], dtype=bool)
+        spanned[slice(*self.span)] = True
+        samples = columns_of(self.samples, spanned)
+        values = np.empty((len(rows), samples.shape[1]))
+        for run in runs(rows):
+            some = rows[run]
+            values[run] = sample_means(samples, self.first[some], self.number[some]).mean
+        return values
+
+
+def left_in_file(samples: Rows, means: SampleMeans, counted: Iterable[NDArray[np.bool_]]) -> Rows:
+    """Return the means as rows that stay in their file; those of samples in memory as they are.
+
+    Parameters
+    ----------
+    samples, means
+        (m, n) samples, and what `sample_means` found of them.
+    counted
+        Each (n,) columns of which the largest is known then.
+    """
+    if not isinstance(samples, StoredRows):
+        return means.mean
+    rows = AveragedRows(
+        samples.path, samples.state, 0, 0, means.mean.shape, samples.dtype,
+        samples=samples, first=means.first, number=means.number,
+    )  # fmt: skip
+    rows.largest.update((of.tobytes(), largest_in_rows(means.mean, of)) for of in counted)
+    return rows
 
 
 def rows_of_samples(
