@@ -27,7 +27,7 @@ def blocks(rows: int, row_bytes: int) -> Iterator[slice]:
 
 
 def runs(rows: NDArray[np.int64]) -> Iterator[slice]:
-    """Cut rows into slices of those that follow each other."""
+    """Cut (m,) numbers of rows into slices of those that follow each other."""
     edges = (np.flatnonzero(np.diff(rows) != 1) + 1).tolist()
     if len(rows):
         yield from map(slice, [0, *edges], [*edges, len(rows)])
