@@ -1,23 +1,33 @@
 """Mirrors in segments: those that are known, those of files, and their simulation."""
 
+import contextlib
 import json
 import re
+import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from test_opcua import behind, free_port
 
 import truenewton as tn
-from truenewton.bench.simulated.segmented import bench_of, campaign_on, truth_of
+from truenewton.acquisition.benches import chosen_bench
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.opcua import server
+from truenewton.bench.simulated.segmented import bench_of, campaign_on, seed_of, truth_of
+from truenewton.bench.simulated.static import static_bench
+from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.checks import CHECKS
 from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import GRAVITY
 from truenewton.mirrors.segmented import SEGMENTED
-from truenewton.mirrors.sight import motion_for
+from truenewton.mirrors.shell.finite_elements.outline import depth_inside
+from truenewton.mirrors.sight import edges_for, motion_for
 from truenewton.records.file import cycle_from
 from truenewton.statics.arms import effective_weight, external_load, resultants
 from truenewton.statics.layout import layout
@@ -223,6 +233,16 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     )
     assert np.abs((made.alpha - truth.alpha) / made.error).max() < 4.5
     assert tn.read(folders[1]).instrument == "TINY segment 2"
+    again = tn.read_plan(plan)
+    again = replace(again, bench=BenchChoice("replay", "segment-{segment}"))
+    with pytest.raises(FormatError, match=r"tiny\.toml' is a mirror in segments"):
+        chosen_bench(again, tiny.parent)
+    code, _, error = inside("info", folders[1], "--segment", 3)
+    assert (code, error.count("\n")) == (2, 1)
+    assert f"{folders[1]}: is of segment 2, not 3; give the files of segment 3" in error
+    for number in (2, 3):
+        bench = chosen_bench(replace(again, segment=number), tiny.parent)
+        assert bench.instrument == f"TINY segment {number}"
     assert tn.read(folders[:2]).numbers == (1, 2)
     code, out, _ = inside("acquire", plan, "--segment", 1, "-o", folders[0], "--yes")
     assert "complete already" in out
@@ -232,6 +252,45 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     code, _, error = inside("acquire", plan, "--segment", 4, "-o", tiny.with_name("d"), "--yes")
     assert code == 2
     assert "there is no segment 4; choose 1, 2, 3" in error
+
+
+def test_a_segment_is_served_and_acquired_at_its_address(inside, tiny, keys_folder, monkeypatch):
+    """As each has a control unit of its own: its number stands in the address and the key files."""
+    port, benches = free_port(), []
+    while not (digits := set(str(port)) & set("123")):
+        port = free_port()
+    number = int(min(digits))
+
+    @contextlib.asynccontextmanager
+    async def until_stopped(bench, keys, at):
+        benches.append(bench)
+        signal.raise_signal(signal.SIGINT)  # as Ctrl-C once it is served
+        yield f"opc.tcp://127.0.0.1:{at}"
+
+    monkeypatch.setattr(server, "serving", until_stopped)
+    keys = tiny.with_name(f"keys-{number}")
+    shutil.copytree(keys_folder, keys)
+    served = ("serve", tiny, "--keys", keys, "--port", port, "--seed", 7, "--segment")
+    code, printed, error = inside(*served, number)
+    assert code == 0, error
+    assert printed.startswith(f"the simulated bench of TINY segment {number}, ")
+    code, _, error = inside(*served, 4)
+    assert code == 2
+    assert "there is no segment 4; choose 1, 2, 3" in error
+
+    bench = printed[printed.index("[bench]") :].replace(keys.name, "keys-{segment}")
+    bench = bench.replace(str(port), str(port).replace(str(number), "{segment}"))
+    text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
+    text = re.sub("(?m)^cycles = .*$", "cycles = 1", re.sub("(?m)^settling = .*$", "", text))
+    plan, folder = tiny.with_name("plan.toml"), tiny.with_name("served")
+    plan.write_text("settling = 0.0\n" + text.split("[bench]")[0] + bench)
+    with behind(benches[0], keys, port):
+        code, _, error = inside("acquire", plan, "--segment", number, "-o", folder, "--yes")
+    assert code == 0, error
+    whole, found = whole_mirror_from(tiny), tn.calibrate(tn.read(folder))
+    assert found.layout.same_as(whole.layout.part(whole.layout.segment == number))
+    truth = static_bench(whole.segments[number - 1], seed_of(7, number)).truth
+    assert np.abs((found.alpha - truth.alpha) / found.error).max() < 4.5
 
 
 def inside_simulation(inside, tiny):
@@ -266,6 +325,46 @@ def test_what_sensors_of_segments_see(inside, tiny):
     code, _, error = inside("calibrate", folder, *asked[:3], tiny.with_name("square.toml"))
     assert code == 2
     assert "with its ACTUATORS table; of a segment, that of the whole" in error
+    check_edges_on_maps(inside, whole, tiny, found)
+
+
+def check_edges_on_maps(inside, whole, tiny, made):
+    """Behind the actuators of a calibration, a pair, a segment; of another mirror none."""
+    page = tiny.with_name("e.html")
+    asked = ("--mirror", tiny, "-o", page, "--overwrite")
+    edges = whole.seen_edges()
+    for paths, seen in (
+        ((made,), edges),
+        ((made, made), edges),
+        ((made, "--segment", 2), edges[1:2]),
+    ):
+        code, _, error = inside("report", *paths, *asked)
+        assert code == 0, error
+        text = page.read_text("utf-8")
+        assert "Lines are the edges of the glass." in text
+        x, y = (json.loads(re.findall(rf'\["{k}s",(\[\[.*?\]\])\]', text)[0]) for k in "xy")
+        assert len(x) == len(seen)
+        for edge, at_x, at_y in zip(seen, x, y, strict=True):
+            closed = np.concatenate([edge, edge[:1]])
+            assert np.stack([at_x, at_y], axis=1) == pytest.approx(1e3 * closed)
+    code, _, error = inside("report", made, "--mirror", "p45", "-o", page, "--overwrite")
+    assert code == 2
+    assert "actuators of P45 are not those of the data" in error
+    for edge, number in zip(edges, (1, 2, 3), strict=True):
+        own = whole.layout.part(whole.layout.segment == number)
+        (alone,) = edges_for(whole, replace(own, segment=None))
+        assert np.array_equal(alone, edge)
+        assert depth_inside([alone], np.stack([own.x, own.y], axis=1)).min() > 0.01
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_segments_of_data_are_those_of_the_glass(tiny, lost):
+    """Discs 1 and 3 hold as many actuators, so nothing else would tell them apart."""
+    whole = whole_mirror_from(tiny)
+    other = None if lost else 4 - np.asarray(whole.layout.segment)
+    for of in (motion_for, edges_for):
+        with pytest.raises(tn.errors.CampaignMismatch, match="other actuators behind a segment"):
+            of(whole, replace(whole.layout, segment=other))
 
 
 def test_the_wall_of_the_page(tmp_path):
