@@ -103,7 +103,7 @@ def calibrate(folder: Path) -> None:
     import truenewton.reading
     from truenewton.calibration import methods
     from truenewton.cli.main import main as command
-    from truenewton.estimation import cycles_ml, problem
+    from truenewton.estimation import cycle_errors, cycles_ml, problem
 
     for name, module, function in (
         ("tn.read: checksums, SHA256, checks", truenewton.reading, "read_data"),
@@ -111,7 +111,7 @@ def calibrate(folder: Path) -> None:
         ("  a minimisation", problem, "minimise"),
         ("shapes against the balance", cycles_ml, "balancing_groups"),
         ("maximum likelihood, all of it", cycles_ml, "find"),
-        ("E_CYCLE", methods, "read_rows"),
+        ("E_CYCLE", cycle_errors, "read_rows"),
         ("calibrate, all of it", methods, "calibrate"),
         ("writing the calibration", truenewton.calibration.result.Calibration, "write"),
     ):

@@ -1,11 +1,12 @@
 """What a calibration by a dask cluster takes, against the number of files and of actuators.
 
-    python benchmarks/scale.py [--actuators 45,132,336,892] [--files 4,8,16] [--pieces 1] [--figure]
+    python benchmarks/scale.py [--actuators 45,132,336,892,1784] [--files 4,8,16]
+                               [--of-segments 45,132,336,892] [--figure]
 
 For each size a campaign of FORCE, POSITION and both gradients is written into a temporary folder
 and read and calibrated by processes of their own: a client and its workers, of which CPU time (the
 machine may have other work) and the peak of memory above an idle process are printed, then how both
-grow. With `--pieces 6` each mirror stands there six times, as segments of one. `--figure` draws
+grow. So are mirrors of `--segments` segments of the sizes of `--of-segments`. `--figure` draws
 docs/images/scale.png. At last what a year of telemetry of a mirror of `--segments` x `--segment`
 actuators at `--rate` readings per second would take, by what was measured; nothing of that size is
 run.
@@ -69,7 +70,7 @@ def run(folder: Path, workers: int) -> None:
     print(json.dumps({"wall": wall, "client": took.pop("client"), "workers": list(took.values())}))
 
 
-def in_pieces(folder: Path, pieces: int) -> None:
+def join(folder: Path, segments: int) -> None:
     """Put so many mirrors in the place of one, as segments that have the same readings."""
     import truenewton as tn
 
@@ -77,29 +78,29 @@ def in_pieces(folder: Path, pieces: int) -> None:
         (cycle,) = tn.read_campaign(path)
         assert cycle.position is not None
         one, load = cycle.layout, cycle.load
-        away = 1.1 * np.ptp(one.x) * np.arange(pieces)
+        away = 1.1 * np.ptp(one.x) * np.arange(segments)
         layout = tn.layout(
             (one.x + away[:, None]).ravel(),
-            np.tile(one.y, pieces),
-            nz=np.tile(one.nz, pieces),
-            segment=np.repeat(np.arange(1, pieces + 1), one.n),
+            np.tile(one.y, segments),
+            nz=np.tile(one.nz, segments),
+            segment=np.repeat(np.arange(1, segments + 1), one.n),
         )
         weights = cycle.weight, cycle.weight_error, load.added, load.added_error
-        root = np.sqrt(pieces)
+        root = np.sqrt(segments)
         whole = replace(
             cycle,
             layout=layout,
-            segments=tuple(tn.Segment(k, *weights) for k in range(1, pieces + 1)),
-            weight=pieces * cycle.weight,
+            segments=tuple(tn.Segment(k, *weights) for k in range(1, segments + 1)),
+            weight=segments * cycle.weight,
             weight_error=root * cycle.weight_error,
-            load=replace(load, added=pieces * load.added, added_error=root * load.added_error),
-            force=np.tile(np.asarray(cycle.force), pieces),
-            position=np.tile(np.asarray(cycle.position), pieces),
+            load=replace(load, added=segments * load.added, added_error=root * load.added_error),
+            force=np.tile(np.asarray(cycle.force), segments),
+            position=np.tile(np.asarray(cycle.position), segments),
         )
         tn.write_cycle(whole, path, overwrite=True)
 
 
-def measure(n: int, files: int, workers: int, pieces: int) -> dict[str, Any]:
+def measure(n: int, files: int, workers: int, segments: int = 1) -> dict[str, Any]:
     """Make a campaign, calibrate it in processes of their own, and return what that took."""
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "campaign"
@@ -108,10 +109,10 @@ def measure(n: int, files: int, workers: int, pieces: int) -> dict[str, Any]:
         subprocess.run(
             [sys.executable, memory, *map(str, make)], check=True, stderr=subprocess.DEVNULL
         )
-        if pieces > 1:
+        if segments > 1:
             # In a process of its own: a child begins with the peak of memory of its parent.
-            join = [sys.executable, __file__, "--join", str(folder), "--pieces", str(pieces)]
-            subprocess.run(join, check=True)
+            joined = ["--join", str(folder), "--segments", str(segments)]
+            subprocess.run([sys.executable, __file__, *joined], check=True)
         size = sum(path.stat().st_size for path in folder.iterdir())
         done = subprocess.run(
             [sys.executable, __file__, "--run", folder, "--workers", str(workers)],
@@ -121,7 +122,7 @@ def measure(n: int, files: int, workers: int, pieces: int) -> dict[str, Any]:
     took = json.loads(done.stdout.splitlines()[-1])
     cpu, peak = np.array(took["workers"]).T
     found = {
-        "actuators": pieces * n,
+        "actuators": segments * n,
         "files": files,
         "bytes": size,
         "client_cpu": took["client"][0],
@@ -130,7 +131,8 @@ def measure(n: int, files: int, workers: int, pieces: int) -> dict[str, Any]:
         "worker_peak": float(peak.max()),
     }
     print(
-        f"{pieces * n:6d} actuators {files:4d} files {1e-6 * size:8.1f} MB"
+        f"{f'{segments} x ' if segments > 1 else '':>4}{n:5d} actuators {files:3d} files"
+        f" {1e-6 * size:7.1f} MB"
         f"   client {found['client_cpu']:7.2f} s {1e-6 * found['client_peak']:7.1f} MB"
         f"   workers {found['worker_cpu']:7.2f} s, largest {1e-6 * found['worker_peak']:7.1f} MB"
         f"   wall {took['wall']:.1f} s",
@@ -161,31 +163,48 @@ def exponents(rows: list[dict[str, Any]], by: str) -> None:
         )
 
 
-def draw(by_actuators: list[dict[str, Any]], by_files: list[dict[str, Any]]) -> None:
-    """Draw docs/images/scale.png."""
+def draw(series: dict[str, list[dict[str, Any]]], by_files: list[dict[str, Any]]) -> None:
+    """Draw docs/images/scale.png: mirrors in one piece and in segments, and more files of one."""
     import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullLocator
 
-    figure, axes = plt.subplots(2, 2, figsize=(8.0, 6.0), sharex="col", layout="constrained")
-    for column, (rows, by) in enumerate(((by_actuators, "actuators"), (by_files, "files"))):
-        x = [row[by] for row in rows]
+    from truenewton.figures.style import CURVES, STYLE
+
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+        axes = figure.subplots(2, 2, sharex="col", sharey="row", width_ratios=(3, 2))
         for row, (key, unit) in enumerate((("cpu", 1.0), ("peak", 1e-6))):
-            for who, mark in (("client", "o-"), ("worker", "s--")):
-                axes[row, column].loglog(x, [unit * r[f"{who}_{key}"] for r in rows], mark)
-            axis = axes[row, column].yaxis
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_locator(NullLocator())
-        axes[1, column].set_xlabel(by)
-        axes[1, column].set_xticks(x, [str(value) for value in x], minor=False)
-        axes[1, column].xaxis.set_minor_locator(NullLocator())
-    axes[0, 0].set_ylabel("CPU time [s]")
-    axes[1, 0].set_ylabel("memory above an idle process [MB]")
-    axes[0, 0].legend(["client", "workers together; the largest"])
-    figure.savefig(ROOT / "docs" / "images" / "scale.png", dpi=120)
+            for column, (groups, by) in enumerate(
+                ((series, "actuators"), ({"": by_files}, "files"))
+            ):
+                ax = axes[row, column]
+                for colour, (words, rows) in zip(CURVES, groups.items(), strict=False):
+                    for who, style, label in (
+                        ("client", "o-", "client"),
+                        ("worker", "s--", ("workers together", "largest worker")[row]),
+                    ):
+                        ax.loglog(
+                            [r[by] for r in rows],
+                            [unit * r[f"{who}_{key}"] for r in rows],
+                            style,
+                            color=colour,
+                            markersize=3,
+                            label=f"{label}, {words}",
+                        )
+                ax.grid(color="0.9", linewidth=0.5)
+                for axis in (ax.xaxis, ax.yaxis):
+                    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                    axis.set_major_formatter("{x:g}")
+                    axis.set_minor_locator(NullLocator())
+            axes[row, 0].legend()
+        files = [r["files"] for r in by_files]
+        axes[1, 1].set_xticks(files, list(map(str, files)))
+        axes[1, 0].set_xlabel("actuators")
+        axes[1, 1].set_xlabel(f"files, {by_files[0]['actuators']} actuators")
+        axes[0, 0].set_ylabel("processor time (s)")
+        axes[1, 0].set_ylabel("memory above an idle process (MB)")
+        figure.savefig(ROOT / "docs" / "images" / "scale.png", dpi=200)
 
 
 def on_paper(last: dict[str, Any], options: argparse.Namespace) -> None:
@@ -205,7 +224,7 @@ def on_paper(last: dict[str, Any], options: argparse.Namespace) -> None:
         hours = size / speed / 3600.0
         print(
             f"  a row for {period:g} s: {1e-12 * size:9.2f} TB in cycle files, {hours:9.0f} hours"
-            f" of one worker, {hours / 24 / options.nodes:7.2f} days of {options.nodes}"
+            f" of one worker, {hours / 24 / options.nodes:.2g} days of {options.nodes}"
         )
     shapes = LOADS * 2 * options.segment
     print(
@@ -224,10 +243,10 @@ def numbers(text: str) -> list[int]:
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336, 892])
+    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336, 892, 1784])
+    parser.add_argument("--of-segments", type=numbers, default=[45, 132, 336, 892])
     parser.add_argument("--files", type=numbers, default=[4, 8, 16])
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--pieces", type=int, default=1, help="segments of each mirror")
     parser.add_argument("--figure", action="store_true")
     parser.add_argument("--segments", type=int, default=6)
     parser.add_argument("--segment", type=int, default=892)
@@ -237,25 +256,23 @@ def main() -> None:
     parser.add_argument("--join", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.join:
-        in_pieces(options.join, options.pieces)
+        join(options.join, options.segments)
         return
     if options.run:
         run(options.run, options.workers)
         return
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    middle = options.actuators[len(options.actuators) // 2]
-    by_actuators = [
-        measure(n, options.files[0], options.workers, options.pieces) for n in options.actuators
-    ]
-    exponents(by_actuators, "actuators")
-    same = [row for row in by_actuators if row["actuators"] == options.pieces * middle]
-    by_files = same + [
-        measure(middle, files, options.workers, options.pieces) for files in options.files[1:]
-    ]
+    fewest, *more = options.files
+    whole = [measure(n, fewest, options.workers) for n in options.actuators]
+    exponents(whole, "actuators")
+    middle = whole[len(whole) // 2]
+    by_files = [middle, *(measure(middle["actuators"], m, options.workers) for m in more)]
     exponents(by_files, "files")
-    on_paper(by_actuators[-1], options)
+    parts = [measure(n, fewest, options.workers, options.segments) for n in options.of_segments]
+    exponents(parts, "actuators")
+    on_paper(parts[-1], options)
     if options.figure:
-        draw(by_actuators, by_files)
+        draw({"in one piece": whole, f"{options.segments} segments": parts}, by_files)
 
 
 if __name__ == "__main__":

@@ -35,8 +35,7 @@ from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dpotri
 
 import truenewton as tn
-from truenewton.calibration import methods
-from truenewton.estimation import cycles_ml, problem
+from truenewton.estimation import cycle_errors, cycles_ml, problem
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.row_readers import read_rows
@@ -106,7 +105,7 @@ def replaced(module: Any, name: str, value: Any) -> Iterator[None]:
 
 def without_cycle_errors(campaign: tn.Campaign) -> tn.Calibration:
     """Calibrate, but for E_CYCLE: the rows are not read for it."""
-    with replaced(methods, "read_rows", lambda *_: None):
+    with replaced(cycle_errors, "read_rows", lambda *_: None):
         return tn.calibrate(campaign)
 
 

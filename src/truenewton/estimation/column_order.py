@@ -10,6 +10,7 @@ order.
 from __future__ import annotations
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
@@ -68,17 +69,19 @@ def stiffness_of_shapes(moments: Moments) -> Array | None:
     n, loads = moments.mean.shape[1], moments.labels[counted, 0]
     if len(np.unique(moments.labels[counted, 1])) < n - 3:
         return None
-    force, moved = moments.mean[counted], moments.displacement[counted]
+    # Both are as large as all means are: the decomposition takes their room.
+    moved, force = np.asfortranarray(moments.displacement[counted]), moments.mean[counted]
     for load in np.unique(loads):
         some = loads == load
         force[some] -= force[some].mean(axis=0)
         moved[some] -= moved[some].mean(axis=0)
+    projected, upper = scipy.linalg.qr_multiply(moved, force.T, overwrite_a=True, overwrite_c=True)
     # All but piston and tilt, in which no shape needs stand.
-    left, size, right = np.linalg.svd(moved, full_matrices=False)
+    left, size, right = np.linalg.svd(upper)
     left, size, right = left[:, : n - 3], size[: n - 3], right[: n - 3]
     if len(size) < n - 3 or size[-1] <= 1e-9 * size[0]:
         return None
-    return np.asarray(force.T @ (left / size) @ right)
+    return np.asarray(projected @ (left / size) @ right)
 
 
 def likeliest_order(stiffness: Array) -> NDArray[np.int64]:

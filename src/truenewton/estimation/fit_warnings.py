@@ -123,7 +123,9 @@ def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> It
     campaign, n = problem.campaign, problem.n
     if not _is_in_newton(problem, minimum):
         return  # it may be the unit of FORCE that is wrong
-    largest = float(np.abs(minimum.values[:n] * moments.mean).max())
+    # By actuators first: another array of all means would be the largest of a calibration.
+    commanded = np.maximum(moments.mean.max(axis=0), -moments.mean.min(axis=0))
+    largest = float(np.max(np.abs(minimum.values[:n]) * commanded))
     each, bias = abs(campaign.weight) / n, float(minimum.values[problem.unknowns.bias])
     if each > largest:
         why = f"{each:.2g} N for each actuator, none of which ever gave more than {largest:.2g} N"
