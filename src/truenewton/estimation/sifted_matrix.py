@@ -30,11 +30,12 @@ from truenewton.estimation.matrix_order import (
     refuse_compliance,
     refuse_no_stiffness,
 )
+from truenewton.estimation.seen_places import ELSEWHERE
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
-from truenewton.statics.arms import comparable_arms
+from truenewton.statics.arms import comparable_arms, enabled_arms
 
 NO_FIT = "actuator does not fit"
 IS_OFF = "actuator is off"
@@ -105,7 +106,8 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
             found, mended = bad_actuators(k[block], a[:, ~off], a[:, off], filled)
         except FitsNoSymmetry as error:
             found, mended, unsure = (), k[block], (_as_measured(error),)
-        bad = tuple(replace(each, index=int(measured[each.index])) for each in found)
+        length = float(np.linalg.norm(enabled_arms(matrix.layout)[1:]) / np.linalg.norm(a[1:]))
+        bad = tuple(_of_all(each, measured, length) for each in found)
         raw, k = k, k.copy()
         k[block] = mended
         unlike = [each.index for each in bad if each.reason == UNLIKE]
@@ -147,6 +149,12 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         ),
         pushing,
     )
+
+
+def _of_all(each: BadActuator, measured: NDArray[np.int64], length: float) -> BadActuator:
+    """Return a bad actuator by its index among all, with how far from its place it stands [m]."""
+    how_far = f", {each.size * length:.2g} m off" if each.reason == ELSEWHERE else ""
+    return BadActuator(int(measured[each.index]), each.reason + how_far, each.size)
 
 
 def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> StiffnessMatrix:
@@ -242,6 +250,13 @@ def _warnings(
             if pushing
             else "set ENABLED to F if it was off; its alpha is not calibrated",
         )
+    misplaced = [each for each in bad if each.reason.startswith(ELSEWHERE)]
+    if misplaced:
+        yield Fault(
+            "left out: " + "; ".join(f"{_named(ids, [each])} {each.reason}" for each in misplaced),
+            "correct X and Y in that row of ACTUATORS, in m",
+        )
+    bad = [each for each in bad if each not in misplaced]
     if bad:
         why = {
             reason: [each for each in bad if each.reason == reason]
