@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, styled_axes
 from truenewton.rounding import significant
-from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
+from truenewton.statics.groups import group_name, group_of, ring_centre, ring_of
+from truenewton.statics.layout import Layout
 
 LEAST_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"

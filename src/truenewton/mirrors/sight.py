@@ -46,11 +46,11 @@ def motion_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
     if segmented and layout.segment is not None:
         measured = np.isin(np.asarray(known.segment), layout.segment)
         known = known.part(measured) if measured.any() else known
-    if not known.same_actuators_as(layout):
+    if apart := layout.other_actuators(known):
         part = layout.segment is not None and not segmented
         whole = "; of a segment, that of the whole" if part else ""
         raise CampaignMismatch(
-            f"the actuators of {mirror.name} are not those of the data",
+            f"the actuators of {mirror.name} are not those of the data: {apart}",
             remedy=f"give the mirror that was measured, with its ACTUATORS table{whole}",
         )
     if isinstance(mirror, SegmentedMirror):

@@ -42,7 +42,8 @@ from truenewton.figures.maps import (
 from truenewton.figures.style import ACCENT, ALARM, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
-from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
+from truenewton.statics.groups import group_name, group_of, ring_centre
+from truenewton.statics.layout import Layout
 
 FONT = "system-ui, sans-serif"
 CROWDED = 1000  # beyond so many actuators, outlines would be all that is seen
