@@ -31,9 +31,11 @@ from truenewton.errors import (
     TrueNewtonError,
     UnreadableFile,
 )
+from truenewton.foreign.choice import places_in
+from truenewton.foreign.stored import read_stored
 from truenewton.foreign.supervisor import supervisor_order
 from truenewton.rounding import percent
-from truenewton.statics.layout import ring_of
+from truenewton.statics.groups import ring_of
 
 CASE = measured()
 XY = np.stack([CASE.layout.x, CASE.layout.y])
@@ -338,6 +340,69 @@ def test_names_choose_positions_of_more_actuators(tmp_path):
     assert np.array_equal(made.matrix.layout.id, CASE.layout.id[rows])
 
 
+@pytest.mark.parametrize("rows", [4, 12, N])
+def test_a_spreadsheet_names_rows_and_columns_and_may_hold_remarks(tmp_path, rows):
+    ids = CASE.layout.id[:rows]
+    lines = ["# Messung", ";" + "".join(f"S{i};" for i in ids)]
+    for i, row in zip(ids, CASE.k, strict=False):
+        lines += [f"A{i};" + "".join(f"{v:.17g};".replace(".", ",") for v in row[:rows])]
+    (tmp_path / "k.csv").write_text("\r\n".join(lines))
+    kept = read_stored(tmp_path / "k.csv").arrays[""].values
+    np.testing.assert_array_equal(kept, CASE.k[:rows, :rows])
+    table = ["# CAD", "Aktuator;Ring;x / mm;y / mm;Bemerkung"]
+    for i, (x, y) in zip(ids, 1e3 * XY.T, strict=False):
+        table += [f"A{i};1;{x:.12g};{y:.12g};{'neu' if i == 3 else ''}".replace(".", ",")]
+    (tmp_path / "xy.csv").write_text("\n".join(table))
+    found = places_in(read_stored(tmp_path / "xy.csv"))
+    np.testing.assert_allclose([found.x, found.y], 1e3 * XY[:, :rows], rtol=1e-11)
+    assert (found.unit, found.ids) == ("mm", None)
+    if rows == N:
+        made = tn.stiffness_from(tmp_path / "k.csv", tmp_path / "xy.csv", curvature=R)
+        np.testing.assert_array_equal(made.matrix.stiffness, -CASE.k)
+
+
+@pytest.mark.parametrize("name", ["x [mm]", "x / mm", "X(mm)", "pos_x_mm", "Pos x in mm", "x_mm"])
+def test_the_ways_to_write_a_unit_beside_a_name(tmp_path, name):
+    rows = [f"{name},{name.replace('x', 'y').replace('X', 'Y')}", "1,2", "3,4", "5,6"]
+    (tmp_path / "xy.csv").write_text("\n".join(rows))
+    found = places_in(read_stored(tmp_path / "xy.csv"))
+    assert (found.unit, found.x.tolist()) == ("mm", [1.0, 3.0, 5.0])
+
+
+def test_positions_without_ids_are_told_which_columns_there_are(tmp_path):
+    order = np.random.default_rng(1).permutation(N)
+    rows = np.stack([CASE.layout.id, *XY]).T[order]
+    path = tmp_path / "xy.csv"
+    np.savetxt(path, rows, delimiter=",", header="knob,x,y", comments="")
+    said = "a column named ID; there is knob, x, y$"
+    for ids in (None, CASE.layout.id):
+        with pytest.raises(FormatError, match=said):
+            tn.stiffness_from(CASE.k, path, ids=ids)
+    np.savetxt(path, rows, delimiter=",", header="coil,x,y", comments="")
+    assert "in the order of their IDs" in text(tn.stiffness_from(CASE.k, path))
+    rows = np.insert(rows, 1, 1.0, axis=1)
+    np.savetxt(path, rows, delimiter=",", header="knob,ring,east,north", comments="")
+    with pytest.raises(FormatError, match=r"holds no positions; .*'knob', column 'ring'"):
+        tn.stiffness_from(CASE.k, path)
+
+
+def test_hdf5_declares_units_and_it_is_said_which_of_two_was_taken(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "k.h5", "w") as file:
+        file["run7/FF"], file["intmat"], file["xy"] = 1e-6 * CASE.k, np.eye(N), 1e3 * XY.T
+        file["run7/FF"].attrs["unit"], file["xy"].attrs["units"] = "N/um", np.bytes_("mm")
+    made = tn.stiffness_from(tmp_path / "k.h5", curvature=R)
+    np.testing.assert_allclose(made.matrix.stiffness, -CASE.k, rtol=1e-12)
+    assert "144 x 144, 'run7/FF' of intmat, run7/FF, N/um as declared: a median own" in text(made)
+    assert "mm as declared" in text(made)
+
+
+def test_a_slip_of_the_unit_is_said():
+    slipped = tn.stiffness_from(CASE.k, CASE.layout, unit="mN/m")
+    assert "N/m, UNLIKELY of a mirror: check it" in text(slipped)
+    assert "UNLIKELY" not in text(tn.stiffness_from(CASE.k, CASE.layout, unit="N/m"))
+
+
 def test_what_is_off_may_stand_nowhere():
     x, y = XY.copy()
     at = np.flatnonzero(CASE.off)
@@ -422,7 +487,11 @@ def test_polar_coordinates_are_no_x_and_y(tmp_path):
         ("a.npy", b"\x93NUMPYjunk", "a.npy: cannot be read"),
         ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "a.mat: cannot be read"),
         ("a.png", b"\x89PNG\r\n\x1a\n\0\0", "a.png: is of no kind that is read here"),
-        ("a.csv", b"1,2,3\n4,5\n7,8,9\n", "row 2 has 2 columns and the first 3: '4,5'"),
+        (
+            "a.csv",
+            b"1,2,3\n4,5\n7,8,9\n",
+            "line 2 has 2 cells, line 1 has 3: '4,5'; give",
+        ),
         ("a.csv", b"1,2,3\n4,5,six\n7,8,9\n", "holds no square matrix; give as many rows as col"),
         ("a.csv", b"1,2\n" * 4, "holds no square matrix; give as many rows as columns; there"),
         ("a.csv", b"1,5,2,5,3,5\n" * 3, "are decimal ones too, put semicolons between columns"),
@@ -444,7 +513,7 @@ def test_a_wide_text_file_names_the_place_of_what_is_no_number(tmp_path):
     lines = semicolons(CASE.k).splitlines()
     lines[4] = "oops" + lines[4][lines[4].index(";") :]
     (tmp_path / "k.csv").write_text("\n".join(lines))
-    with pytest.raises(FormatError, match="row 5, column 1 is 'oops'; give a number there"):
+    with pytest.raises(FormatError, match="line 5, column 1 is 'oops'; give a number there"):
         tn.stiffness_from(tmp_path / "k.csv", XY)
 
 

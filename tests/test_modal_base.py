@@ -1,8 +1,10 @@
 """The modal base whole: found from P45's campaign, written, asked for on the command line."""
 
 import json
+import re
 import tracemalloc
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -88,6 +90,28 @@ def test_errors_of_alpha_move_the_number_by_force_alone(p45):
     assert other.modes_between(cost, at_the_edge) == (fewest, most)
     by_power = Budget(power=np.median(cost.power.max(axis=0)))
     assert found.modes_between(cost, by_power) == (cost.modes_within(by_power),) * 2
+
+
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e7])
+def test_columns_of_the_table_never_run_together(p45, size):
+    """As `modes` shows a mirror of newtons or of meganewtons, under names that stay above."""
+    costs = []
+    found = p45[2]
+    for cost in found.after.costs:
+        figures = {
+            name: size * getattr(cost, name)
+            for name in ("force_rms", "force_worst", "power_mean", "power_worst", "power_total")
+        }
+        costs.append(SimpleNamespace(base=cost.base, residual=size * cost.residual, **figures))
+    base = SimpleNamespace(costs=costs, modes=found.after.modes)
+    over, head, *rows = words._table(base)
+    assert [len(row.split()) for row in rows] == [9] * 8
+    assert [re.split(" +", row.strip()) for row in rows] == [list(r) for r in words.cost_rows(base)]
+    for name in ("rms", "total"):
+        assert all(row[head.index(name) - 1] == " " != row[head.index(name)] for row in rows)
+    assert over.index("stiffness modes") == head.index("rms")
+    if size == 1e3:
+        assert "e+" not in "".join("".join(row.split()[1:6]) for row in rows)
 
 
 def test_the_pupil_is_magnified_as_at_lbt():

@@ -62,5 +62,20 @@ def test_the_same_actuators_may_be_enabled_or_not():
     off = replace(layout, enabled=np.arange(14) != 3)
     assert layout.same_actuators_as(off)
     assert not layout.same_as(off)
-    assert not layout.same_actuators_as(replace(layout, x=layout.x + 1e-6))
     assert not layout.same_actuators_as(rings([0.1], [5]))
+
+
+def test_a_place_is_the_same_to_a_micrometre_and_else_named():
+    layout = rings([0.1, 0.2], [5, 9])
+    rounded = replace(layout, x=np.round(layout.x, 6), y=layout.y.astype("f4"))
+    assert layout.same_as(rounded)
+    assert not layout.difference(replace(layout, x=layout.x + 0.9e-6))
+    moved = layout.y + 1.5e-6 * (np.arange(14) > 9) + 1e-6 * (np.arange(14) == 11)
+    said = layout.other_actuators(replace(layout, y=moved))
+    assert said.startswith("Y of actuator 12 (row 12): ")
+    assert said.endswith(" m, 2.5 um apart; and 3 more")
+    assert layout.difference(replace(layout, id=np.arange(14))) == (
+        "ID of row 1: 0 and 1; and 13 more"
+    )
+    off = replace(layout, enabled=np.arange(14) != 3)
+    assert layout.difference(off) == "ENABLED of actuator 4 (row 4): F and T"

@@ -172,7 +172,9 @@ def test_layouts_name_their_segments():
     assert "2 segments" in repr(made)
     assert made.part(made.segment == 2).x.tolist() == [0.0, 0.2]
     assert made.difference(layout(**place)) == "1 and 2 segments"
-    assert made.difference(layout(**place, segment=[2, 2, 1, 1])) == "SEGMENT in row 2: 2 and 1"
+    assert made.difference(layout(**place, segment=[2, 2, 1, 1])) == (
+        "SEGMENT of actuator 2 (row 2): 2 and 1; and 1 more"
+    )
     with pytest.raises(GeometryError, match="SEGMENT is 0; segments count from 1"):
         layout(**place, segment=[0, 1, 0, 1])
     with pytest.raises(GeometryError, match="SEGMENT has shape"):

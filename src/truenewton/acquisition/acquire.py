@@ -25,10 +25,7 @@ from truenewton.acquisition.taker import Taker
 from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
 from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
 from truenewton.mirrors.known import Mirror
-from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
-
-ROUNDING = 1e-6  # of X and Y [m] and NZ: what four bytes to a number leave of them, and more
 
 
 def acquire(
@@ -131,32 +128,14 @@ def _agreed(
         what = f"has {bench.layout.n} actuators, the plan's {mirror.name} {mirror.layout.n}"
     elif bench.instrument != mirror.name:
         what = f"is {bench.instrument}, the plan is for {mirror.name}"
-    elif (apart := _difference(bench.layout, mirror.layout)) and _difference(
-        bench.layout, recorded
-    ):
-        what = f"has other actuators than {mirror.name}: {apart}"
+    elif (apart := mirror.layout.difference(bench.layout)) and recorded.difference(bench.layout):
+        what = f"has other actuators than {mirror.name}: {apart} (the bench's first)"
     elif not 0 < bench.gap < 1:
         raise BenchFault(f"the bench gives a gap of {bench.gap!r} m", remedy="give its own [m]")
     else:
         gradients_of(bench)  # refused now, not when the first cycle is complete
         return mirror, recorded
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
-
-
-def _difference(layout: Layout, planned: Layout) -> str:
-    """Say which actuator of a bench is another than the mirror's, and by how much, or nothing."""
-    for name in ("id", "x", "y", "nz", "enabled"):
-        here, there = getattr(layout, name), getattr(planned, name)
-        wrong = np.abs(here.astype(float) - there) > (ROUNDING if name in ("x", "y", "nz") else 0.0)
-        if wrong.any():
-            k, unit = int(wrong.argmax()), " m" if name in ("x", "y") else ""
-            others = f", and that of {counted(int(wrong.sum()) - 1, 'more', 'more')}"
-            return (
-                f"{name.upper()} of actuator {planned.id[k]}, row {k + 1}, is"
-                f" {here[k]:.9g}{unit} on the bench and {there[k]:.9g}{unit} in the plan's mirror"
-                f"{others if wrong.sum() > 1 else ''}"
-            )
-    return ""
 
 
 def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:

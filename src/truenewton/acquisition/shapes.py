@@ -59,9 +59,9 @@ def shapes_and_forces(
         chosen = _scaled(stiffness_modes(true).modes.T, true, plan)
     elif not given:
         matrix = stiffness_from(file)
-        if not matrix.layout.same_as(mirror.layout):
+        if apart := mirror.layout.difference(matrix.layout):
             raise FormatError(
-                f"is not of the actuators of {mirror.name}",
+                f"is not of the actuators of {mirror.name}: {apart}",
                 remedy="plan with the measured matrix of the same mirror",
                 path=path,
             )

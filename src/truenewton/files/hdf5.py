@@ -124,7 +124,7 @@ def read_hdf5(path: str | os.PathLike[str], *, whole: bool = True) -> FitsFile:
                 if isinstance(held[name], h5py.Group):
                     extensions[name.upper()] = _table(h5py, held[name], path, state, whole=whole)
                 elif held[name].ndim == 2:
-                    extensions[name.upper()] = Image(_array(held[name], path), _unit(held[name]))
+                    extensions[name.upper()] = Image(_array(held[name], path), unit_of(held[name]))
     except TrueNewtonError:
         raise
     except Exception as error:
@@ -173,7 +173,7 @@ def _table(h5py: Any, group: Any, path: str, state: tuple[int, int], *, whole: b
             )
             if stay
             else _array(dataset, path),
-            _unit(dataset),
+            unit_of(dataset),
         )  # fmt: skip
     return Table(rows or 0, columns)
 
@@ -191,7 +191,8 @@ def _array(dataset: Any, path: str) -> NDArray[Any]:
     return np.array(dataset[()], dtype=dataset.dtype.newbyteorder("="), order="C")
 
 
-def _unit(dataset: Any) -> str:
+def unit_of(dataset: Any) -> str:
+    """Return the unit that a dataset declares, or ''."""
     found = [dataset.attrs[name] for name in UNITS if name in dataset.attrs]
     return str(_plain(found[0])) if found else ""
 

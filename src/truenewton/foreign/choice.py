@@ -14,12 +14,18 @@ from truenewton.foreign.stored import Item, Stored
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
 POSITION_NAMES = ("coordinates", "coords", "act_coordinates", "act_coord", "positions", "xy")
 LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
+UNIT = re.compile(rf"(.*?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b({LENGTHS})[\])]?")
 POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
-ID_NAMES = ("id", "ids", "actuator", "act", "index", "number", "no", "channel", "ch", "nr")
+ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",
+            "channel", "ch")  # fmt: skip
+MOST_NAMED = 8  # arrays and columns of a file
 
 
 class Places(NamedTuple):
-    """Positions as they stand in a file: their unit or ''; what else stands beside them."""
+    """Positions as they stand in a file: their unit or ''; what else stands beside them.
+
+    `columns` are the names of all columns of numbers, if positions have names.
+    """
 
     x: Any
     y: Any
@@ -27,10 +33,11 @@ class Places(NamedTuple):
     ids: Any = None
     nz: Any = None
     enabled: Any = None
+    columns: tuple[str, ...] = ()
 
 
-def matrix_in(stored: Stored, dataset: str | None) -> Item:
-    """Return the (n, n) matrix of a file, or (shells, n, n) matrices.
+def matrix_in(stored: Stored, dataset: str | None) -> tuple[Item, str]:
+    """Return the (n, n) matrix of a file, or (shells, n, n) matrices; which of several, in words.
 
     Raises
     ------
@@ -42,7 +49,7 @@ def matrix_in(stored: Stored, dataset: str | None) -> Item:
         named = [item for name, item in items.items() if name.lower() == dataset.lower()]
         if not named:
             raise FormatError(
-                f"has no array '{dataset}'", remedy=_there_is(stored), path=stored.path
+                f"has no array '{dataset}'", remedy=there_is(stored), path=stored.path
             )
         items = {dataset: named[0]}
     square = {
@@ -52,6 +59,7 @@ def matrix_in(stored: Stored, dataset: str | None) -> Item:
         and item.values.shape[-1] == item.values.shape[-2]
         and item.values.shape[-1] > 2
     }
+    every = square
     if len(square) > 1:
         known = {n: i for n, i in square.items() if n.lower().split("/")[-1] in MATRIX_NAMES}
         square = known or square
@@ -59,7 +67,8 @@ def matrix_in(stored: Stored, dataset: str | None) -> Item:
         fault = f"holds {len(square)} square matrices" if square else "holds no square matrix"
         many = "say which by --dataset (dataset=): " + ", ".join(square)
         raise FormatError(fault, remedy=many if square else _none_square(stored), path=stored.path)
-    return next(iter(square.values()))
+    ((name, item),) = square.items()
+    return item, f", '{name}' of {', '.join(every)}" if len(every) > 1 else ""
 
 
 def places_in(stored: Stored) -> Places | None:
@@ -147,15 +156,14 @@ def _by_columns(columns: Mapping[str, Item], path: str) -> Places | None:
         numbers[0].astype(np.int64) if numbers else None,
         None if nz is None else nz.values,
         None if enabled is None else enabled.values != 0,
+        tuple(columns),
     )
 
 
 def _name_and_unit(name: str) -> tuple[str, str]:
-    """Return what a column is for and its unit, of names as 'x [mm]', 'X_mm', 'pos_y (m)'."""
+    """Return what a column is for and its unit, of names as 'x [mm]', 'x / mm', 'X_mm'."""
     text = name.strip().lower()
-    match = re.fullmatch(rf"(.*?)[\s_]*[\[(]?\b({LENGTHS})[\])]?", text) or re.fullmatch(
-        rf"(.*?)_({LENGTHS})", text
-    )
+    match = UNIT.fullmatch(text) or re.fullmatch(rf"(.*?)_({LENGTHS})", text)
     plain, unit = (match[1], match[2]) if match and match[1] else (text, "")
     for word in ("pos", "position", "coord", "coordinate", "act", "actuator"):
         for axis in "xy":
@@ -173,10 +181,11 @@ def _none_square(stored: Stored) -> str:
     shapes = [item.values.shape for item in stored.arrays.values()]
     twice = any(len(shape) == 2 and shape[1] == 2 * shape[0] for shape in shapes)
     commas = ": where commas are decimal ones too, put semicolons between columns" if twice else ""
-    return f"give as many rows as columns{commas}; {_there_is(stored)}"
+    return f"give as many rows as columns{commas}; {there_is(stored)}"
 
 
-def _there_is(stored: Stored) -> str:
+def there_is(stored: Stored) -> str:
+    """Say which arrays and columns of numbers a file has."""
     parts = [f"{n or 'one'} {item.values.shape}" for n, item in stored.arrays.items()]
-    parts += [f"column {name}" for name in stored.columns]
-    return f"there is {', '.join(parts[:8])}" if parts else "there are no arrays in it"
+    parts += [f"column '{name}'" for name in stored.columns]
+    return f"there is {', '.join(parts[:MOST_NAMED])}" if parts else "there are no arrays in it"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, UnreadableFile
-from truenewton.foreign.choice import Places, as_places, matrix_in, places_in
+from truenewton.foreign.choice import Places, as_places, matrix_in, places_in, there_is
 from truenewton.foreign.folders import read_folder
 from truenewton.foreign.positions import Positions, in_metres
 from truenewton.foreign.stored import Item, Stored, plain, read_stored
@@ -35,6 +35,8 @@ class Given:
         The matrix as it stands.
     path, kind
         Its file or folder, or ''; which layout that is, in words.
+    which
+        Of several matrices of its file, in words.
     header
         Of its file.
     positions, where
@@ -51,6 +53,7 @@ class Given:
     header: Mapping[str, Any]
     positions: Positions | None
     where: str
+    which: str = ""
     channels: NDArray[np.int64] | None = None
     by_ring: Positions | None = None
 
@@ -86,25 +89,26 @@ def read_given(
         if values is None:
             raise FormatError("the matrix holds no real numbers", remedy="give an (n, n) array")
         stored = Stored("", {"": Item(values, unit)})
-        item = matrix_in(stored, None)
+        item, which = matrix_in(stored, None)
     elif Path(matrix).is_dir():
         return _in_folder(Path(matrix), coordinates, mirror, dataset, surface)
     else:
         stored = read_stored(matrix)
-        item = matrix_in(stored, dataset)
+        item, which = matrix_in(stored, dataset)
     where, found = "", coordinates if coordinates is not None else mirror
     if isinstance(found, str | os.PathLike):
         where = os.fspath(found)
         if Path(where).is_dir():
             raise UnreadableFile("is a folder", remedy="give a file of positions", path=where)
-        found = places_in(read_stored(where))
+        places_file = read_stored(where)
+        found = places_in(places_file)
         if found is None:
-            remedy = "give columns X and Y, or an (n, 2) or (2, n) array"
+            remedy = f"give columns X and Y, or an (n, 2) or (2, n) array; {there_is(places_file)}"
             raise FormatError("holds no positions", remedy=remedy, path=where)
     elif found is None:
         found, where = places_in(stored), stored.path
     positions = _positions(found, where, surface)
-    return Given(item, stored.path, "", stored.header, positions, where)
+    return Given(item, stored.path, "", stored.header, positions, where, which)
 
 
 def _in_folder(
@@ -122,9 +126,9 @@ def _in_folder(
         by_ring = replace(by_ring, notes=(f"in the order of {NUMBERS}", *by_ring.notes))
     if positions is not None and folder.how:
         positions = replace(positions, notes=(folder.how, *positions.notes))
-    item, header = matrix_in(folder.matrix, dataset), folder.matrix.header
-    kind = f", {folder.kind}"
-    return Given(item, os.fspath(path), kind, header, positions, where, folder.channels, by_ring)
+    (item, which), header = matrix_in(folder.matrix, dataset), folder.matrix.header
+    kind, channels = f", {folder.kind}", folder.channels
+    return Given(item, os.fspath(path), kind, header, positions, where, which, channels, by_ring)
 
 
 def _positions(found: Any, path: str, surface: Surface) -> Positions | None:

@@ -14,18 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array, taking_units
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
-from truenewton.estimation.matrix_order import refuse_no_stiffness
+from truenewton.foreign.choice import MOST_NAMED
 from truenewton.foreign.given import Given, Surface, date_of, read_given
-from truenewton.foreign.positions import Positions, in_unit
+from truenewton.foreign.positions import Positions
 from truenewton.foreign.soundness import Judged, OtherOrder, judge, silent_actuators, turned_sign
+from truenewton.foreign.stiffness_unit import in_newton_per_metre
 from truenewton.foreign.stored import read_stored
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout, layout
 
 PathLike = str | os.PathLike[str]
-LIKELY = (2e4, 1e9)  # median own stiffness of a mirror [N/m]
-LARGEST = 1e30  # element in any unit
-NOMINAL = 1e6  # that given to a matrix whose unit is unknown [N/m]
 
 
 @dataclass(frozen=True, repr=False)
@@ -103,7 +101,7 @@ def stiffness_from(
     given = read_given(matrix, coordinates, mirror, dataset, Surface(lengths, curvature, arc))
     try:
         k, rows, part = _one_shell(given.item.values, shell)
-        k, unit_line = _in_newton_per_metre(k, unit, given.item.unit)
+        k, unit_line = in_newton_per_metre(k, unit, given.item.unit)
         k, sign = turned_sign(k.T if transpose else k)
         ways = list(_ways(given, rows, _names(ids, given.channels)))
         when, how = date_of(given) if date is None else (_in_utc(date), "as told")
@@ -114,10 +112,11 @@ def stiffness_from(
         fitting = _first_that_fits(ways, lambda each: _checked(k, each, name, when, given.path))
     except TrueNewtonError as error:
         of_places = isinstance(error, OtherOrder | GeometryError) and given.where
-        raise located(error, of_places or given.path or None) from None
+        raise located(_without_circle(error, given), of_places or given.path or None) from None
     record, judged, positions, noted = fitting
+    turned = ", transposed as told" if transpose else ""
     lines = [
-        ("matrix", f"{len(k)} x {len(k)}{part}, {unit_line}{', transposed as told' * transpose}"),
+        ("matrix", f"{len(k)} x {len(k)}{given.which}{part}, {unit_line}{turned}"),
         ("sign", sign),
         ("positions", f"{Path(given.where).name or 'given'}: {', '.join(positions.notes)}"),
         *noted,
@@ -168,6 +167,16 @@ def _first_that_fits(ways: list[Positions], check: Callable[[Positions], Checked
         return check(ways[0])  # whose fault is said
 
 
+def _without_circle(error: TrueNewtonError, given: Given) -> TrueNewtonError:
+    """Return an error of the order with a remedy for positions that have no IDs to be matched."""
+    positions = given.positions
+    if not isinstance(error, OtherOrder) or positions is None or positions.ids is not None:
+        return error
+    there = f"; there is {', '.join(positions.columns[:MOST_NAMED])}" if positions.columns else ""
+    remedy = "put them in the order of the matrix, or give their numbers in a column named ID"
+    return error.changed(remedy=remedy + there)
+
+
 def _in_utc(date: datetime.datetime) -> datetime.datetime:
     return date if date.tzinfo else date.replace(tzinfo=datetime.UTC)
 
@@ -197,40 +206,6 @@ def _one_shell(values: Array, shell: int | None) -> tuple[Array, NDArray[np.int6
             remedy=f"choose one by --shell 1 .. {len(shells)} (shell=)",
         )
     return matrices[shell - 1], shells[shell - 1], f", shell {shell} of {len(shells)}"
-
-
-def _in_newton_per_metre(k: Array, unit: str | None, declared: str) -> tuple[Array, str]:
-    """Return an (n, n) matrix in N/m, and what was taken for its unit."""
-    most = float(np.max(np.abs(k), where=np.isfinite(k), initial=0.0))
-    if most > LARGEST:
-        raise FormatError(f"holds an element of {most:.3g}", remedy="measure it again", got=most)
-    if not np.isfinite(k).any():
-        raise FormatError("holds no finite number", remedy="measure it again")
-    refuse_no_stiffness(np.nan_to_num(k, posinf=0.0, neginf=0.0))
-    own = np.abs(np.diag(k))
-    own = own[np.isfinite(own) & (own > 0.0)]
-    typical = float(np.median(own)) if own.size else 0.0
-    if not typical:
-        raise FormatError(
-            "is zero on its diagonal", remedy="give a stiffness or feed-forward matrix"
-        )
-    if unit == "unknown":
-        said = f"unit unknown: its median own stiffness is called {NOMINAL:g} N/m; alpha does not"
-        return k * (NOMINAL / typical), f"{said} mind, forces and modes are in that unit"
-    said = unit or declared
-    if said:
-        how = "as told" if unit else "as declared"
-        return k * in_unit(1.0, said, "N/m", "the matrix", None), f"{said} {how}"
-    if not LIKELY[0] <= typical < LIKELY[1]:
-        per = {"N/um": 1e6, "N/mm": 1e3, "mN/um": 1e3, "N/nm": 1e9, "uN/nm": 1e3}
-        fitting = [name for name, f in per.items() if LIKELY[0] <= typical * f < LIKELY[1]]
-        raise FormatError(
-            f"declares no unit, and a median own stiffness of {typical:.3g} N/m is no mirror's",
-            remedy=f"say which by --unit (unit=), as {', '.join((*fitting, 'unknown'))}; of"
-            " displacement per force give the inverse",
-            got=typical,
-        )
-    return k, f"N/m, as the median own stiffness is {typical:.3g}"
 
 
 def _names(

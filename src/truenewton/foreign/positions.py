@@ -28,6 +28,8 @@ class Positions:
         (n,) [m] and cosine between force and +z, or None.
     ids, enabled
         (n,) or None.
+    columns
+        Names of the columns of their file.
     notes
         What was found and done, in words.
     """
@@ -38,6 +40,7 @@ class Positions:
     ids: NDArray[np.int64] | None
     enabled: NDArray[np.bool_] | None
     notes: tuple[str, ...] = ()
+    columns: tuple[str, ...] = ()
 
     def part(self, rows: Any) -> Positions:
         """Return those of some rows."""
@@ -105,7 +108,7 @@ def in_metres(
         notes.append("NZ 1, a flat mirror (--curvature R for another)")
     if nz is not None:
         notes.append(f"NZ {np.nanmin(nz):.4f} .. {np.nanmax(nz):.4f}")
-    return Positions(x, y, nz, places.ids, places.enabled, tuple(notes))
+    return Positions(x, y, nz, places.ids, places.enabled, tuple(notes), places.columns)
 
 
 def in_unit(value: Any, unit: str, want: str, what: str, path: Any) -> float:

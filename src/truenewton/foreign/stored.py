@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from truenewton.errors import TrueNewtonError, UnreadableFile
 from truenewton.files.content import Image, Table
 from truenewton.files.fits import START, read_fits
+from truenewton.files.hdf5 import unit_of
 from truenewton.files.opening import GZIP, open_plain
 from truenewton.foreign.text import read_text, text_of
 
@@ -131,16 +132,17 @@ def _hdf5(path: str) -> Stored:
             remedy="pip install 'truenewton[hdf5]'",
             path=path,
         ) from None
-    found: dict[str, Any] = {}
+    found: dict[str, Item] = {}
 
     def take(name: str, held: Any) -> None:
         if isinstance(held, h5py.Dataset) and held.dtype.kind in "fiub" and held.ndim:
             # MATLAB's arrays of version 7.3 lie here with their axes reversed.
-            found[name] = held[()].T if "MATLAB_class" in held.attrs else held[()]
+            values = held[()].T if "MATLAB_class" in held.attrs else held[()]
+            found[name] = Item(np.asarray(values, dtype=np.float64), unit_of(held))
 
     with h5py.File(path, "r") as file:
         file.visititems(take)
-    return _gathered(path, found)
+    return Stored(path, found)
 
 
 def _matlab(path: str) -> Stored:

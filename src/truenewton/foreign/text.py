@@ -17,12 +17,20 @@ from numpy.typing import NDArray
 
 from truenewton.errors import FormatError, UnreadableFile
 from truenewton.files.opening import MOST_UNPACKED, open_plain
+from truenewton.rounding import counted
 
 COMMENT = "#;%!"
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
 NARROW = 16  # columns, of which some may be words
+
+
+class Line(NamedTuple):
+    """A line as it stands in its file, and its number there, from 1."""
+
+    number: int
+    text: str
 
 
 class TextTable(NamedTuple):
@@ -71,55 +79,60 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
     UnreadableFile, FormatError
     """
     # A tab may stand for an empty cell in the corner, unless every line begins with one.
-    lines = [line.strip(" ") for line in text_of(path).splitlines()]
-    if all(line.startswith("\t") for line in lines if line):
-        lines = [line.strip() for line in lines]
-    data = [line for line in lines if line and line[0] not in COMMENT]
+    whole = text_of(path).splitlines()
+    every = [Line(number, text.strip(" ")) for number, text in enumerate(whole, 1) if text.strip()]
+    if all(line.text.startswith("\t") for line in every):
+        every = [Line(line.number, line.text.strip()) for line in every]
+    data = [line for line in every if line.text[0] not in COMMENT]
     if not data:
         raise FormatError("holds no numbers", remedy="give a file with numbers", path=path)
-    typed = TYPED.fullmatch(data[0])
+    typed = TYPED.fullmatch(data[0].text)
     if typed:
-        return TextTable(_typed(typed[2], data[1:], path), {})
-    delimiter, comma = _separators(data[-1])
-    if delimiter == ";":  # then it begins no comment
-        data = [line for line in lines if line and line[0] not in COMMENT.replace(";", "")]
-    if comma:
-        data = [line.replace(",", ".") for line in data]
-    while len(data) > 1 and not _has_number(data[1], delimiter):  # a header of several lines
+        return TextTable(_typed(typed[2], [line.text for line in data[1:]], path), {})
+    between = _separators(data[-1].text)
+    if between.delimiter == ";":  # then it begins no comment
+        data = [line for line in every if line.text[0] not in COMMENT.replace(";", "")]
+    while len(data) > 1 and not _has_number(data[1].text, between):  # a header of several lines
         data = data[1:]
-    names = _words(data[0], delimiter)
-    if all(NUMBER.fullmatch(name) for name in names):
-        comments = [line for line in lines if line and line[0] in COMMENT]
-        names = _words(comments[-1].lstrip(COMMENT), delimiter) if comments else []
+    names = _cells(data[0].text, between)
+    if all(NUMBER.fullmatch(name) for name in (names if names[-1] else names[:-1] or names)):
+        comments = [line.text for line in every if line.text[0] in COMMENT]
+        names = _cells(comments[-1].lstrip(COMMENT), between) if comments else []
     else:
         data = data[1:]
     if not data:
         raise FormatError("holds a header and no numbers", remedy="give its rows", path=path)
-    if len(_words(data[-1], delimiter)) <= NARROW:
-        return _narrow(data, delimiter, names, path)
-    return TextTable(_unlabelled(_wide(data, delimiter, path), bool(names)), {})
+    if len(_cells(data[0].text, between)) <= NARROW:
+        return _narrow(data, between, names, path)
+    return TextTable(_unlabelled(_wide(data, between, path), bool(names)), {})
 
 
-def _separators(line: str) -> tuple[str | None, bool]:
-    """Return what stands between columns, None for blanks, and whether commas are decimal."""
+class Between(NamedTuple):
+    """What stands between columns, None for blanks; whether commas are decimal."""
+
+    delimiter: str | None
+    comma: bool
+
+
+def _separators(line: str) -> Between:
     for delimiter in (";", "\t"):
         if delimiter in line:
-            return delimiter, "," in line
+            return Between(delimiter, "," in line)
     if "," in line:
         words = line.split()
         if len(words) > 1 and all(DECIMAL_COMMA.fullmatch(w) or NUMBER.fullmatch(w) for w in words):
-            return None, True
-        return ",", False
-    return None, False
+            return Between(None, True)
+        return Between(",", False)
+    return Between(None, False)
 
 
-def _words(line: str, delimiter: str | None) -> list[str]:
-    words = [word.strip().strip("'\"").strip() for word in line.split(delimiter)]
-    return words[:-1] if delimiter and len(words) > 1 and not words[-1] else words
+def _cells(line: str, between: Between) -> list[str]:
+    line = line.replace(",", ".") if between.comma else line
+    return [cell.strip().strip("'\"").strip() for cell in line.split(between.delimiter)]
 
 
-def _has_number(line: str, delimiter: str | None) -> bool:
-    return any(NUMBER.fullmatch(word) for word in _words(line, delimiter))
+def _has_number(line: str, between: Between) -> bool:
+    return any(NUMBER.fullmatch(cell) for cell in _cells(line, between))
 
 
 def _typed(sizes: str, lines: list[str], path: Any) -> NDArray[Any]:
@@ -130,55 +143,68 @@ def _typed(sizes: str, lines: list[str], path: Any) -> NDArray[Any]:
         fault = f"holds '{wrong[0]}'" if wrong else f"holds {len(words)} numbers"
         remedy = f"give {' x '.join(map(str, shape))} numbers, as its first line says"
         raise FormatError(fault, remedy=remedy, path=path)
-    return np.array([word.lower().replace("d", "e") for word in words], dtype=float).reshape(shape)
+    return np.array([_float(word) for word in words]).reshape(shape)
 
 
-def _narrow(lines: list[str], delimiter: str | None, names: list[str], path: Any) -> TextTable:
-    rows = _alike(lines, delimiter, path)
+def _narrow(lines: list[Line], between: Between, names: list[str], path: Any) -> TextTable:
+    rows = _alike(lines, between, path)
     columns: list[NDArray[Any] | None] = []
     for cells in zip(*rows, strict=True):
         sound = all(not cell or NUMBER.fullmatch(cell) for cell in cells)
-        numbers = [cell.lower().replace("d", "e") or "nan" for cell in cells]
-        columns.append(np.array(numbers, dtype=float) if sound else None)
+        columns.append(np.array([_float(cell) for cell in cells]) if sound else None)
     if not any(column is not None for column in columns):
         raise FormatError("holds no numbers", remedy="give a file with numbers", path=path)
     named = {}
-    if len(names) == len(columns):
-        named = {n: c for n, c in zip(names, columns, strict=True) if n and c is not None}
-    if any(column is None for column in columns):
+    if len(names) >= len(columns) and not any(names[len(columns) :]):
+        named = {n: c for n, c in zip(names, columns, strict=False) if n and c is not None}
+    numbers = [column for column in columns if column is not None]
+    labelled = columns[0] is None and len(numbers) == len(columns) - 1 == len(rows) > 2
+    if len(numbers) < len(columns) and not labelled:
         return TextTable(None, named)
-    return TextTable(_unlabelled(np.array(columns).T, bool(names)), named)
+    return TextTable(_unlabelled(np.array(numbers).T, bool(names)), named)
 
 
-def _alike(lines: list[str], delimiter: str | None, path: Any) -> list[list[str]]:
-    """Return the words of lines, as many in each."""
-    rows = [_words(line, delimiter) for line in lines]
-    for number, (row, line) in enumerate(zip(rows, lines, strict=True), 1):
+def _alike(lines: list[Line], between: Between, path: Any) -> list[list[str]]:
+    """Return the cells of lines, as many in each, without a last column that is empty in all."""
+    rows = [_cells(line.text, between) for line in lines]
+    if len(rows[0]) > 1 and not any(row[-1] for row in rows):
+        rows = [row[:-1] for row in rows]
+    for row, line in zip(rows, lines, strict=True):
         if len(row) != len(rows[0]):
             raise FormatError(
-                f"row {number} has {len(row)} columns and the first {len(rows[0])}: '{line[:40]}'",
-                remedy="give all rows alike; begin lines of words with #",
+                f"line {line.number} has {counted(row, 'cell')}, line {lines[0].number} has"
+                f" {len(rows[0])}: '{line.text[:40]}'",
+                remedy="give every line as many; begin lines of words with #",
                 path=path,
             )
     return rows
 
 
-def _wide(lines: list[str], delimiter: str | None, path: Any) -> NDArray[Any]:
+def _wide(lines: list[Line], between: Between, path: Any) -> NDArray[Any]:
+    """Return rows of numbers, without the words that name them in the first column."""
+    text = "\n".join(line.text for line in lines).replace('"', "")
     try:
         return np.loadtxt(
-            io.StringIO("\n".join(line.replace('"', "") for line in lines)),
-            delimiter=delimiter, ndmin=2, comments=None,
+            io.StringIO(text.replace(",", ".") if between.comma else text),
+            delimiter=between.delimiter, ndmin=2, comments=None,
         )  # fmt: skip
-    except ValueError as error:
-        for number, row in enumerate(_alike(lines, delimiter, path), 1):
-            for column, word in enumerate(row, 1):
-                if not NUMBER.fullmatch(word):
-                    raise FormatError(
-                        f"row {number}, column {column} is '{word[:40]}'",
-                        remedy="give a number there; begin lines of words with #",
-                        path=path,
-                    ) from None
-        raise FormatError(f"{error}", remedy="give rows of numbers", path=path) from None
+    except ValueError:
+        rows = _alike(lines, between, path)
+    first = 0 if any(NUMBER.fullmatch(row[0]) for row in rows) else 1
+    for row, line in zip(rows, lines, strict=True):
+        for column, cell in enumerate(row[first:], first + 1):
+            if not NUMBER.fullmatch(cell):
+                raise FormatError(
+                    f"line {line.number}, column {column} is '{cell[:40]}'",
+                    remedy="give a number there; begin lines of words with #",
+                    path=path,
+                )
+    return np.array([[_float(cell) for cell in row[first:]] for row in rows])
+
+
+def _float(cell: str) -> float:
+    """Return a number, an exponent of Fortran's with it; NaN of an empty cell."""
+    return float(cell.lower().replace("d", "e") or "nan")
 
 
 def _unlabelled(values: NDArray[Any], header: bool) -> NDArray[Any]:

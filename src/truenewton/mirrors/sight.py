@@ -97,11 +97,11 @@ def _same_in(mirror: Mirror | SegmentedMirror, layout: Layout) -> Layout:
     if segmented:
         measured = np.isin(known.id, layout.id)
         known = known.part(measured) if measured.any() else known
-    if not known.same_actuators_as(layout):
+    if apart := layout.other_actuators(known):
         part = layout.segment is not None and not segmented
         whole = "; of a segment, that of the whole" if part else ""
         raise CampaignMismatch(
-            f"the actuators of {mirror.name} are not those of the data",
+            f"the actuators of {mirror.name} are not those of the data: {apart}",
             remedy=f"give the mirror that was measured, with its ACTUATORS table{whole}",
         )
     if known.segments and not np.array_equal(np.asarray(layout.segment), np.asarray(known.segment)):

@@ -130,7 +130,8 @@ def _lacking(name: str, columns: Sequence[str]) -> FormatError:
     has = listed([f"'{column}'" for column in columns], 4) if columns else "none"
     return FormatError(
         f"lacks column '{name}'; it has {has}",
-        remedy="name the columns X and Y in the first line, with commas between",
+        remedy="name the columns X and Y in the first line, in metres, with commas between; or"
+        " name the FITS file that `truenewton import` makes of a matrix and positions as they are",
     )
 
 

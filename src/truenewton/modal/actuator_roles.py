@@ -16,7 +16,6 @@ from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
 FEWEST = 4  # actuators that leave a motion that bends the glass
-SAME_PLACE = 1e-9  # [m]
 
 
 def off_and_slaved(
@@ -89,15 +88,8 @@ def matched_alpha(layout: Layout, instrument: str, calibration: Calibration | No
             remedy="calibrate all actuators that the stiffness has enabled",
             got=int(layout.id[unknown][0]),
         )
-    for name in ("x", "y", "nz"):
-        far = np.abs(getattr(theirs, name)[at] - getattr(layout, name)) > SAME_PLACE
-        if far.any():
-            raise CampaignMismatch(
-                f"stiffness and calibration disagree on {name.upper()} of actuator"
-                f" {layout.id[far][0]}",
-                remedy=remedy,
-                got=int(layout.id[far][0]),
-            )
+    if apart := theirs.part(at).other_actuators(layout):
+        raise CampaignMismatch(f"stiffness and calibration disagree on {apart}", remedy=remedy)
     return np.asarray(calibration.alpha[at])
 
 

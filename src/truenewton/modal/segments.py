@@ -56,11 +56,12 @@ def modes_of_segments(
     UnknownName
         An ID that no actuator has.
     """
-    if calibration is not None and not calibration.layout.same_actuators_as(data.layout):
+    apart = "" if calibration is None else calibration.layout.other_actuators(data.layout)
+    if apart:
         raise CampaignMismatch(
-            "data and calibration are of two mirrors", remedy="give both of the same mirror"
+            f"data and calibration are of two mirrors: {apart}",
+            remedy="give both of the same mirror",
         )
-
     pupil = pupil_of(data.layout, diameter, radius)
     known = set(data.layout.id.tolist())
     for unknown in (name for name in (*off, *slaved) if name not in known):

@@ -17,7 +17,7 @@ from truenewton.modal.modal_base import ModalBase
 from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent, significant
 
-WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns
+WIDTHS = (8, 15, 15, 15, 8, 8, 9, 9, 0)  # of the table's columns, at least
 NUMBERS = 8  # of modes, in the table
 NEGATIVE = "bias magnets, or errors of the measurement"  # why a stiffness may be
 
@@ -41,10 +41,10 @@ def cost_rows(base: ModalBase) -> list[tuple[str, ...]]:
     rows = []
     for number in np.unique(np.linspace(0, count, NUMBERS + 1).round().astype(int))[1:].tolist():
         k = number - 1
-        left = (f"{1e9 * each.residual[k]:.4g}" for each in base.costs)
+        left = (_plain(1e9 * each.residual[k], 4) for each in base.costs)
         rows.append(
-            (str(number), *left, f"{1e3 * cost.force_rms[k]:.3g}",
-             f"{1e3 * cost.force_worst[k]:.3g}", f"{cost.power_mean[k]:.2g}",
+            (str(number), *left, _plain(1e3 * cost.force_rms[k], 3),
+             _plain(1e3 * cost.force_worst[k], 3), f"{cost.power_mean[k]:.2g}",
              f"{cost.power_worst[k]:.2g}", f"{cost.power_total[k]:.3g}")
         )  # fmt: skip
     return rows
@@ -168,16 +168,26 @@ def lines(findings: ModalFindings, limits: Budget) -> list[str]:
 
 def _table(base: ModalBase) -> list[str]:
     """Return residual, force and power against the number of modes."""
-    names = "".join(f"{cost.base:<15}" for cost in base.costs)
-    lines = [
-        f"  {'':<8}{'residual wavefront at actuators [nm]':<45}"
-        "stiffness modes: force [mN], power [W]",
-        f"  {'modes':<8}{names}rms     worst   mean     worst    total",
+    bases = tuple(cost.base for cost in base.costs)
+    rows = [("modes", *bases, "rms", "worst", "mean", "worst", "total"), *cost_rows(base)]
+    widths = [
+        max(least, *(len(cell) + 1 for cell in cells))
+        for least, cells in zip(WIDTHS, zip(*rows, strict=True), strict=True)
     ]
-    for cells in cost_rows(base):
-        text = "".join(f"{cell:<{width}}" for cell, width in zip(cells, WIDTHS, strict=True))
-        lines.append(f"  {text}")
+    first, left = widths[0], sum(widths[1 : 1 + len(bases)])
+    lines = [
+        f"  {'':<{first}}{'residual wavefront at actuators [nm]':<{left}}"
+        "stiffness modes: force [mN], power [W]"
+    ]
+    for cells in rows:
+        text = "".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True))
+        lines.append(f"  {text.rstrip()}")
     return lines
+
+
+def _plain(value: float, digits: int) -> str:
+    """Return a number with so many digits, thousands and millions without an exponent."""
+    return f"{value:.{digits}g}" if abs(value) < 1.0 else f"{float(f'{value:.{digits}g}'):.9g}"
 
 
 def _within(findings: ModalFindings, limits: Budget) -> list[str]:

@@ -100,9 +100,10 @@ def known_from(
     sources: tuple[Source, ...] = ()
     name, given = _of_body(known, campaign.layout)
     same_instrument = given.instrument == campaign.instrument
-    if not (same_instrument and given.layout.same_actuators_as(campaign.layout)):
+    apart = campaign.layout.other_actuators(given.layout)
+    if apart or not same_instrument:
         raise CampaignMismatch(
-            "has other actuators than the run"
+            f"has other actuators than the run: {apart}"
             if same_instrument
             else f"is of {given.instrument}, the run of {campaign.instrument}",
             remedy="give the calibration of the same mirror",

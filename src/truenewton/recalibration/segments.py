@@ -125,10 +125,12 @@ def _known_of(
                 path=name,
             )
         known = read
-    if not (known.instrument == data.instrument and known.layout.same_actuators_as(data.layout)):
+    same_instrument = known.instrument == data.instrument
+    apart = data.layout.other_actuators(known.layout)
+    if apart or not same_instrument:
         raise CampaignMismatch(
-            "has other actuators than the run"
-            if known.instrument == data.instrument
+            f"has other actuators than the run: {apart}"
+            if same_instrument
             else f"is of {known.instrument}, the run of {data.instrument}",
             remedy="give the calibration of the same mirror",
             path=name,

@@ -186,11 +186,14 @@ def refuse_foreign(matrix: StiffnessMatrix | None, cycle: Cycle) -> None:
     ------
     CampaignMismatch
     """
-    if matrix is not None and not (
-        matrix.instrument == cycle.instrument and matrix.layout.same_as(cycle.layout)
-    ):
+    if matrix is None:
+        return
+    other = matrix.instrument != cycle.instrument
+    apart = cycle.layout.difference(matrix.layout)
+    if other or apart:
         raise CampaignMismatch(
-            f"disagrees with {cycle.name} on INSTRUME or the ACTUATORS table",
+            f"disagrees with {cycle.name} on "
+            + ("INSTRUME" if other else f"the ACTUATORS table ({apart})"),
             remedy="give the stiffness matrix of the same mirror",
             path=matrix.source.file if matrix.source else "stiffness matrix",
         )

@@ -131,12 +131,13 @@ def change(one: AnyCalibration, other: AnyCalibration) -> Change:
         )
     a, b = one.layout, other.layout
     # Which are enabled may differ, and what was taken for their direction.
-    alike = a.n == b.n and a.same_as(replace(b, enabled=a.enabled, nz=a.nz))
-    both = a.enabled & b.enabled if alike else np.zeros(0, dtype=bool)
+    apart = f"{a.n} and {b.n} actuators" if a.n != b.n else ""
+    apart = apart or replace(b, enabled=a.enabled, nz=a.nz).difference(a)
+    both = np.zeros(0, dtype=bool) if apart else a.enabled & b.enabled
     if not both.any():
         raise CampaignMismatch(
             f"the calibrations of {one.instrument} and {other.instrument} are not of the same"
-            " actuators",
+            f" actuators: {apart or 'none is enabled in both'}",
             remedy="compare two calibrations of one mirror",
         )
     ratio = float(np.median(other.alpha[both] / one.alpha[both]))
@@ -161,10 +162,11 @@ def change(one: AnyCalibration, other: AnyCalibration) -> Change:
 def _change_of_segments(one: SegmentedCalibration, other: SegmentedCalibration) -> Change:
     """Compare each segment that has alpha in both, at the limit of all actuators together."""
     a, b = one.layout, other.layout
-    if not (a.same_actuators_as(b) and one.numbers == other.numbers):
+    apart = b.other_actuators(a)
+    if apart or one.numbers != other.numbers:
         raise CampaignMismatch(
             f"the calibrations of {one.instrument} and {other.instrument} are not of the same"
-            " segments",
+            f" segments{f': {apart}' if apart else ''}",
             remedy="compare two calibrations of one mirror",
         )
     parts = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,8 @@ UNITS = {
     "segment": "",
 }  # fmt: skip
 MOST_ACTUATORS = 20000
+PLACE = ("x", "y", "nz")
+SAME_PLACE = 1e-6  # [m], and of NZ: what four bytes, or a table of few digits, leave of them
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -150,8 +153,8 @@ class Layout:
         numbers = () if self.segment is None else np.unique(self.segment).tolist()
         return tuple(numbers) if len(numbers) > 1 else ()
 
-    def part(self, chosen: NDArray[np.bool_]) -> Layout:
-        """Return the actuators that are chosen, (n,)."""
+    def part(self, chosen: NDArray[Any]) -> Layout:
+        """Return the actuators that are chosen, (n,) true or their indices."""
         columns = {field.name: getattr(self, field.name) for field in fields(self)}
         return replace(self, **{k: v[chosen] for k, v in columns.items() if v is not None})
 
@@ -159,29 +162,48 @@ class Layout:
         """Tell whether the actuators are the same and the same ones are enabled."""
         return not self.difference(other)
 
+    def same_actuators_as(self, other: Layout) -> bool:
+        """Tell whether the actuators are the same ones, see `other_actuators`."""
+        return not self.other_actuators(other)
+
     def difference(self, other: Layout) -> str:
-        """Return in words the first difference between two layouts; '' where there is none."""
-        if self.n != other.n:
-            return f"{other.n} and {self.n} actuators"
-        for name, apart in (("id", 0.0), ("x", 1e-9), ("y", 1e-9), ("nz", 1e-9), ("enabled", 0.0)):
-            one, two = getattr(self, name), getattr(other, name)
-            differ = np.flatnonzero(~np.isclose(one, two, rtol=0.0, atol=apart))
-            if differ.size:
-                k = differ[0]
-                return f"{name.upper()} in row {k + 1}: {two[k]:.6g} and {one[k]:.6g}"
+        """Say in what another layout, named first, differs from this one; '' if in nothing."""
+        if differ := self.other_actuators(other) or self._unlike(other, "enabled"):
+            return differ
         if self.segments != other.segments:
             return f"{len(other.segments) or 1} and {len(self.segments) or 1} segments"
-        if self.segment is not None and other.segment is not None and self.segments:
-            for k in np.flatnonzero(self.segment != other.segment)[:1]:
-                return f"SEGMENT in row {k + 1}: {other.segment[k]} and {self.segment[k]}"
-        return ""
+        return self._unlike(other, "segment") if self.segments else ""
 
-    def same_actuators_as(self, other: Layout) -> bool:
-        """Tell whether the actuators are: same order, positions to 1e-9 m (docs/files.md)."""
-        return np.array_equal(self.id, other.id) and all(
-            np.allclose(getattr(self, name), getattr(other, name), rtol=0.0, atol=1e-9)
-            for name in ("x", "y", "nz")
-        )
+    def other_actuators(self, other: Layout) -> str:
+        """Say which actuator of another layout, named first, is not that of this one, or ''.
+
+        Their order counts, and places to `SAME_PLACE`; not which are enabled.
+        """
+        if self.n != other.n:
+            return f"{other.n} and {self.n} actuators"
+        return next(filter(None, (self._unlike(other, name) for name in ("id", *PLACE))), "")
+
+    def _unlike(self, other: Layout, name: str) -> str:
+        """Say where a column differs first, or most where it is of places, and by how much; or ''.
+
+        Of what is beyond `SAME_PLACE`; in metres to 0.1 um.
+        """
+        one, two = (getattr(each, name).astype(float) for each in (other, self))
+        apart = np.abs(one - two)
+        unlike = int(np.count_nonzero(apart > (SAME_PLACE if name in PLACE else 0.0)))
+        if not unlike:
+            return ""
+        least = 0.999 * apart.max() if name in PLACE else 0.0  # the first, where all move alike
+        k, more = int(np.argmax(apart > least)), f"; and {unlike - 1} more" if unlike > 1 else ""
+        if name in ("x", "y"):
+            size = f"{1e3 * apart[k]:.3g} mm" if apart[k] >= 1e-3 else f"{1e6 * apart[k]:.3g} um"
+            values = f"{one[k]:.7f} and {two[k]:.7f} m, {size} apart"
+        elif name == "enabled":
+            values = " and ".join("FT"[int(each[k])] for each in (one, two))
+        else:
+            values = f"{one[k]:.7g} and {two[k]:.7g}"
+        which = f"row {k + 1}" if name == "id" else f"actuator {self.id[k]} (row {k + 1})"
+        return f"{name.upper()} of {which}: {values}{more}"
 
 
 @taking_units(x="m", y="m")
@@ -307,44 +329,3 @@ def spherical_rings(
     """
     t = np.asarray(polar_angles, dtype=float)
     return rings(list(radius * np.sin(t)), counts, nz=list(np.cos(t)), turned=turned)
-
-
-def ring_centre(layout: Layout) -> tuple[float, float]:
-    """Return x and y about which actuators stand on rings [m]: the origin, or their own middle.
-
-    The latter of a segment beside the axis, where it makes fewer rings of them.
-    """
-    own = float(layout.x.mean()), float(layout.y.mean())
-    return min(((0.0, 0.0), own), key=lambda centre: int(_radius_number(layout, centre).max()))
-
-
-def ring_of(layout: Layout) -> NDArray[np.int64]:
-    """Return (n,) the ring of each actuator, 0 the innermost, by radius to a tenth of a millimetre.
-
-    About `ring_centre`. All zeros where the actuators stand on no rings (as many radii as half the
-    actuators).
-    """
-    ring = _radius_number(layout, ring_centre(layout))
-    return ring if ring.max() < layout.n // 2 else np.zeros(layout.n, dtype=np.int64)
-
-
-def _radius_number(layout: Layout, centre: tuple[float, float]) -> NDArray[np.int64]:
-    """Return (n,) which of the radii that differ is that of each actuator, 0 the smallest."""
-    radius = np.hypot(layout.x - centre[0], layout.y - centre[1])
-    order = np.argsort(radius, kind="stable")
-    steps = np.diff(radius[order], prepend=radius[order[0]]) > 1e-4
-    number = np.empty(layout.n, dtype=np.int64)
-    number[order] = np.cumsum(steps)
-    return number
-
-
-def group_of(layout: Layout) -> NDArray[np.int64]:
-    """Return (n,) to which group of its kind, see `group_name`, each actuator belongs, from 0."""
-    if layout.segments:
-        return np.searchsorted(layout.segments, np.asarray(layout.segment))
-    return ring_of(layout)
-
-
-def group_name(layout: Layout) -> str:
-    """Return by what actuators are grouped for people: 'segment', or 'ring' of a single body."""
-    return "segment" if layout.segments else "ring"

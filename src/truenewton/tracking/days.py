@@ -204,9 +204,9 @@ def _refuse_other_mirror(one: DatedCalibration, other: DatedCalibration) -> None
             got=b.instrument,
             want=a.instrument,
         )
-    if not a.layout.same_actuators_as(b.layout):
+    if apart := a.layout.other_actuators(b.layout):
         raise CampaignMismatch(
-            f"has other actuators than {one.name}",
+            f"has other actuators than {one.name}: {apart}",
             remedy="track one mirror at a time",
             path=other.name,
         )

@@ -96,12 +96,12 @@ def _mirror_of(days: Sequence[Named]) -> tuple[str, Layout]:
     assert isinstance(mirror, SegmentedCalibration | SegmentedData)
     for name, data in others:
         assert isinstance(data, SegmentedCalibration | SegmentedData)
-        alike = data.layout.same_actuators_as(mirror.layout)
-        if not (alike and data.instrument == mirror.instrument and data.numbers == mirror.numbers):
+        apart = mirror.layout.other_actuators(data.layout)
+        if apart or not (data.instrument == mirror.instrument and data.numbers == mirror.numbers):
             raise CampaignMismatch(
                 f"is of {data.instrument}, {first.name} of {mirror.instrument}"
                 if data.instrument != mirror.instrument
-                else f"has other actuators than {first.name}",
+                else f"has other actuators than {first.name}{f': {apart}' if apart else ''}",
                 remedy="track one mirror at a time",
                 path=name,
             )
