@@ -17,7 +17,8 @@ from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import GRAVITY
 from truenewton.mirrors.segmented import SEGMENTED
-from truenewton.mirrors.sight import motion_for
+from truenewton.mirrors.shell.finite_elements.outline import depth_inside
+from truenewton.mirrors.sight import edges_for, motion_for
 from truenewton.records.file import cycle_from
 from truenewton.statics.arms import effective_weight, external_load, resultants
 from truenewton.statics.layout import layout
@@ -266,6 +267,46 @@ def test_what_sensors_of_segments_see(inside, tiny):
     code, _, error = inside("calibrate", folder, *asked[:3], tiny.with_name("square.toml"))
     assert code == 2
     assert "with its ACTUATORS table; of a segment, that of the whole" in error
+    check_edges_on_maps(inside, whole, tiny, found)
+
+
+def check_edges_on_maps(inside, whole, tiny, made):
+    """Behind the actuators of a calibration, a pair, a segment; of another mirror none."""
+    page = tiny.with_name("e.html")
+    asked = ("--mirror", tiny, "-o", page, "--overwrite")
+    edges = whole.seen_edges()
+    for paths, seen in (
+        ((made,), edges),
+        ((made, made), edges),
+        ((made, "--segment", 2), edges[1:2]),
+    ):
+        code, _, error = inside("report", *paths, *asked)
+        assert code == 0, error
+        text = page.read_text("utf-8")
+        assert "Lines are the edges of the glass." in text
+        x, y = (json.loads(re.findall(rf'\["{k}s",(\[\[.*?\]\])\]', text)[0]) for k in "xy")
+        assert len(x) == len(seen)
+        for edge, at_x, at_y in zip(seen, x, y, strict=True):
+            closed = np.concatenate([edge, edge[:1]])
+            assert np.stack([at_x, at_y], axis=1) == pytest.approx(1e3 * closed)
+    code, _, error = inside("report", made, "--mirror", "p45", "-o", page, "--overwrite")
+    assert code == 2
+    assert "actuators of P45 are not those of the data" in error
+    for edge, number in zip(edges, (1, 2, 3), strict=True):
+        own = whole.layout.part(whole.layout.segment == number)
+        (alone,) = edges_for(whole, replace(own, segment=None))
+        assert np.array_equal(alone, edge)
+        assert depth_inside([alone], np.stack([own.x, own.y], axis=1)).min() > 0.01
+
+
+@pytest.mark.parametrize("lost", [True, False])
+def test_segments_of_data_are_those_of_the_glass(tiny, lost):
+    """Discs 1 and 3 hold as many actuators, so nothing else would tell them apart."""
+    whole = whole_mirror_from(tiny)
+    other = None if lost else 4 - np.asarray(whole.layout.segment)
+    for of in (motion_for, edges_for):
+        with pytest.raises(tn.errors.CampaignMismatch, match="other actuators behind a segment"):
+            of(whole, replace(whole.layout, segment=other))
 
 
 def test_the_wall_of_the_page(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import typer
@@ -11,6 +12,7 @@ if TYPE_CHECKING:
     from truenewton.records.campaign import Campaign
     from truenewton.records.segmented import SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix
+    from truenewton.statics.layout import Layout
 
 METHOD = typer.Option(
     None,
@@ -64,6 +66,21 @@ def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedDa
     from truenewton.mirrors.sight import motion_for
 
     return motion_for(whole_mirror_from(mirror), data.layout)
+
+
+def edges_of(mirror: str | None, layout: Layout) -> Sequence[Array]:
+    """Return the edges of the glass behind actuators, (vertices, 2) each [m]; of --mirror alone.
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError, CampaignMismatch
+    """
+    if mirror is None:
+        return ()
+    from truenewton.mirrors.file import whole_mirror_from
+    from truenewton.mirrors.sight import edges_for
+
+    return edges_for(whole_mirror_from(mirror), layout)
 
 
 def ids(text: str, option: str) -> list[int]:

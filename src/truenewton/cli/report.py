@@ -47,10 +47,12 @@ def run(
     with busy("looking into it"):
         pair = read_calibrations(*paths, segment=segment) if len(paths) == 2 else ()
         if pair:
+            edges = options.edges_of(mirror, pair[0].layout)
             findings: Findings | Change | SegmentedCalibration = change(*pair)
         else:
             data = read(*paths)
             data = data if segment is None else of_segment(data, segment, paths[0])
+            edges = options.edges_of(mirror, data.layout)
             if isinstance(data, Calibration | SegmentedCalibration):
                 known = None
             else:
@@ -67,7 +69,8 @@ def run(
     words += ["--population"] if population else []
     words += [] if segment is None else ["--segment", str(segment)]
     words += ["--mirror", mirror] if mirror else []
-    write_report(output, findings, command=shlex.join(words), overwrite=overwrite)
+    told = shlex.join(words)
+    write_report(output, findings, command=told, edges=edges, overwrite=overwrite)
     lines = list(headline_of(findings).lines())
     values = {"verdict": lines[0], "lines": lines[1:], "written": str(output)}
     print_result(lines, output, values=values if json else None, schema="report", quiet=quiet)

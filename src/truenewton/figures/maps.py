@@ -16,10 +16,11 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.figures.style import COLOURS, FAINT, INK, MILLIMETRE, NAMED, styled_axes
+from truenewton.figures.style import COLOURS, CROWDED, FAINT, INK, MILLIMETRE, NAMED, styled_axes
 from truenewton.rounding import significant
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
 
+NUMBER = 0.045  # of the mirror's radius: half the height of a segment's number, and some air
 LEAST_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
 
@@ -133,7 +134,8 @@ def plot_map(
         ax.add_collection(
             PatchCollection(patches[~known], facecolor="none", edgecolor=FAINT, linewidth=0.6)
         )
-        dots = PatchCollection(patches[known], cmap=colours, edgecolor=INK, linewidth=0.3)
+        rim = 0.3 if layout.n <= CROWDED else 0.0
+        dots = PatchCollection(patches[known], cmap=colours, edgecolor=INK, linewidth=rim)
         dots.set_array(values[known])
         clipped = layout.n > NAMED or limits is not None
         if clipped:
@@ -204,7 +206,8 @@ def segment_places(layout: Layout) -> list[tuple[int, float, float]]:
 
     Where others stand in the way beyond another side of it, or in its middle.
     """
-    x, y, away = layout.x / MILLIMETRE, layout.y / MILLIMETRE, 3.0 * dot_radius(layout)
+    x, y, dot = layout.x / MILLIMETRE, layout.y / MILLIMETRE, dot_radius(layout)
+    away = dot + max(2.0 * dot, NUMBER * float(np.hypot(x, y).max()))
     places = []
     for number in layout.segments:
         own = np.asarray(layout.segment) == number

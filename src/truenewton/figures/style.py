@@ -38,6 +38,7 @@ STYLE: Any = {
 FONTS: Any = {"pdf.fonttype": 42, "ps.fonttype": 42}
 LONGEST = 40  # letters of a label; longer ones would leave no room for the axes
 NAMED = 100  # up to so many actuators bear their names
+CROWDED = 1000  # beyond so many actuators, outlines would be all that is seen
 _ON_SCREEN: ContextVar[bool] = ContextVar("on_screen", default=False)
 
 

@@ -6,7 +6,7 @@ glass      glass and sensors: dimensions, outline and material
 file       mirrors that someone else has: TOML and a table
 checks     what a glass must be, beside its actuators, tool and weight
 tables     where actuators stand, points of an outline
-sight      what sensors see of the glass, for data
+sight      the glass, and what sensors see of it, for data
 shell/     the elastic shell: what forces hold it, and how it moves
 """
 

@@ -6,6 +6,7 @@ value that nobody vouches for.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -149,12 +150,13 @@ class SegmentedMirror:
             segment=np.repeat(np.arange(1, len(parts) + 1), counts),
         )
 
-    def seen_edges(self) -> list[Array]:
-        """Return the edges of all segments as seen along the axis, (vertices, 2) each [m]."""
+    def seen_edges(self, numbers: Iterable[int] = ()) -> list[Array]:
+        """Return the edges of some segments, or all, as seen along the axis, (vertices, 2) [m]."""
+        wanted = [k - 1 for k in numbers] or range(len(self.segments))
         return [
-            _moved(edge, place)
-            for place, segment in zip(self.places, self.segments, strict=True)
-            for edge in segment.shell.seen_edges()
+            _moved(edge, self.places[k])
+            for k in wanted
+            for edge in self.segments[k].shell.seen_edges()
         ]
 
 

@@ -1,4 +1,4 @@
-"""What the sensors of a mirror see of its glass, for data that were taken on it."""
+"""The glass of a mirror, and what its sensors see of it, for data that were taken on it."""
 
 from __future__ import annotations
 
@@ -42,9 +42,39 @@ def motion_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
     >>> tn.calibrate(campaign, motion=motion).method
     'reciprocity'
     """
+    known = _same_in(mirror, layout)
+    if isinstance(mirror, SegmentedMirror):
+        return _seen_by_segments(mirror, known)
+    return seen_by(held_glass(mirror))
+
+
+def edges_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> list[Array]:
+    """Return the edges of the glass behind the actuators of data, (vertices, 2) each [m].
+
+    Of a mirror in segments those of the segments that the layout holds.
+
+    Raises
+    ------
+    CampaignMismatch
+        The actuators are others.
+    """
+    known = _same_in(mirror, layout)
+    if isinstance(mirror, SegmentedMirror):
+        return mirror.seen_edges(np.unique(np.asarray(known.segment)).tolist())
+    return mirror.shell.seen_edges()
+
+
+def _same_in(mirror: Mirror | SegmentedMirror, layout: Layout) -> Layout:
+    """Return the actuators of data as a mirror has them, its segments included.
+
+    Raises
+    ------
+    CampaignMismatch
+        They are others, or behind other segments.
+    """
     segmented, known = isinstance(mirror, SegmentedMirror), mirror.layout
-    if segmented and layout.segment is not None:
-        measured = np.isin(np.asarray(known.segment), layout.segment)
+    if segmented:
+        measured = np.isin(known.id, layout.id)
         known = known.part(measured) if measured.any() else known
     if not known.same_actuators_as(layout):
         part = layout.segment is not None and not segmented
@@ -53,9 +83,12 @@ def motion_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
             f"the actuators of {mirror.name} are not those of the data",
             remedy=f"give the mirror that was measured, with its ACTUATORS table{whole}",
         )
-    if isinstance(mirror, SegmentedMirror):
-        return _seen_by_segments(mirror, layout)
-    return seen_by(held_glass(mirror))
+    if known.segments and not np.array_equal(np.asarray(layout.segment), np.asarray(known.segment)):
+        raise CampaignMismatch(
+            f"the data have other actuators behind a segment than {mirror.name}, or tell of none",
+            remedy="give ACTUATORS the column SEGMENT, numbered as the segments of the mirror are",
+        )
+    return known
 
 
 def _seen_by_segments(mirror: SegmentedMirror, layout: Layout) -> Array:

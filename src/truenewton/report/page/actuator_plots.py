@@ -6,6 +6,7 @@ formulas, but for what a tooltip shows, which it takes as it is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ from bokeh.models.annotations import ColorBar, Span
 from bokeh.palettes import Cividis256, PuOr11
 from bokeh.plotting import figure
 
+from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.figures.maps import (
@@ -39,13 +41,12 @@ from truenewton.figures.maps import (
     ring_radii,
     segment_places,
 )
-from truenewton.figures.style import ACCENT, ALARM, FAINT, INK, MILLIMETRE, NAMED
+from truenewton.figures.style import ACCENT, ALARM, CROWDED, FAINT, INK, MILLIMETRE, NAMED
 from truenewton.report.change import Change
 from truenewton.report.layers import Layer
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre
 
 FONT = "system-ui, sans-serif"
-CROWDED = 1000  # beyond so many actuators, outlines would be all that is seen
 Plot = Any  # a figure of Bokeh, whose stubs lack many options
 
 
@@ -72,8 +73,16 @@ def _shown_groups(layout: Layout) -> Any:
     return shown.astype(np.int32)
 
 
-def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ...]) -> Plot:
-    """Return the map of the actuators; the page changes the layer that colours it."""
+def mirror_map(
+    source: ColumnDataSource,
+    layout: Layout,
+    layers: tuple[Layer, ...],
+    edges: Sequence[Array] = (),
+) -> Plot:
+    """Return the map of the actuators; the page changes the layer that colours it.
+
+    With it the edges of the glass, (vertices, 2) polygons [m], where they are known.
+    """
     plot = _empty_plot(sizing_mode="scale_width", aspect_ratio=0.92, match_aspect=True)
     plot.xaxis.axis_label, plot.yaxis.axis_label = "x (mm)", "y (mm)"
     plot.grid.visible = False
@@ -81,6 +90,12 @@ def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ..
         x, y = np.divide(ring_centre(layout), MILLIMETRE).tolist()
         plot.circle(x=x, y=y, radius=radii, fill_color=None, line_color=FAINT, line_width=0.5,
                     level="underlay")  # fmt: skip
+    if edges:
+        closed = [np.concatenate([edge, edge[:1]]).T / MILLIMETRE for edge in edges]
+        plot.multi_line(
+            xs=[x.tolist() for x, _ in closed], ys=[y.tolist() for _, y in closed],
+            line_color=INK, line_width=1, level="underlay",
+        )  # fmt: skip
     low, high = layers[0].limits
     mapper = LinearColorMapper(
         palette=palette(layers[0]), low=low, high=high, nan_color="#ffffff", name="colours"
@@ -100,7 +115,8 @@ def mirror_map(source: ColumnDataSource, layout: Layout, layers: tuple[Layer, ..
         names, at_x, at_y = zip(*((str(k), x, y) for k, x, y in places), strict=True)
         plot.text(x=at_x, y=at_y, text=names, text_color=INK,
                   text_font=value(FONT), text_font_style="bold", text_font_size="1.1em",
-                  text_align="center", text_baseline="middle")  # fmt: skip
+                  text_align="center", text_baseline="middle", padding=1, border_radius=3,
+                  background_fill_color="white", background_fill_alpha=0.8)  # fmt: skip
     bar = ColorBar(color_mapper=mapper, title=layers[0].title, name="bar", height=12,
                    title_text_font_style="normal", title_text_font=FONT,
                    major_label_text_font=FONT)  # fmt: skip

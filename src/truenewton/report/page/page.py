@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Any
 
@@ -13,6 +14,7 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from jinja2.utils import htmlsafe_json_dumps
 
+from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_words import segmented_headline
 from truenewton.calibration.segmented import SegmentedCalibration
@@ -41,6 +43,7 @@ def write_report(
     findings: Findings | Change | SegmentedCalibration,
     *,
     command: str = "",
+    edges: Sequence[Array] = (),
     overwrite: bool = False,
 ) -> None:
     """Write what was found, or what changed, on one page that opens without network.
@@ -53,6 +56,8 @@ def write_report(
         From `investigate`, or `change` for two calibrations; or a mirror in several segments.
     command
         The command that makes the page again, if there is one.
+    edges
+        Those of the glass behind the actuators, (vertices, 2) polygons [m], drawn on the map.
     overwrite
         Replace a page that stands.
 
@@ -65,19 +70,23 @@ def write_report(
     >>> tn.write_report("report.html", tn.change(calibration, warm))
     """
     with file_beside(path, overwrite=overwrite) as temporary:
-        text = page(findings, command)
+        text = page(findings, command, edges)
         # A path may hold bytes that are no text.
         temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
-def page(findings: Findings | Change | SegmentedCalibration, command: str = "") -> str:
+def page(
+    findings: Findings | Change | SegmentedCalibration,
+    command: str = "",
+    edges: Sequence[Array] = (),
+) -> str:
     """Return the page as HTML."""
     if isinstance(findings, SegmentedCalibration):
         return _rendered(
             title=f"{findings.instrument}: calibration of its segments",
             heading=segmented_headline(findings),
             verdict=verdict_on_whole(findings),
-            actuators=segment_views(findings),
+            actuators=segment_views(findings, edges),
             sections=tuple(segment_sections(findings)),
             drawn={},
             tables=(_files(findings.sources, "Files"),),
@@ -88,7 +97,7 @@ def page(findings: Findings | Change | SegmentedCalibration, command: str = "") 
             title=f"{findings.one.instrument}: what changed",
             heading=f"{findings.one.instrument}: two calibrations compared",
             verdict=verdict_on_change(findings),
-            actuators=change_views(findings),
+            actuators=change_views(findings, edges),
             sections=(),
             drawn={},
             tables=(_summaries(findings), _files(findings.one.sources, "First calibration: files"),
@@ -102,7 +111,7 @@ def page(findings: Findings | Change | SegmentedCalibration, command: str = "") 
         title=f"{instrument}: calibration of its actuators",
         heading=headline(c) if c else f"{instrument}: no calibration",
         verdict=verdict(findings),
-        actuators=calibration_views(findings, c) if c else None,
+        actuators=calibration_views(findings, c, edges) if c else None,
         sections=sections,
         drawn={part.key: inline_svg(figures[part.figure](), part.key)
                for part in sections if part.figure},

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from bokeh.models import ColumnDataSource
 
+from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.estimation.estimate import Scale
@@ -58,20 +61,19 @@ class Actuators:
         return group_name(self.layout)
 
 
-def calibration_views(findings: Findings, c: Calibration) -> Actuators:
+def calibration_views(findings: Findings, c: Calibration, edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of alpha."""
     layers = calibration_layers(c, findings.evidence)
     source = actuator_source(c.layout, layers)
     views = (
-        View("map", "Map of the mirror", mirror_map(source, c.layout, layers),
-             _map_caption(c.layout, _extremes(c))),
+        _map("Map of the mirror", source, c.layout, layers, edges, _extremes(c)),
         View("rings", "Alpha by ring" if ring_of(c.layout).any() else "Alpha by actuator",
              alpha_by_ring(source, c, layers), _ring_caption(c)),
     )  # fmt: skip
     return Actuators(c.layout, layers, views)
 
 
-def segment_views(c: SegmentedCalibration) -> Actuators:
+def segment_views(c: SegmentedCalibration, edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of alpha of all segments."""
     layers = segment_layers(c)
     source = actuator_source(c.layout, layers)
@@ -81,14 +83,13 @@ def segment_views(c: SegmentedCalibration) -> Actuators:
         f" readings (3 E_STAT). Means of the segments: {means}."
     )
     views = (
-        View("map", "Map of the mirror", mirror_map(source, c.layout, layers),
-             _map_caption(c.layout)),
+        _map("Map of the mirror", source, c.layout, layers, edges),
         View("rings", "Alpha by segment", alpha_by_ring(source, c, layers), caption),
     )  # fmt: skip
     return Actuators(c.layout, layers, views)
 
 
-def change_views(change: Change) -> Actuators:
+def change_views(change: Change, edges: Sequence[Array] = ()) -> Actuators:
     """Return the views of what changed."""
     layers, layout = change.layers, change.one.layout
     source = actuator_source(layout, layers)
@@ -100,17 +101,26 @@ def change_views(change: Change) -> Actuators:
         f" ({change.limit:.1f} sigma) chance alone explains it."
     )
     views = (
-        View("map", "Map of the change", mirror_map(source, layout, layers), _map_caption(layout)),
+        _map("Map of the change", source, layout, layers, edges),
         View("rings", title, change_by_ring(source, change, layers), ring_caption),
     )
     return Actuators(layout, layers, views)
 
 
-def _map_caption(layout: Layout, extremes: str = "") -> str:
-    return (
+def _map(
+    title: str,
+    source: ColumnDataSource,
+    layout: Layout,
+    layers: tuple[Layer, ...],
+    edges: Sequence[Array],
+    extremes: str = "",
+) -> View:
+    glass = " Lines are the edges of the glass." if edges else ""
+    caption = (
         f"Map of {counted(layout.n, 'actuator')}, seen along -z, each dot coloured by the layer"
-        f" chosen below.{extremes} The table of actuators holds every value."
+        f" chosen below.{glass}{extremes} The table of actuators holds every value."
     )
+    return View("map", title, mirror_map(source, layout, layers, edges), caption)
 
 
 def _extremes(c: Calibration) -> str:
