@@ -324,6 +324,27 @@ def test_modes_of_segments_are_those_of_each_alone(two, inside, tmp_path):
         modes_of_segments(tn.SegmentedData(stiffness=matrix), off=[99])
 
 
+def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path):
+    """That of one segment beside the modes of the other; that of all is refused."""
+    matrix, bad = tmp_path / "k.fits", tmp_path / "bad.fits"
+    tn.write_stiffness(two[0], matrix)
+    made = tn.calibrate(tn.read(matrix))
+    turned = {k: replace(one, alpha=-one.alpha) for k, one in made.segments.items()}
+    replace(made, segments={**made.segments, 2: turned[2]}).write(bad)
+    words = ("modes", matrix, "--calibration", bad)
+    code, said, wrong = inside(*words)
+    assert (code, wrong) == (0, "")
+    (line,) = [line for line in said.splitlines() if "no modes" in line]
+    negative = "not to be used: alpha is negative for 18 of 18 actuators; turn the sign of FORCE"
+    assert line.startswith(f"segment 2: no modes: {bad} gives no alpha: {negative}")
+    assert line.endswith("; --anyway takes it all the same")
+    assert "no modes" not in inside(*words, "--anyway")[1]
+    replace(made, segments=turned).write(bad, overwrite=True)
+    code, _, wrong = inside(*words)
+    assert code == 2
+    assert wrong.startswith(f"truenewton: {bad}: not to be used: segments 1, 2")
+
+
 def test_commands_take_segments(folder, inside, tmp_path):
     out = tmp_path / "alpha.fits"
     code, said, _ = inside("calibrate", folder, "-o", out)

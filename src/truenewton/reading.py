@@ -288,7 +288,9 @@ def read_segmented(path: AnyPath) -> SegmentedCalibration:
     """
     data = read(path)
     if not isinstance(data, SegmentedCalibration):
-        raise _another(data, "calibration of several segments", "choose one: --segment", [path])
+        raise _another(
+            data, "calibration of several segments", "give such a one, or --segment", [path]
+        )
     return data
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from truenewton.cli import options
 
 if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
+    from truenewton.calibration.segmented import SegmentedCalibration
     from truenewton.modal.dissipation import Budget
 
 
@@ -61,7 +63,7 @@ def run(
     from truenewton.modal.segments import modes_of_segments
     from truenewton.modal.turbulence import Atmosphere
     from truenewton.modal.words import lines, segment_lines, segment_values, values
-    from truenewton.reading import of_segment, read_data, read_segmented
+    from truenewton.reading import of_segment, read_data
     from truenewton.records.segmented import SegmentedData
 
     _refuse_name(output)
@@ -80,7 +82,7 @@ def run(
         body = data if several else of_segment(data, segment, paths[0])
         asked["motion"] = options.motion_of(mirror, body)
         if isinstance(body, SegmentedData):
-            alphas = None if calibration is None else read_segmented(calibration)
+            alphas = _usable_segments(calibration, anyway)
             found: Mapping[int, Any] = modes_of_segments(body, alphas, atmosphere, **asked)
             told, schema = [*segment_lines(found, limits)], "modes-segments"
             as_values = segment_values(found, limits) if json else None
@@ -111,6 +113,24 @@ def _usable(path: Path | None, segment: int | None, force: bool) -> Calibration 
     alpha = read_calibration(path, segment=segment)
     refuse_unusable(alpha, force=force, path=path)
     return alpha
+
+
+def _usable_segments(path: Path | None, force: bool) -> SegmentedCalibration | None:
+    """Return the same of all segments; each without alpha to be used says of which file."""
+    from truenewton.calibration.verdict import refuse_unusable
+    from truenewton.reading import read_segmented
+    from truenewton.records.fault import Fault
+
+    if path is None:
+        return None
+    given = read_segmented(path)
+    refuse_unusable(given, force=force, path=path)
+    usable = given if force else given.without_unusable()
+    lacking = {}
+    for number, ((fault, remedy), *_) in usable.refused.items():
+        anyway = "; --anyway takes it all the same" if number in given.segments else ""
+        lacking[number] = (Fault(f"{path} gives no alpha: {fault}", remedy + anyway),)
+    return replace(usable, refused=lacking)
 
 
 def _written(

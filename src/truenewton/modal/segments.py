@@ -11,7 +11,7 @@ from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import of_each, sorted_out
-from truenewton.errors import CampaignMismatch, UnknownName
+from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
 from truenewton.modal.dissipation import EFFICIENCY
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.pupil import pupil_of
@@ -68,6 +68,9 @@ def modes_of_segments(
         raise UnknownName(f"there is no actuator {unknown}", remedy="give IDs of ACTUATORS")
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], ModalFindings]:
+        if calibration is not None and number in calibration.refused:
+            fault, remedy = calibration.refused[number][0]
+            raise RankDeficient(fault, remedy=remedy)
         here = np.asarray(data.layout.segment) == number
         of_it = set(data.layout.id[here].tolist())
         alpha: Calibration | None = None if calibration is None else calibration.segment(number)
