@@ -1,16 +1,25 @@
 """Mirrors in segments: those that are known, those of files, and their simulation."""
 
+import contextlib
 import json
 import re
+import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from test_opcua import behind, free_port
 
 import truenewton as tn
-from truenewton.bench.simulated.segmented import bench_of, campaign_on, truth_of
+from truenewton.acquisition.benches import chosen_bench
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.opcua import server
+from truenewton.bench.simulated.segmented import bench_of, campaign_on, seed_of, truth_of
+from truenewton.bench.simulated.static import static_bench
+from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.checks import CHECKS
 from truenewton.mirrors.file import mirror_from, whole_mirror_from
@@ -224,6 +233,13 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     )
     assert np.abs((made.alpha - truth.alpha) / made.error).max() < 4.5
     assert tn.read(folders[1]).instrument == "TINY segment 2"
+    again = tn.read_plan(plan)
+    again = replace(again, bench=BenchChoice("replay", "segment-{segment}"))
+    with pytest.raises(FormatError, match=r"tiny\.toml' is a mirror in segments"):
+        chosen_bench(again, tiny.parent)
+    for number in (2, 3):
+        bench = chosen_bench(replace(again, segment=number), tiny.parent)
+        assert bench.instrument == f"TINY segment {number}"
     assert tn.read(folders[:2]).numbers == (1, 2)
     code, out, _ = inside("acquire", plan, "--segment", 1, "-o", folders[0], "--yes")
     assert "complete already" in out
@@ -233,6 +249,45 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     code, _, error = inside("acquire", plan, "--segment", 4, "-o", tiny.with_name("d"), "--yes")
     assert code == 2
     assert "there is no segment 4; choose 1, 2, 3" in error
+
+
+def test_a_segment_is_served_and_acquired_at_its_address(inside, tiny, keys_folder, monkeypatch):
+    """As each has a control unit of its own: its number stands in the address and the key files."""
+    port, benches = free_port(), []
+    while not (digits := set(str(port)) & set("123")):
+        port = free_port()
+    number = int(min(digits))
+
+    @contextlib.asynccontextmanager
+    async def until_stopped(bench, keys, at):
+        benches.append(bench)
+        signal.raise_signal(signal.SIGINT)  # as Ctrl-C once it is served
+        yield f"opc.tcp://127.0.0.1:{at}"
+
+    monkeypatch.setattr(server, "serving", until_stopped)
+    keys = tiny.with_name(f"keys-{number}")
+    shutil.copytree(keys_folder, keys)
+    served = ("serve", tiny, "--keys", keys, "--port", port, "--seed", 7, "--segment")
+    code, printed, error = inside(*served, number)
+    assert code == 0, error
+    assert printed.startswith(f"the simulated bench of TINY segment {number}, ")
+    code, _, error = inside(*served, 4)
+    assert code == 2
+    assert "there is no segment 4; choose 1, 2, 3" in error
+
+    bench = printed[printed.index("[bench]") :].replace(keys.name, "keys-{segment}")
+    bench = bench.replace(str(port), str(port).replace(str(number), "{segment}"))
+    text = inside("plan", "--new")[1].replace("-0.289", "-0.1").replace('"p45"', '"tiny.toml"')
+    text = re.sub("(?m)^cycles = .*$", "cycles = 1", re.sub("(?m)^settling = .*$", "", text))
+    plan, folder = tiny.with_name("plan.toml"), tiny.with_name("served")
+    plan.write_text("settling = 0.0\n" + text.split("[bench]")[0] + bench)
+    with behind(benches[0], keys, port):
+        code, _, error = inside("acquire", plan, "--segment", number, "-o", folder, "--yes")
+    assert code == 0, error
+    whole, found = whole_mirror_from(tiny), tn.calibrate(tn.read(folder))
+    assert found.layout.same_as(whole.layout.part(whole.layout.segment == number))
+    truth = static_bench(whole.segments[number - 1], seed_of(7, number)).truth
+    assert np.abs((found.alpha - truth.alpha) / found.error).max() < 4.5
 
 
 def inside_simulation(inside, tiny):

@@ -14,7 +14,7 @@ from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.bench import SimulatedBench
 from truenewton.bench.simulated.segmented import seed_of
 
-SEGMENT = "{segment}"  # in an address: its number, since each has a control unit of its own
+SEGMENT = "{segment}"  # in address and keys: its number, since each has its own control unit
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
@@ -27,13 +27,18 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
     TrueNewtonError
         What the plan says of it is wrong.
     """
-    choice = replace(plan.bench, address=plan.bench.address.replace(SEGMENT, str(plan.segment)))
+    choice = plan.bench
     if choice.kind == "simulated":
         return simulated_bench(plan, beside)
+    mirror = planned_mirror(plan, beside)  # without its segment refused before anybody is called
+    if plan.segment:
+        texts = {name: text for name, text in vars(choice).items() if isinstance(text, str)}
+        number = str(plan.segment)
+        choice = replace(choice, **{k: text.replace(SEGMENT, number) for k, text in texts.items()})
     if choice.kind == "replay":
         return ReplayBench(Path(beside) / choice.address)
     if choice.kind == "opticalib":
-        return from_address(choice.address, planned_mirror(plan, beside), beside)
+        return from_address(choice.address, mirror, beside)
     return connect(choice, beside)
 
 
