@@ -237,6 +237,9 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     again = replace(again, bench=BenchChoice("replay", "segment-{segment}"))
     with pytest.raises(FormatError, match=r"tiny\.toml' is a mirror in segments"):
         chosen_bench(again, tiny.parent)
+    code, _, error = inside("info", folders[1], "--segment", 3)
+    assert (code, error.count("\n")) == (2, 1)
+    assert f"{folders[1]}: is of segment 2, not 3; give the files of segment 3" in error
     for number in (2, 3):
         bench = chosen_bench(replace(again, segment=number), tiny.parent)
         assert bench.instrument == f"TINY segment {number}"

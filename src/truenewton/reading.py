@@ -8,8 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar, overload
 
-import numpy as np
-
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_file import any_calibration_from
 from truenewton.calibration.segmented import SegmentedCalibration
@@ -147,12 +145,17 @@ def of_segment(data: Read, number: int | None, path: object) -> Body:
     """
     if isinstance(data, SegmentedData | SegmentedCalibration):
         return part_of(data, number, path)
-    alone = (
-        isinstance(data, Calibration)
-        or number in np.unique(np.asarray(data.layout.segment)).tolist()
-    )
-    if number is not None and not alone:
+    if number is None or isinstance(data, Calibration):
+        return data
+    own = data.layout.segment
+    if own is None:
         raise FormatError("is of a mirror in one piece", remedy="leave --segment out", path=path)
+    if own[0] != number:
+        raise FormatError(
+            f"is of segment {own[0]}, not {number}",
+            remedy=f"give the files of segment {number}",
+            path=path,
+        )
     return data
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
 from truenewton.bench.opcua import connect
@@ -32,9 +33,10 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
         return simulated_bench(plan, beside)
     mirror = planned_mirror(plan, beside)  # without its segment refused before anybody is called
     if plan.segment:
-        texts = {name: text for name, text in vars(choice).items() if isinstance(text, str)}
-        number = str(plan.segment)
-        choice = replace(choice, **{k: text.replace(SEGMENT, number) for k, text in texts.items()})
+        given, number = vars(choice).items(), str(plan.segment)
+        texts: dict[str, Any] = {k: text.replace(SEGMENT, number) for k, text in given
+                                 if isinstance(text, str)}  # fmt: skip
+        choice = replace(choice, **texts)
     if choice.kind == "replay":
         return ReplayBench(Path(beside) / choice.address)
     if choice.kind == "opticalib":
