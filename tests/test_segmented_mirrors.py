@@ -19,6 +19,7 @@ from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import server
 from truenewton.bench.simulated.segmented import bench_of, campaign_on, seed_of, truth_of
 from truenewton.bench.simulated.static import static_bench
+from truenewton.calibration.segments import seen_of
 from truenewton.errors import FormatError
 from truenewton.files.fits import read_fits
 from truenewton.mirrors.checks import CHECKS
@@ -27,7 +28,7 @@ from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import GRAVITY
 from truenewton.mirrors.segmented import SEGMENTED
 from truenewton.mirrors.shell.finite_elements.outline import depth_inside
-from truenewton.mirrors.sight import edges_for, motion_for
+from truenewton.mirrors.sight import edges_for, motion_by_segment, motion_for
 from truenewton.records.file import cycle_from
 from truenewton.statics.arms import effective_weight, external_load, resultants
 from truenewton.statics.layout import layout
@@ -305,7 +306,12 @@ def test_what_sensors_of_segments_see(inside, tiny):
     own = whole.layout.segment == 2
     seen = motion_for(whole, whole.layout)
     assert not seen[:, own][:, :, ~own].any()
-    assert np.array_equal(motion_for(whole, whole.layout.part(own)), seen[:, own][:, :, own])
+    by_segment = motion_by_segment(whole, whole.layout)
+    assert sorted(by_segment) == [1, 2, 3]
+    for number, of_it in by_segment.items():
+        assert np.array_equal(seen_of(seen, whole.layout, number), of_it)
+        assert seen_of(by_segment, whole.layout, number) is of_it
+    assert np.array_equal(motion_for(whole, whole.layout.part(own)), by_segment[2])
     (edge,) = (whole.seen_edges()[1] - [place.x, place.y],)
     at = whole.layout.part(own)
     alone = replace(
@@ -320,6 +326,9 @@ def test_what_sensors_of_segments_see(inside, tiny):
     assert inside("simulate", tiny, "-o", folder, "--cycles", 2, "--noise", 3e-5)[0] == 0
     asked = ("--method", "reciprocity", "--mirror", tiny)
     assert inside("calibrate", folder, *asked, "-o", found)[0] == 0
+    code, said, error = inside("info", folder, *asked)
+    assert (code, error) == (0, "")
+    assert "3 with enough for alpha" in said
     truth, calibrated = tn.read_truth(tiny.with_name("r.truth.fits")), tn.read(found)
     assert np.abs((calibrated.alpha - truth.alpha) / calibrated.error).max() < 4
     code, _, error = inside("calibrate", folder, *asked[:3], tiny.with_name("square.toml"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from truenewton.arrays import Array, spread
 from truenewton.calibration.numbers import Imbalances, common, from_stiffness, matrix_source
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.segments import calibrate_segments
+from truenewton.calibration.segments import Seen, calibrate_segments
 from truenewton.calibration.verdict import warn_of
 from truenewton.cluster import Client
 from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
@@ -137,14 +137,14 @@ def calibrate(
 @overload
 def calibrate(
     data: SegmentedData, method: str | None = None, *, population: bool = False,
-    motion: Array | None = None, client: Client | None = None, processes: int | None = None,
+    motion: Seen | None = None, client: Client | None = None, processes: int | None = None,
 ) -> SegmentedCalibration: ...  # fmt: skip
 def calibrate(
     data: Campaign | StiffnessMatrix | SegmentedData,
     method: str | None = None,
     *,
     population: bool = False,
-    motion: Array | None = None,
+    motion: Seen | None = None,
     client: Client | None = None,
     processes: int | None = None,
 ) -> Calibration | SegmentedCalibration:
@@ -164,7 +164,8 @@ def calibrate(
         data hardly hold toward the mean. With 'ml' only; the result names it.
     motion
         (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
-        displacements where forces act for those seen. With 'reciprocity' and 'auto' only.
+        displacements where forces act for those seen. Of several segments, or of each by its
+        number. With 'reciprocity' and 'auto' only.
     client
         A `dask.distributed.Client`, which ``read`` was given as well (docs/cluster.md).
     processes
@@ -219,7 +220,7 @@ def asked(
     method: str | None,
     *,
     population: bool,
-    motion: Array | None,
+    motion: Seen | None,
 ) -> tuple[str, Known]:
     """Return the method that is asked for, as of `calibrate`, and what it is told.
 
@@ -246,6 +247,8 @@ def asked(
             remedy="leave the mirror out, or use reciprocity or auto",
             got=method,
         )
+    if isinstance(motion, Mapping):  # for segments, each of which is asked on its own
+        return method, Known(population)
     return method, Known(population, motion)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
@@ -33,6 +33,7 @@ Found = TypeVar("Found")
 Given = TypeVar("Given")
 BodyOf = TypeVar("BodyOf", covariant=True)
 Tell = Callable[[int, int], None]
+Seen = Array | Mapping[int, Array]  # by sensors: by those of all segments, or of each by its number
 
 
 class InSegments(Protocol[BodyOf]):
@@ -51,7 +52,7 @@ class InSegments(Protocol[BodyOf]):
 
 
 def calibrate_segments(
-    data: SegmentedData, solve: Solve, motion: Array | None, processes: int | None
+    data: SegmentedData, solve: Solve, motion: Seen | None, processes: int | None
 ) -> SegmentedCalibration:
     """Calibrate each segment by itself.
 
@@ -62,7 +63,7 @@ def calibrate_segments(
     solve
         Calibrates a mirror in one piece, given its motion by that name: `calibrate`, or a partial.
     motion
-        (6, n, n) or (n, n), as of `calibrate`, of all segments; or None.
+        (6, n, n) or (n, n), as of `calibrate`, of all segments, or of each by its number; or None.
     processes
         How many at once; None for as many as there are processors, if segments are large.
 
@@ -75,11 +76,9 @@ def calibrate_segments(
     -----
     TrueNewtonWarning
     """
-    segment = np.asarray(data.layout.segment)
 
     def solver(number: int) -> Callable[[Campaign | StiffnessMatrix], Calibration]:
-        own = segment == number
-        return partial(solve, motion=None if motion is None else motion[..., own, :][..., own])
+        return partial(solve, motion=seen_of(motion, data.layout, number))
 
     made, refused = sorted_out(data, of_each(data, solver, processes), "alpha")
     made = {number: frozen_again(one) for number, one in made.items()}
@@ -90,6 +89,14 @@ def calibrate_segments(
     whole = SegmentedCalibration(data.instrument, data.layout, made, refused)
     warn_of(whole, stacklevel=4)
     return whole
+
+
+def seen_of(motion: Seen | None, layout: Layout, number: int) -> Array | None:
+    """Return what the sensors of one segment see, (6, k, k) or (k, k) of its k actuators."""
+    if motion is None or isinstance(motion, Mapping):
+        return None if motion is None else motion[number]
+    own = np.asarray(layout.segment) == number
+    return np.asarray(motion[..., own, :][..., own])
 
 
 def sorted_out(

@@ -15,7 +15,7 @@ from truenewton.calibration.methods import (
     find_alpha,
     refusals,
 )
-from truenewton.calibration.segments import telling_of
+from truenewton.calibration.segments import Seen, seen_of, telling_of
 from truenewton.calibration.verdict import Level, Verdict
 from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
 from truenewton.errors import (
@@ -91,17 +91,16 @@ def survey_segments(
     method: str | None = None,
     *,
     population: bool = False,
-    motion: Array | None = None,
+    motion: Seen | None = None,
 ) -> tuple[dict[str, Any], list[str]]:
     """Return what data of several segments hold, for scripts and for people: each by itself.
 
-    Parameters as of `survey`; ``motion`` is (n, n) of all segments.
+    Parameters as of `survey`; ``motion`` is of all segments.
     """
     parts, lines = [], [f"data of {data.instrument}: {counted(data.numbers, 'segment')}"]
     levels = []
     for number in telling_of(data.numbers, len(data.numbers)):
-        own = np.asarray(data.layout.segment) == number
-        of_it = None if motion is None else motion[np.ix_(own, own)]
+        of_it = seen_of(motion, data.layout, number)
         try:
             body = data.segment(number)
             values, told = survey(body, method, population=population, motion=of_it)

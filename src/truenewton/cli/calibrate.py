@@ -56,17 +56,16 @@ def run(
     schema, values = "calibrate", None
     with connected(cluster) as client:
         data = read_data(*paths, client=client)
-        if segment is not None:
-            data = of_segment(data, segment, paths[0])
-        motion = options.motion_of(mirror, data)
+        data = data if segment is None else of_segment(data, segment, paths[0])
         with about(paths):
             if isinstance(data, SegmentedData):
+                seen = options.motion_of(mirror, data)
                 with busy("calibrating"):
                     whole = calibrate(
                         data,
                         method,
                         population=population,
-                        motion=motion,
+                        motion=seen,
                         client=client,
                         processes=processes,
                     )
@@ -75,6 +74,7 @@ def run(
                 lines, schema = [*segmented_lines(whole)], "calibrate-segments"
                 values = segmented_values(whole) if json else None
             else:
+                motion = options.motion_of(mirror, data)
                 with busy("calibrating"):
                     made = calibrate(
                         data, method, population=population, motion=motion, client=client

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import typer
 
 if TYPE_CHECKING:
     from truenewton.arrays import Array
+    from truenewton.calibration.segments import Seen
     from truenewton.records.campaign import Campaign
     from truenewton.records.segmented import SegmentedData
     from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -53,8 +54,14 @@ PATHS = typer.Argument(
 )
 
 
-def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedData) -> Array | None:
+@overload
+def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix) -> Array | None: ...
+@overload
+def motion_of(mirror: str | None, data: SegmentedData) -> Seen | None: ...
+def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedData) -> Seen | None:
     """Return (6, n, n) what sensors see of the glass of data, None without --mirror.
+
+    Of several segments that of each by its number.
 
     Raises
     ------
@@ -63,9 +70,13 @@ def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedDa
     if mirror is None:
         return None
     from truenewton.mirrors.file import whole_mirror_from
-    from truenewton.mirrors.sight import motion_for
+    from truenewton.mirrors.segmented import SegmentedMirror
+    from truenewton.mirrors.sight import motion_by_segment, motion_for
 
-    return motion_for(whole_mirror_from(mirror), data.layout)
+    known = whole_mirror_from(mirror)
+    if isinstance(known, SegmentedMirror) and data.layout.segments:
+        return motion_by_segment(known, data.layout)
+    return motion_for(known, data.layout)
 
 
 def edges_of(mirror: str | None, layout: Layout) -> Sequence[Array]:

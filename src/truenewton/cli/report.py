@@ -53,16 +53,14 @@ def run(
             data = read(*paths)
             data = data if segment is None else of_segment(data, segment, paths[0])
             edges = options.edges_of(mirror, data.layout)
-            if isinstance(data, Calibration | SegmentedCalibration):
-                known = None
-            else:
-                known = options.motion_of(mirror, data)
             if isinstance(data, SegmentedCalibration):
                 findings = data
             elif isinstance(data, SegmentedData):
+                seen = options.motion_of(mirror, data)
                 with about(paths):
-                    findings = calibrate(data, method, population=population, motion=known)
+                    findings = calibrate(data, method, population=population, motion=seen)
             else:
+                known = None if isinstance(data, Calibration) else options.motion_of(mirror, data)
                 findings = investigate(data, method, population=population, motion=known)
     words = ["truenewton", "report", *map(str, paths), "-o", str(output)]
     words += ["--method", method] if method else []

@@ -44,8 +44,29 @@ def motion_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
     """
     known = _same_in(mirror, layout)
     if isinstance(mirror, SegmentedMirror):
-        return _seen_by_segments(mirror, known)
+        blocks, number = motion_by_segment(mirror, layout), np.asarray(known.segment)
+        depth = min(map(len, blocks.values()))
+        whole = np.zeros((depth, layout.n, layout.n))
+        for k, seen in blocks.items():
+            whole[:, *np.ix_(number == k, number == k)] = seen[:depth]
+        return whole
     return seen_by(held_glass(mirror))
+
+
+def motion_by_segment(mirror: SegmentedMirror, layout: Layout) -> dict[int, Array]:
+    """Return the same of each segment of a layout by its number, (6, k, k) or (1, k, k).
+
+    Raises
+    ------
+    CampaignMismatch, GeometryError
+    """
+    number = np.unique(np.asarray(_same_in(mirror, layout).segment)).tolist()
+    blocks: dict[int, Array] = {}
+    for glass, alike in mirror.kinds:
+        if measured := sorted(set(alike) & set(number)):
+            seen = seen_by(held_glass(glass))
+            blocks |= {k: _turned(seen, mirror.places[k - 1].turned) for k in measured}
+    return blocks
 
 
 def edges_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> list[Array]:
@@ -89,22 +110,6 @@ def _same_in(mirror: Mirror | SegmentedMirror, layout: Layout) -> Layout:
             remedy="give ACTUATORS the column SEGMENT, numbered as the segments of the mirror are",
         )
     return known
-
-
-def _seen_by_segments(mirror: SegmentedMirror, layout: Layout) -> Array:
-    """Return (6, n, n) or (1, n, n) as `motion_for`, of the segments that a layout holds."""
-    number = np.asarray(layout.segment)
-    blocks: dict[int, Array] = {}
-    for glass, alike in mirror.kinds:
-        measured = sorted(set(alike) & set(number.tolist()))
-        if measured:
-            blocks.update(dict.fromkeys(measured, seen_by(held_glass(glass))))
-    depth = min(map(len, blocks.values()))
-    whole = np.zeros((depth, layout.n, layout.n))
-    for k, seen in blocks.items():
-        own = np.ix_(number == k, number == k)
-        whole[:, *own] = _turned(seen[:depth], mirror.places[k - 1].turned)
-    return whole
 
 
 def _turned(seen: Array, degrees: float) -> Array:

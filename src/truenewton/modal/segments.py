@@ -7,10 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.segments import of_each, sorted_out
+from truenewton.calibration.segments import Seen, of_each, seen_of, sorted_out
 from truenewton.errors import CampaignMismatch, RankDeficient, UnknownName
 from truenewton.modal.dissipation import EFFICIENCY
 from truenewton.modal.findings import ModalFindings, find_modes
@@ -30,7 +29,7 @@ def modes_of_segments(
     diameter: float | None = None,
     radius: float | None = None,
     efficiency: float = EFFICIENCY,
-    motion: Array | None = None,
+    motion: Seen | None = None,
     off: Sequence[int] = (),
     slaved: Sequence[int] = (),
     force: bool = False,
@@ -79,7 +78,7 @@ def modes_of_segments(
         return partial(
             find_modes, calibration=alpha, atmosphere=atmosphere, radius=own,
             diameter=pupil.diameter * own / pupil.radius, efficiency=efficiency,
-            motion=None if motion is None else motion[..., here, :][..., here],
+            motion=seen_of(motion, data.layout, number),
             off=floats, slaved=follows, force=force,
         )  # fmt: skip
 
