@@ -20,7 +20,8 @@ from truenewton.errors import (
     TrueNewtonWarning,
     UnknownName,
 )
-from truenewton.figures.maps import dot_radius, segment_places
+from truenewton.figures.maps import bears_names, dot_radius, segment_places
+from truenewton.mirrors.known import p45
 from truenewton.mirrors.segmented import gmt
 from truenewton.modal.pupil import pupil_of
 from truenewton.modal.segments import modes_of_segments
@@ -28,6 +29,7 @@ from truenewton.reading import read_one
 from truenewton.records.fault import Fault
 from truenewton.records.file import write_campaign
 from truenewton.records.segmented import coupling_faults
+from truenewton.report.verdict import headline_of
 from truenewton.rounding import numbered
 from truenewton.statics.arms import enabled_arms
 
@@ -372,14 +374,27 @@ def test_the_report_has_a_section_for_each_segment(folder, data, inside, tmp_pat
     code, said, _ = inside("report", folder, "-o", page)
     text = page.read_text()
     assert code == 0
-    assert "3 of 3 segments" in said
+    assert "Alpha of all 3 segments" in said
     for number in (1, 2, 3):
         assert f'id="title-segment-{number}"' in text
         assert f'href="#title-segment-{number}"' in text
     assert 'data-key="segment"' in text
     write = tn.calibrate(spoilt(data, 3, np.zeros_like))
     tn.write_report(page, write, overwrite=True)
-    assert "FORCE is zero throughout" in page.read_text()
+    text = page.read_text()
+    assert "FORCE is zero throughout" in text
+    assert "Alpha of 2 of 3 segments" in text
+
+
+def test_the_report_counts_no_segment_that_is_not_to_be_used(whole):
+    """Nor is the range of alpha that of wrong ones; where no other is, it is told as it is."""
+    turned = {k: replace(one, alpha=-one.alpha) for k, one in whole.segments.items()}
+    one = headline_of(replace(whole, segments={**whole.segments, 2: turned[2]}))
+    assert one.sentence.startswith("Alpha of 2 of 3 segments")
+    assert [value.startswith("-") for _, value, _ in one.numbers] == [False] * 3
+    every = headline_of(replace(whole, segments=turned))
+    assert every.level == Level.UNUSABLE
+    assert every.numbers[0][1].startswith("-")
 
 
 def test_figures_show_all_segments(whole, inside, tmp_path):
@@ -420,6 +435,9 @@ def test_segments_are_named_beside_their_actuators(whole):
             assert near.min() > 2 * dot_radius(some)
             assert own[near.argmin()]
     assert segment_places(whole.segments[1].layout) == []
+    one = p45().layout  # of two of them far apart dots are too small for names
+    two = tn.layout(np.append(one.x, one.x + 0.5), np.tile(one.y, 2), segment=np.repeat([1, 2], 45))
+    assert [bears_names(some) for some in (one, two)] == [True, False]
 
 
 def test_the_bar_counts_segments(data):

@@ -17,7 +17,7 @@ from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.weights import scale_budget, typical
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.rounding import counted, percent, to_digits, with_error
+from truenewton.rounding import counted, percent, significant, to_digits, with_error
 
 NOISE_FROM = {
     NoiseSource.REPEATS: "from repeated shapes",
@@ -203,7 +203,11 @@ def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
     yield "  reading noise", readings, f"E_STAT{biased}"
     if np.isfinite(c.cycle_error).any():
         low, high = np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)
-        yield "  the paper's error", f"{low:.1e} .. {high:.1e}", "E_CYCLE, 3 sigma"
+        yield (
+            "  the paper's error",
+            f"{significant(low)} .. {significant(high)}",
+            "E_CYCLE, 3 sigma",
+        )
 
 
 def rejected_values(

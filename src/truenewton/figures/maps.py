@@ -21,6 +21,7 @@ from truenewton.rounding import significant
 from truenewton.statics.layout import Layout, group_name, group_of, ring_centre, ring_of
 
 NUMBER = 0.045  # of the mirror's radius: half the height of a segment's number, and some air
+LEAST_DOT = 0.02  # of the width of the mirror: the radius of a dot that holds three digits
 LEAST_RING, WIDE_RING = 0.03, 0.15  # of all actuators: room for a ring's number, for its name
 ALPHA_LABEL = r"$\alpha$  (true N / commanded N)"
 
@@ -72,16 +73,26 @@ def mark_rings(ax: Axes, layout: Layout) -> None:
     ax.set_xlabel(ring_label(layout))
 
 
-def name_rings(ax: Axes, layout: Layout) -> None:
-    """Write the numbers of the rings above an axis of actuators, where there is room for them."""
+def ring_names(layout: Layout) -> dict[float, str]:
+    """Return the names of the rings by their middle on an axis of actuators, where there is room.
+
+    Of a mirror in several segments, theirs.
+    """
     counts, kind = np.bincount(group_of(layout)), group_name(layout)
     names = layout.segments or tuple(range(1, counts.size + 1))
-    ends = np.cumsum(counts)
-    for ring, count, end in zip(names, counts, ends, strict=True):
-        if counts.size > 1 and count >= LEAST_RING * layout.n:
-            name = f"{kind} {ring}" if count >= WIDE_RING * layout.n else str(ring)
-            ax.text(end - 0.5 * (count - 1), 0.985, name, transform=ax.get_xaxis_transform(),
-                    ha="center", va="top", fontsize=6.0, color=INK)  # fmt: skip
+    middles = np.cumsum(counts) - 0.5 * (counts - 1)
+    return {
+        float(middle): f"{kind} {ring}" if count >= WIDE_RING * layout.n else str(ring)
+        for ring, count, middle in zip(names, counts, middles, strict=True)
+        if counts.size > 1 and count >= LEAST_RING * layout.n
+    }
+
+
+def name_rings(ax: Axes, layout: Layout) -> None:
+    """Write the names of the rings above an axis of actuators."""
+    for middle, name in ring_names(layout).items():
+        ax.text(middle, 0.985, name, transform=ax.get_xaxis_transform(),
+                ha="center", va="top", fontsize=6.0, color=INK)  # fmt: skip
 
 
 def name_point(ax: Axes, name: object, x: float, y: float, points: int = 3, **looks: Any) -> None:
@@ -103,7 +114,7 @@ def plot_layout(layout: Layout, ax: Axes | None = None, edges: Sequence[Array] =
         ax.add_collection(
             PatchCollection(_circles(layout), facecolor="white", edgecolor=INK, linewidth=0.6)
         )
-        if layout.n <= NAMED:
+        if bears_names(layout):
             for name, x, y in zip(layout.id, layout.x, layout.y, strict=True):
                 ax.text(x / MILLIMETRE, y / MILLIMETRE, str(name), ha="center", va="center",
                         fontsize=5.5)  # fmt: skip
@@ -123,9 +134,9 @@ def plot_map(
 ) -> Axes:
     """Draw values (n,) on the map of the actuators, rings and axes as in fig. 2 (paper, fig. 6).
 
-    Up to a hundred actuators bear their names; with ``numbers`` each its value as well. An actuator
-    without a value (disabled) is an open circle. Among many, the few farthest out take up no
-    colours of their own, unless ``limits`` say where the colours end.
+    Up to a hundred actuators bear their names, where dots hold them; with ``numbers`` each its
+    value as well. An actuator without a value (disabled) is an open circle. Among many, the few
+    farthest out take up no colours of their own, unless ``limits`` say where the colours end.
     """
     with styled_axes(ax, 1.02) as ax:
         _frame(layout, ax)
@@ -153,7 +164,7 @@ def plot_map(
         )
         bar.set_label(label)
         bar.outline.set_linewidth(0.4)
-        if layout.n <= NAMED:
+        if bears_names(layout) or (numbers and layout.n <= NAMED):
             for name, x, y, value in zip(layout.id, layout.x, layout.y, values, strict=True):
                 light = np.dot(dots.to_rgba(value)[:3], [0.299, 0.587, 0.114])
                 colour = INK if light > 0.5 else "white"
@@ -248,6 +259,12 @@ def _round_length(length: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten below a length."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(power * max(k for k in (1, 2, 5) if k * power <= length))
+
+
+def bears_names(layout: Layout) -> bool:
+    """Tell whether dots are few, and large enough on the map, for the names of their actuators."""
+    across = max(np.ptp(layout.x), np.ptp(layout.y)) / MILLIMETRE
+    return layout.n <= NAMED and bool(dot_radius(layout) >= LEAST_DOT * across)
 
 
 def dot_radius(layout: Layout) -> float:

@@ -77,27 +77,30 @@ def headline_of(findings: Findings | Change | SegmentedCalibration) -> Headline:
 
 
 def verdict_on_whole(c: SegmentedCalibration) -> Headline:
-    """Say the verdict on a mirror in several segments."""
+    """Say the verdict on a mirror in several segments; figures are of those that can be used."""
+    levels = [c.segments[n].verdict.level if n in c.segments else Level.NONE for n in c.numbers]
+    sound = sum(level == Level.SOUND for level in levels)
+    verdict, c = c.verdict, c.without_unusable()
     known = np.isfinite(c.alpha)
     error = typical(c.error[known], c.alpha[known])
+    part = f"{len(c.segments)} of" if c.refused else "all"
     sentence = (
-        f"Alpha of {len(c.segments)} of {counted(c.numbers, 'segment')} of {c.instrument} is known"
+        f"Alpha of {part} {counted(c.numbers, 'segment')} of {c.instrument} is known"
         f" ({counted(int(known.sum()), 'actuator')}), typically to {percent(error)}."
     )
     errors = {n: typical(one.error, one.alpha) for n, one in c.segments.items()}
     worst = max(errors, key=lambda n: errors[n])
+    largest = f"; {percent(errors[worst])} on segment {worst}, the largest"
+    differ = len({percent(each) for each in errors.values()}) > 1
     low, high = (int(find(c.alpha)) for find in (np.nanargmin, np.nanargmax))
     ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
-    levels = [c.segments[n].verdict.level if n in c.segments else Level.NONE for n in c.numbers]
-    sound = sum(level == Level.SOUND for level in levels)
     numbers = (
         ("alpha", f"{ends[0]} to {ends[1]}", f"actuators {c.layout.id[low]} and"
          f" {c.layout.id[high]}, true N / commanded N"),
-        ("typical error of alpha", percent(error),
-         f"one sigma; {percent(errors[worst])} on segment {worst}, the largest"),
+        ("typical error of alpha", percent(error), f"one sigma{largest if differ else ''}"),
         ("sound segments", f"{sound} of {len(levels)}", "each has a section below"),
     )  # fmt: skip
-    return _headline(c.verdict, sentence, numbers)
+    return _headline(verdict, sentence, numbers)
 
 
 def _headline(

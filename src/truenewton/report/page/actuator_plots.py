@@ -16,8 +16,10 @@ from bokeh.models import (
     BoxSelectTool,
     BoxZoomTool,
     ColumnDataSource,
+    FixedTicker,
     HoverTool,
     LassoSelectTool,
+    LinearAxis,
     LinearColorMapper,
     PanTool,
     ResetTool,
@@ -33,11 +35,13 @@ from truenewton.arrays import Array
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.figures.maps import (
+    bears_names,
     dot_radius,
     names_by_ring,
     numbers_by_ring,
     ring_edges,
     ring_label,
+    ring_names,
     ring_radii,
     segment_places,
 )
@@ -107,7 +111,7 @@ def mirror_map(
         selection_line_color=ALARM, selection_line_width=3.0,
         nonselection_fill_alpha=0.35, nonselection_line_alpha=0.35,
     )  # fmt: skip
-    if layout.n <= NAMED:
+    if bears_names(layout):
         plot.text(x="x", y="y", text={"field": "id"}, source=source, text_color={"field": "ink"},
                   text_font=value(FONT), text_font_size="0.65em", text_align="center",
                   text_baseline="middle", nonselection_text_alpha=0.6)  # fmt: skip
@@ -172,6 +176,13 @@ def _actuator_points(
     if names := names_by_ring(layout):
         plot.xaxis.ticker = BasicTicker(min_interval=1)
         plot.xaxis.major_label_overrides = {0: "", **names}
+    if rings := ring_names(layout):
+        looks: dict[str, Any] = {"ticker": FixedTicker(ticks=list(rings)),
+                                 "major_label_overrides": rings}  # fmt: skip
+        above = LinearAxis(axis_line_color=None, major_tick_line_color=None,
+                           major_label_text_font=FONT, major_label_text_color=INK,
+                           **looks)  # fmt: skip
+        plot.add_layout(above, "above")
     plot.x_range.range_padding = 0.04  # the first and the last dot shall not be cut
     plot.y_range.range_padding = 0.15
     _add_actuator_tools(plot, dots, layout, layers)

@@ -80,7 +80,7 @@ def page(
     command: str = "",
     edges: Sequence[Array] = (),
 ) -> str:
-    """Return the page as HTML."""
+    """Return the page as HTML; edges of the glass are (vertices, 2) polygons [m]."""
     if isinstance(findings, SegmentedCalibration):
         return _rendered(
             title=f"{findings.instrument}: calibration of its segments",

@@ -10,9 +10,10 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import Level
 from truenewton.calibration.words import headline, summary_rows
 from truenewton.estimation.weights import typical
+from truenewton.records.fault import Fault
 from truenewton.report.change import Change
 from truenewton.report.page.section import Section, TextTable
-from truenewton.rounding import counted, percent, with_error
+from truenewton.rounding import counted, percent, significant, with_error
 
 HEAD = ("segment", "verdict", "actuators", "mean alpha", "typical error", "of it from the weights",
         "B (N)", "noise (mN)", "chi2/DOF", "rejected rows")  # fmt: skip
@@ -33,16 +34,20 @@ def segment_sections(c: SegmentedCalibration) -> Iterator[Section]:
     for number in c.numbers:
         key, title = f"segment-{number}", f"Segment {number}"
         if number in c.refused:
-            told = (f"{fault}: {remedy}." for fault, remedy in c.refused[number])
-            yield Section(key, title, ("No alpha.", *told))
+            yield Section(key, title, ("No alpha.", *map(_sentence, c.refused[number])))
             continue
         one = c.segments[number]
-        faults = tuple(f"{fault}: {remedy}." for fault, remedy in one.verdict.faults)
+        faults = map(_sentence, one.verdict.faults)
         numbers = TextTable(
             "All figures", ("figure", "value", "note"), tuple(summary_rows(one)), wraps=True
         )
         said = f"{headline(one)}. The verdict: {one.verdict.level}."
         yield Section(key, title, (said, *faults), tables=(numbers,))
+
+
+def _sentence(said: Fault) -> str:
+    fault, remedy = said
+    return f"{fault[:1].upper()}{fault[1:]}: {remedy}."
 
 
 def changed_segments(change: Change) -> TextTable:
@@ -77,7 +82,7 @@ def _row(c: SegmentedCalibration, number: int) -> tuple[str, ...]:
         percent(typical(one.error, one.alpha)),
         percent(typical(one.systematic_error, one.alpha)) if weighed else "",
         with_error(one.bias_force, one.bias_force_error) if weighed else "",
-        f"{1e3 * one.noise:.3g}" if np.isfinite(one.noise) else "",
-        f"{one.goodness.reduced:.3g}" if one.goodness else "",
+        significant(1e3 * one.noise, 3) if np.isfinite(one.noise) else "",
+        significant(one.goodness.reduced, 3) if one.goodness else "",
         str(one.rejected),
     )

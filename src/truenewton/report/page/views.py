@@ -62,7 +62,7 @@ class Actuators:
 
 
 def calibration_views(findings: Findings, c: Calibration, edges: Sequence[Array] = ()) -> Actuators:
-    """Return the views of alpha."""
+    """Return the views of alpha; edges of the glass are (vertices, 2) polygons [m]."""
     layers = calibration_layers(c, findings.evidence)
     source = actuator_source(c.layout, layers)
     views = (
@@ -74,7 +74,7 @@ def calibration_views(findings: Findings, c: Calibration, edges: Sequence[Array]
 
 
 def segment_views(c: SegmentedCalibration, edges: Sequence[Array] = ()) -> Actuators:
-    """Return the views of alpha of all segments."""
+    """Return the views of alpha of all segments; edges (vertices, 2) [m]."""
     layers = segment_layers(c)
     source = actuator_source(c.layout, layers)
     means = ", ".join(f"{n}: {np.nanmean(one.alpha):.3f}" for n, one in c.segments.items())
@@ -90,7 +90,7 @@ def segment_views(c: SegmentedCalibration, edges: Sequence[Array] = ()) -> Actua
 
 
 def change_views(change: Change, edges: Sequence[Array] = ()) -> Actuators:
-    """Return the views of what changed."""
+    """Return the views of what changed; edges (vertices, 2) [m]."""
     layers, layout = change.layers, change.one.layout
     source = actuator_source(layout, layers)
     kind, title = "ring by ring from the centre", "Change by ring"
