@@ -1,6 +1,6 @@
 """What a calibration by a dask cluster takes, against the number of files and of actuators.
 
-    python benchmarks/scale.py [--actuators 45,132,336,892,1784] [--files 4,8,16]
+    python benchmarks/scale.py [--actuators 45,132,336,892,1784,2676] [--files 4,8,16]
                                [--of-segments 45,132,336,892] [--figure]
 
 For each size a campaign of FORCE, POSITION and both gradients is written into a temporary folder
@@ -243,7 +243,7 @@ def numbers(text: str) -> list[int]:
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336, 892, 1784])
+    parser.add_argument("--actuators", type=numbers, default=[45, 132, 336, 892, 1784, 2676])
     parser.add_argument("--of-segments", type=numbers, default=[45, 132, 336, 892])
     parser.add_argument("--files", type=numbers, default=[4, 8, 16])
     parser.add_argument("--workers", type=int, default=2)
