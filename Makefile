@@ -28,9 +28,10 @@ test-newest:
 	.venv-newest/bin/$(PIP_INSTALL) --upgrade --upgrade-strategy eager -e .[test]
 	.venv-newest/bin/python $(WORKERS) -m "not study"
 
-# The site, into docs/_build; what its tutorials show is computed here.
+# The site, into docs/_build; what its tutorials show is computed here. A terminal shows how far it is.
 docs: .venv-docs/ready
-	OPENBLAS_NUM_THREADS=1 .venv-docs/bin/python -m sphinx --quiet --fail-on-warning --keep-going --nitpicky docs docs/_build
+	@echo "computing the tutorials and writing all pages: some minutes"
+	@OPENBLAS_NUM_THREADS=1 .venv-docs/bin/python -m sphinx $$(test -t 1 || echo --quiet) --fail-on-warning --keep-going --nitpicky docs docs/_build
 	.venv-docs/bin/python docs/searched.py docs/_build
 
 # Against the published opticalib: 0.7 GB, so it is not part of `make test-all`.

@@ -637,7 +637,7 @@ NEW = {
         replaced(another_image),
         "ring-001", "no table MEASUREMENTS", "FFMATRIX; a campaign holds cycle files only",
     ),
-    "numpy's own": (plain_array, "k.npy", "is not a FITS file", "`truenewton import`"),
+    "numpy's own": (plain_array, "k.npy", "is not a FITS file", "campaign in your own format"),
     "empty": (
         replaced(lambda path: path.touch()), "ring-001", "is not a FITS file, but empty", "fetch it"
     ),

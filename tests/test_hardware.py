@@ -468,6 +468,20 @@ def test_a_bench_in_another_shape_than_commanded_is_noticed(tmp_path, position, 
         tn.acquire(bench, small_plan(), tmp_path / "c")
 
 
+@pytest.mark.parametrize(
+    ("scatter", "said"),
+    [(1e-9, "and six times its position_scatter of 1e-09 m"), (np.nan, "plan fewer shapes")],
+)
+def test_an_actuator_elsewhere_is_said_with_the_rule_and_its_remedy(tmp_path, scatter, said):
+    bench = StubBench(
+        spoil=lambda shape, reading: replace(
+            reading, position=0.8 * reading.position, position_scatter=np.full(8, scatter)
+        )
+    )
+    with pytest.raises(BenchFault, match=rf"of which a tenth is let pass.*{said}"):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+
+
 def test_what_its_noise_explains_is_no_other_shape(tmp_path):
     """Sensors of 60 nm in shapes of 1 um: within six standard deviations of a sample."""
     random = np.random.default_rng(1)

@@ -562,6 +562,16 @@ def test_the_command_gives_no_answer_of_a_transposed_matrix(tmp_path):
     assert "next         the same command with --transpose" in done.stdout
 
 
+def test_after_a_matrix_that_gives_no_alpha_calibrate_is_not_the_next(tmp_path, inside):
+    np.save(tmp_path / "k.npy", (CASE.k + CASE.k.T) / 2)
+    where = positions_file(tmp_path, "csv")
+    code, out, _ = inside("import", tmp_path / "k.npy", where, "-o", tmp_path / "k.fits")
+    assert code == 0
+    assert "alpha        none: " in out
+    assert "  next         mend what is said, then import again" in out
+    assert "truenewton calibrate" not in out
+
+
 def cli(*words):
     return subprocess.run(
         [sys.executable, "-m", "truenewton", *map(str, words)],

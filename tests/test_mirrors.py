@@ -139,7 +139,7 @@ def test_what_is_wrong_with_a_file_is_said_in_one_line(mine, old, new, error, sa
         ("0.05,0.0\n", "0.05,\n", "actuators.csv: line 2: Y is empty; give a number"),
         ("0.05,0.0\n", "0.05,inf\n", "actuators.csv: line 2: Y is inf; give a number"),
         ("0.05,0.0\n", "0.09,0.0\n", "actuators.csv: actuator 1 stands 0.09 m from the axis"),
-        ("X,Y", "X;Y", "actuators.csv: lacks column 'X'; it has 'X;Y'; name the columns"),
+        ("X,Y", "X;Y", "it has 'X;Y'; name the columns X and Y in the first line, in metres"),
     ],
 )
 def test_what_is_wrong_with_a_table_names_it_and_the_line(mine, old, new, said):

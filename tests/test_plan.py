@@ -5,6 +5,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -35,6 +36,7 @@ from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain
 from truenewton.planning.outlook import duration, outlook, predicted, with_sensors
 from truenewton.planning.target import ways_to
+from truenewton.planning.words import _drowned as drowned
 from truenewton.planning.words import lines
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -421,6 +423,21 @@ def test_the_template_is_a_plan_that_predicts(inside, tmp_path, file):
     ):
         assert words in out
     assert "WARNING" not in out
+    assert "smallest stroke" not in out
+    assert "there and back        alpha 0 %, zeros 0 %, mounting 0.17 %" in out
+
+
+def test_shapes_that_drown_in_the_noise_of_sensors_are_foretold(ready):
+    """Where `acquire` would take noise for an actuator that stands elsewhere."""
+    strokes = np.abs(ready.shapes).max(axis=1)
+    for border in (0.99 * strokes.min(), 1.01 * strokes.min(), np.median(strokes)):
+        sensors = replace(PLAN.sensors, noise=border / 60)  # six times that are a tenth of it
+        rows = drowned(SimpleNamespace(ready=ready.changed(replace(PLAN, sensors=sensors))))
+        assert len(rows) == (border > strokes.min())
+        for _, value, note in rows:
+            assert value == f"{1e9 * strokes.min():.3g} nm"
+            small = np.count_nonzero(strokes < border)
+            assert f"of {small} of 45 shapes a tenth is less than six times the noise" in note
 
 
 def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):

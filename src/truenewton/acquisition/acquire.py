@@ -23,7 +23,13 @@ from truenewton.acquisition.run import Run, take_all
 from truenewton.acquisition.run_log import RunLog
 from truenewton.acquisition.taker import Taker
 from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
-from truenewton.errors import BenchFault, CampaignMismatch, TrueNewtonError, located
+from truenewton.errors import (
+    BenchFault,
+    CampaignMismatch,
+    LimitExceeded,
+    TrueNewtonError,
+    located,
+)
 from truenewton.mirrors.known import Mirror
 from truenewton.statics.layout import Layout
 
@@ -192,6 +198,7 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
         log.last_words("rest")
         if isinstance(error, TrueNewtonError):
             then = "the mirror is at rest, what was taken is kept; the same command goes on"
+            then += ", once that is mended" if isinstance(error, LimitExceeded) else ""
             remedy = f"{error.remedy}; {then}" if error.remedy else then
             raise located(error, run.folder).changed(remedy=remedy) from error
         raise

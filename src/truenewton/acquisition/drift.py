@@ -147,7 +147,7 @@ def order_cost(plan: CampaignPlan, mirror: Mirror, shapes: int) -> OrderCost | N
     of_load, share = _shares(plan, order)
     middle = np.array([0.5 * (each.start + each.end) for each in order]) / HOUR
     middle -= middle @ share / len(plan.loads)  # every load has as many cycles
-    hours = np.bincount(of_load, weights=share * middle)
+    hours = np.bincount(of_load, weights=share * middle).round(9)  # 0 but for rounding is 0
     r, drift = balance.response, plan.drift
     return OrderCost(
         turns=plan.turns,

@@ -207,9 +207,16 @@ class Taker:
         worst = int(beyond.argmax())
         if beyond[worst] <= 0:
             return ""
+        scatter = reading.position_scatter[on][worst]
+        known = f"six times its position_scatter of {scatter:.2g} m"
+        unknown = (
+            "the bench gives no position_scatter, six times which is let pass: where that is"
+            " noise, give position_scatter, or plan fewer shapes (count)"
+        )
         return (
             f"actuator {self.bench.layout.id[on][worst]} stands {off[worst]:.3g} m from where it"
-            f" was commanded, in a shape of {stroke:.3g} m"
+            f" was commanded, in a shape of {stroke:.3g} m, of which a tenth is let pass"
+            f"{f', and {known}' if np.isfinite(scatter) else f'; {unknown}'}"
         )
 
     def _await_bench(self) -> None:

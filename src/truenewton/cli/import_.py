@@ -45,6 +45,7 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Make a stiffness file from a matrix and positions in other people's files."""
+    from truenewton.calibration.verdict import Level
     from truenewton.calibration.words import summary_values
     from truenewton.cli.terminal import busy, print_result
     from truenewton.files.outputs import refuse_existing
@@ -81,6 +82,8 @@ def run(
     lines = [*made.lines, *(f"  {what:<13}{how}" for what, how in said)]
     if made.transposed:
         lines.append("  next         the same command with --transpose")
+    elif calibration is None or calibration.verdict.level == Level.UNUSABLE:
+        lines.append("  next         mend what is said, then import again")
     elif output is not None:
         lines.append(f"  next         truenewton calibrate {output} -o alpha.fits")
     values = {"instrument": made.matrix.instrument, "actuators": made.matrix.layout.n}

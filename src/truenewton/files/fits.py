@@ -98,8 +98,8 @@ def _check_start(stream: io.BytesIO | BufferedReader, path: str) -> None:
     if start != START:
         raise UnreadableFile(
             "is not a FITS file" + ("" if start else ", but empty"),
-            remedy="give FITS files; `truenewton import` makes one of a matrix, the recipe in"
-            " docs/files.md cycle files of a campaign in text"
+            remedy="give FITS files; `truenewton import` makes one of a matrix, the recipe 'A"
+            " campaign in your own format' of docs/files.md those of a campaign"
             if start
             else "fetch it again",
             path=path,

@@ -10,6 +10,7 @@ import numpy as np
 
 from truenewton.acquisition.drift import OrderCost, turns_that_pay, without_remounting
 from truenewton.acquisition.mountings import mountings, reading_time
+from truenewton.acquisition.taker import ELSEWHERE, SURE
 from truenewton.calibration.words import warning_lines
 from truenewton.estimation.weights import scale_budget
 from truenewton.planning.outlook import Curve, Outlook, typical_errors
@@ -58,6 +59,7 @@ def lines(outlook: Outlook) -> Iterator[str]:
          f" alpha be lowest; limit {limits.force:g} N"),
         ("largest stroke", f"{1e6 * strain.stroke:.3g} um",
          f"limit {1e6 * limits.displacement:g} um"),
+        *_drowned(outlook),
         ("smallest gap", f"{1e6 * strain.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
     ]  # fmt: skip
     for name, value, note in rows:
@@ -71,6 +73,21 @@ def lines(outlook: Outlook) -> Iterator[str]:
         yield f"      {'by reciprocity':<20}" + "".join(f"{percent(e):>9}" for e in error)
     yield from _table("added weights, times", outlook.against_weight)
     yield from warning_lines(outlook.warnings)
+
+
+def _drowned(outlook: Outlook) -> list[tuple[str, str, str]]:
+    """Return a row of the shapes so small that noise of positions looks like a fault; or none."""
+    shapes, noise = outlook.ready.shapes, outlook.ready.plan.sensors.noise
+    strokes = np.abs(shapes).max(axis=1)
+    small = int(np.count_nonzero(ELSEWHERE * strokes < SURE * noise))
+    if not small:
+        return []
+    return [
+        ("smallest stroke", f"{1e9 * strokes.min():.3g} nm",
+         f"of {small} of {counted(len(strokes), 'shape')} a tenth is less than six times the noise"
+         f" of a position, {1e9 * noise:.2g} nm: taken for a fault unless the bench gives"
+         " position_scatter; or plan fewer (shapes.count)")
+    ]  # fmt: skip
 
 
 def _reciprocity_lines(outlook: Outlook) -> Iterator[str]:

@@ -102,9 +102,9 @@ def cycle_from(file: FitsFile, *, whole: bool = True) -> Cycle:
         there = ", ".join(name for name in file.extensions if name != PRIMARY)
         raise FormatError(
             "there is no table MEASUREMENTS",
-            remedy=f"there is {there or 'a plain image'}; a campaign holds cycle files only, which"
-            " docs/files.md shows how to make, of raw samples too; a stiffness file an image"
-            " STIFFNESS: `truenewton import` makes one of a matrix",
+            remedy=f"there is {there or 'a plain image'}; a campaign holds cycle files only"
+            " (docs/files.md: 'A campaign in your own format', 'Raw samples'), a stiffness file an"
+            " image STIFFNESS: `truenewton import` makes one of a matrix",
             path=file.path,
         )
     if STREAM in file.extensions:
