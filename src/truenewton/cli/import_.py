@@ -81,7 +81,7 @@ def run(
     lines = [*made.lines, *(f"  {what:<13}{how}" for what, how in said)]
     if made.transposed:
         lines.append("  next         the same command with --transpose")
-    elif output is not None:
+    elif output is not None and not made.balanced:
         lines.append(f"  next         truenewton calibrate {output} -o alpha.fits")
     values = {"instrument": made.matrix.instrument, "actuators": made.matrix.layout.n}
     found = {line[:15].strip(): line[15:] for line in made.lines[1:]}
@@ -102,6 +102,8 @@ def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | 
 
     if made.transposed:
         return [("alpha", "none of a matrix that looks transposed")], None
+    if made.balanced:
+        return [("alpha", "none of a matrix that is balanced as commanded")], None
     try:
         with busy("calibrating"):
             found = calibrate(made.matrix, "ml")
