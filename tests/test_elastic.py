@@ -132,9 +132,9 @@ def test_a_transposed_matrix_is_not_to_be_used():
 
 def test_what_costs_as_much_as_gains_of_sensors_only_looks_transposed():
     """Where alpha is put right already, sensors scatter more, and nothing is wrong."""
-    matrix, truth = commanded_stiffness()
+    noisy, truth = commanded_stiffness(1e-4)
     gains = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(len(truth))
-    right = replace(matrix, stiffness=truth[:, None] * matrix.stiffness * gains)
+    right = replace(noisy, stiffness=truth[:, None] * noisy.stiffness * gains)
     assert sift_matrix(right).effects == ()
     [(fault, _)] = calibrate(right, "svd").diagnosis.warnings
     assert "looks transposed" in fault

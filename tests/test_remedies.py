@@ -331,7 +331,8 @@ def test_svd_says_that_it_takes_rows_that_do_not_fit():
 
 def test_alpha_that_does_harm_is_said_before_what_it_comes_from():
     truth = p45_bench().truth
-    made = tn.calibrate(StiffnessMatrix("P45", START, truth.layout, truth.stiffness))
+    k = truth.stiffness / truth.alpha[:, None]
+    made = tn.calibrate(StiffnessMatrix("P45", START, truth.layout, k))
     line = made.imbalances[0]
     unseen = (replace(line, before=0.02, after=0.03),) * 2
     doubtful = replace(made, imbalances=(line, *unseen), reading_error=np.ones(45))

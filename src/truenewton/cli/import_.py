@@ -82,9 +82,9 @@ def run(
     lines = [*made.lines, *(f"  {what:<13}{how}" for what, how in said)]
     if made.transposed:
         lines.append("  next         the same command with --transpose")
-    elif calibration is None or calibration.verdict.level == Level.UNUSABLE:
+    elif not made.balanced and (calibration is None or calibration.verdict.level == Level.UNUSABLE):
         lines.append("  next         mend what is said, then import again")
-    elif output is not None:
+    elif not made.balanced and output is not None:
         lines.append(f"  next         truenewton calibrate {output} -o alpha.fits")
     values = {"instrument": made.matrix.instrument, "actuators": made.matrix.layout.n}
     found = {line[:15].strip(): line[15:] for line in made.lines[1:]}
@@ -105,6 +105,8 @@ def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | 
 
     if made.transposed:
         return [("alpha", "none of a matrix that looks transposed")], None
+    if made.balanced:
+        return [("alpha", "none of a matrix that is balanced as commanded")], None
     try:
         with busy("calibrating"):
             found = calibrate(made.matrix, "ml")

@@ -4,6 +4,9 @@ A free shell costs no force where it is moved rigidly: K {1, x, y} vanishes but 
 sensors, and {1, x, y}' K but for alpha, which scatters more; transposed, they change places. With
 coordinates of other actuators the shell is bent. Which way round it lies is judged by medians over
 actuators: a few bad ones say nothing of the rest.
+
+Forces that balance as commanded, to the rounding of the file, are no measured ones: rigid motions
+were projected out of them, which puts the alpha of each column into all rows, or alpha was 1.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.couplings import NEAR, relative_couplings, typical_spacing
 from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.rounding_steps import rounding_steps
 from truenewton.linalg import assignment, asymmetry
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
@@ -29,7 +33,13 @@ DISORDERED = "coordinates in another order than STIFFNESS"
 INCOMPLETE = "forces missing in STIFFNESS"
 MADE_SYMMETRIC = "STIFFNESS made symmetric"
 TRANSPOSED = "transposed stiffness"
-AS_A_WHOLE = DISORDERED, INCOMPLETE, MADE_SYMMETRIC, TRANSPOSED  # no single actuator explains
+CLEANED = "STIFFNESS already balanced as commanded: alpha is gone (cleaned of rigid motions?)"
+TRUE_ALREADY = (
+    "STIFFNESS symmetric and balanced as commanded: a true one, or alpha is gone (cleaned of rigid"
+    " motions?)"
+)
+# No single actuator explains these.
+AS_A_WHOLE = DISORDERED, INCOMPLETE, MADE_SYMMETRIC, TRANSPOSED, CLEANED, TRUE_ALREADY
 SUSPECT = 0.005  # cost from which other orders are tried
 BETTER = 3.0  # times less it costs in the right one
 SAME_RADIUS = 1e-3  # of the largest: actuators of one ring
@@ -38,6 +48,12 @@ TURNED = 2.0  # times as much that rigid displacements cost as forces are out of
 SENSORS = 0.05  # of the own stiffness: more than gains of sensors cost, which scatter by per cent
 SYMMETRIC = 1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
 OUT = 0.02  # of the own stiffness: columns out of balance, beyond what sensors and alpha leave both
+BALANCED = (
+    1e-6  # of the own stiffness: no measured columns balance so, as no two coils are so alike
+)
+UNLIKE = 1e-3  # of the asymmetry: nor so much better than rows are like columns
+ROUNDED = 0.2  # of the asymmetry: rounding that leaves less than that out of balance may hide alpha
+BY_ROUNDING = 2.0  # times as far out of balance as rounding leaves typically
 ALIKE = 1e-9  # of an own element, to be the same number as others
 SOFTEST_MOST = 1.5  # cost of rigid motions in terms of any, where a stiffness has next to none
 
@@ -168,6 +184,20 @@ def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[FoundEffe
             )
 
 
+def balance_effects(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
+    """Say that forces balance as commanded, so that nothing tells alpha."""
+    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    imbalance = rigid_cost_and_imbalance(k, a)[1]
+    true = asymmetry(k) < SYMMETRIC and imbalance < OUT
+    if true or balances_by_rounding(k, a):
+        yield FoundEffect(
+            name=TRUE_ALREADY if true else CLEANED,
+            size=imbalance,
+            unit="of the own stiffness, columns out of balance",
+            remedy="give the matrix as it was measured",
+        )
+
+
 def orientation_effects(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
     """Say that a matrix is transposed, or was made symmetric: alpha is then that of sensors."""
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
@@ -244,7 +274,22 @@ def rigid_cost_and_imbalance(k: Array, a: Array) -> tuple[float, float]:
 def looks_transposed(k: Array, a: Array) -> bool:
     """Tell whether an (n, n) stiffness looks transposed; (3, n) arms."""
     cost, imbalance = rigid_cost_and_imbalance(k, a)
-    return cost > TURNED * imbalance
+    return cost > TURNED * imbalance and not balances_by_rounding(k, a)
+
+
+def balances_by_rounding(k: Array, a: Array) -> bool:
+    """Tell whether (n, n) commanded forces balance but for rounding; (3, n) arms.
+
+    Rounding of the computer, of single precision, or that of a file with few digits.
+    """
+    imbalance, unlike = rigid_cost_and_imbalance(k, a)[1], asymmetry(k)
+    if imbalance < max(BALANCED, UNLIKE * unlike):
+        return True
+    if imbalance > ROUNDED * unlike:
+        return False
+    own, steps = np.abs(np.diag(k)), rounding_steps(list(k.T))  # of each actuator
+    rounded = np.sqrt(np.sum((a * steps) ** 2) / 12.0) / np.where(own > 0.0, own, np.inf)
+    return imbalance < BY_ROUNDING * float(np.median(rounded))
 
 
 def share_by_distance(k: Array, a: Array) -> float:

@@ -25,6 +25,7 @@ from truenewton.estimation.matrix_faults import (
 )
 from truenewton.estimation.matrix_order import (
     FEWEST,
+    balance_effects,
     order_effects,
     orientation_effects,
     refuse_compliance,
@@ -84,7 +85,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
     refuse_no_stiffness(k)
     refuse_compliance(matrix)
-    disorder = tuple(order_effects(matrix, named=True))
+    disorder = (*order_effects(matrix, named=True), *balance_effects(matrix))
     if disorder:  # whoever stands where is then no matter of single actuators
         n = len(k)
         return SiftedMatrix(matrix, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)

@@ -38,11 +38,14 @@ class Imported:
         What was found and done: the first says of what, the others how it is.
     transposed
         It looks stored transposed.
+    balanced
+        Forces balance as commanded, so that nothing tells alpha.
     """
 
     matrix: StiffnessMatrix
     lines: tuple[str, ...]
     transposed: bool = False
+    balanced: bool = False
 
     def __repr__(self) -> str:
         return "\n".join(self.lines)
@@ -125,7 +128,7 @@ def stiffness_from(
     ]
     headline = f"{name}: {record.layout.n} actuators, from {given.path or 'arrays'}{given.kind}"
     said = (headline, *(f"  {what:<13}{how}" for what, how in lines))
-    return Imported(record, said, judged.transposed)
+    return Imported(record, said, judged.transposed, judged.balanced)
 
 
 Checked = tuple[StiffnessMatrix, Judged, Positions, list[tuple[str, str]]]

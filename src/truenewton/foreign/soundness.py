@@ -11,6 +11,7 @@ from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.estimation.matrix_order import (
     DOUBTFUL_ORDER,
+    balance_effects,
     looks_transposed,
     refuse_compliance,
     rigid_cost_and_imbalance,
@@ -30,11 +31,15 @@ class OtherOrder(FormatError):
 
 
 class Judged(NamedTuple):
-    """Lines of what was found: what of, and how it is; which actuators are off; is it turned."""
+    """What was found: lines of what, and how it is; which actuators are off; is it turned.
+
+    Balanced are forces as commanded, so that nothing tells alpha.
+    """
 
     lines: tuple[tuple[str, str], ...]
     off: NDArray[np.bool_]
     transposed: bool
+    balanced: bool
 
 
 def silent_actuators(k: Array) -> NDArray[np.bool_]:
@@ -64,7 +69,9 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
     k = matrix.used_stiffness[np.ix_(measured, measured)]
     a = comparable_arms(matrix.layout)[:, measured]
+    balanced = tuple(balance_effects(matrix))
     lines = [("orientation", _orientation(k, a))]
+    lines += [("balance", f"{each.name}; {each.remedy}") for each in balanced]
     share = share_by_distance(k, a)
     if share < OTHER_ORDER and len(k) >= 20:
         raise OtherOrder(
@@ -92,7 +99,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
             named_ones = warning.fault.partition("fit the others: ")[2]
             said = f"{named_ones} (calibrate leaves them out)" if named_ones else warning.fault
             lines.append(("do not fit", said))
-    return Judged(tuple(lines), off, looks_transposed(k, a))
+    return Judged(tuple(lines), off, looks_transposed(k, a), bool(balanced))
 
 
 def names(layout: Layout, some: NDArray[np.bool_]) -> str:

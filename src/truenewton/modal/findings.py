@@ -14,6 +14,7 @@ from truenewton.calibration.methods import asked, calibrate, calibration_of, fin
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import Level, refuse_unusable
 from truenewton.errors import NotToBeUsed
+from truenewton.estimation.matrix_order import TRUE_ALREADY
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.sifted_matrix import as_calibrated
@@ -114,7 +115,14 @@ class ModalFindings:
                     "look for actuators that act but are disabled, or for a mirror that drifted",
                 )
             )
-        if all(before < after for before, after in (self.asymmetry, self.imbalance)):
+        if _true_already(self.calibration):
+            warnings.append(
+                Fault(
+                    "STIFFNESS is symmetric and balanced, and taken for a true one: alpha is 1",
+                    "if it was made so of a measured one, give that as it was measured",
+                )
+            )
+        elif all(before < after for before, after in (self.asymmetry, self.imbalance)):
             warnings.append(
                 Fault(
                     "with alpha the stiffness is less symmetric and less balanced than without",
@@ -192,7 +200,7 @@ def find_modes(
     if calibration is not None:
         refuse_unusable(calibration, force=force)
     matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, motion)
-    refuse_unusable(calibration, force=force)
+    refuse_unusable(calibration, force=force or _true_already(calibration))
     matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
     stiffness_by = partial(
@@ -251,6 +259,11 @@ def _with_alpha(
         return data.stiffness, None, calibration, reader
     measured = stiffness_of(reader)
     return measured.matrix, measured, calibration, reader
+
+
+def _true_already(calibration: Calibration) -> bool:
+    """Tell whether the stiffness that was calibrated is a true one, as `modes` itself writes it."""
+    return any(effect.name == TRUE_ALREADY for effect in calibration.effects)
 
 
 def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:

@@ -23,6 +23,8 @@ BLOCK = 1.5  # chi2 per degree of freedom of a block, where the noise is known
 FARTHEST = 1.2e-3  # rms offset of the sensors along an axis [m]
 REMEDY = "give the mirror (--mirror) if not given, and check places and order of the sensors"
 BY_ML = "alpha is by ml, not by reciprocity"
+CONTRADICTED = "balance and reciprocity contradict each other"
+SENSELESS, SURE = 0.1, 0.03  # error of reciprocity on no mirror; that of ml in terms of it
 BLOCKS = ("balance", "rigid motions", "reciprocity")
 
 
@@ -108,11 +110,15 @@ def refusals(evidence: Evidence) -> Iterator[Fault]:
             REMEDY,
         )
     if evidence.as_stated > APART and evidence.error > evidence.error_by_balance:
-        yield Fault(
-            f"its errors are {percent(evidence.error)} typically, those of ml"
-            f" {percent(evidence.error_by_balance)}",
-            REMEDY,
+        sizes = (
+            f"errors are {percent(evidence.error)} typically, those of ml"
+            f" {percent(evidence.error_by_balance)}"
         )
+        if evidence.error > SENSELESS and evidence.error_by_balance < SURE * evidence.error:
+            remedy = "find out what was done to the matrix, and give it as it was measured"
+            yield Fault(f"{CONTRADICTED}: of reciprocity {sizes}", remedy)
+        else:
+            yield Fault(f"its {sizes}", REMEDY)
     if evidence.offset_spread > FARTHEST:
         yield Fault(
             f"the sensors would have to be {1e3 * evidence.offset_spread:.2g} mm off their magnets",
@@ -128,8 +134,13 @@ def doubts(against: Iterable[Fault]) -> tuple[Fault, ...]:
 
 
 def instead(against: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Say of an answer by `ml` why it is not by reciprocity."""
-    return tuple(Fault(f"{BY_ML}: {fault}", remedy) for fault, remedy in against)
+    """Say of an answer by `ml` why it is not by reciprocity, and what speaks against both."""
+    return tuple(
+        each
+        if each.fault.startswith(CONTRADICTED)
+        else Fault(f"{BY_ML}: {each.fault}", each.remedy)
+        for each in against
+    )
 
 
 def left_free(ids: NDArray[np.int64]) -> Iterator[Fault]:

@@ -11,7 +11,7 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.estimate import Estimate
 from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.matrix_order import SYMMETRIC, looks_transposed
+from truenewton.estimation.matrix_order import SYMMETRIC, balance_effects, looks_transposed
 from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
 from truenewton.estimation.reciprocity.condensation import kept, kept_places
 from truenewton.estimation.reciprocity.gate import (
@@ -220,6 +220,8 @@ def find(
     ------
     RankDeficient, NotConverged
     """
+    for effect in balance_effects(matrix):
+        raise RankDeficient(effect.name, remedy=effect.remedy)
     if asymmetry(matrix.used_stiffness) < SYMMETRIC:
         raise RankDeficient(
             "STIFFNESS was made symmetric, which leaves nothing by which reciprocity tells alpha",
