@@ -7,6 +7,7 @@ import pytest
 from balanced import BIAS, LAYOUT, arms_of, gradients
 
 from truenewton.calibration.methods import calibrate
+from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.displaced_rows import balanced_rows, common_reference
 from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.records.campaign import Campaign
@@ -92,6 +93,21 @@ def test_a_sensor_set_anew_leaves_the_others_alone():
     assert np.abs(np.delete(found.alpha - alpha, 3)).max() < 1e-5
     assert abs(found.alpha[3] - alpha[3]) < 600 * 3 * MOVED
     assert "the zeros of 1 sensor were" in found.diagnosis.warnings[0][0]
+
+
+@pytest.mark.parametrize("anew", [0.0, 1e-5])
+def test_a_sensor_that_does_not_move_is_none_set_anew(anew):
+    """Wherever it stands in each file; its own alpha is wrong by 600 z, that of the others not."""
+    campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
+    cycles = []
+    for k, cycle in enumerate(campaign.cycles):
+        position = cycle.position.copy()
+        position[:, 3] = anew * k
+        cycles.append(replace(cycle, position=position))
+    with pytest.warns(TrueNewtonWarning, match=r"frozen sensor \(POSITION of actuator 4 is"):
+        found = calibrate(Campaign(tuple(cycles)))
+    assert not any("zeros of" in fault for fault, _ in found.diagnosis.warnings)
+    assert np.abs(found.alpha - alpha).max() < 600 * MOVED
 
 
 def test_where_most_zeros_jump_no_sensor_is_trusted():

@@ -14,7 +14,7 @@ from changed import check_alike, p45, said, with_forces
 
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.errors import TooManyOutliers
+from truenewton.errors import RankDeficient, TooManyOutliers
 from truenewton.estimation.sifted import sift
 from truenewton.mirrors.known import p45 as p45_mirror
 from truenewton.records.campaign import Campaign
@@ -45,6 +45,17 @@ def columns(order, *names, files=(ONE,)):
     """Return cycles in some of which columns of FORCE or POSITION stand in another order."""
     return changed(lambda c: replace(c, **{n: np.array(getattr(c, n))[:, order] for n in names}),
                    *files)  # fmt: skip
+
+
+def holding(*at):
+    """Return what lets sensors read in each row what they read in the first."""
+
+    def change(cycle):
+        position = np.array(cycle.position)
+        position[:, at] = position[0, at]
+        return replace(cycle, position=position)
+
+    return change
 
 
 def exchanged(one, other):
@@ -168,6 +179,19 @@ FAULTS = {
         changed(lambda c: replace(c, position=0.0 * c.position)),
         NOT, "POSITION is the same in all rows", "leave the column out",
     ),
+    "a frozen sensor": (
+        changed(holding(7)),
+        LIMITED, "frozen sensor (POSITION of actuator 8 is the same in all rows)",
+        "have its electronics looked at",
+    ),
+    "frozen sensors of a board": (
+        changed(holding(3, 7, 9, 20, 30)),
+        LIMITED, "frozen sensor (POSITION of actuators 4, 8, 10 and 2 more is the same",
+    ),
+    "a sensor frozen in one file": (
+        changed(holding(7), ONE),
+        LIMITED, "frozen sensor (POSITION of actuator 8", "all rows of ring 3",
+    ),
     # labels
     **{
         f"LOAD {name!r}": (
@@ -230,7 +254,7 @@ def test_readings_cut_off_are_seen_beside_gradients_of_the_coils():
     assert "at 0.24 N" in effect.where
 
 
-@pytest.mark.parametrize("name", ["mN", "LOAD 'rign'", "two campaigns",
+@pytest.mark.parametrize("name", ["mN", "LOAD 'rign'", "two campaigns", "a frozen sensor",
                                   "POSITION of 11 and 12 exchanged"])  # fmt: skip
 def test_every_command_says_it_alike(inside, tmp_path, name):
     write_campaign(FAULTS[name][0](), tmp_path / "c")
@@ -275,11 +299,24 @@ def test_nothing_of_that_is_said_where_it_is_not_so(made):
 @pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
 def test_a_short_run_after_a_replacement_says_it_too():
     earlier = tn.calibrate(Campaign(tuple(quiet())))
-    for name, level in (("POSITION of 11 and 12 exchanged", NOT), ("LOAD 'rign'", LIMITED)):
+    for name, level in (
+        ("POSITION of 11 and 12 exchanged", NOT),
+        ("LOAD 'rign'", LIMITED),
+        ("a frozen sensor", LIMITED),
+    ):
         made, _, *words = FAULTS[name]
         verdict = tn.recalibrate(Campaign(tuple(made())), earlier, [17]).calibration.verdict
         assert verdict.level in level
         assert words[0] in verdict.faults[0].fault
+
+
+@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
+def test_frozen_sensors_are_named_where_a_stiffness_is_made_of_their_rows():
+    alone, five = (Campaign(tuple(changed(holding(*at))())) for at in ((7,), (3, 7, 9, 20, 30)))
+    assert "frozen sensor" in str(tn.find_modes(alone).calibration.verdict.faults)
+    for what in (lambda: tn.measured_stiffness(five), lambda: tn.calibrate(alone, "reciprocity")):
+        with pytest.raises(RankDeficient, match=r"frozen sensor: POSITION of actuator"):
+            what()
 
 
 def test_a_gap_of_a_day_is_no_gap():

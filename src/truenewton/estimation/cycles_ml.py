@@ -120,7 +120,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     alpha = left.minimum.values[: problem.n]
     strange = () if suspects.columns else strange_alphas(sifted.campaign, alpha, error)
     clipped = () if belongs.all() and left.fits else sifted.clipped
-    effects = (*suspects.named, *strange, *clipped, *left.effects)
+    effects = (*suspects.named, *strange, *clipped, *sifted.frozen, *left.effects)
     effects += tuple(warmer_loads(sound, estimate.scale_errors))
     warnings = (*estimate.diagnosis.warnings, *effect_warnings(effects), *misfit_warnings(left))
     return replace(

@@ -78,8 +78,8 @@ def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...
         if quantity == "POSITION" and not np.ptp(rows, axis=(0, 1)).any():
             still = (STILL,)
             continue
-        mean = rows.mean(axis=1, keepdims=True, dtype=np.float64)  # of equal rows exact
-        differences = _from_the_most_typical(rows - mean)
+        rows = rows - rows[:, :1].astype(np.float64)  # what stands still is 0 exactly
+        differences = _from_the_most_typical(rows - rows.mean(axis=1, keepdims=True))
         right = max(dict.fromkeys(differences), key=differences.count)
         for what in dict.fromkeys(chain(*differences)):
             files = tuple(k for k, d in enumerate(differences) if (what in d) != (what in right))

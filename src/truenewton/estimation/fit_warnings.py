@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from truenewton.chance import chi2_sf
 from truenewton.estimation.diagnosis import NoiseSource
@@ -14,6 +15,7 @@ from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.repeats import WEIGHED_NOISE
+from truenewton.estimation.still_readings import still_sensors
 from truenewton.records.campaign import mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.rounding import counted, listed
@@ -65,13 +67,21 @@ def campaign_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> I
             f"repeated shapes scatter by {noise:.2g} mN, {louder:.3g} times what FORCERR says",
             "look for what moves the mirror or the readings between repeats, and correct FORCERR",
         )
-    anew = int(np.count_nonzero(np.isnan(moments.reference)))
-    if anew and any(map(is_displaced, problem.campaign.cycles)):
+    anew = int(np.count_nonzero(_set_anew(problem, moments)))
+    if anew:
         yield Fault(
             f"the zeros of {counted(anew, 'sensor')} were set anew between files: these count from"
             " each file's own mean, and E_STAT knows nothing of motion between files",
             "keep the zeros of the sensors through a campaign",
         )
+
+
+def _set_anew(problem: Problem, moments: Moments) -> NDArray[np.bool_]:
+    """Return (n,) whose zero was set anew, those left aside that do not move at all."""
+    anew, campaign = np.isnan(moments.reference), problem.campaign
+    if not (anew.any() and any(map(is_displaced, campaign.cycles))):
+        return np.zeros_like(anew)
+    return np.asarray(anew & ~still_sensors(campaign).any(axis=0))
 
 
 def _date_warnings(problem: Problem) -> Iterator[Fault]:

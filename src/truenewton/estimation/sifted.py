@@ -33,7 +33,12 @@ from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.repeats import RepeatSums
 from truenewton.estimation.row_prints import RowPrints
-from truenewton.estimation.still_readings import clipped_readings, frozen_readings
+from truenewton.estimation.still_readings import (
+    clipped_readings,
+    frozen_readings,
+    frozen_sensors,
+    still_sensors,
+)
 from truenewton.estimation.structure import Structure, pooled_where_it_fits
 from truenewton.records.campaign import Campaign
 
@@ -65,6 +70,8 @@ class Sifted:
         Readings that end at a limit: a fault where the data do not fit.
     unlike
         Files that differ in two lots, as those of two mirrors do: a fault where nothing balances.
+    frozen
+        Sensors that read the same in all rows, whose displacement counts as 0.
     samples
         (m, n) deviations of some repeated rows from the others of their groups, at weight 1 [N], in
         some parts.
@@ -79,6 +86,7 @@ class Sifted:
     suspects: tuple[FoundEffect, ...] = ()
     clipped: tuple[FoundEffect, ...] = ()
     unlike: tuple[FoundEffect, ...] = ()
+    frozen: tuple[FoundEffect, ...] = ()
 
 
 def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
@@ -129,12 +137,18 @@ def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
             raise naming(error, suspects + clipped) from None
     suspects += () if apart else _relabelled(campaign, prints, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
-    moments = replace(sums.moments, displacement=sums.displacement())
+    moments, frozen = sums.moments, tuple[FoundEffect, ...]()
+    if (displacement := sums.displacement()) is not None:
+        frozen = frozen_sensors(campaign)
+        displacement[:, still_sensors(campaign).any(axis=0)] = 0.0
+        moments = replace(moments, displacement=displacement)
     moments, structure = pooled_where_it_fits(moments, noise, sums.samples)
     samples = tuple(sums.samples)
     unlike = () if suspects else unlike_files(campaign, prints, FAR_UNLIKE)
     left_out = tuple(rejected)
-    return Sifted(campaign, sound, left_out, moments, samples, structure, suspects, clipped, unlike)
+    return Sifted(
+        campaign, sound, left_out, moments, samples, structure, suspects, clipped, unlike, frozen
+    )
 
 
 def _require_stored(campaign: Campaign) -> None:

@@ -1,8 +1,8 @@
-"""Readings that stand still: frozen for a while, or cut off at a limit, bit by bit the same."""
+"""Readings that stand still: frozen, for a while or all the time, or cut off at a limit."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign
-from truenewton.rounding import named
+from truenewton.rounding import listed, named
 
 FEWEST = 3  # rows
 SHARE = 0.1  # of the rows of a file, one after the other
@@ -46,9 +46,49 @@ def _frozen(campaign: Campaign, prints: RowPrints) -> Iterator[FoundEffect]:
                     "frozen reading",
                     f"actuator {ids[i]} in {name}",
                     float(share[i]),
-                    "leave the file out, or mark the rows in which FORCE of the actuator stands"
-                    " still as not VALID; have its electronics looked at",
+                    "leave the file out, or mark the rows in which it stands still as not VALID;"
+                    " have its electronics looked at",
                 )
+
+
+def still_sensors(campaign: Campaign) -> NDArray[np.bool_]:
+    """Tell which of (files, n) sensors read the same in all rows of a file; () are read nowhere.
+
+    Not where all do: none may have been read, which is `files_apart`'s.
+    """
+    n = int(campaign.layout.enabled.sum())
+    still = [
+        cycle.stroke == 0.0
+        if cycle.position is not None and np.count_nonzero(cycle.valid) >= FEWEST
+        else np.zeros(n, dtype=np.bool_)
+        for cycle in campaign.cycles
+    ]
+    return np.array([each & ~each.all() for each in still])
+
+
+def frozen_sensors(campaign: Campaign) -> tuple[FoundEffect, ...]:
+    """Name sensors that read the same in all rows of a file."""
+    still, ids = still_sensors(campaign), campaign.layout.id[campaign.layout.enabled]
+    found = dict[tuple[int, ...], list[int]]()
+    for i in np.flatnonzero(still.any(axis=0)).tolist():
+        found.setdefault(tuple(np.flatnonzero(still[:, i]).tolist()), []).append(int(ids[i]))
+    return tuple(
+        _effect(
+            "frozen sensor",
+            f"POSITION of {named('actuator', actuators, SAID)} is the same in all rows"
+            + ("" if len(files) == len(still) else f" of {listed(_names(campaign, files), SAID)}"),
+            len(files) / len(still),
+            "have its electronics looked at: it counts as if it did not move, and no stiffness can"
+            " be had of it"
+            if len(files) == len(still)
+            else "have its electronics looked at, and leave the files out where POSITION is needed",
+        )
+        for files, actuators in found.items()
+    )
+
+
+def _names(campaign: Campaign, files: Sequence[int]) -> list[str]:
+    return [campaign.cycles[k].name for k in files]
 
 
 def _stand_still(prints: RowPrints, file: int) -> NDArray[np.bool_]:

@@ -25,6 +25,8 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import Sifted, sift
+from truenewton.estimation.still_readings import frozen_sensors
+from truenewton.estimation.suspects import refusal_naming
 from truenewton.files.stored_rows import Rows, StoredRows, largest_in_rows
 from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign
@@ -175,7 +177,8 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     noise = sums.position_variance * (np.sqrt(sums.shapes) + np.sqrt(n)) ** 2
     least = UNTOLD if np.isnan(noise) else ROUNDING
     held = values > max(HELD**2 * np.nan_to_num(noise), least**2 * values[-1])
-    along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in cycles))
+    with refusal_naming(lambda: frozen_sensors(Campaign(cycles))):
+        along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in cycles))
     # (S^-1) on what is held, seen along the rigid motions that are not.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))
     inverse = half @ half.T

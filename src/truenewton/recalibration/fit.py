@@ -149,7 +149,8 @@ def recalibrate(
     degrees = len(against.contrasts)
     probability = float(chi2_sf(against.chi2, degrees)) if degrees else float("nan")
     limits = tuple(_limits(before, data, probability, against.scatter.own))
-    calibration = replace(calibration, effects=(*calibration.effects, *sifted.suspects))
+    effects = (*calibration.effects, *sifted.suspects, *sifted.frozen)
+    calibration = replace(calibration, effects=effects)
     calibration = _with_faults(calibration, before, limits)
     warn_of(calibration)
     return Recalibration(

@@ -44,6 +44,7 @@ from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values, at_nominal
 from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.sifted import Sifted
+from truenewton.estimation.suspects import refusal_naming
 from truenewton.estimation.weights import temperature_errors, weight_errors
 from truenewton.records.fault import Fault
 
@@ -112,7 +113,8 @@ def _found(
             remedy="use ml, or declare one pair for all",
         )
     bias, coil = gradients.pop()
-    stiffness = regressed(moments, noise.variance, bias_gradient=bias, coil_gradient=coil)
+    with refusal_naming(lambda: sifted.frozen):
+        stiffness = regressed(moments, noise.variance, bias_gradient=bias, coil_gradient=coil)
     keep, odd = kept(stiffness.stiffness)
     places = kept_places(places_of(layout, motion), keep, stiffness.stiffness)
     stiffness = condensed_regression(stiffness, keep)
