@@ -114,6 +114,25 @@ def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, s
     assert np.sqrt(np.mean(z**2)) < 1.6
 
 
+@pytest.mark.parametrize(("at", "off"), [(0, (1.0, 0.0)), (12, (0.0, 0.02)), (23, (-0.03, 0.1))])
+@pytest.mark.parametrize("level", [1e-4, 1e-3])
+def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(at, off, level):
+    """X and Y in another unit, or of another mirror: the innermost of 24, another, the last."""
+    truth, random = static_bench(ring(24), 3).truth, np.random.default_rng(at)
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1.0 + level * random.standard_normal(k.shape))
+    here = np.arange(24) == at
+    said = replace(truth.layout, x=truth.layout.x + here * off[0], y=truth.layout.y + here * off[1])
+    found = calibrate(StiffnessMatrix("R24", DATE, said, k), "ml")
+    assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [at]
+    fault, remedy = found.verdict.faults[0]
+    far = f"{np.hypot(*off):.2g} m off"
+    assert fault == f"left out: actuator {at + 1} stands elsewhere than at its X and Y, {far}"
+    assert remedy.startswith("correct X and Y")
+    z = (found.alpha - truth.alpha / truth.alpha[~here].mean())[~here] / found.error[~here]
+    assert np.sqrt(np.mean(z**2)) < 1.6
+
+
 def element(k, other):
     """An element so large that rows seem exchanged."""
     k[BAD, other] *= 100.0

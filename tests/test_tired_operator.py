@@ -58,6 +58,11 @@ def holding(*at):
     return change
 
 
+def elsewhere(layout, at, far):
+    """Return a layout in which one actuator is said to stand so far from where it is [m]."""
+    return replace(layout, x=np.where(np.arange(layout.n) == at, layout.x + far, layout.x))
+
+
 def exchanged(one, other):
     order = np.arange(45)
     order[[one, other]] = other, one
@@ -191,6 +196,16 @@ FAULTS = {
     "a sensor frozen in one file": (
         changed(holding(7), ONE),
         LIMITED, "frozen sensor (POSITION of actuator 8", "all rows of ring 3",
+    ),
+    # places
+    "a place a metre off": (
+        changed(lambda c: replace(c, layout=elsewhere(c.layout, 22, 1.0))),
+        NOT, "actuator stands elsewhere than at its X and Y (actuator 23, about x = 0.05",
+        "correct X and Y in that row",
+    ),
+    "a place a centimetre off": (
+        changed(lambda c: replace(c, layout=elsewhere(c.layout, 22, 0.01))),
+        NOT, "actuator stands elsewhere than at its X and Y (actuator 23, about x = 0.05",
     ),
     # labels
     **{

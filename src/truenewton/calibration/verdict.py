@@ -29,6 +29,7 @@ from truenewton.estimation.files_apart import STILL
 from truenewton.estimation.identifiability import NO_LOAD_SEEN, alike_loads_fault
 from truenewton.estimation.matrix_order import AS_A_WHOLE
 from truenewton.estimation.reciprocity.gate import BY_ML
+from truenewton.estimation.seen_places import ELSEWHERE
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
 from truenewton.records.of_segments import alike
@@ -54,6 +55,7 @@ OF_FILES = (
     "FORCE in another unit",
     "the file's load is another",
     "exchanged columns",
+    f"actuator {ELSEWHERE}",
     "another order of ",
     "order of FORCE is not that of POSITION",
     "FORCE of the other sign",

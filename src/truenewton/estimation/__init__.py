@@ -44,6 +44,7 @@ files, in the order in which data pass through them:
     outliers         shapes that do not balance
     minimum          what goes into the likelihood, and what comes out
     effects          what a bench does beside the model: named, and taken out where that cures
+    seen_places      where actuators are seen to stand by what balances
     column_order     whether FORCE and POSITION stand in one order
     odd_actuators    readings that are stuck, coils without force, poles exchanged
     suspects         files, columns and actuators that may not be what they say

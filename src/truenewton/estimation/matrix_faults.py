@@ -24,6 +24,7 @@ from truenewton.estimation.couplings import (
     typical_spacing,
 )
 from truenewton.estimation.matrix_order import row_order
+from truenewton.estimation.seen_places import ELSEWHERE, displaced
 
 FACTOR = 3.0  # of alpha from that of the others
 TIMES = 8.0  # what is typical of an actuator, and
@@ -110,6 +111,10 @@ def bad_actuators(
     log_alpha, misfit = pair_ratios(factor[:, None] * k[order])
     linked = ~np.isnan(misfit)
     even = (factor * np.exp(log_alpha))[:, None] * k[order]
+    given, a = a, a.copy()
+    for i, there in displaced(even, a).items():
+        a[1:, i] = there
+        add(np.array([i]), ELSEWHERE, np.hypot(*(a - given)[1:, [i]]))
     turned = bad_sensors.signs(even, a, wrong[own[wrong] != 0.0], linked)
     found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
     factor, k, even = factor * turned, k * turned, even * np.outer(turned, turned)

@@ -30,11 +30,12 @@ from truenewton.estimation.matrix_order import (
     refuse_compliance,
     refuse_no_stiffness,
 )
+from truenewton.estimation.seen_places import ELSEWHERE
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
-from truenewton.statics.arms import comparable_arms
+from truenewton.statics.arms import comparable_arms, enabled_arms
 
 NO_FIT = "actuator does not fit"
 IS_OFF = "actuator is off"
@@ -106,6 +107,13 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         except FitsNoSymmetry as error:
             found, mended, unsure = (), k[block], (_as_measured(error),)
         bad = tuple(replace(each, index=int(measured[each.index])) for each in found)
+        length = np.linalg.norm(enabled_arms(matrix.layout)[1:]) / np.linalg.norm(a[1:])
+        bad = tuple(
+            replace(each, reason=f"{ELSEWHERE}, {each.size * length:.2g} m off")
+            if each.reason == ELSEWHERE
+            else each
+            for each in bad
+        )
         raw, k = k, k.copy()
         k[block] = mended
         unlike = [each.index for each in bad if each.reason == UNLIKE]
@@ -242,6 +250,13 @@ def _warnings(
             if pushing
             else "set ENABLED to F if it was off; its alpha is not calibrated",
         )
+    misplaced = [each for each in bad if each.reason.startswith(ELSEWHERE)]
+    if misplaced:
+        yield Fault(
+            "left out: " + "; ".join(f"{_named(ids, [each])} {each.reason}" for each in misplaced),
+            "correct X and Y in that row of ACTUATORS, in m",
+        )
+    bad = [each for each in bad if each not in misplaced]
     if bad:
         why = {
             reason: [each for each in bad if each.reason == reason]

@@ -103,9 +103,12 @@ class Layout:
                     f"E_{name[0].upper()} is negative or not finite",
                     remedy="give standard uncertainties in m",
                 )
-        if np.abs([self.x, self.y]).max() > FARTHEST:
+        far = np.maximum(np.abs(self.x), np.abs(self.y))
+        if far.max() > FARTHEST:
+            beyond = self.id[far > FARTHEST]
+            who = f"actuator {beyond[0]}" if beyond.size == 1 else "an actuator"
             raise GeometryError(
-                f"an actuator stands {np.abs([self.x, self.y]).max():.3g} m from the axis",
+                f"{who} stands {far.max():.3g} m from the axis",
                 remedy="X and Y are metres; check their unit",
             )
         if (self.nz > 1.0).any() or (self.nz < 0.01).any():

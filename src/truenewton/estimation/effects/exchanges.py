@@ -26,13 +26,13 @@ from truenewton.estimation.effects.examined import chi2_probability
 from truenewton.estimation.identifiability import centred_means
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem, roughly_scaled
+from truenewton.estimation.seen_places import ELSEWHERE, FEWEST, out_of_place, projected
 from truenewton.estimation.structure import FITS
 from truenewton.linalg import assignment
 from truenewton.rounding import named
 from truenewton.statics.arms import arms_in_units_of_rms
 
 ABOVE = 2.0  # times its noise the weakest elastic shape must stand
-PASSES = 30  # of the projection, each with what lies far left out
 SETTLED = 10  # passes of the order
 HOME = 0.1  # of the spacing of the actuators: nearer, they are seen at their own places
 TURNS, TRIED = 72, 4  # of the places as a whole; the best of these
@@ -53,11 +53,41 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[FoundEffect, 
     """
     if problem.noise.source != NoiseSource.MINIMUM and _fit(problem, moments)[0] > FITS:
         return ()  # single rows lie far, no more
+    if misplaced := _misplaced(problem, moments):
+        return misplaced
     for order in seen_orders(problem, moments):
         moved = np.flatnonzero(order != np.arange(problem.n))
         if moved.size and _cures(problem, moments, order):
             return (_named(problem, moments, order, moved),)
     return ()
+
+
+def _misplaced(problem: Problem, moments: Moments) -> tuple[FoundEffect, ...]:
+    """Name actuators that stand at no place of the layout, if the balance is better where seen."""
+    layout, seen = problem.campaign.layout, _homogeneous(problem, moments)
+    if seen is None or problem.n < FEWEST:
+        return ()
+    on = layout.enabled
+    moved = out_of_place(seen, problem.a)
+    if not moved:
+        return ()
+    back, at = np.zeros((3, problem.n)), list(moved)
+    back[1:, at] = np.array([moved[i] for i in at]).T - problem.a[1:, at]
+    there = replace(problem, moved=problem.moved + back)
+    probability, chi2 = _fit(problem, moments)
+    if _fit(there, moments)[1] > BETTER * chi2:
+        return ()
+    return tuple(
+        FoundEffect(
+            name=f"actuator {ELSEWHERE}",
+            where=f"actuator {layout.id[on][i]}, about x = {x:.3g}, y = {y:.3g} m",
+            probability=probability,
+            size=float(np.hypot(x - layout.x[on][i], y - layout.y[on][i])),
+            unit="m",
+            remedy="correct X and Y in that row of ACTUATORS, in m",
+        )
+        for i, (x, y) in moved.items()
+    )
 
 
 def _cures(problem: Problem, moments: Moments, order: NDArray[np.int64]) -> bool:
@@ -134,7 +164,7 @@ def _settled(seen: Array, arms: Array, order: NDArray[np.int64]) -> tuple[Array,
     """Return (n, n) distances of places seen from places, and the order that these settle at."""
     places = (arms[1:] / arms[0]).T
     for _ in range(SETTLED):
-        distance = np.linalg.norm(_projected(seen, arms[:, order])[:, None] - places, axis=2)
+        distance = np.linalg.norm(projected(seen, arms[:, order])[:, None] - places, axis=2)
         before = order
         order = assignment(np.minimum(distance, FAR) ** 2)
         if np.array_equal(order, before):
@@ -175,23 +205,3 @@ def _homogeneous(problem: Problem, moments: Moments) -> Array | None:
     if values[3] < ABOVE * noise:
         return None
     return np.asarray((vectors[:, :3] / sigma[:, None]).T)
-
-
-def _projected(seen: Array, arms: Array) -> Array:
-    """Return (n, 2) where the forces of each actuator act, were most of them at (3, n) arms."""
-    n = arms.shape[1]
-    a = arms / np.linalg.norm(arms, axis=0)
-    b = seen / np.maximum(np.linalg.norm(seen, axis=0), 1e-300)
-    nothing = np.zeros(n)
-    cross = np.array([[nothing, -b[2], b[1]], [b[2], nothing, -b[0]], [-b[1], b[0], nothing]])
-    equations = np.einsum("uvi,wi->iuvw", cross, a).reshape(n, 3, 9)
-    weight, place = np.ones(n), np.zeros((n, 2))
-    for _ in range(PASSES):
-        gram = np.einsum("i,iup,iuq->pq", weight, equations, equations, optimize=True)
-        projection = np.linalg.eigh(gram)[1][:, 0].reshape(3, 3)
-        found = np.linalg.pinv(projection) @ seen
-        size = np.where(np.abs(found[0]) > 1e-9 * np.abs(found).max(), found[0], np.inf)
-        place = (found[1:] / size).T
-        far = np.linalg.norm(place - (arms[1:] / arms[0]).T, axis=1)
-        weight = 1.0 / (1.0 + (far / max(float(np.median(far)), 1e-12)) ** 2) ** 2
-    return np.asarray(place)
