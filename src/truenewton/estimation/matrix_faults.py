@@ -111,10 +111,10 @@ def bad_actuators(
     log_alpha, misfit = pair_ratios(factor[:, None] * k[order])
     linked = ~np.isnan(misfit)
     even = (factor * np.exp(log_alpha))[:, None] * k[order]
-    given, a = a, a.copy()
-    for i, there in displaced(even, a).items():
-        a[1:, i] = there
-        add(np.array([i]), ELSEWHERE, np.hypot(*(a - given)[1:, [i]]))
+    off = displaced(even, a)
+    moved = np.flatnonzero(off.any(axis=0))
+    add(moved, ELSEWHERE, np.hypot(*off[1:, moved]))
+    a = a + off
     turned = bad_sensors.signs(even, a, wrong[own[wrong] != 0.0], linked)
     found |= {i: replace(found[i], reason=SENSOR_SIGN) for i in np.flatnonzero(turned < 0).tolist()}
     factor, k, even = factor * turned, k * turned, even * np.outer(turned, turned)
@@ -134,12 +134,7 @@ def bad_actuators(
     even = bad_sensors.columns_by_rows(even, a, deaf[~only_gain])
     unlike = _unlike_their_columns(misfit)
     add(*_apart(unlike, UNLIKE))
-    mended = [*filled, *deaf[~only_gain].tolist(), *(i for i, _ in unlike)]
-    for i, _ in unlike:
-        if bad_sensors.better_by_row(even, a, i, linked[i]):
-            even[:, i] = bad_sensors.column_by_row(even, a, i)
-        else:
-            even[i] = even[:, i]
+    _make_alike(even, a, [i for i, _ in unlike], linked)
     place = exchanged_places(even, a)
     moved = np.flatnonzero(place != np.arange(n))
     add(moved, "exchanged with a neighbour", np.ones(len(moved)))
@@ -147,6 +142,15 @@ def bad_actuators(
     holes = np.concatenate([gaps, a[:, [i for i, _ in unlike]]], axis=1)
     add(*_apart(_mend_elements(even, a[:, place], holes, mended), ELEMENT_WRONG))
     return tuple(found[i] for i in sorted(found)), even / factor[:, None]
+
+
+def _make_alike(even: Array, a: Array, some: Sequence[int], linked: NDArray[np.bool_]) -> None:
+    """Put the column of some in place of the row, or the reverse, whichever balances, in place."""
+    for i in some:
+        if bad_sensors.better_by_row(even, a, i, linked[i]):
+            even[:, i] = bad_sensors.column_by_row(even, a, i)
+        else:
+            even[i] = even[:, i]
 
 
 def _apart(pairs: list[tuple[int, float]], reason: str) -> tuple[NDArray[np.int64], str, Array]:

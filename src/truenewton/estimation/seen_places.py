@@ -69,25 +69,23 @@ def out_of_place(seen: Array, arms: Array) -> dict[int, tuple[float, float]]:
     return {i: (float(x[i]), float(y[i])) for i in away if _is_free(places, i, found[i])}
 
 
-def displaced(k: Array, arms: Array) -> dict[int, tuple[float, float]]:
-    """Return who stands elsewhere by an (n, n) stiffness, all alpha alike, with x and y there.
+def displaced(k: Array, arms: Array) -> Array:
+    """Return (3, n) how far each stands from its place by an (n, n) stiffness, 0 but of a few.
 
-    (3, n) arms by the places as they are given; those in units of them. The farthest first, while
+    All alpha are alike, arms by the places as they are given. The one that costs most first, while
     each explains most of what is left.
     """
-    arms, found = arms.copy(), dict[int, tuple[float, float]]()
-    spacing, most = _spacing(arms[1:].T), max(1, int(FEW * len(k)))
-    while len(found) < most:
+    given, arms, spacing = arms, arms.copy(), _spacing(arms[1:].T)
+    for _ in range(max(1, int(FEW * len(k)))):
         (i, shift, left), (j, other, other_left) = (_farthest(one, arms) for one in (k, k.T))
         far = float(np.linalg.norm(shift))
         alike = i == j and float(np.linalg.norm(shift - other)) < ALIKE * far
         if not (alike and far > FAR * spacing and max(left, other_left) < LEFT):
             break
-        arms[1:, i] += shift
-        if i in found or not _is_free(arms[1:].T, i, arms[1:, i]):
+        if not _is_free(arms[1:].T, i, arms[1:, i] + shift):
             break
-        found[i] = float(arms[1, i]), float(arms[2, i])
-    return found
+        arms[1:, i] += shift
+    return arms - given
 
 
 def _farthest(k: Array, arms: Array) -> tuple[int, Array, float]:

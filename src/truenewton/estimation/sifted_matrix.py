@@ -106,14 +106,8 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
             found, mended = bad_actuators(k[block], a[:, ~off], a[:, off], filled)
         except FitsNoSymmetry as error:
             found, mended, unsure = (), k[block], (_as_measured(error),)
-        bad = tuple(replace(each, index=int(measured[each.index])) for each in found)
-        length = np.linalg.norm(enabled_arms(matrix.layout)[1:]) / np.linalg.norm(a[1:])
-        bad = tuple(
-            replace(each, reason=f"{ELSEWHERE}, {each.size * length:.2g} m off")
-            if each.reason == ELSEWHERE
-            else each
-            for each in bad
-        )
+        length = float(np.linalg.norm(enabled_arms(matrix.layout)[1:]) / np.linalg.norm(a[1:]))
+        bad = tuple(_of_all(each, measured, length) for each in found)
         raw, k = k, k.copy()
         k[block] = mended
         unlike = [each.index for each in bad if each.reason == UNLIKE]
@@ -155,6 +149,12 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         ),
         pushing,
     )
+
+
+def _of_all(each: BadActuator, measured: NDArray[np.int64], length: float) -> BadActuator:
+    """Return a bad actuator by its index among all, with how far from its place it stands [m]."""
+    how_far = f", {each.size * length:.2g} m off" if each.reason == ELSEWHERE else ""
+    return BadActuator(int(measured[each.index]), each.reason + how_far, each.size)
 
 
 def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> StiffnessMatrix:

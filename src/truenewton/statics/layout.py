@@ -123,10 +123,8 @@ class Layout:
                 f"actuator ID {values[count > 1][0]} stands {count.max()} times",
                 remedy="give every actuator its own ID, whatever its segment",
             )
-        places, first, count = np.unique(
-            np.round([self.x / 1e-9, self.y / 1e-9]),
-            axis=1, return_inverse=True, return_counts=True,
-        )  # fmt: skip
+        at = np.round([self.x / 1e-9, self.y / 1e-9])
+        places, first, count = np.unique(at, axis=1, return_inverse=True, return_counts=True)
         if (count > 1).any():
             which = int(np.argmax(count > 1))
             x, y = places[:, which] * 1e-9

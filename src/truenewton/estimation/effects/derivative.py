@@ -96,56 +96,77 @@ class Derivative:
 class Scored:
     """Score and information of an effect at a fit; k parameters, `free` unknowns of the fit.
 
+    What is made of these is made when it is first asked for.
+
     Attributes
     ----------
-    score, variance
-        (k,) U_t and (k, k) V.
-    moves
-        (k, free) B.
-    information
-        (k, k) H_tt - H_te H^-1 H_et: what the data say of the effect, all else being free.
-    whole
-        (k,) diagonal of M_tt: what they would say, were all else known.
+    fit
+        Where.
+    score
+        (k,) U_t.
+    joint
+        (k, k) M_tt.
+    half
+        (free, k) L^-1 (M_te - D_te)', L the Cholesky factor of H.
+    feigned, feigned_information
+        (k, n) D_te on alpha, None where there is none, and (k, k) D_tt.
     """
 
+    fit: FittedRows
     score: Array
-    variance: Array
-    information: Array
-    whole: Array
-    moved: Callable[[], Array]
+    joint: Array
+    half: Array
+    feigned: Array | None
+    feigned_information: Array | float
+
+    @property
+    def whole(self) -> Array:
+        """(k,) diagonal of M_tt: what the data would say, were all else known."""
+        return np.diag(self.joint).copy()
 
     @cached_property
     def moves(self) -> Array:
         """(k, free) B."""
-        return self.moved()
+        return self.fit.solved_half(self.half)
+
+    def moves_along(self, direction: Array) -> Array:
+        """Return (k,) B along one (n,) direction of alpha, without all of B."""
+        whole = np.concatenate([direction, np.zeros(self.fit.free - len(direction))])
+        return np.asarray((self.fit.half_solved(whole[None]).T @ self.half)[0])
+
+    @cached_property
+    def _by_fit(self) -> Array:
+        return np.asarray(self.half.T @ self.half)
+
+    @cached_property
+    def information(self) -> Array:
+        """(k, k) H_tt - H_te H^-1 H_et: what the data say of the effect, all else being free."""
+        return np.asarray(self.joint - self.feigned_information - self._by_fit)
+
+    @cached_property
+    def variance(self) -> Array:
+        """(k, k) V."""
+        variance, n, minimum = self.joint - self._by_fit, self.fit.problem.n, self.fit.minimum
+        # B M B' = (M_te - D_te) B' + B D B', as M = H + D at the fit.
+        if minimum.noise_share > NO_NOISE:
+            on_alpha, noise = self.moves[:, :n], minimum.noise_information
+            less = on_alpha @ noise.root.T
+            variance += (on_alpha * noise.diagonal) @ on_alpha.T - less @ less.T
+        if self.feigned is not None:
+            both = self.feigned @ self.moves[:, :n].T
+            variance -= both + both.T
+        return np.asarray(variance)
 
 
 def scored(fit: FittedRows, derivative: Derivative) -> Scored:
     """Return score and information of an effect."""
-    n = fit.problem.n
-    score, whole, told = _from_balance(fit, derivative)
-    whole += _of_all(derivative.information)
+    score, joint, told = _from_balance(fit, derivative)
+    joint += _of_all(derivative.information)
     feigned, feigned_information = derivative.feigns() if derivative.feigns else (None, 0.0)
     if feigned is not None:
-        told[:, :n] -= feigned  # M_te - D_te
+        told[:, : fit.problem.n] -= feigned  # M_te - D_te
     half = fit.half_solved(told)
-    by_fit = half.T @ half
-    result = Scored(
-        score=score + derivative.score,
-        variance=whole - by_fit,
-        information=whole - feigned_information - by_fit,
-        whole=np.diag(whole).copy(),
-        moved=lambda: fit.solved_half(half),
-    )
-    # B M B' = (M_te - D_te) B' + B D B', as M = H + D at the fit.
-    if fit.minimum.noise_share > NO_NOISE:
-        on_alpha, noise = result.moves[:, :n], fit.minimum.noise_information
-        less = on_alpha @ noise.root.T
-        result.variance[:] += (on_alpha * noise.diagonal) @ on_alpha.T - less @ less.T
-    if feigned is not None:
-        both = feigned @ result.moves[:, :n].T
-        result.variance[:] -= both + both.T
-    return result
+    return Scored(fit, score + derivative.score, joint, half, feigned, feigned_information)
 
 
 def _from_balance(fit: FittedRows, derivative: Derivative) -> tuple[Array, Array, Array]:

@@ -133,14 +133,15 @@ def unseen_errors(left: Examined) -> tuple[UnseenError, ...]:
 
 def _unseen(left: Examined) -> Iterator[UnseenError]:
     fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
-    n, alpha = fit.problem.n, fit.alpha
-    direction = alpha / (alpha @ alpha)  # a relative change of all: alpha -> alpha (1 + e)
+    direction = fit.alpha / (
+        fit.alpha @ fit.alpha
+    )  # a relative change of all: alpha -> alpha (1 + e)
     for effect in UNSEEN:
         derivative = effect.derivative(fit)
         if derivative is None:
             continue
         result = scored(fit, derivative)
-        along = result.moves[:, :n] @ direction
+        along = result.moves_along(direction)
         told = result.information + np.eye(len(along))  # in units of 1 / s^2
         try:
             left_open = scipy.linalg.solve(told, along, assume_a="pos")
