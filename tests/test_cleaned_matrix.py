@@ -11,7 +11,7 @@ from balanced import p45_bench
 
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonWarning
-from truenewton.estimation.matrix_order import CLEANED, TRUE_ALREADY, balance_effects
+from truenewton.estimation.matrix_order import CLEANED, TRANSPOSED, TRUE_ALREADY, balance_effects
 from truenewton.estimation.reciprocity.gate import BY_ML, Evidence, instead, refusals
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.foreign.importing import stiffness_from
@@ -80,6 +80,15 @@ def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
     k = truth.stiffness * (1.0 + noise * random.standard_normal((45, 45))) / right[:, None]
     k = k if digits is None else digits * np.round(k / digits)
     assert not [*balance_effects(StiffnessMatrix("P45", DATE, truth.layout, k))]
+
+
+def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_they_are():
+    """Rigid motions taken out of readings leave forces as they were measured."""
+    matrix, _ = measured()
+    k = cleaned(matrix.stiffness.T, rigid_motions(matrix.layout))[1].T
+    assert sift_matrix(replace(matrix, stiffness=k)).effects == ()
+    [effect] = sift_matrix(replace(matrix, stiffness=k.T)).effects
+    assert effect.name == TRANSPOSED
 
 
 def test_a_cleaned_matrix_is_not_to_be_used_and_a_true_one_has_modes():

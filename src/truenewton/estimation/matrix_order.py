@@ -280,9 +280,12 @@ def looks_transposed(k: Array, a: Array) -> bool:
 def balances_by_rounding(k: Array, a: Array) -> bool:
     """Tell whether (n, n) commanded forces balance but for rounding; (3, n) arms.
 
-    Rounding of the computer, of single precision, or that of a file with few digits.
+    Rounding of the computer, of single precision, or that of a file with few digits. Not where
+    rigid motions cost more than gains of sensors do: so are displacements cleaned, and transposed.
     """
-    imbalance, unlike = rigid_cost_and_imbalance(k, a)[1], asymmetry(k)
+    (cost, imbalance), unlike = rigid_cost_and_imbalance(k, a), asymmetry(k)
+    if cost > SENSORS:
+        return False
     if imbalance < max(BALANCED, UNLIKE * unlike):
         return True
     if imbalance > ROUNDED * unlike:
