@@ -3,7 +3,7 @@
 python benchmarks/bench.py                    times of the shell models and of the closed loop
 python benchmarks/bench.py --large 5352       a static bench of the family of rings
 python benchmarks/bench.py --coverage 200     closed-loop campaigns of P45: errors and chi^2
-python benchmarks/bench.py --imperfections    what each imperfection costs that is left out
+python benchmarks/bench.py --imperfections 5  what each imperfection costs that is left out
 python benchmarks/bench.py --rings 10         336 actuators on a curved shell, at the loop's noise
 python benchmarks/bench.py --settling         the air film's damping by mode; how long to wait
 """
@@ -310,7 +310,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
     parser.add_argument("--large", type=int, metavar="N")
     parser.add_argument("--coverage", type=int, metavar="SEEDS")
-    parser.add_argument("--imperfections", action="store_true")
+    parser.add_argument("--imperfections", type=int, metavar="SEEDS")
     parser.add_argument("--rings", type=int, metavar="CAMPAIGNS")
     parser.add_argument("--glass", metavar="PNG")
     parser.add_argument("--settling", action="store_true")
@@ -320,7 +320,7 @@ def main() -> None:
     elif options.coverage:
         coverage(options.coverage)
     elif options.imperfections:
-        imperfections(5)
+        imperfections(options.imperfections)
     elif options.glass:
         glass(options.glass)
     elif options.settling:
