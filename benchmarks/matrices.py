@@ -10,7 +10,8 @@ to each element, equal in all elements, half of its variance each, or more at so
 others (a factor of two each way). Prints the error of alpha, the stated one, how much of the truth
 95 % intervals cover, with the Monte Carlo error of that, the mean of e'C^-1 e over the number of
 patterns (1 where the covariance C is that of the errors e), bad actuators missed, sound ones left
-out, seeds refused, and seeds that `auto` left to `ml`; with --faults, the same with actuators that
+out, seeds refused, and seeds that `auto` left to `ml`; of the others the rms error of the sensors'
+gains and places over the stated one; with --faults, the same with actuators that
 do not fit, .02 % of noise equal in all elements. --first begins with another seed, --laws and
 --levels (%) take some noise only.
 """
@@ -107,7 +108,8 @@ def with_faults(matrix, seed, count, fault):
 
 
 def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
-    """Return error, stated error, coverage, chi2, bad missed, good left out, and if by ml."""
+    """Return error, stated error, coverage, chi2, bad missed, good left out, if by ml, sensors."""
+    sensors = ()
     try:
         sifted = sift_matrix(matrix)
         if method == "ml":
@@ -116,14 +118,23 @@ def judged(alpha, matrix, bad=frozenset(), *, method="ml", population=False):
         else:
             estimate, _ = METHODS[method].of_stiffness(sifted, Known())
             found, covariance = estimate.values, estimate.reading_covariance
-            by_ml = estimate.method == "ml"
+            by_ml, sensors = estimate.method == "ml", estimate.sensors
     except TrueNewtonError:
-        return (np.nan,) * 7
+        return (np.nan,) * 9
     on = sifted.matrix.layout.enabled
     error, stated = found - alpha[on] / alpha[on].mean(), np.sqrt(np.diag(covariance))
     covered, out = np.mean(np.abs(error) < 1.96 * stated), set(np.flatnonzero(~on).tolist())
     rms = np.sqrt(np.mean(error**2)), np.sqrt(np.mean(stated**2))
-    return *rms, covered, chi2(error, covariance), len(bad - out), len(out - bad), by_ml
+    counts = len(bad - out), len(out - bad), by_ml
+    return *rms, covered, chi2(error, covariance), *counts, *of_sensors(sensors)
+
+
+def of_sensors(sensors):
+    """Return mean squares of errors over stated ones, of gains and of places: at magnets, all 1."""
+    fitted = [each for each in sensors if each.state == "fitted" and each.gain_error]
+    gain = [(each.gain - 1.0) / each.gain_error for each in fitted]
+    place = [(each.x / each.x_error, each.y / each.y_error) for each in fitted if each.x_error]
+    return tuple(np.mean(np.square(some)) if some else np.nan for some in (gain, place))
 
 
 def chi2(error, covariance):
@@ -140,11 +151,14 @@ def line(name, rows):
     if not len(kept):
         print(f"  {name:36} refused", flush=True)
         return
-    error, stated, covered, square, missed, lost, by_ml = kept.mean(axis=0)
+    error, stated, covered, square, missed, lost, by_ml, *_ = kept.mean(axis=0)
+    told = kept[kept[:, 6] == 0.0, 7:]
+    sensors = "  ".join(f"{each:5.2f}" for each in np.sqrt(told.mean(axis=0))) if len(told) else ""
     sure = kept[:, 2].std(ddof=1) / np.sqrt(len(kept)) if len(kept) > 1 else np.nan
     print(f"  {name:36} {100 * error:6.3f}  {100 * stated:6.3f}  {100 * covered:5.1f} +-"
           f" {100 * sure:3.1f}  {square:5.2f}  {missed:6.2f}  {lost:5.2f}"
-          f"  {len(rows) - len(kept):3d}      {by_ml * len(kept):3.0f}", flush=True)  # fmt: skip
+          f"  {len(rows) - len(kept):3d}      {by_ml * len(kept):3.0f}  {sensors}",
+          flush=True)  # fmt: skip
 
 
 def main():
@@ -163,7 +177,7 @@ def main():
     k = true_stiffness(matrix)
     print(
         f"{'':38} error  stated   covered      chi2  missed   lost  refused   ml"
-        "   (%, actuators, seeds)"
+        "   gain  place   (%, actuators, seeds)"
     )
     if options.faults:
         for fault in FAULTS:

@@ -39,7 +39,7 @@ from truenewton.estimation.reciprocity.gate import Evidence, doubts, instead, le
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.known_noise import ONE_EACH, Regressed
 from truenewton.estimation.reciprocity.regression import regressed
-from truenewton.estimation.reciprocity.sensors import sensors_of
+from truenewton.estimation.reciprocity.sensors import errors_of_sensors, sensors_of
 from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values, at_nominal
 from truenewton.estimation.shape_sums import shape_sums
@@ -142,7 +142,7 @@ def _found(
         unseen=base.unseen,
         declared_chi2=base.declared_chi2,
         diagnosis=replace(estimate.diagnosis, warnings=said),
-        sensors=sensors_of(fitted, ids, keep),
+        sensors=sensors_of(fitted, errors_of_sensors(fitted), ids, keep),
     )
     return estimate, tuple(
         refusals(

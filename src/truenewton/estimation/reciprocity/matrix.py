@@ -22,10 +22,10 @@ from truenewton.estimation.reciprocity.gate import (
     refusals,
 )
 from truenewton.estimation.reciprocity.iteration import Fit, fit
-from truenewton.estimation.reciprocity.response import alpha_covariance, beyond_noise, noise_of
+from truenewton.estimation.reciprocity.response import beyond_noise, noise_of, stated_errors
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
-from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Values
+from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
 from truenewton.estimation.stiffness_ml import NOT_BY_COLUMNS
 from truenewton.estimation.stiffness_svd import (
     EVEN,
@@ -133,6 +133,8 @@ class Examined:
         (n,) log alpha of two fits, each to every second mode.
     covariance
         (n, n) of log alpha of the joint fit.
+    sensor_errors
+        (n,) of log g and of offsets [m], those that were asked for.
     alone
         (n,) log alpha by balance alone and by reciprocity alone; NaN where there is none.
     evidence
@@ -143,6 +145,7 @@ class Examined:
     imbalances: tuple[Imbalance, ...]
     halves: tuple[Array, Array]
     covariance: Array
+    sensor_errors: dict[Kind, Array]
     alone: tuple[Array, Array]
     evidence: Evidence
 
@@ -185,12 +188,22 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
         offset_spread=joint.asked.offset_spread,
     )
     one, other = (half.values.log_alpha for half in fits)
-    covariance = alpha_covariance(joint, noise)
+    covariance, of_sensors = stated_errors(joint, noise)
     if doubtful or excess > 1.0:
         # What a model leaves out is no better in the whole than in one half.
         of_one = 0.5 * float(np.var(one - other) / np.mean(np.diag(covariance)))
         covariance = covariance * max(excess, of_one)
-    return Examined(joint, lines, (one, other), covariance, ways, evidence)
+        of_sensors = {
+            kind: np.maximum(error, error * _of_one(fits, kind) / np.sqrt(np.mean(error**2)))
+            for kind, error in of_sensors.items()
+        }
+    return Examined(joint, lines, (one, other), covariance, of_sensors, ways, evidence)
+
+
+def _of_one(halves: list[Fit], kind: Kind) -> float:
+    """Return the rms error of one half of the modes, by how far two halves are apart."""
+    one, other = (half.values.of(kind) for half in halves)
+    return float(np.sqrt(0.5 * np.mean((one - other) ** 2)))
 
 
 def _unseen(imbalances: tuple[Imbalance, ...]) -> float:
@@ -247,7 +260,7 @@ def find(
         method="reciprocity",
         values=alpha,
         reading_covariance=covariance,
-        sensors=sensors_of(joint, ids, keep),
+        sensors=sensors_of(joint, found.sensor_errors, ids, keep),
     )
     said = [fault for fault in base.diagnosis.warnings if fault != NOT_BY_COLUMNS]
     said += left_free(ids[~keep])

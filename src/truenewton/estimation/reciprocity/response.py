@@ -19,6 +19,7 @@ from truenewton.estimation.reciprocity.blocks import Residuals
 from truenewton.estimation.reciprocity.element_noise import cost_of_modes, element_variance
 from truenewton.estimation.reciprocity.information import score
 from truenewton.estimation.reciprocity.iteration import Fit
+from truenewton.estimation.reciprocity.sensors import errors_of_sensors
 from truenewton.estimation.reciprocity.sight import Places
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind
 from truenewton.linalg import factor_of
@@ -64,7 +65,7 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
     n = len(variance)
     by_noise = -scores(fit, variance) @ fit.covariance
     unit = np.random.default_rng(SEED).standard_normal(by_noise.shape)
-    pulled = unit - (unit * fit.asked.information(n)) @ fit.covariance
+    known = fit.asked.information(n)
     scatter = []
     for kinds in ((Kind.GAIN,), OFFSETS):
         which = [kind for kind in kinds if kind in fit.asked.kinds]
@@ -73,6 +74,7 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
             continue
         found = sum(float(np.sum(fit.values.of(kind) ** 2)) for kind in which)
         some = np.isin(np.repeat(fit.asked.kinds, n), which)
+        pulled = unit * some - (unit * some * known) @ fit.covariance
         feigned, passed = (np.sum(each[:, some] ** 2) / len(each) for each in (by_noise, pulled))
         scatter.append(float(np.sqrt(max(found - feigned, 0.0) / passed)))
     return Noise(variance, (scatter[0], scatter[1]))
@@ -96,21 +98,27 @@ def scores(fit: Fit, variance: Array) -> Array:
 
 
 def errors(fit: Fit, variance: Array, noise: Noise) -> Array:
-    """Return (draws, n) errors of log alpha; the same noise and sensors for all fits."""
+    """Return (draws, u) errors of all unknowns; the same noise and sensors for all fits."""
     n = len(variance)
     total = scores(fit, variance)
     unit = np.random.default_rng([SEED, 1]).standard_normal((len(total), 3 * n))
     sensors = np.concatenate([np.zeros((len(total), n)), unit], axis=1)[:, : total.shape[1]]
     total += sensors * noise.of(fit.asked, n) * fit.asked.information(n)
-    return np.asarray(-total @ fit.covariance[:, :n])
+    return np.asarray(-total @ fit.covariance)
 
 
-def alpha_covariance(fit: Fit, noise: Noise) -> Array:
-    """Return the (n, n) covariance of log alpha."""
-    stated = fit.covariance_of(Kind.ALPHA)
+def stated_errors(fit: Fit, noise: Noise) -> tuple[Array, dict[Kind, Array]]:
+    """Return the (n, n) covariance of log alpha, and (n,) errors of what is asked of the sensors.
+
+    These are log g and offsets [m].
+    """
+    alpha = fit.covariance_of(Kind.ALPHA)
     if noise.variance is None:
-        return stated
-    return covariance_of_draws(stated, errors(fit, noise.variance, noise))
+        return alpha, errors_of_sensors(fit)
+    drawn = errors(fit, noise.variance, noise)
+    rms = np.split(np.sqrt(np.mean(drawn**2, axis=0)), len(fit.asked.kinds))
+    of_sensors = dict(zip(fit.asked.kinds[1:], rms[1:], strict=True))
+    return covariance_of_draws(alpha, drawn[:, : len(alpha)]), of_sensors
 
 
 def covariance_of_draws(stated: Array, drawn: Array) -> Array:
@@ -149,14 +157,15 @@ def beyond_noise(fits: Sequence[Fit], noise: Noise, *, alike: bool, doubtful: bo
     patterns, also of alpha as it is, whichever is more. Unless the model is doubtful, what noise
     may do is noise.
     """
-    one, other = fits
+    (one, other), n = fits, len(fits[0].values.log_alpha)
     difference = one.values.log_alpha - other.values.log_alpha
     stated = one.covariance_of(Kind.ALPHA) + other.covariance_of(Kind.ALPHA)
     if noise.variance is None:
         factor = factor_of(stated)
         drawn = np.random.default_rng(SEED).standard_normal((MOST, factor.shape[1])) @ factor.T
     else:
-        drawn = errors(one, noise.variance, noise) - errors(other, noise.variance, noise)
+        both = (errors(each, noise.variance, noise)[:, :n] for each in fits)
+        drawn = np.subtract(*both)
     held, vectors = _by_size(stated, drawn)
     white = vectors[:, held > 0.0] / np.sqrt(held[held > 0.0])
     excess = 1.0
