@@ -22,7 +22,7 @@ N, SEEDS = 36, 5
 @pytest.mark.parametrize("law", ["proportional", "equal", "by sensor"])
 @pytest.mark.parametrize("gains", [0.0, 0.004])
 def test_errors_of_sensors_hold_whatever_noise_of_elements_follows(law, gains):
-    """Of the fit's own covariance, noise in proportion left DX 4 times, equal noise a quarter."""
+    """By the fit's own covariance they were too small, and too large for equal noise."""
     mirror = ring(N)
     true = held_glass(mirror).stiffness
     true = 0.5 * (true + true.T)

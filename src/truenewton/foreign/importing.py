@@ -36,10 +36,8 @@ class Imported:
         As `calibrate` takes it and `write_stiffness` writes it.
     lines
         What was found and done: the first says of what, the others how it is.
-    transposed
-        It looks stored transposed.
-    balanced
-        Forces balance as commanded, so that nothing tells alpha.
+    transposed, balanced
+        It looks stored transposed; forces balance as commanded, so that nothing tells alpha.
     """
 
     matrix: StiffnessMatrix
