@@ -369,6 +369,32 @@ def test_the_ways_to_write_a_unit_beside_a_name(tmp_path, name):
     assert (found.unit, found.x.tolist()) == ("mm", [1.0, 3.0, 5.0])
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["Y [mm],X [mm],remark", "2,1,", "4,3,", "6,5,"],
+        ["ID,Y,X", "-,mm,mm", "8,2,1", "9,4,3", "7,6,5"],
+        ["CAD of November", "Y;X;ID", "[mm];[mm];", "2,0;1,0;8", "4,0;3,0;9", "6,0;5,0;7"],
+    ],
+    ids=["no remark at all", "units below", "title above, units below"],
+)
+def test_names_and_units_of_columns_are_never_lost(tmp_path, lines):
+    (tmp_path / "xy.csv").write_text("\n".join(lines))
+    found = places_in(read_stored(tmp_path / "xy.csv"))
+    assert (found.unit, found.x.tolist(), found.y.tolist()) == ("mm", [1, 3, 5], [2, 4, 6])
+
+
+@pytest.mark.parametrize("rows", [4, N])
+def test_rows_may_have_names_where_columns_have_none(tmp_path, rows):
+    named = [
+        f"A{i}," + ",".join(map(repr, row)) for i, row in enumerate(CASE.k[:rows, :rows].tolist())
+    ]
+    for header in ([], ["row," + ",".join(map(str, range(1, rows + 1)))]):
+        (tmp_path / "k.csv").write_text("\n".join(header + named))
+        kept = read_stored(tmp_path / "k.csv").arrays[""].values
+        np.testing.assert_array_equal(kept, CASE.k[:rows, :rows])
+
+
 def test_positions_without_ids_are_told_which_columns_there_are(tmp_path):
     order = np.random.default_rng(1).permutation(N)
     rows = np.stack([CASE.layout.id, *XY]).T[order]
@@ -560,6 +586,9 @@ def test_the_command_gives_no_answer_of_a_transposed_matrix(tmp_path):
     assert "LOOKS TRANSPOSED" in done.stdout
     assert "alpha        none of a matrix that looks transposed" in done.stdout
     assert "next         the same command with --transpose" in done.stdout
+    np.save(tmp_path / "k.npy", CASE.k)
+    done = cli("import", tmp_path / "k.npy", positions_file(tmp_path, "csv"), "--transpose")
+    assert "next         the same command without --transpose" in done.stdout
 
 
 def test_after_a_matrix_that_gives_no_alpha_calibrate_is_not_the_next(tmp_path, inside):

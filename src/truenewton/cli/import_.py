@@ -81,7 +81,8 @@ def run(
     said, calibration = _first_answer(made)
     lines = [*made.lines, *(f"  {what:<13}{how}" for what, how in said)]
     if made.transposed:
-        lines.append("  next         the same command with --transpose")
+        how = "without" if transpose else "with"
+        lines.append(f"  next         the same command {how} --transpose")
     elif not made.balanced and (calibration is None or calibration.verdict.level == Level.UNUSABLE):
         lines.append("  next         mend what is said, then import again")
     elif not made.balanced and output is not None:

@@ -10,10 +10,10 @@ import numpy as np
 
 from truenewton.errors import FormatError
 from truenewton.foreign.stored import Item, Stored
+from truenewton.foreign.text import LENGTHS
 
 MATRIX_NAMES = ("stiffness", "ffwd", "ff_matrix", "ff", "ffmatrix", "feedforward", "feed_forward")
 POSITION_NAMES = ("coordinates", "coords", "act_coordinates", "act_coord", "positions", "xy")
-LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
 UNIT = re.compile(rf"(.*?)[\s_]*(?:/|\bin\b)?[\s_]*[\[(]?\b({LENGTHS})[\])]?")
 POLAR = {"r", "rho", "radius"}, {"theta", "phi", "angle", "azimuth"}
 ID_NAMES = ("id", "ids", "actuator", "act", "aktuator", "coil", "index", "number", "no", "nr",

@@ -116,6 +116,6 @@ def _orientation(k: Array, a: Array) -> str:
     if looks_transposed(k, a):
         return (
             f"LOOKS TRANSPOSED: {figures}; [i, j] is the force of actuator i per displacement of"
-            " sensor j, else import it with --transpose"
+            " sensor j, else it lies the other way round (--transpose)"
         )
     return f"as it should be: {figures}"

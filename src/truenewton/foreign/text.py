@@ -23,6 +23,8 @@ COMMENT = "#;%!"
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eEdD][-+]?\d+)?|[-+]?(nan|inf(inity)?)", re.I)
 DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eEdD][-+]?\d+)?")
 TYPED = re.compile(r"(byte|u?int|u?long|u?long64|float|double)((?:\s+\d+)+)\s*(?:[;#].*)?", re.I)
+LENGTHS = "um|mm|cm|m|in|inch|micron|deg|rad"
+UNIT_CELL = re.compile(rf"[\[(]?({LENGTHS}|-?)[\])]?", re.I)  # of a line of units below the names
 NARROW = 16  # columns, of which some may be words
 
 
@@ -92,10 +94,15 @@ def read_text(path: str | os.PathLike[str]) -> TextTable:
     between = _separators(data[-1].text)
     if between.delimiter == ";":  # then it begins no comment
         data = [line for line in every if line.text[0] not in COMMENT.replace(";", "")]
+    above: list[str] = []
     while len(data) > 1 and not _has_number(data[1].text, between):  # a header of several lines
-        data = data[1:]
+        above, data = _cells(data[0].text, between), data[1:]
     names = _cells(data[0].text, between)
-    if all(NUMBER.fullmatch(name) for name in (names if names[-1] else names[:-1] or names)):
+    if len(above) == len(names) and all(UNIT_CELL.fullmatch(name) for name in names):
+        names = [f"{name} {unit}".strip(" -") for name, unit in zip(above, names, strict=True)]
+    if _is_named_row(names, data[1:], between):
+        names = []
+    elif all(NUMBER.fullmatch(name) for name in (names if names[-1] else names[:-1] or names)):
         comments = [line.text for line in every if line.text[0] in COMMENT]
         names = _cells(comments[-1].lstrip(COMMENT), between) if comments else []
     else:
@@ -135,6 +142,16 @@ def _has_number(line: str, between: Between) -> bool:
     return any(NUMBER.fullmatch(cell) for cell in _cells(line, between))
 
 
+def _is_named_row(cells: list[str], others: list[Line], between: Between) -> bool:
+    """Tell whether a first line is a row of numbers after its name, as the others are."""
+    if len(cells) < 3 or not all(map(NUMBER.fullmatch, cells[1:])) or not others:
+        return False
+    columns = np.diff([_float(cell) for cell in cells[1:]])  # 1 of a header that counts columns
+    begins = (_cells(line.text, between)[0] for line in others)
+    words = not any(NUMBER.fullmatch(cell) for cell in (cells[0], *begins))
+    return words and not (columns == 1.0).all()
+
+
 def _typed(sizes: str, lines: list[str], path: Any) -> NDArray[Any]:
     shape = tuple(map(int, sizes.split()))[::-1]
     words = " ".join(lines).split()
@@ -155,7 +172,8 @@ def _narrow(lines: list[Line], between: Between, names: list[str], path: Any) ->
     if not any(column is not None for column in columns):
         raise FormatError("holds no numbers", remedy="give a file with numbers", path=path)
     named = {}
-    if len(names) >= len(columns) and not any(names[len(columns) :]):
+    every = len(_cells(lines[0].text, between))  # an empty last column, too
+    if len(names) == every or (len(names) >= len(columns) and not any(names[len(columns) :])):
         named = {n: c for n, c in zip(names, columns, strict=False) if n and c is not None}
     numbers = [column for column in columns if column is not None]
     labelled = columns[0] is None and len(numbers) == len(columns) - 1 == len(rows) > 2
