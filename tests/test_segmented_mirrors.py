@@ -241,6 +241,14 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     code, _, error = inside("info", folders[1], "--segment", 3)
     assert (code, error.count("\n")) == (2, 1)
     assert f"{folders[1]}: is of segment 2, not 3; give the files of segment 3" in error
+    alone = tiny.with_name("alone.fits")
+    assert inside("calibrate", folders[1], "--segment", 2, "-o", alone)[0] == 0
+    assert inside("info", alone, "--segment", 2)[0] == 0
+    code, _, error = inside("info", alone, "--segment", 3)
+    assert (code, error.partition(": ")[2].partition(";")[0]) == (
+        2,
+        f"{alone}: is of segment 2, not 3",
+    )
     for number in (2, 3):
         bench = chosen_bench(replace(again, segment=number), tiny.parent)
         assert bench.instrument == f"TINY segment {number}"

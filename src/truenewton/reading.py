@@ -145,14 +145,18 @@ def of_segment(data: Read, number: int | None, path: object) -> Body:
     """
     if isinstance(data, SegmentedData | SegmentedCalibration):
         return part_of(data, number, path)
-    if number is None or isinstance(data, Calibration):
+    if number is None:
         return data
-    own = data.layout.segment
-    if own is None:
+    if isinstance(data, Calibration):  # of one segment, its instrument alone says which
+        _, of, said = data.instrument.rpartition(" segment ")
+        own = int(said) if of and said.isdecimal() else number
+    elif data.layout.segment is None:
         raise FormatError("is of a mirror in one piece", remedy="leave --segment out", path=path)
-    if own[0] != number:
+    else:
+        own = int(data.layout.segment[0])
+    if own != number:
         raise FormatError(
-            f"is of segment {own[0]}, not {number}",
+            f"is of segment {own}, not {number}",
             remedy=f"give the files of segment {number}",
             path=path,
         )
