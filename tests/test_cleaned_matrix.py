@@ -41,14 +41,23 @@ def cleaned(k, rigid):
     return forces - (forces @ rigid) @ rigid.T, forces
 
 
+def written(k, digits):
+    """Return (n, n) k as a file of so many significant digits holds it."""
+    return np.array([[float(f"{each:.{digits}g}") for each in row] for row in k])
+
+
 CLEANED_WAYS = {
     "both": lambda k, rigid: cleaned(k, rigid)[0],
     "forces": lambda k, rigid: cleaned(k, rigid)[1],
     "single precision": lambda k, rigid: cleaned(k, rigid)[0].astype(np.float32).astype(float),
     "four decimals": lambda k, rigid: 1e2 * np.round(cleaned(k, rigid)[0] / 1e2),
     "three decimals": lambda k, rigid: 1e3 * np.round(cleaned(k, rigid)[1] / 1e3),
+    "three digits": lambda k, rigid: written(cleaned(k, rigid)[0], 3),
+    "four digits": lambda k, rigid: 1e6 * written(1e-6 * cleaned(k, rigid)[1], 4),
+    "six digits": lambda k, rigid: written(cleaned(k, rigid)[1], 6),
     "symmetric": lambda k, rigid: cleaned(0.5 * (k + k.T), rigid)[0],
     "symmetric, three": lambda k, rigid: 1e3 * np.round(cleaned(0.5 * (k + k.T), rigid)[0] / 1e3),
+    "symmetric, digits": lambda k, rigid: written(cleaned(0.5 * (k + k.T), rigid)[0], 3),
 }
 
 
@@ -71,14 +80,21 @@ def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
     assert "TRANSPOSED" not in repr(made)
 
 
-@pytest.mark.parametrize("digits", [None, 1e3, 3e4])
+@pytest.mark.parametrize("digits", [3, 4, 5])
+def test_few_significant_digits_of_measured_forces_are_not_taken_for_cleaning(digits):
+    matrix, _ = measured()
+    assert not [*balance_effects(replace(matrix, stiffness=written(matrix.stiffness, digits)))]
+
+
+@pytest.mark.parametrize("digits", [None, 1e3, 3e4, 3, 4, 5])
 @pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
 def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
     """Electronics into which alpha is loaded: what its noise leaves out of balance is measured."""
     truth, random = p45_bench().truth, np.random.default_rng(3)
     right = 1.0 + 3e-4 * random.standard_normal(45)
     k = truth.stiffness * (1.0 + noise * random.standard_normal((45, 45))) / right[:, None]
-    k = k if digits is None else digits * np.round(k / digits)
+    if digits is not None:
+        k = written(k, digits) if digits < 10 else digits * np.round(k / digits)
     assert not [*balance_effects(StiffnessMatrix("P45", DATE, truth.layout, k))]
 
 
@@ -105,6 +121,18 @@ def test_a_cleaned_matrix_is_not_to_be_used_and_a_true_one_has_modes():
     np.testing.assert_allclose(stiffness, as_true.stiffness, atol=1e-9 * stiffness.max())
     [(fault, _)] = found.warnings
     assert "taken for a true one" in fault
+
+
+def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
+    """One made symmetric, of alpha that scatter by 1.5 %: balance leaves others than 1."""
+    truth = p45_bench().truth
+    k = truth.stiffness / (1.0 + 0.015 * np.random.default_rng(6).standard_normal(45))[:, None]
+    k = 0.5 * (k + k.T)
+    with pytest.warns(TrueNewtonWarning, match="symmetric and balanced as commanded: a true one"):
+        found = find_modes(StiffnessMatrix("P45", DATE, truth.layout, k))
+    assert (found.calibration.alpha[truth.layout.enabled] == 1.0).all()
+    assert ["alpha is 1" in fault for fault, _ in found.warnings] == [True]
+    assert found.imbalance[0] == found.imbalance[1]
 
 
 @needs_real_data

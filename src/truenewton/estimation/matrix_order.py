@@ -54,6 +54,8 @@ BALANCED = (
 UNLIKE = 1e-3  # of the asymmetry: nor so much better than rows are like columns
 ROUNDED = 0.2  # of the asymmetry: rounding that leaves less than that out of balance may hide alpha
 BY_ROUNDING = 2.0  # times as far out of balance as rounding leaves typically
+DIGITS = range(3, 7)  # significant digits of a file; more leave what single precision leaves
+WRITTEN = 0.02  # of a step, within which an element is written with so many digits
 ALIKE = 1e-9  # of an own element, to be the same number as others
 SOFTEST_MOST = 1.5  # cost of rigid motions in terms of any, where a stiffness has next to none
 
@@ -290,9 +292,21 @@ def balances_by_rounding(k: Array, a: Array) -> bool:
         return True
     if imbalance > ROUNDED * unlike:
         return False
-    own, steps = np.abs(np.diag(k)), rounding_steps(list(k.T))  # of each actuator
-    rounded = np.sqrt(np.sum((a * steps) ** 2) / 12.0) / np.where(own > 0.0, own, np.inf)
+    own, steps = np.abs(np.diag(k)), rounding_steps(list(k.T))[:, None]  # of each actuator
+    variances = np.maximum(steps, digit_steps(k)) ** 2 / 12.0
+    rounded = np.sqrt(np.sum(a**2, axis=0) @ variances) / np.where(own > 0.0, own, np.inf)
     return imbalance < BY_ROUNDING * float(np.median(rounded))
+
+
+def digit_steps(k: Array) -> Array:
+    """Return the step of each of (n, n) elements, by the significant digits that all have, or 0."""
+    size = np.abs(k)
+    tens = 10.0 ** np.floor(np.log10(np.where(size > 0.0, size, 1.0)))
+    for digits in DIGITS:
+        steps = tens * 10.0 ** (1 - digits)
+        if (np.abs(size / steps - np.round(size / steps)) < WRITTEN).all():
+            return np.where(size > 0.0, steps, 0.0)
+    return np.zeros_like(k)
 
 
 def share_by_distance(k: Array, a: Array) -> float:

@@ -200,7 +200,7 @@ def find_modes(
     if calibration is not None:
         refuse_unusable(calibration, force=force)
     matrix, measured, calibration, reader = _with_alpha(data, calibration, reader, motion)
-    refuse_unusable(calibration, force=force or _true_already(calibration))
+    calibration = _usable(calibration, force=force)
     matrix = as_calibrated(matrix, calibration.effects)
     at_rest = None if reader is None else reader.force_at_rest
     stiffness_by = partial(
@@ -259,6 +259,19 @@ def _with_alpha(
         return data.stiffness, None, calibration, reader
     measured = stiffness_of(reader)
     return measured.matrix, measured, calibration, reader
+
+
+def _usable(calibration: Calibration, *, force: bool) -> Calibration:
+    """Return the calibration, with alpha 1 where the stiffness is a true one already.
+
+    Raises
+    ------
+    NotToBeUsed
+    """
+    if _true_already(calibration):
+        return replace(calibration, alpha=calibration.alpha / calibration.alpha)  # NaN where off
+    refuse_unusable(calibration, force=force)
+    return calibration
 
 
 def _true_already(calibration: Calibration) -> bool:
