@@ -626,6 +626,8 @@ def test_a_population_is_named_never_default_and_pulls_to_the_mean():
     assert (pooled.reading_error < plain.reading_error).mean() > 0.7
     with pytest.raises(UnknownName, match="svd takes neither a population"):
         calibrate(campaign, "svd", population=True)
+    with pytest.raises(UnknownName, match="by segment, and the data are of a mirror in one piece"):
+        calibrate(campaign, motion={1: np.eye(campaign.layout.n)})
 
 
 def test_a_population_is_better_where_the_data_are_poor():

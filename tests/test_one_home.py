@@ -60,9 +60,9 @@ def test_temperature_is_the_mean_over_the_rows_that_count():
 def test_the_same_actuators_may_be_enabled_or_not():
     layout = rings([0.1, 0.2], [5, 9])
     off = replace(layout, enabled=np.arange(14) != 3)
-    assert layout.same_actuators_as(off)
+    assert not layout.other_actuators(off)
     assert not layout.same_as(off)
-    assert not layout.same_actuators_as(rings([0.1], [5]))
+    assert layout.other_actuators(rings([0.1], [5])) == "5 and 14 actuators"
 
 
 def test_a_place_is_the_same_to_a_micrometre_and_else_named():
@@ -74,6 +74,8 @@ def test_a_place_is_the_same_to_a_micrometre_and_else_named():
     said = layout.other_actuators(replace(layout, y=moved))
     assert said.startswith("Y of actuator 12 (row 12): ")
     assert said.endswith(" m, 2.5 um apart; and 3 more")
+    far = replace(layout, x=layout.x + 2e-6 * (layout.id == 1), y=layout.y + 1.0 * (layout.id == 5))
+    assert layout.difference(far).startswith("Y of actuator 5 (row 5): ")  # whatever X of 1 is
     assert layout.difference(replace(layout, id=np.arange(14))) == (
         "ID of row 1: 0 and 1; and 13 more"
     )

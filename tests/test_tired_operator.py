@@ -14,6 +14,7 @@ from changed import check_alike, p45, said, with_forces
 
 import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.calibration.words import summary_lines
 from truenewton.errors import RankDeficient, TooManyOutliers
 from truenewton.estimation.sifted import sift
 from truenewton.mirrors.known import p45 as p45_mirror
@@ -328,10 +329,26 @@ def test_a_short_run_after_a_replacement_says_it_too():
 @pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
 def test_frozen_sensors_are_named_where_a_stiffness_is_made_of_their_rows():
     alone, five = (Campaign(tuple(changed(holding(*at))())) for at in ((7,), (3, 7, 9, 20, 30)))
-    assert "frozen sensor" in str(tn.find_modes(alone).calibration.verdict.faults)
-    for what in (lambda: tn.measured_stiffness(five), lambda: tn.calibrate(alone, "reciprocity")):
+    good = tn.calibrate(Campaign(tuple(quiet())))
+    for what in (
+        lambda: tn.measured_stiffness(five),
+        lambda: tn.calibrate(alone, "reciprocity"),
+        lambda: tn.find_modes(alone, good),
+    ):
         with pytest.raises(RankDeficient, match=r"frozen sensor: POSITION of actuator"):
             what()
+    once = tn.find_modes(Campaign(tuple(changed(holding(7), ONE)())), good)
+    assert len(once.measured.rejected) > 80  # nearly all rows of that file stand off the others
+
+
+@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
+def test_why_reciprocity_was_not_tried_agrees_with_what_was_taken_out():
+    found = tn.calibrate(Campaign(tuple(changed(holding(7))())), "auto")
+    said = " ".join(summary_lines(found))
+    assert "the data show frozen sensor; mend that first" in said
+    assert "taken out of them" not in said.replace("not taken out of them", "")
+    assert "which ml alone takes out" not in said
+    assert "was not used: no table SENSORS" in said
 
 
 def test_a_gap_of_a_day_is_no_gap():

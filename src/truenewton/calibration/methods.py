@@ -164,8 +164,8 @@ def calibrate(
         data hardly hold toward the mean. With 'ml' only; the result names it.
     motion
         (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
-        displacements where forces act for those seen. Of several segments, or of each by its
-        number. With 'reciprocity' and 'auto' only.
+        displacements where forces act for those seen; of several segments, also {number: that of
+        each}. With 'reciprocity' and 'auto' only.
     client
         A `dask.distributed.Client`, which ``read`` was given as well (docs/cluster.md).
     processes
@@ -246,6 +246,12 @@ def asked(
             f"{method} does not ask what the sensors see of the glass",
             remedy="leave the mirror out, or use reciprocity or auto",
             got=method,
+        )
+    if isinstance(motion, Mapping) and not isinstance(data, SegmentedData):
+        raise UnknownName(
+            "motion is given by segment, and the data are of a mirror in one piece",
+            remedy="give the (6, n, n) or (n, n) motion of that mirror",
+            got=sorted(motion),
         )
     if isinstance(motion, Mapping):  # for segments, each of which is asked on its own
         return method, Known(population)

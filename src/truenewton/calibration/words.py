@@ -165,7 +165,7 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         note = f"{1e3 * off:.2g} mm off their magnets, rms along each axis; each in table SENSORS"
         yield "sensors", value, note
     elif c.verdict.notes:
-        note = "reciprocity, which alone tells gains and places, does not hold: no table SENSORS"
+        note = "reciprocity, which alone tells gains and places, was not used: no table SENSORS"
         yield "sensors", "unknown", note
     if np.isfinite(c.noise):
         source = c.goodness.against if c.goodness is not None else NoiseSource.REPEATS

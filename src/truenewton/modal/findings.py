@@ -106,7 +106,7 @@ class ModalFindings:
     @property
     def warnings(self) -> tuple[Fault, ...]:
         """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
-        warnings = []
+        warnings = list(self.measured.warnings) if self.measured is not None else []
         if self.measured is not None and self.measured.misfit > MISFIT:
             warnings.append(
                 Fault(

@@ -23,6 +23,7 @@ import numpy as np
 from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import RejectedRow
+from truenewton.estimation.effects.words import effect_warnings
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import Sifted, sift
 from truenewton.estimation.still_readings import frozen_sensors
@@ -31,6 +32,7 @@ from truenewton.files.stored_rows import Rows, StoredRows, largest_in_rows
 from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
+from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms_in_units_of_rms
 from truenewton.statics.layout import Layout
@@ -67,6 +69,8 @@ class MeasuredStiffness:
     rejected
         Rows left out because they stand off from their repeats, in force or position; their cycles
         count among those that hold POSITION.
+    warnings
+        Of sensors that read the same in all rows of some files.
     """
 
     matrix: StiffnessMatrix
@@ -78,6 +82,7 @@ class MeasuredStiffness:
     relative_error: float
     rigid_assumed: int
     rejected: tuple[RejectedRow, ...]
+    warnings: tuple[Fault, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "error")
@@ -94,7 +99,8 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     Raises
     ------
     RankDeficient
-        No POSITION, or elastic motions that no shape holds.
+        No POSITION, elastic motions that no shape holds, or a sensor that reads the same in all
+        rows of all files.
     TooManyOutliers
         So many rows stand off from their repeats that the rest cannot be trusted.
 
@@ -163,9 +169,15 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     Raises
     ------
     RankDeficient
-        Elastic motions that no shape holds.
+        Elastic motions that no shape holds, or a sensor that reads the same in all rows of all
+        files.
     """
-    cycles, sums = reader.positioned, reader.products()
+    cycles = reader.positioned
+    frozen = frozen_sensors(Campaign(cycles))
+    for effect in frozen:
+        if effect.size == 1.0:  # the share of the files
+            raise RankDeficient(f"{effect.name}: {effect.where}", remedy=effect.remedy)
+    sums = reader.products()
     layout = reader.sound.layout
     n = int(layout.enabled.sum())
     # Of the noise of G shapes the fit of n columns takes n + 1 parts up: z'z - (G - n - 1) of it
@@ -177,7 +189,7 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     noise = sums.position_variance * (np.sqrt(sums.shapes) + np.sqrt(n)) ** 2
     least = UNTOLD if np.isnan(noise) else ROUNDING
     held = values > max(HELD**2 * np.nan_to_num(noise), least**2 * values[-1])
-    with refusal_naming(lambda: frozen_sensors(Campaign(cycles))):
+    with refusal_naming(lambda: frozen):
         along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in cycles))
     # (S^-1) on what is held, seen along the rigid motions that are not.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))
@@ -205,6 +217,7 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
         relative_error=float(np.linalg.norm(error) / np.linalg.norm(k)),
         rigid_assumed=int((~held).sum()),
         rejected=reader.rejected,
+        warnings=tuple(effect_warnings(frozen)),
     )
 
 

@@ -162,10 +162,6 @@ class Layout:
         """Tell whether the actuators are the same and the same ones are enabled."""
         return not self.difference(other)
 
-    def same_actuators_as(self, other: Layout) -> bool:
-        """Tell whether the actuators are the same ones, see `other_actuators`."""
-        return not self.other_actuators(other)
-
     def difference(self, other: Layout) -> str:
         """Say in what another layout, named first, differs from this one; '' if in nothing."""
         if differ := self.other_actuators(other) or self._unlike(other, "enabled"):
@@ -181,7 +177,11 @@ class Layout:
         """
         if self.n != other.n:
             return f"{other.n} and {self.n} actuators"
-        return next(filter(None, (self._unlike(other, name) for name in ("id", *PLACE))), "")
+        farther = max(
+            "xy", key=lambda name: np.abs(getattr(self, name) - getattr(other, name)).max()
+        )
+        names = ("id", farther, "nz")  # of X and Y that in which an actuator is farthest off
+        return next(filter(None, (self._unlike(other, name) for name in names)), "")
 
     def _unlike(self, other: Layout, name: str) -> str:
         """Say where a column differs first, or most where it is of places, and by how much; or ''.

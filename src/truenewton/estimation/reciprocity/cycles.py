@@ -91,7 +91,9 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
     if sifted.moments.displacement is None:
         return base
     if base.effects:
-        untried = f"the data show {base.effects[0].name}, which ml alone takes out"
+        first = next((effect for effect in base.effects if effect.corrected), base.effects[0])
+        alone = ", which ml alone takes out" if first.corrected else ""
+        untried = f"the data show {first.name}{alone}"
         return with_warnings(base, instead([Fault(untried, "mend that first")]))
     try:
         estimate, against = _found(sifted, base, motion, USUAL)
