@@ -48,9 +48,7 @@ TURNED = 2.0  # times as much that rigid displacements cost as forces are out of
 SENSORS = 0.05  # of the own stiffness: more than gains of sensors cost, which scatter by per cent
 SYMMETRIC = 1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
 OUT = 0.02  # of the own stiffness: columns out of balance, beyond what sensors and alpha leave both
-BALANCED = (
-    1e-6  # of the own stiffness: no measured columns balance so, as no two coils are so alike
-)
+BALANCED = 1e-6  # of the own stiffness: no measured columns balance so, nor are coils so alike
 UNLIKE = 1e-3  # of the asymmetry: nor so much better than rows are like columns
 ROUNDED = 0.2  # of the asymmetry: rounding that leaves less than that out of balance may hide alpha
 BY_ROUNDING = 2.0  # times as far out of balance as rounding leaves typically

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from truenewton.arrays import Array
+from truenewton.estimation.couplings import typical_spacing
 
 PASSES = 30  # of the projection, each with what lies far left out
 ELSEWHERE = "stands elsewhere than at its X and Y"
@@ -60,13 +61,13 @@ def out_of_place(seen: Array, arms: Array) -> dict[int, tuple[float, float]]:
     places = (arms[1:] / arms[0]).T
     size = np.sqrt(np.mean(places**2))
     found = size * projected(seen, arms / np.array([[1.0], [size], [size]]))
-    own, spacing = np.linalg.norm(found - places, axis=1), _spacing(places)
+    own, spacing = np.linalg.norm(found - places, axis=1), typical_spacing(arms / arms[0])
     usual = float(np.median(own))
     away = np.flatnonzero(own > max(FAR * spacing, CLEARLY * usual)).tolist()
     if usual > HOME * spacing or len(away) > max(1, FEW * len(own)):
         return {}
     x, y = arms[0] * found.T
-    return {i: (float(x[i]), float(y[i])) for i in away if _is_free(places, i, found[i])}
+    return {i: (float(x[i]), float(y[i])) for i in away if _is_free(places, i, found[i], spacing)}
 
 
 def displaced(k: Array, arms: Array) -> Array:
@@ -75,14 +76,14 @@ def displaced(k: Array, arms: Array) -> Array:
     All alpha are alike, arms by the places as they are given. The one that costs most first, while
     each explains most of what is left.
     """
-    given, arms, spacing = arms, arms.copy(), _spacing(arms[1:].T)
+    given, arms, spacing = arms, arms.copy(), typical_spacing(arms)
     for _ in range(max(1, int(FEW * len(k)))):
         (i, shift, left), (j, other, other_left) = (_farthest(one, arms) for one in (k, k.T))
         far = float(np.linalg.norm(shift))
         alike = i == j and float(np.linalg.norm(shift - other)) < ALIKE * far
         if not (alike and far > FAR * spacing and max(left, other_left) < LEFT):
             break
-        if not _is_free(arms[1:].T, i, arms[1:, i] + shift):
+        if not _is_free(arms[1:].T, i, arms[1:, i] + shift, typical_spacing(arms)):
             break
         arms[1:, i] += shift
     return arms - given
@@ -98,13 +99,7 @@ def _farthest(k: Array, arms: Array) -> tuple[int, Array, float]:
     return i, shift[:, i], float(left / max(np.sum(cost[:, 1:] ** 2), 1e-300))
 
 
-def _spacing(places: Array) -> float:
-    """Return the median distance to the nearest of (n, 2) places."""
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    return float(np.median(np.sort(apart, axis=1)[:, 1]))
-
-
-def _is_free(places: Array, i: int, there: Array) -> bool:
+def _is_free(places: Array, i: int, there: Array, spacing: float) -> bool:
     """Tell whether none of (n, 2) places but that of i is at (2,) ``there``."""
     others = np.linalg.norm(np.delete(places, i, axis=0) - there, axis=1)
-    return bool(others.min() > FREE * _spacing(places))
+    return bool(others.min() > FREE * spacing)

@@ -133,9 +133,8 @@ def unseen_errors(left: Examined) -> tuple[UnseenError, ...]:
 
 def _unseen(left: Examined) -> Iterator[UnseenError]:
     fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
-    direction = fit.alpha / (
-        fit.alpha @ fit.alpha
-    )  # a relative change of all: alpha -> alpha (1 + e)
+    # Of a relative change of all: alpha -> alpha (1 + e).
+    direction = fit.alpha / (fit.alpha @ fit.alpha)
     for effect in UNSEEN:
         derivative = effect.derivative(fit)
         if derivative is None:
