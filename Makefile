@@ -36,7 +36,7 @@ docs: .venv-docs/ready
 
 # Against the published opticalib: 0.7 GB, so it is not part of `make test-all`.
 test-opticalib: .venv-opticalib/ready
-	.venv-opticalib/bin/python -m pytest tests/test_opticalib.py
+	.venv-opticalib/bin/python -m pytest tests/bench/test_opticalib.py
 
 # axe-core, with which the tests judge whether the report's page can be used by all; needs npm.
 browser:
@@ -74,9 +74,9 @@ format: .venv-test/ready
 	.venv-test/bin/$(PIP_INSTALL) -c constraints.txt -e .[dev]
 	touch $@
 
-.venv-floors/ready: pyproject.toml tests/floors.py
+.venv-floors/ready: pyproject.toml tests/helpers/floors.py
 	$(PYTHON) -m venv --clear .venv-floors
-	$(PYTHON) tests/floors.py > .venv-floors/floors.txt
+	$(PYTHON) tests/helpers/floors.py > .venv-floors/floors.txt
 	.venv-floors/bin/$(PIP_INSTALL) -c .venv-floors/floors.txt -e .[test]
 	touch $@
 

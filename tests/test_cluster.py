@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from balanced import campaign_of
-from raw_samples import stream
-from test_files import same
 
 import truenewton as tn
+from helpers.balanced import campaign_of
+from helpers.comparison import same
+from helpers.raw_samples import stream
 from truenewton import cluster, errors
 from truenewton.errors import ClusterFailed, FormatError, TrueNewtonError, UnreadableFile
 from truenewton.estimation import repeats

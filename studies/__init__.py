@@ -1,0 +1,1 @@
+"""Studies: statistics of the estimators against known truth."""

@@ -1,0 +1,335 @@
+"""The simulated bench: what it costs, what its noise is worth, which imperfection costs what.
+
+python -m studies.bench                    times of the shell models and of the closed loop
+python -m studies.bench --large 5352       a static bench of the family of rings
+python -m studies.bench --coverage 200     closed-loop campaigns of P45: errors and chi^2
+python -m studies.bench --imperfections 5  what each imperfection costs that is left out
+python -m studies.bench --rings 10         336 actuators on a curved shell, at the loop's noise
+python -m studies.bench --settling         the air film's damping by mode; how long to wait
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+
+import truenewton as tn
+from studies.accuracy import bounds, campaigns, rms, simulation
+from studies.step_response import settling_time, step_responses
+from truenewton.arrays import Array
+from truenewton.bench.simulated.loop import Loop, samples_of, slowest_creep
+from truenewton.bench.simulated.static import (
+    StaticBench,
+    loop_of,
+    rest_displacement,
+    run_cycles,
+    static_bench,
+)
+from truenewton.figures.style import CURVES, INK, STYLE, new_axes
+from truenewton.mirrors.glass import Annulus
+from truenewton.mirrors.known import lbt672, mmt336, p45, ring
+from truenewton.mirrors.shell.air_film import breathing_frequency, film_damping
+from truenewton.mirrors.shell.condensation import condense, rigid_motions
+from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
+from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
+from truenewton.mirrors.shell.fourier import RoundShell
+from truenewton.mirrors.shell.held_glass import influence
+from truenewton.mirrors.shell.moving_mass import static_shapes
+from truenewton.mirrors.shell.places import Points
+from truenewton.statics.modes import stiffness_modes
+
+TWO_SIGMA = 1.959964
+
+
+def timed(what: str, step: Callable[[], object]) -> object:
+    """Run a step and print how long it took, and the peak of memory so far."""
+    start = time.perf_counter()
+    result = step()
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    print(f"  {what:58s} {time.perf_counter() - start:8.2f} s, {peak:7.0f} MB so far", flush=True)
+    return result
+
+
+def stiffness(free: RoundShell | MeshedShell, at: Points, sensor: Annulus | None = None) -> Array:
+    """Return force per displacement, as read, of a shell free to move along 1, x, y [N/m]."""
+    return condense(influence(free, at, at, sensor), rigid_motions(*at)).stiffness
+
+
+def costs() -> None:
+    """Print times of the shell models and of the loop, and how well the models agree."""
+    mirror = lbt672()
+    at = mirror.shell.along(mirror.layout.x, mirror.layout.y)
+    print("LBT672, stiffness between 672 actuators read by annulus sensors")
+    shell, sensor = mirror.shell, mirror.sensor
+    series = timed("semi-analytic", lambda: stiffness(RoundShell(shell), at, sensor))
+    mesh = timed(
+        "finite elements of 15 mm",
+        lambda: stiffness(MeshedShell(shell, shell_mesh(shell, *at, mesh_size=15e-3)), at, sensor),
+    )
+    one, other = (np.linalg.svd(k, compute_uv=False)[:-3] for k in (series, mesh))
+    print(f"  their singular values agree to {np.abs(other / one - 1).max():.1e}")
+    print("P45, 4 cycles x 2 loads x 90 shapes")
+    bench = timed("the bench: shell, truth, shapes", lambda: static_bench(p45(), 1))
+    timed("static", lambda: list(run_cycles(bench, 4)))
+    timed(
+        "closed loop, 1,433 + 2,048 samples of each",
+        lambda: list(run_cycles(bench, 4, loop_of(bench))),
+    )
+
+
+def large(n: int) -> None:
+    """Print what a static bench of n actuators costs."""
+    bench = timed(f"static bench of {n} actuators", lambda: static_bench(ring(n), 1))
+    most = np.abs(bench.load_force).max()
+    print(f"  {len(bench.shapes)} shapes; the flat mirror takes {most:.2g} N an actuator at most")
+
+
+def known(bench: StaticBench) -> np.ndarray:
+    """Return alpha as the declared weight of the ring has it: alpha is in proportion to Q."""
+    return bench.truth.alpha * bench.loads[1].added / bench.truth.added[1]
+
+
+def at_mean(bench: StaticBench, rest: np.ndarray) -> np.ndarray:
+    """Return 1 + COILGRAD z at the mean z of a campaign in closed loop, from (L, n) z of the loads.
+
+    The truth is alpha of the mirror at its nominal gap, but the loop holds it elsewhere under each
+    load. What a campaign finds is alpha at the mean of its cycles, as many under each load; where
+    that is, the loop's equation of rest says (`rest_displacement`), not the sensors.
+    """
+    return 1.0 + bench.coils.coil_gradient * rest.mean(axis=0)
+
+
+def coverage(seeds: int) -> None:
+    """Print coverage, errors and chi^2 of closed-loop campaigns of P45, 2 cycles a load.
+
+    Against alpha at the campaign's mean position (`at_mean`). chi^2 also as it is where the files
+    declare the true weights: BIASGRAD, taken as exact, weighs too, on the shape that moves all
+    actuators alike.
+    """
+    inside, outside, sizes, ratio, plain, weighed, rests = [], [], [], [], [], [], []
+    for seed in range(seeds):
+        bench = static_bench(p45(), seed)
+        cycles = tuple(run_cycles(bench, 2, loop_of(bench)))
+        found = tn.calibrate(tn.Campaign(cycles))
+        rests.append(rest_displacement(bench))
+        there = at_mean(bench, rests[-1])
+        error = found.alpha - known(bench) * there
+        inside.append(np.mean(np.abs(error) < TWO_SIGMA * found.reading_error))
+        beside = found.alpha - bench.truth.alpha * there
+        outside.append(np.mean(np.abs(beside) < TWO_SIGMA * found.error))
+        ratio.append(np.mean((error / found.reading_error) ** 2))
+        sizes.append(found.goodness.reduced)
+        added = dict(zip(bench.loads, bench.truth.added, strict=True))
+        exact = tuple(replace(c, load=replace(c.load, added=added[c.load])) for c in cycles)
+        weighed.append(tn.calibrate(tn.Campaign(exact)).goodness.reduced)
+        bare = tuple(replace(c, coil_gradient=None, bias_gradient=None) for c in cycles)
+        if seed < 5:
+            plain.append(tn.calibrate(tn.Campaign(bare)).goodness.reduced)
+        if seed % 20 == 0:
+            print(f"  {seed} of {seeds}", file=sys.stderr)
+    spread = np.std(inside, ddof=1) / np.sqrt(seeds)
+    print(f"P45 in closed loop, 2 cycles x 2 loads, {seeds} seeds")
+    print(f"  95 % intervals of E_STAT cover {100 * np.mean(inside):.1f} +- {100 * spread:.1f} %"
+          " (weights known)")  # fmt: skip
+    wide = np.std(outside, ddof=1) / np.sqrt(seeds)
+    print(f"  95 % intervals of E_ALPHA cover {100 * np.mean(outside):.1f} +- {100 * wide:.1f} %")
+    print(f"  RMS error / E_STAT {np.sqrt(np.mean(ratio)):.3f}")
+    for what, found in (("as declared", sizes), ("true weights declared", weighed)):
+        close = np.std(found, ddof=1) / np.sqrt(seeds)
+        print(f"  chi2/DOF, {what}: {np.mean(found):.3f} +- {close:.3f},"
+              f" from {min(found):.2f} to {max(found):.2f}")  # fmt: skip
+    print(f"  chi2/DOF, gradients left out: {np.mean(plain):.0f}")
+    off, apart = 1e9 * rms(np.mean(rests, axis=1)), 1e9 * rms(np.diff(rests, axis=1))
+    print(f"  the glass rests {off:.0f} nm rms from its nominal place, {apart:.0f} nm rms apart"
+          f" between loads, {1e9 * np.abs(np.diff(rests, axis=1)).max():.0f} at most")  # fmt: skip
+
+
+def imperfect() -> Iterator[tuple[str, Callable[[StaticBench], StaticBench], dict[str, object]]]:
+    """Yield imperfections: name, what they do to the bench, what the files leave out."""
+
+    def same(bench: StaticBench) -> StaticBench:
+        return bench
+
+    def even(bench: StaticBench) -> StaticBench:
+        return replace(bench, sensors=replace(bench.sensors, gain=np.ones(bench.mirror.layout.n)))
+
+    layout = p45().layout
+    flat = tn.layout(layout.x, layout.y, id=layout.id)
+    moved = np.random.default_rng(0).normal(0.0, 0.1e-3, (2, layout.n))
+    off = tn.layout(layout.x + moved[0], layout.y + moved[1], nz=layout.nz)
+    yield "nothing left out", same, {}
+    yield "sensors of exact gain, for comparison", even, {}
+    yield "COILGRAD not declared", same, {"coil_gradient": None}
+    yield "BIASGRAD not declared", same, {"bias_gradient": None}
+    yield "nz taken as 1, as in the paper", same, {"layout": flat}
+    yield "magnets 0.1 mm off their declared places", same, {"layout": off}
+
+
+def imperfections(seeds: int) -> None:
+    """Print what leaving an imperfection out costs, in closed loop and at 0.1 mN."""
+    errors: dict[tuple[str, bool], list[float]] = defaultdict(list)
+    sizes: dict[tuple[str, bool], list[float]] = defaultdict(list)
+    for bench in (static_bench(p45(), seed) for seed in range(seeds)):
+        for closed in (True, False):
+            exact = tuple(run_cycles(bench, 4, loop_of(bench) if closed else None))
+            for name, change, declared in imperfect():
+                other, made = change(bench), exact
+                if other is not bench:
+                    made = tuple(run_cycles(other, 4, loop_of(other) if closed else None))
+                found = tn.calibrate(tn.Campaign(tuple(replace(c, **declared) for c in made)))
+                relative = found.alpha / known(bench)
+                if closed:
+                    relative /= at_mean(bench, rest_displacement(other))
+                errors[name, closed].append(np.std(relative))
+                sizes[name, closed].append(found.goodness.reduced)
+    print(f"P45, 4 cycles x 2 loads, {seeds} seeds: RMS error of alpha beside the common scale")
+    head = ("closed loop", "chi2/DOF", "at 0.1 mN", "chi2/DOF")
+    print(f"  {'left out':44s}" + "".join(f"{name:>14s}" for name in head))
+    for name, _, _ in imperfect():
+        print(f"  {name:44s}", *(
+            f"{rms(np.array(errors[name, closed])):13.1e}{np.mean(sizes[name, closed]):14.2f}"
+            for closed in (True, False)
+        ))  # fmt: skip
+
+
+def rings(count: int) -> None:
+    """Print how near to its bound ml comes on MMT336, two cycles, at the noise of the loop."""
+    mirror = mmt336()
+    loads = (tn.Load("bare"), tn.Load("ring", mirror.added_weight, mirror.added_weight_error,
+                                      tool="ring"))  # fmt: skip
+    for noise in (4e-6, 12e-6, 1e-4):
+        simulated = simulation(mirror, loads, noise)
+        bound = bounds(simulated, 2)
+        square, covered, undetermined = [], [], []
+        for campaign, heavier in campaigns(simulated, 2, count):
+            found = tn.calibrate(campaign)
+            error = found.alpha * heavier - simulated.alpha
+            square.append(np.mean(error**2))
+            covered.append(np.mean(np.abs(error) < TWO_SIGMA * found.reading_error))
+            undetermined.append(found.diagnosis.undetermined)
+        value = np.sqrt(np.mean(square)) / rms(bound[0])
+        spread = value * 0.5 * np.std(square, ddof=1) / np.sqrt(count) / np.mean(square)
+        print(
+            f"MMT336, 2 cycles, {1e6 * noise:.0f} uN: bound {rms(bound[0]):.2e}, RMS error / bound"
+            f" {value:.3f} +- {spread:.3f}, covers {100 * np.mean(covered):.1f} %,"
+            f" {np.mean(undetermined):.1f} patterns drown",
+            flush=True,
+        )
+
+
+MODES = {"softest elastic": 3, "middle": 24, "stiffest": 44}
+WAITS = (0.02, 0.05, 0.1, 0.15, 0.2)  # [s]
+
+
+def settling() -> None:
+    """Print what the air film does to P45, closed and with bores, and how long its loop creeps."""
+    for vent in (0.0, ring(45).vent_radius):
+        bench = static_bench(replace(p45(), vent_radius=vent), 1)
+        loop, bores = loop_of(bench), f"bores of {1e3 * vent:g} mm" if vent else "no bores"
+        elastic = stiffness_modes(bench.glass.stiffness).modes[:, list(MODES.values())]
+        rigid = rigid_motions(*bench.glass.places)[:2].T
+        modes = np.hstack([rigid / np.linalg.norm(rigid, axis=0), elastic])
+        film = film_damping(bench.glass, static_shapes(bench.glass))
+        found = zip(("piston", "tilt", *MODES), np.sum(modes * (film @ modes), axis=0), strict=True)
+        print(f"P45, gap {1e6 * bench.mirror.gap:g} um, {bores}: damping of modes, N s/m")
+        print("  " + ", ".join(f"{name} {value:.0f}" for name, value in found))
+        print(f"  longest time constant, integrator still: {1e3 * slowest_creep(loop):.2f} ms")
+        if not vent:
+            print(f"  the air is compressed from {breathing_frequency(bench.glass):.0f} Hz on")
+        steps = step_responses(loop, bench.glass.stiffness, duration=12e-3)
+        ten = settling_time(steps.time, steps.position, 0.1)
+        after = ", ".join(f"{1e3 * t:.2f}" for t in ten)
+        print(f"  a step is within 10 % after ({', '.join(MODES)}): {after} ms")
+        print("  pseudo-integrator and all: waited, what readings and the sum of true forces miss")
+        for wait, off, force in left_to_go(bench, loop):
+            print(f"  {wait:8.2f} s {1e9 * off:8.2f} nm {1e6 * force:8.0f} uN")
+
+
+def left_to_go(bench: StaticBench, loop: Loop) -> Iterator[tuple[float, float, float]]:
+    """Yield waits [s], the most that a reading [m] and the sum of true forces [N] still change."""
+    every, alpha = 60, loop.coils.alpha[:, None]
+    quiet = replace(
+        loop,
+        coils=replace(loop.coils, dac_step=1e-15, driver_noise=0.0),
+        sensors=replace(loop.sensors, noise=0.0, codes=2**40),
+    )
+    shapes, load_force = bench.shapes[::5].T, bench.load_force[0][:, None]
+    steps = samples_of(quiet, shapes, load_force, (), round(0.4 * loop.control.rate))
+    walk = [(force, z) for force, _, z in islice(steps, 0, None, every)]
+    force, z = (np.array(each) for each in zip(*walk, strict=True))
+    for wait in WAITS:
+        k = round(wait * loop.control.rate / every)
+        summed = (alpha * (force[k] - force[-1])).sum(axis=0)
+        yield wait, float(np.abs(z[k] - z[-1]).max()), float(np.abs(summed).max())
+
+
+def glass(path: str) -> None:
+    """Draw the singular values of LBT672's model beside those that were measured."""
+    matrix = tn.read(
+        Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits"
+    )
+    mirror = lbt672()
+    at = mirror.shell.along(matrix.layout.x, matrix.layout.y)
+    measured = np.linalg.svd(matrix.stiffness, compute_uv=False)[::-1]
+    flat = replace(mirror.shell, radius_of_curvature=np.inf)
+    models = {
+        "model, curved, sensors": stiffness(RoundShell(mirror.shell), at, mirror.sensor),
+        "model, curved, points": stiffness(RoundShell(mirror.shell), at),
+        "model, flat, sensors": stiffness(RoundShell(flat), at, mirror.sensor),
+    }
+    ax = new_axes(0.8)
+    with mpl.rc_context(STYLE):
+        order = np.arange(1, len(measured) + 1)
+        ax.loglog(order, measured, color=INK, linewidth=1.6, label="measured, 2011")
+        for (name, k), colour, line in zip(models.items(), CURVES, ("-", ":", "--"), strict=False):
+            values = np.linalg.svd(k, compute_uv=False)[::-1]
+            ax.loglog(order[3:], values[3:], line, color=colour, label=name)
+            soft, middle = (np.median(values[part] / measured[part]) for part in
+                            (slice(8, 25), slice(300, 350)))  # fmt: skip
+            print(f"{name}: modes 9 to 25 {soft:.2f} of the measured, the middle {middle:.2f},"
+                  f" the stiffest {values[-1] / measured[-1]:.2f}")  # fmt: skip
+        ax.set_xlabel("mode, softest first")
+        ax.set_ylabel("stiffness (N/m)")
+        ax.legend(fontsize=6.5, frameon=False)
+    ax.get_figure().savefig(path, dpi=200)
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--large", type=int, metavar="N")
+    parser.add_argument("--coverage", type=int, metavar="SEEDS")
+    parser.add_argument("--imperfections", type=int, metavar="SEEDS")
+    parser.add_argument("--rings", type=int, metavar="CAMPAIGNS")
+    parser.add_argument("--glass", metavar="PNG")
+    parser.add_argument("--settling", action="store_true")
+    options = parser.parse_args()
+    if options.large:
+        large(options.large)
+    elif options.coverage:
+        coverage(options.coverage)
+    elif options.imperfections:
+        imperfections(options.imperfections)
+    elif options.glass:
+        glass(options.glass)
+    elif options.settling:
+        settling()
+    elif options.rings:
+        rings(options.rings)
+    else:
+        costs()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""Where the noise of the closed loop comes from, and how soon it settles.
+
+    python -m studies.closed_loop [--shapes 360] [--figure PNG] [--errors]
+
+P45, recorded from 20 ms after the command on. To the
+noise of a sensor the mirror truly moves, and the glass balances what moves it: so the sum and the
+torques of all true forces are far quieter than those of so many independent readings.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+
+import numpy as np
+
+from studies.step_response import plot_step_responses, settling_time, step_responses
+from truenewton.bench.simulated.loop import Loop, equilibrium
+from truenewton.bench.simulated.noise import row_noise
+from truenewton.bench.simulated.record import record
+from truenewton.bench.simulated.static import loop_of, static_bench
+from truenewton.mirrors.known import Mirror, p45, ring
+from truenewton.statics.arms import arms
+
+QUIET_COILS = {"dac_step": 1e-15, "driver_noise": 0.0}
+QUIET_SENSORS = {"noise": 0.0, "codes": 2**40}
+SOURCES = {
+    "sensor noise, 3 nm": ((), ("noise",)),
+    "ADC counts, 2.2 nm": ((), ("codes",)),
+    "DAC steps, 41.6 uN": (("dac_step",), ()),
+    "driver noise, 30 uN": (("driver_noise",), ()),
+    "sensor noise, ADC": ((), ("noise", "codes")),
+    "sensor noise, ADC, DAC": (("dac_step",), ("noise", "codes")),
+    "all": (("dac_step", "driver_noise"), ("noise", "codes")),
+}
+
+
+def p45_loop() -> tuple[Loop, np.ndarray]:
+    """Return the loop, its feed-forward true, and the stiffness of the glass."""
+    bench = static_bench(p45(), 1)
+    return loop_of(bench), bench.glass.stiffness
+
+
+def only(loop: Loop, of_coils: tuple[str, ...], of_sensors: tuple[str, ...]) -> Loop:
+    """Return the loop with these sources of noise and no others."""
+    coils = {name: value for name, value in QUIET_COILS.items() if name not in of_coils}
+    sensors = {name: value for name, value in QUIET_SENSORS.items() if name not in of_sensors}
+    return replace(
+        loop, coils=replace(loop.coils, **coils), sensors=replace(loop.sensors, **sensors)
+    )
+
+
+def rms(values: np.ndarray, axis: int | None = None) -> np.ndarray:
+    return np.sqrt(np.mean(values**2, axis=axis))
+
+
+def print_noise(loop: Loop, shapes: int) -> None:
+    """Print the table of sources; the flat mirror, bare, again and again."""
+    mirror = p45()
+    n = mirror.layout.n
+    load = np.full((n, shapes), -mirror.weight / n - mirror.bias_force)
+    a = arms(mirror.layout) * loop.coils.alpha
+    _, exact = equilibrium(loop, np.zeros((n, shapes)), load)
+    print(f"{shapes} records of 2,048 samples, rms about the noiseless force; the sum and a torque")
+    print("of all true forces beside what independent readings as noisy would make of them")
+    print(f"{'':24}{'mean force, uN':>22}{'sample':>8}{'mean / white':>14}{'sum, uN':>16}"
+          f"{'torque, uN m':>17}")  # fmt: skip
+    for name, (of_coils, of_sensors) in SOURCES.items():
+        rows = [row_noise(1, "bare", 1, k, 1) for k in range(shapes)]
+        found = record(only(loop, of_coils, of_sensors), np.zeros((n, shapes)), load, rows)
+        error = 1e6 * (found.force - exact)
+        each, sample = rms(error, axis=1), 1e6 * rms(found.force_scatter)
+        whole, apart = rms(a @ error, axis=1), np.sqrt(a**2 @ each**2)
+        mean = f"{rms(each):.2f} ({each.min():.2f} - {each.max():.2f})"
+        white = rms(each) / (sample / np.sqrt(2048))
+        print(f"{name:24}{mean:>22}{sample:8.0f}{white:14.2f}"
+              f"{whole[0]:9.2f} /{apart[0]:5.0f}{whole[1]:10.2f} /{apart[1]:5.1f}")  # fmt: skip
+
+
+def print_settling(loop: Loop, glass: np.ndarray) -> None:
+    """Print when steps of modes have settled, in longer steps the pseudo-integrator too."""
+    steps = step_responses(loop, glass, duration=5e-3)
+    print("\nstep of a mode: settled to 10 %, 5 % after")
+    for k, position in zip(steps.stiffness, steps.position.T, strict=True):
+        ten, five = (1e3 * settling_time(steps.time, position[:, None], b)[0] for b in (0.1, 0.05))
+        print(f"{k:12.4g} N/m {ten:8.2f} ms {five:8.2f} ms; most {position.max():.3f}")
+
+
+def errors_of_means(mirror: Mirror, readings: int) -> tuple[float, float, float]:
+    """Return the error of a mean force [N], RMS over actuators, of one shape read so many times.
+
+    As the readings scatter; by the means of parts of each record; samples taken for independent.
+    """
+    bench = static_bench(mirror, 1)
+    shapes = np.tile(bench.shapes[2][:, None], (1, readings))
+    noise = [row_noise(1, "bare", k, 1, 1) for k in range(readings)]
+    found = record(loop_of(bench), shapes, bench.load_force[0][:, None], noise)
+    again = rms(found.force.std(axis=1, ddof=1))
+    return float(again), float(rms(found.force_error)), float(rms(found.force_scatter) / 2048**0.5)
+
+
+def print_errors(readings: int) -> None:
+    """Print what a mean force is worth, in three ways."""
+    print(f"{readings} readings of 2,048 samples: error of a mean force, uN")
+    print(f"{'':12}{'taken again':>14}{'four parts':>14}{'independent':>14}")
+    for mirror in (p45(), ring(8)):
+        errors = "".join(f"{1e6 * each:14.2f}" for each in errors_of_means(mirror, readings))
+        print(f"{mirror.name:12}{errors}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--shapes", type=int, default=360)
+    parser.add_argument("--errors", action="store_true", help="of means, and nothing else")
+    parser.add_argument("--figure", help="write the step responses to this PDF or PNG")
+    arguments = parser.parse_args()
+    if arguments.errors:
+        print_errors(40)
+        return
+    loop, glass = p45_loop()
+    print_noise(loop, arguments.shapes)
+    print_settling(loop, glass)
+    if arguments.figure:
+        steps = step_responses(loop, glass)
+        axes = plot_step_responses(steps.time, steps.position, steps.stiffness)
+        axes.figure.savefig(arguments.figure, dpi=300)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""Alpha and sensors of a real LBT672 from its feed-forward matrix, beside what was measured apart.
+
+    TRUENEWTON_REAL_DATA=FOLDER python -m studies.real_mirror [ALPHA.png SENSORS.png]
+
+FOLDER holds lbt672/lbt672-feedforward.fits and lbt672/lbt672-tables.ecsv. Prints, for alpha = 1,
+by the balance of forces and by reciprocity, how far elastic modes are out of balance, fitted and
+held out; how alpha goes with the efficiency of the magnets, which knows nothing of it; and the
+actuators and sensors that stand off. Takes about four minutes of one processor.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+from astropy.table import QTable
+from matplotlib.figure import Figure
+
+import truenewton as tn
+from truenewton.figures.maps import plot_map
+from truenewton.figures.style import ACCENT, COLUMN, INK
+
+FAR = 4.0  # robust standard deviations, beyond which an actuator or a sensor is named
+
+
+def without_polynomial(values, layout, degree=6):
+    """Take a polynomial of x and y out: what is left differs from neighbour to neighbour."""
+    x, y = layout.x / 0.45, layout.y / 0.45
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    terms = np.stack([x**i * y**j for i, j in powers], axis=1)
+    return values - terms @ np.linalg.lstsq(terms, np.asarray(values), rcond=None)[0]
+
+
+def shuffled_correlation(one, other, layout, tries=1000):
+    """Return the largest |correlation| when actuators are permuted within their rings."""
+    random = np.random.default_rng(0)
+    ring = np.round(np.hypot(layout.x, layout.y) / 5e-3)
+    largest = 0.0
+    for _ in range(tries):
+        order = np.lexsort((random.random(len(ring)), ring))
+        back = np.empty(len(ring), dtype=int)
+        back[np.argsort(ring, kind="stable")] = order
+        largest = max(largest, abs(np.corrcoef(one[back], other)[0, 1]))
+    return largest
+
+
+def standing_off(values, layout):
+    """Return IDs and values that lie far from the others, their smooth part taken out."""
+    apart = without_polynomial(np.nan_to_num(values, nan=np.nanmedian(values)), layout)
+    spread = 1.4826 * np.median(np.abs(apart - np.median(apart)))
+    far = np.flatnonzero(np.abs(apart - np.median(apart)) > FAR * spread)
+    far = far[np.argsort(-np.abs(apart[far]))]
+    return [(int(layout.id[k]), float(values[k])) for k in far]
+
+
+def main():
+    """Print the figures and draw them."""
+    folder = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672"
+    matrix = tn.read(folder / "lbt672-feedforward.fits")
+    table = QTable.read(folder / "lbt672-tables.ecsv")
+    efficiency = without_polynomial(np.log(table["MAGNET_EFFICIENCY"]), matrix.layout)
+    for label, options in (
+        ("svd", {"method": "svd"}),
+        ("ml", {"method": "ml"}),
+        ("ml, population", {"method": "ml", "population": True}),
+        ("auto", {"method": "auto"}),
+    ):
+        made = tn.calibrate(matrix, **options)
+        apart = without_polynomial(made.alpha, matrix.layout)
+        print(
+            f"{label}: method {made.method}; alpha {made.alpha.min():.3f} .."
+            f" {made.alpha.max():.3f}, typical error {np.median(made.error):.4f}, scatter without a"
+            f" polynomial of degree 6 {apart.std():.4f}"
+        )
+        print(f"    verdict: {made.verdict}")
+        for line in made.imbalances:
+            print(f"    imbalance, {line.modes:<32}{line.before:.4f} -> {line.after:.4f}")
+        correlation = np.corrcoef(apart, efficiency)[0, 1]
+        slope = np.polyfit(efficiency, apart, 1)[0]
+        print(f"    with log magnet efficiency: correlation {correlation:.3f}, slope {slope:.2f}")
+    largest = shuffled_correlation(apart, efficiency, matrix.layout)
+    print(f"    largest of 1000 permutations within rings {largest:.3f}")
+    of_sensors(made)
+    if len(sys.argv) > 2:
+        draw_alpha(made, apart, efficiency, sys.argv[1])
+        draw_sensors(made, sys.argv[2])
+
+
+def of_sensors(made):
+    """Print what is known of the sensors, and who stands off."""
+    layout, gain = made.layout, made.of_sensors("gain")
+    x, y = (1e3 * made.of_sensors(axis) for axis in "xy")
+    free = [sensor.actuator for sensor in made.sensors if sensor.state == "free"]
+    errors = [np.nanmedian(made.of_sensors(name)) for name in ("gain_error", "x_error")]
+    print(f"    gains scatter by {np.nanstd(gain):.4f}, known to {errors[0]:.4f}")
+    print(f"    places off by {np.nanstd(x):.2f}, {np.nanstd(y):.2f} mm, known to"
+          f" {1e3 * errors[1]:.2f} mm")  # fmt: skip
+    print(f"    left free: {free or 'none'}")
+    for what, values in (("alpha", made.alpha), ("gain", gain)):
+        named = ", ".join(f"{one} {value:.3f}" for one, value in standing_off(values, layout))
+        print(f"    {what} stands off: {named or 'none'}")
+    far = np.hypot(x, y)
+    worst = np.argsort(-np.nan_to_num(far))[:6]
+    print("    farthest off their magnets [mm]: "
+          + ", ".join(f"{layout.id[k]} {far[k]:.1f}" for k in worst))  # fmt: skip
+
+
+def draw_alpha(made, apart, efficiency, path):
+    """Draw alpha on the map, and its small scale against the efficiency of the magnets."""
+    figure = Figure(figsize=(2.1 * COLUMN, 1.05 * COLUMN), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    plot_map(made.layout, made.alpha, left)
+    right.plot(100 * efficiency, 100 * apart, "o", color=ACCENT, markersize=1.8)
+    slope = np.polyfit(100 * efficiency, 100 * apart, 1)
+    ends = np.array([100 * efficiency.min(), 100 * efficiency.max()])
+    right.plot(ends, np.polyval(slope, ends), color=INK, linewidth=0.8)
+    right.set_xlabel("log magnet efficiency, smooth part taken out (%)", fontsize=8)
+    right.set_ylabel(r"$\alpha$, smooth part taken out (%)", fontsize=8)
+    right.tick_params(labelsize=7)
+    figure.savefig(path, dpi=150)
+
+
+def draw_sensors(made, path):
+    """Draw the gains on the map, and from each magnet to its sensor, thirty times as long."""
+    figure = Figure(figsize=(2.1 * COLUMN, 1.05 * COLUMN), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    plot_map(made.layout, made.of_sensors("gain"), left, label="true / reading")
+    layout = made.layout
+    x, y = (-made.of_sensors(axis) for axis in "xy")
+    right.quiver(
+        layout.x, layout.y, 30 * x, 30 * y, angles="xy", scale_units="xy", scale=1.0, color=ACCENT,
+        width=2.2e-3, headwidth=3.5, headlength=4.0,
+    )  # fmt: skip
+    right.quiver([0.35], [-0.43], [0.03], [0.0], angles="xy", scale_units="xy", scale=1.0,
+                 color=INK, width=3e-3)  # fmt: skip
+    right.annotate("1 mm", (0.365, -0.44), ha="center", va="top", fontsize=7)
+    right.set_title("from the magnet to its sensor", fontsize=8)
+    right.set_aspect("equal")
+    right.set_axis_off()
+    figure.savefig(path, dpi=150)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,195 @@
+"""A mirror in segments from end to end: time, memory, and errors beside each segment's own bound.
+
+    python -m studies.segments [--mirror m4] [--cycles 2] [--seed 1] [--noise 1e-4] [-o FOLDER]
+    python -m studies.segments --campaigns 24 [...]
+
+The glass of each segment that differs by itself; then the commands `simulate`, `calibrate`,
+`report` and `modes`, each with its processor time, its time, and the memory of its largest process.
+Then of each segment: E_STAT and the RMS error of alpha over the bound of Cramer and Rao, the common
+scale taken out with the true weight of the tool; how many 95 % intervals of E_STAT hold the truth
+so, actuator by actuator and pattern by pattern; e' C^-1 e / n; how many of E_ALPHA as it stands; by
+how many of its standard uncertainties the tool was weighed wrong. C is COVARIANCE less SYSTEMATIC
+and patterns are its axes, which err independently of each other. The few that are weak, the common
+scale and two tilts, make most of the error of every actuator, so that actuators of one segment are
+covered together or not at all.
+
+With --campaigns so many more, of one segment after the other by itself, each with noise of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import truenewton as tn
+from studies.accuracy import TWO_SIGMA, rms
+from truenewton.arrays import Array
+from truenewton.bench.simulated.segmented import SEEDS, SegmentedBench, segmented_bench
+from truenewton.bench.simulated.static import StaticBench, held_command, rows_of_cycle, run_cycles
+from truenewton.bench.simulated.truth import truth_path
+from truenewton.estimation.unknowns import Unknowns
+from truenewton.mirrors.file import whole_mirror_from
+from truenewton.mirrors.segmented import SegmentedMirror
+from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.statics.arms import enabled_arms
+
+
+def timed(name: str, *commands: Sequence[object]) -> None:
+    """Run commands, each in a process of its own, and print what they took."""
+    begun, processor, largest = time.monotonic(), 0.0, 0
+    for command in commands:
+        child = subprocess.Popen([sys.executable, *map(str, command)], stdout=subprocess.DEVNULL)
+        _, status, used = os.wait4(child.pid, 0)
+        child.returncode = os.waitstatus_to_exitcode(status)
+        if child.returncode:
+            sys.exit(f"{name} failed")
+        processor += used.ru_utime + used.ru_stime
+        largest = max(largest, used.ru_maxrss)
+    print(
+        f"  {name:<28}{processor:8.1f} s{time.monotonic() - begun:10.1f} s"
+        f"{largest / 1024:10.0f} MB",
+        flush=True,
+    )
+
+
+def bound(bench: StaticBench, cycles: int) -> Array:
+    """Return the (n,) bound of Cramer and Rao on alpha, the weights known.
+
+    The true forces of every shape under every load are unknown too; without them the information
+    on alpha, B and the torques is the sum of r J' S^-1 J over shapes.
+    """
+    alpha, a = bench.truth.alpha, enabled_arms(bench.mirror.layout)
+    _, _, position = rows_of_cycle(bench)
+    # Alpha multiplies what coils make of a command where they stand; were it the command itself,
+    # each shape would balance a force of COILGRAD f z that nobody measured.
+    coil = 1.0 + bench.coils.coil_gradient * position * bench.sensors.gain
+    root = np.linalg.inv(np.linalg.cholesky((a * alpha * bench.force_noise**2) @ (a * alpha).T))
+    unknowns = Unknowns(len(alpha), len(bench.loads))
+    information = np.zeros((unknowns.count, unknowns.count))
+    for load, beside in enumerate(unknowns.external_load_derivative()):
+        forces = held_command(bench, load, position) * coil
+        jacobian = np.empty((len(forces), 3, unknowns.count))
+        jacobian[:, :, unknowns.alpha] = a * forces[:, None, :]
+        jacobian[:, :, len(alpha) :] = beside
+        whitened = (root @ jacobian).reshape(-1, unknowns.count)
+        information += cycles * whitened.T @ whitened
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))[: len(alpha)]))
+
+
+HEAD = "bound     E_STAT/bound   error/bound   e'C^-1e/n   E_STAT %   patterns %   E_ALPHA %   tool"
+
+
+def figures(bench: StaticBench, least: Array, found: tn.Calibration) -> Array:
+    """Return what `HEAD` names, of a calibration and the (n,) bound."""
+    declared, true = bench.loads[-1].added, bench.truth.added[-1]
+    miss = found.alpha * true / declared - bench.truth.alpha
+    n = len(miss)
+    sizes, axes = np.linalg.eigh((found.covariance - found.systematic_covariance)[:n, :n])
+    patterns = (axes.T @ miss) / np.sqrt(sizes)
+    return np.array([
+        rms(least),
+        rms(found.reading_error) / rms(least),
+        rms(miss) / rms(least),
+        np.mean(patterns**2),
+        100 * np.mean(np.abs(miss) < TWO_SIGMA * found.reading_error),
+        100 * np.mean(np.abs(patterns) < TWO_SIGMA),
+        100 * np.mean(np.abs(found.alpha - bench.truth.alpha) < TWO_SIGMA * found.error),
+        (true / declared - 1) * declared / bench.loads[-1].added_error,
+    ])  # fmt: skip
+
+
+def line(name: object, of: Array) -> str:
+    """Return a line of the table below `HEAD`."""
+    return (
+        f"  {name:<10}{of[0]:<10.2e}{of[1]:<15.3f}{of[2]:<14.3f}{of[3]:<12.3f}{of[4]:<11.1f}"
+        f"{of[5]:<13.1f}{of[6]:<12.1f}{of[7]:+.2f}"
+    )
+
+
+def errors(bench: SegmentedBench, work: Path, cycles: int) -> None:
+    """Print the errors of each segment."""
+    truth = tn.read_truth(truth_path(work / "campaign"))
+    print(f"  segment   {HEAD}")
+    for number, one in enumerate(bench.benches, 1):
+        found = tn.read_calibration(work / "calibration.fits", segment=number)
+        assert np.array_equal(one.truth.alpha, truth.alpha[truth.layout.segment == number])
+        print(line(number, figures(one, bound(one, cycles), found)), flush=True)
+
+
+def many(bench: SegmentedBench, cycles: int, count: int) -> None:
+    """Print the errors of campaigns of one segment after the other, and the means of all."""
+    of_all, least = [], [bound(one, cycles) for one in bench.benches]
+    print(f"  segment   {HEAD}")
+    for number in range(count):
+        k = number % len(bench.benches)
+        one = bench.benches[k]
+        noise = replace(one.truth, seed=one.truth.seed + SEEDS * (number + 1))
+        one = replace(one, truth=noise)
+        found = tn.calibrate(tn.Campaign(tuple(run_cycles(one, cycles))))
+        of_all.append(figures(one, least[k], found))
+        print(line(k + 1, of_all[-1]), flush=True)
+    each = np.array(of_all)
+    square = each[:, 2] ** 2
+    mean, uncertain = each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(count)
+    mean[2] = np.sqrt(square.mean())
+    uncertain[2] = 0.5 * square.std(ddof=1) / np.sqrt(count) / mean[2]
+    print(line("all", mean))
+    print(line("+-", uncertain))
+
+
+def main() -> None:
+    """Run what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mirror", default="m4")
+    parser.add_argument("--cycles", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--noise", type=float, default=1e-4)
+    parser.add_argument("--glass", type=int, help="only compute the glass of this segment")
+    parser.add_argument("--campaigns", type=int, help="of one segment after the other")
+    parser.add_argument("-o", "--output", type=Path, help="folder for the files, kept")
+    arguments = parser.parse_args()
+    mirror = whole_mirror_from(arguments.mirror)
+    if not isinstance(mirror, SegmentedMirror):
+        parser.error(f"{arguments.mirror} is in one piece")
+    if arguments.glass:
+        held_glass(mirror.segments[arguments.glass - 1])
+        return
+    if arguments.campaigns:
+        drawn = segmented_bench(
+            mirror, arguments.seed, force_noise=arguments.noise, temperature=20.0
+        )
+        many(drawn, arguments.cycles, arguments.campaigns)
+        return
+    print(f"{mirror.name}: {len(mirror.segments)} segments, {mirror.layout.n} actuators")
+    print("                              processor      clock    memory")
+    with tempfile.TemporaryDirectory() as temporary:
+        work = arguments.output or Path(temporary)
+        work.mkdir(parents=True, exist_ok=True)
+        for _, (number, *_others) in mirror.kinds:
+            shared = ("--mirror", arguments.mirror, "--glass", number)
+            timed(f"glass of segment {number}", (__file__, *shared))
+        campaign, calibration = work / "campaign", work / "calibration.fits"
+        drawn = ("--cycles", arguments.cycles, "--seed", arguments.seed, "--noise", arguments.noise)
+        run = ("-m", "truenewton")
+        timed("simulate", (*run, "simulate", arguments.mirror, "-o", campaign, *drawn))
+        timed("calibrate", (*run, "calibrate", campaign, "-o", calibration))
+        timed("report", (*run, "report", campaign, "-o", work / "report.html"))
+        modes = (*run, "modes", campaign, "--calibration", calibration, "--segment")
+        timed("modes, one after the other", *((*modes, k) for k in mirror.layout.segments))
+        drawn = segmented_bench(
+            mirror, arguments.seed, force_noise=arguments.noise, temperature=20.0
+        )
+        errors(drawn, work, arguments.cycles)
+
+
+if __name__ == "__main__":
+    main()

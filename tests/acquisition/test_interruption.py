@@ -1,0 +1,598 @@
+"""Whatever stops an acquisition, nothing is lost but the shape under way, and it goes on."""
+
+import contextlib
+import dataclasses
+import datetime
+import errno
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+
+import truenewton as tn
+from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
+from helpers.stub_bench import StubBench
+from truenewton.acquisition.clock import SteadyClock, instant_of
+from truenewton.acquisition.interruption import Interruption
+from truenewton.acquisition.journal import Journal
+from truenewton.acquisition.lock import locked
+from truenewton.acquisition.plan import PlannedShapes
+from truenewton.acquisition.progress import Progress
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.protocol import Shape
+from truenewton.cli.acquire import Terminal
+from truenewton.errors import (
+    CampaignMismatch,
+    FormatError,
+    Interrupted,
+    OutputExists,
+    OutputFailed,
+    UnreadableFile,
+)
+from truenewton.files.toml import toml_text
+
+HERE = Path(__file__).parents[1]
+PLACE = ("bare", 2, 2, -1)  # where things happen, unless told
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return what the campaign holds that nothing stopped."""
+    folder = tmp_path_factory.mktemp("whole") / "campaign"
+    tn.acquire(StubBench(), small_plan(), folder)
+    return contents(folder)
+
+
+def here(action, place=PLACE):
+    """Return a spoiler that acts at one shape, and leaves its reading alone."""
+
+    def spoil(shape, reading):
+        if (shape.load.name, shape.cycle, shape.number, shape.sign) == place:
+            action()
+        return reading
+
+    return spoil
+
+
+def taken_again(one, other):
+    """Return the shapes that both benches were read of."""
+    return [place for place in other.read_of if place in one.read_of and place[2]]
+
+
+# Killed
+
+
+@pytest.mark.parametrize("way", [pytest.param("random", marks=pytest.mark.study), "steps"])
+def test_kill_9_costs_at_most_the_shape_under_way(tmp_path, way):
+    # In memory where there is such a place: a kill then falls anywhere, not into a wait for a disk.
+    memory = Path("/dev/shm")
+    base = memory if os.access(memory, os.W_OK) else tmp_path
+    with tempfile.TemporaryDirectory(dir=base) as folder:
+        done = subprocess.run(
+            [sys.executable, HERE / "helpers" / "kill_acquisitions.py", folder, way, "100"],
+            capture_output=True, text=True, timeout=300, check=False,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": f"{HERE}:{_source()}"},
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["kills"] >= (100 if way == "random" else 40)
+    assert told["taken twice"] <= told["kills"]
+
+
+def _source():
+    return Path(tn.__file__).parents[1]
+
+
+def test_a_torn_record_is_cut_off_and_the_others_stay(tmp_path):
+    shape = Shape(LOADS[0], 1, 1, 1, np.zeros(3))
+    journal = Journal(tmp_path, LOADS[0], 1, 3)
+    for k in range(4):
+        journal.append(1000 + k, shape, True, None, 0.0)
+    journal.close()
+    sound = journal.path.read_bytes()
+    size = journal.form.itemsize
+    for cut in range(1, size + 1):
+        journal.path.write_bytes(sound[:-cut])
+        again = Journal(tmp_path, LOADS[0], 1, 3)
+        again.close()
+        assert (again.count, again.dropped) == (3, (size - cut) % size)
+    damaged = bytearray(sound)
+    damaged[-size - 20] ^= 1
+    journal.path.write_bytes(damaged)
+    again = Journal(tmp_path, LOADS[0], 1, 3)
+    assert again.count == 2
+    again.append(2000, shape, True, None, 0.0)
+    assert again.rows()["instant"].tolist() == [1000, 1001, 2000]
+    again.close()
+
+
+def test_a_journal_of_something_else_is_not_overwritten(tmp_path):
+    Journal(tmp_path, LOADS[0], 1, 3).close()
+    with pytest.raises(FormatError, match="is no journal of this cycle"):
+        Journal(tmp_path, LOADS[0], 1, 4)
+
+
+# Interrupted
+
+
+def test_ctrl_c_finishes_the_shape_under_way(tmp_path, whole):
+    bench = StubBench(spoil=here(lambda: os.kill(os.getpid(), signal.SIGINT)))
+    with pytest.raises(Interrupted) as raised:
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert str(raised.value) == (
+        f"{tmp_path / 'c'}: stopped as asked, before shape 3 + of cycle 2 under 'bare'; the mirror"
+        " is at rest, what was taken is kept; the same command goes on"
+    )
+    assert bench.shape is None
+    assert bench.read_of[-1] == PLACE
+    again = StubBench()
+    tn.acquire(again, small_plan(), tmp_path / "c")
+    assert taken_again(bench, again) == []
+    assert contents(tmp_path / "c") == whole
+
+
+def test_ctrl_c_twice_stops_at_once(tmp_path, whole):
+    def twice():
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    bench = StubBench(spoil=here(twice))
+    with pytest.raises(KeyboardInterrupt):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert bench.shape is None  # at rest all the same
+    again = StubBench()
+    tn.acquire(again, small_plan(), tmp_path / "c")
+    assert taken_again(bench, again) == [PLACE]
+    assert contents(tmp_path / "c") == whole
+
+
+def test_signals_are_as_before_when_it_ends(tmp_path):
+    before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)]
+    tn.acquire(StubBench(), small_plan(cycles=1, count=1), tmp_path / "c")
+    assert [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+def test_one_ctrl_c_will_do_while_somebody_is_waited_for(tmp_path):
+    def ask(load):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1)
+        return load
+
+    with pytest.raises(Interrupted, match="stopped as asked; the mirror is at rest"):
+        tn.acquire(StubBench(put=ask), small_plan(), tmp_path / "c")
+
+
+def test_a_sleep_ends_when_someone_asks():
+    start = time.monotonic()
+    with Interruption() as interruption:
+        interruption.asked = True
+        with pytest.raises(Interrupted):
+            interruption.sleep(60.0)
+    assert time.monotonic() - start < 5.0
+
+
+# The disk
+
+
+@pytest.mark.parametrize("call", ["write", "fsync"])
+@pytest.mark.parametrize("after", [0, 1, 7, 23, 60])
+def test_a_full_disk_ends_the_run_which_goes_on_when_there_is_room(
+    tmp_path, whole, monkeypatch, call, after
+):
+    real, calls, full = getattr(os, call), 0, True
+
+    def fails(handle, *rest):
+        nonlocal calls
+        calls += 1
+        if full and calls > after:
+            if rest:  # some of it still fits
+                real(handle, rest[0][: len(rest[0]) // 2])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return real(handle, *rest)
+
+    monkeypatch.setattr(os, call, fails)
+    bench = StubBench()
+    with contextlib.suppress(OutputFailed):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+        assert after == 60
+        assert call == "fsync"
+    assert bench.shape is None
+    full = False
+    again = StubBench()
+    tn.acquire(again, small_plan(), tmp_path / "c")
+    assert len(taken_again(bench, again)) <= 1
+    assert contents(tmp_path / "c") == whole
+
+
+def test_a_disk_that_really_is_full(tmp_path, whole):
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=40k", "none", disk], capture_output=True, check=False
+    )
+    if mounted.returncode:
+        pytest.skip("only the superuser may mount a small disk")
+    try:
+        with pytest.raises(OutputFailed, match=r"\(No space left on device\); make room; the"):
+            tn.acquire(StubBench(), small_plan(), disk / "c")
+        subprocess.run(["mount", "-o", "remount,size=4m", disk], check=True)
+        tn.acquire(StubBench(), small_plan(), disk / "c")
+        assert contents(disk / "c") == whole
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+@contextlib.contextmanager
+def nobody():
+    """Be a user without rights, where the tests run as the superuser, who may do anything."""
+    superuser = os.geteuid() == 0
+    if superuser:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if superuser:
+            os.seteuid(0)
+
+
+@pytest.mark.parametrize("stage", ["new", "begun", "parent"])
+def test_a_folder_that_cannot_be_written_is_refused_before_a_command(stage):
+    with tempfile.TemporaryDirectory() as base:
+        folder = Path(base) / "campaign"
+        Path(base).chmod(0o755)
+        if stage == "begun":
+            stop = StubBench(spoil=here(lambda: os.kill(os.getpid(), signal.SIGINT)))
+            with pytest.raises(Interrupted):
+                tn.acquire(stop, small_plan(), folder)
+        elif stage == "new":
+            folder.mkdir()
+        (folder if folder.exists() else Path(base)).chmod(0o555)
+        for path in folder.glob("*"):
+            path.chmod(0o444)
+        bench = StubBench()
+        with nobody(), pytest.raises(OutputFailed, match=r"Permission denied"):
+            tn.acquire(bench, small_plan(), folder)
+        assert not bench.commanded
+        Path(base).chmod(0o755)
+        if folder.exists():
+            folder.chmod(0o755)
+
+
+# Two runs, and what a folder holds
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path, whole):
+    said = []
+
+    def second():
+        with pytest.raises(
+            OutputFailed, match=r"another run writes here .process \d+ on "
+        ) as found:
+            tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+        said.append(str(found.value))
+
+    tn.acquire(StubBench(spoil=here(second)), small_plan(), tmp_path / "c")
+    assert f"process {os.getpid()} on" in said[0]
+    assert contents(tmp_path / "c") == whole
+
+
+def test_the_lock_of_a_dead_process_is_taken_over(tmp_path):
+    code = (
+        "import os, sys; from truenewton.acquisition.lock import locked\n"
+        "with locked(sys.argv[1]): print(os.getpid(), flush=True); os.kill(os.getpid(), 9)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, tmp_path / "c"], capture_output=True, text=True, check=False,
+        env={**os.environ, "PYTHONPATH": str(_source())},
+    )  # fmt: skip
+    assert done.returncode == -9
+    assert f"process {done.stdout.strip()} on" in (tmp_path / "c" / ".lock").read_text()
+    with locked(tmp_path / "c"):
+        assert f"process {os.getpid()} on" in (tmp_path / "c" / ".lock").read_text()
+
+
+def test_without_fcntl_the_lock_is_that_of_windows(tmp_path, monkeypatch):
+    """A byte that msvcrt locks, beyond those that say who holds it; feigned by flock."""
+    import fcntl
+
+    def locking(handle, mode, size):
+        assert (mode, size, os.lseek(handle, 0, os.SEEK_CUR) > 200) == (2, 1, True)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise PermissionError(13, "Permission denied") from error
+
+    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(locking=locking, LK_NBLCK=2))
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with locked(tmp_path / "c") as folder:
+        assert f"process {os.getpid()} on" in (folder / ".lock").read_text()
+        with pytest.raises(OutputFailed, match=f"another run writes here .process {os.getpid()}"):
+            locked(folder).__enter__()
+    with locked(folder):
+        pass
+
+
+def test_a_finished_campaign_is_left_alone(tmp_path, whole):
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    bench = StubBench()
+    files = tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert [path.name for path in files] == sorted(whole)
+    assert not bench.commanded
+    assert len(list((tmp_path / "c").glob("run-*.jsonl"))) == 1
+
+
+def test_a_cycle_that_is_lost_is_taken_again(tmp_path, whole):
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    (tmp_path / "c" / "bare-002.fits").unlink()
+    bench = StubBench()
+    tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert {place[:2] for place in bench.read_of} == {("bare", 2)}
+    assert contents(tmp_path / "c") == whole
+
+
+def test_a_cycle_that_is_damaged_stops_the_run_before_a_command(tmp_path):
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    path = tmp_path / "c" / "bare-002.fits"
+    path.write_bytes(path.read_bytes()[:-2880])
+    (tmp_path / "c" / "ring-002.fits").unlink()
+    bench = StubBench()
+    with pytest.raises(UnreadableFile, match=r"bare-002\.fits: is"):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert not bench.commanded
+
+
+def test_a_folder_of_another_campaign_is_not_touched(tmp_path):
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    (tmp_path / "c" / "plan.toml").unlink()
+    with pytest.raises(OutputExists, match=r"holds FITS files but no plan\.toml"):
+        tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+
+
+def test_a_cycle_of_another_plan_is_refused(tmp_path):
+    for name, count in (("a", 3), ("b", 4)):
+        tn.acquire(StubBench(), small_plan(count=count), tmp_path / name)
+    (tmp_path / "b" / "ring-002.fits").unlink()
+    (tmp_path / "a" / "bare-001.fits").replace(tmp_path / "b" / "bare-001.fits")
+    with pytest.raises(CampaignMismatch, match=r"bare-001\.fits: is not of this plan"):
+        tn.acquire(StubBench(), small_plan(count=4), tmp_path / "b")
+
+
+# The plan
+
+
+def test_an_edited_plan_is_refused_with_the_difference(tmp_path):
+    tn.acquire(StubBench(), small_plan(cycles=1), tmp_path / "c")
+    heavier = (LOADS[0], dataclasses.replace(LOADS[1], added=-0.06))
+    bench = StubBench()
+    with pytest.raises(CampaignMismatch) as raised:
+        tn.acquire(bench, small_plan(loads=heavier), tmp_path / "c")
+    assert str(raised.value) == (
+        f"{tmp_path / 'c'}: was begun with another plan: -cycles = 1, +cycles = 2, -added = -0.05,"
+        " +added = -0.06; take the plan back (plan.toml in the folder has it), or give another"
+        " folder"
+    )
+    assert raised.value.got.startswith("--- ")
+    assert not bench.commanded
+
+
+def test_a_long_difference_is_shown_in_part(tmp_path):
+    tn.acquire(StubBench(), small_plan(cycles=1), tmp_path / "c")
+    more = tuple(tn.Load(f"ring {k}", -0.1 * k, 0.01) for k in range(1, 9))
+    with pytest.raises(CampaignMismatch, match=r"and 4[0-9] lines more; take the plan back"):
+        tn.acquire(StubBench(), small_plan(loads=(LOADS[0], *more)), tmp_path / "c")
+
+
+def test_a_file_that_the_plan_names_may_not_change_either(tmp_path):
+    plan = small_plan(shapes=PlannedShapes(source="shapes.fits"))
+    for k in (1, 2):
+        image = k * 1e-7 * np.eye(8)
+        write_shapes(tmp_path / "shapes.fits", image)
+        if k == 1:
+            tn.acquire(StubBench(), plan, tmp_path / "c", beside=tmp_path)
+    with pytest.raises(CampaignMismatch, match=r"-# shapes.fits: [0-9a-f]{64}, \+#"):
+        tn.acquire(StubBench(), plan, tmp_path / "c", beside=tmp_path)
+
+
+def test_a_plan_kept_by_an_older_version_is_the_same_plan(tmp_path):
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    path = tmp_path / "c" / "plan.toml"
+    text = path.read_text()
+    assert "saturation = 0.8\n" in text
+    path.write_text(text.replace("saturation = 0.8\n", ""))
+    assert len(tn.acquire(StubBench(), small_plan(), tmp_path / "c")) == 4
+
+
+# The clock
+
+
+def test_time_grows_whatever_the_clock_does(tmp_path, whole):
+    leaps = {("bare", 1, 2): -3600.0, ("bare", 2, 1): 60 * 365 * 86400.0, ("ring", 1, 1): -1e9}
+    shift = 0.0
+
+    def spoil(shape, reading):
+        nonlocal shift
+        shift += leaps.pop((shape.load.name, shape.cycle, shape.number), 0.0)
+        return dataclasses.replace(reading, time=reading.time + datetime.timedelta(seconds=shift))
+
+    tn.acquire(StubBench(spoil=spoil), small_plan(), tmp_path / "c")
+    end = None
+    for cycle in tn.read(tmp_path / "c").cycles:
+        assert np.all(np.diff(cycle.time) > 0)
+        assert np.all(cycle.time < 60.0)
+        assert end is None or cycle.date > end
+        end = cycle.date + datetime.timedelta(seconds=float(cycle.time[-1]))
+    assert contents(tmp_path / "c") == whole
+    log = (tmp_path / "c" / "run-001.jsonl").read_text().splitlines()
+    leapt = [event["leap"] for event in map(json.loads, log) if event["event"] == "clock"]
+    assert leapt == pytest.approx([-3600.0, 60 * 365 * 86400.0, -1e9], abs=2.0)
+
+
+def test_a_clock_set_back_between_two_runs_counts_on(tmp_path):
+    bench = StubBench(spoil=here(lambda: os.kill(os.getpid(), signal.SIGINT)))
+    with pytest.raises(Interrupted):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")  # its clock starts anew
+    assert all(np.all(np.diff(cycle.time) > 0) for cycle in tn.read(tmp_path / "c").cycles)
+
+
+def test_intervals_are_those_of_the_bench_before_and_after_a_leap():
+    start, clock = datetime.datetime(2026, 3, 1, tzinfo=datetime.UTC), SteadyClock()
+    half = datetime.timedelta(seconds=0.5)
+    times = [start, start + half, start - 100 * half, start - 99 * half]
+    instants = [clock.instant(when) for when in times]
+    assert instants[0] == instant_of(start)
+    assert np.diff(instants)[[0, 2]].tolist() == [500_000, 500_000]
+    assert 0 < instants[2] - instants[1] < 1e6
+    assert clock.instant(start.replace(tzinfo=None)) - instants[3] == 99 * 500_000  # UTC
+
+
+# The command
+
+
+def plan_file(tmp_path, **changes):
+    path = tmp_path / "plan.toml"
+    path.write_text(toml_text(small_plan(**changes)), encoding="utf-8")
+    return path
+
+
+def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_path):
+    plan, output = plan_file(tmp_path), tmp_path / "c"
+    code, out, err = inside("acquire", plan, "-o", output)
+    assert (code, err) == (0, "")
+    assert out.splitlines()[0].startswith("'bare' is on: no other load to compare with yet")
+    assert out.splitlines()[1].startswith("'ring' is on: the sum of the forces is")
+    assert out.splitlines()[2:] == [f"{output}: complete, 2 loads x 2 cycles"]
+    truth = tmp_path / "c.truth.fits"
+    sealed = truth.read_bytes()
+    truth.unlink()  # as where it was killed just before
+    assert inside("acquire", plan, "-o", output) == (
+        0, f"{output}: complete already, 2 loads x 2 cycles\n", ""
+    )  # fmt: skip
+    assert truth.read_bytes() == sealed
+    code, _, err = inside("acquire", plan_file(tmp_path, cycles=3), "-o", output)
+    assert code == 2
+    assert "-cycles = 2, +cycles = 3" in err
+    assert err.count("\n") == 1
+
+
+def test_ctrl_c_at_the_command_is_one_line_and_exit_code_130(tmp_path):
+    plan, output = plan_file(tmp_path, cycles=400), tmp_path / "c"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "truenewton", "acquire", plan, "-o", output],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, "PYTHONPATH": str(_source())},
+    )  # fmt: skip
+    while not (output / "bare-002.fits").exists():
+        assert process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert err.count("\n") == 1
+    assert err.startswith(f"truenewton: {output}: stopped as asked, before shape ")
+    assert err.endswith("the mirror is at rest, what was taken is kept; the same command goes on\n")
+
+
+def test_nobody_at_a_terminal_must_say_yes(inside, tmp_path, monkeypatch):
+    class Hands(StubBench):
+        put_on = None
+
+        def __init__(self):
+            super().__init__()
+            self.load = LOADS[0]
+
+    plan, benches = plan_file(tmp_path), []
+
+    def bench(plan, beside):
+        benches.append(Hands())
+        return benches[-1]
+
+    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", bench)
+    monkeypatch.setattr("sys.stdin", None)
+    code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
+    assert code == 2
+    assert "somebody must take every weight off the mirror ('bare')" in err
+    code, out, err = inside("acquire", plan, "-o", tmp_path / "c", "--yes")
+    assert code == 2  # it was left off, whatever was said
+    assert "put 'ring' on the mirror (0.05 N): taken for done" in out
+    assert "'ring' is not on: the sum of the forces changed by" in err
+
+
+def test_the_person_at_the_terminal_is_asked_again(inside, tmp_path, monkeypatch, capsys):
+    class Hands(StubBench):
+        put_on = None
+
+    hands, asked, told = Hands(), [], []
+
+    def answer():
+        told.append(capsys.readouterr())
+        asked.append(told[-1].err.splitlines()[-1])
+        hands.load = LOADS[1] if len(asked) == 3 else LOADS[0]
+
+    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", lambda plan, beside: hands)
+    monkeypatch.setattr("builtins.input", answer)
+    monkeypatch.setattr("sys.stdin", type("Terminal", (), {"isatty": lambda self: True})())
+    code, out, _ = inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c", "--json")
+    assert code == 0
+    assert json.loads(out)["loads"] == ["bare", "ring"]  # what people are told stands apart
+    assert [each.out for each in told] == ["", "", ""]
+    assert asked == [
+        "Take every weight off the mirror ('bare'), then press Enter: ",
+        "Put 'ring' on the mirror (0.05 N), then press Enter: ",
+        "Put 'ring' on the mirror (0.05 N), then press Enter: ",
+    ]
+    assert "'ring' is not on: the sum of the forces changed by" in told[2].err
+
+
+def test_the_bar_shows_how_far_it_is(inside, tmp_path, monkeypatch, capsys):
+    shown = []
+    bar = MagicMock(update=lambda task, **figures: shown.append(figures))
+    monkeypatch.setattr("truenewton.cli.acquire._bar", lambda: bar)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    assert inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c")[0] == 0
+    last = shown[-1]
+    assert (last["completed"], last["total"]) == (24, 24)
+    assert last["description"] == "ring cycle 2/2 shape 3/3 -"
+    assert last["figures"].endswith("N, least gap 64.0 um")
+    assert f"{last['left']}" == "0:00:00"
+    shape = Shape(LOADS[0], 1, 1, 1, np.zeros(8))
+    Terminal(yes=True).progress(Progress(shape, 2, 3, 23, 24, 64e-6, taken=1, seconds=3725.4))
+    assert f"{shown[-1]['left']}" == "1:02:05"
+
+
+def test_the_bar_is_drawn_at_a_terminal(tmp_path):
+    screen, terminal = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "truenewton", "acquire", plan_file(tmp_path), "-o", tmp_path / "c"],
+        stdout=subprocess.PIPE, stderr=terminal,
+        env={**os.environ, "PYTHONPATH": str(_source()), "COLUMNS": "120", "TERM": "xterm"},
+    )  # fmt: skip
+    os.close(terminal)
+    drawn = b""
+    with contextlib.suppress(OSError):  # which says that the other end was closed
+        while part := os.read(screen, 65536):
+            drawn += part
+    os.close(screen)
+    out, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, drawn
+    assert b"cycle 1/2 shape" in drawn
+    assert b"0:00:00 left" in drawn
+    assert b"complete, 2 loads x 2 cycles" in out
+
+
+def test_a_bench_whose_extra_is_missing_says_which(inside, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "asyncua", None)
+    plan = plan_file(tmp_path, bench=BenchChoice("opcua", "opc.tcp://mirror:4840"))
+    code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
+    assert code == 2
+    assert "pip install 'truenewton[opcua]'" in err

@@ -1,0 +1,555 @@
+"""Hardware as it comes: servers written from the page, what they may leave out and get wrong."""
+
+import ast
+import asyncio
+import datetime
+import logging
+import re
+import threading
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from asyncua import ua
+
+import truenewton as tn
+from helpers.acquisition_plans import LOADS, small_plan
+from helpers.foreign_server import NAMESPACE, electronics
+from helpers.opcua_server import choice, free_port
+from helpers.stub_bench import SMALL, StubBench
+from truenewton.acquisition.benches import chosen_bench
+from truenewton.acquisition.plan import read_plan
+from truenewton.acquisition.shapes import shapes_and_forces
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.opcua import connect, keys
+from truenewton.bench.opcua.methods import (
+    METHODS,
+    OPTIONAL,
+    VARIABLES,
+    mirror_of,
+    received_answer,
+    scalar,
+)
+from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
+from truenewton.errors import BenchFault, FormatError, TrueNewtonError
+from truenewton.files.toml import toml_text
+from truenewton.mirrors.file import mirror_from
+
+PAGE = Path(__file__).parents[3] / "docs" / "hardware.md"
+HELPERS = Path(__file__).parents[2] / "helpers"
+TYPE = re.compile(r"(\w+) (\w+)(\[\])?(?: \[[^\]]+\])?( \(optional\))?")
+
+
+@pytest.fixture(scope="module")
+def foreign(keys_folder):
+    """Serve what was written from the page, in another thread; give address, server, its loop."""
+    logging.getLogger("asyncua").setLevel(logging.CRITICAL)
+    started, told = threading.Event(), []
+    address = f"opc.tcp://127.0.0.1:{free_port()}"
+
+    async def run():
+        columns = (getattr(SMALL.layout, name).tolist() for name in ("x", "y", "nz"))
+        server = await electronics(address, keys_folder, SMALL.name, SMALL.gap, *columns)
+        stop = asyncio.Event()
+        async with server:
+            told.extend([asyncio.get_running_loop(), stop, server])
+            started.set()
+            await stop.wait()
+
+    thread = threading.Thread(target=lambda: asyncio.run(run()))
+    thread.start()
+    assert started.wait(60)
+    yield address, told[2], told[0]
+    told[0].call_soon_threadsafe(told[1].set)
+    thread.join()
+
+
+# -- the page ------------------------------------------------------------------------------------
+
+
+def declared(kinds):
+    """Return names, types and whether they are optional, as the page writes them."""
+    return [
+        (name, scalar(kind).name, isinstance(kind, list), name in OPTIONAL) for name, kind in kinds
+    ]
+
+
+def told(cell):
+    """Return the same of a cell of the page's table."""
+    parts = [TYPE.fullmatch(part.strip()) for part in cell.split(";") if part.strip()]
+    assert None not in parts, cell
+    return [(part[1], part[2], bool(part[3]), bool(part[4])) for part in parts]
+
+
+def rows_of(head):
+    """Return the cells of the rows below a head of a table."""
+    lines = PAGE.read_text(encoding="utf-8").split(head)[1].splitlines()[2:]
+    rows = []
+    for line in lines:
+        if not line.startswith("|"):
+            break
+        rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+def test_the_page_has_the_nodes_of_client_and_server():
+    variables = rows_of("| variable | type | what it holds |")
+    said = [told(re.sub(r"`(\w+)`( \(optional\))?", rf"\1 {kind}\2", name))[0]
+            for name, kind, _ in variables]  # fmt: skip
+    assert said == declared(VARIABLES)
+    methods = rows_of("| method | takes | gives |")
+    assert [name for name, *_ in methods] == [
+        f"`{name}`{' (optional)' if name in OPTIONAL else ''}" for name in METHODS
+    ]
+    for (_, takes, gives), expected in zip(methods, METHODS.values(), strict=True):
+        assert told(takes) == declared(expected[0])
+        assert told(gives) == [("Fault", "String", True, False), *declared(expected[1])]
+
+
+def test_the_page_tells_what_the_server_of_the_tests_switches_on():
+    source = (Path(__file__).parents[2] / "helpers" / "foreign_server.py").read_text(
+        encoding="utf-8"
+    )
+    (block,) = re.findall(r"```text\n(server = Server.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    lines = [line.split("  #")[0] for line in block.splitlines()]
+    assert len(lines) == 11
+    for line in lines:
+        assert f"    {line}\n" in source
+
+
+def test_the_mirror_file_of_the_page_is_a_mirror(tmp_path):
+    """With its table; what may be left out is left out, and has the value that the page gives."""
+    text = (PAGE.parent / "simulated-bench.md").read_text(encoding="utf-8")
+    (mine,) = re.findall(r'```toml\n(name = "MINE".*?)```', text, re.DOTALL)
+    (table,) = re.findall(r"```text\n(ID,X.*?)```", text, re.DOTALL)
+    (tmp_path / "actuators.csv").write_text(table)
+    (tmp_path / "mine.toml").write_text(mine)
+    mirror = mirror_from(tmp_path / "mine.toml")
+    plan = replace(small_plan(count=2), mirror="mine.toml")
+    assert shapes_and_forces(plan, mirror, tmp_path)[0].shape == (2, 6)
+    given = re.findall(
+        r"`(\w+ = [^`]+)`", text.split("All of that has to stand")[1].split("\n\n")[1]
+    )
+    assert len(given) == 8
+    for name, value in tomllib.loads("\n".join(given)).items():
+        assert np.array_equal(getattr(mirror, name), value), name
+    needed = mine.split("[sensor]")[0]
+    (tmp_path / "mine.toml").write_text(needed)
+    mirror_from(tmp_path / "mine.toml")
+    for line in needed.splitlines():
+        if "=" in line and not line.startswith("radius_of_curvature"):
+            (tmp_path / "mine.toml").write_text(f"\n{needed}".replace(f"\n{line}\n", "\n"))
+            with pytest.raises(FormatError, match=f"lacks '{line.split(' ')[0]}'; add it"):
+                mirror_from(tmp_path / "mine.toml")
+
+
+def test_a_server_written_from_the_page_takes_a_campaign(foreign, keys_folder, tmp_path):
+    asked, address = [], foreign[0]
+
+    class Person:
+        def put_on(self, load):
+            asked.append(load.name)
+
+    files = {name: str(keys_folder / file) for name, file in keys.CLIENT_FILES.items()}
+    plan = small_plan(bench=choice(address, **files), samples=16, settling=0.0)
+    with chosen_bench(plan, tmp_path) as bench:
+        assert not isinstance(bench, Operator)  # it has no PutOn
+        assert gradients_of(bench) == (None, None)
+        assert bench.layout.enabled.all()
+        tn.acquire(bench, plan, tmp_path / "c", beside=tmp_path, operator=Person())
+    taken = tn.read(tmp_path / "c")
+    assert asked == ["bare", "ring"]
+    assert [len(cycle.time) for cycle in taken.cycles] == [6] * 4
+    for cycle in taken.cycles:
+        assert cycle.valid.all()
+        assert cycle.force_error is cycle.temperature is cycle.coil_gradient is None
+        held = 0.1 + (0.05 / 8 if cycle.load.key == "ring" else 0.0)
+        expected = held + 1e5 * np.asarray(cycle.position)
+        assert np.asarray(cycle.force) == pytest.approx(expected, abs=1e-4)
+
+
+NAN = float("nan")
+NONSENSE = [  # which of the values of Read, and what it is instead
+    (
+        0,
+        ["BenchFault"],
+        "gives Fault as ['BenchFault'], in Bench.Read (it is empty, or kind, fault and remedy)",
+    ),
+    (0, ["Interrupted", "stop", ""], "stop"),
+    (
+        1,
+        datetime.datetime(1601, 1, 1),
+        "the time of a reading is 1601-01-01 00:00:00+00:00 (set the clock of the bench",
+    ),
+    (2, [0.1] * 3, "force of shape (3,) for 8 actuators"),
+    (2, [[0.1] * 4] * 2, "gives Force as [[0.1"),
+    (2, ["a"] * 8, "gives Force as ['a'"),
+    (2, [NAN] * 8, "the force of actuator 1 is NaN"),
+    (3, [NAN] * 8, "the position of actuator 1 is NaN"),
+    (4, [float("inf")] * 8, "the force_scatter of a reading is inf"),
+    (5, [-1.0] * 8, "the position_scatter of a reading is -1"),
+    (8, 1, "the server gives Settled as 1, in Bench.Read (it is Boolean)"),
+    (
+        None,
+        [],
+        "gives 0 values after the fault, where 9 are due, in Bench.Read (they are Time, Force",
+    ),
+    (
+        None,
+        ua.StatusCode(ua.StatusCodes.BadOutOfMemory),
+        "the server fails in Read (BadOutOfMemory)",
+    ),
+    (None, ZeroDivisionError("x"), "fails in Read (BadUnexpectedError)"),
+    (2, [0.1] * 300_000, "the server was lost in Read"),  # 2.4 MB, more than a message may have
+]
+
+
+def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
+    foreign, keys_folder, tmp_path, inside
+):
+    """Each shape is tried three times; five that fail end it. The same command then goes on."""
+    address, server, _ = foreign
+    read = server.iserver.aspace[ua.NodeId("Bench.Read", 2)]
+    sound, asked = read.call, iter(range(10**6))
+    kinds = {list: ua.VariantType.Double, int: ua.VariantType.Int32}
+
+    def nonsense(parent, samples):
+        number = next(asked) - 2  # one at rest, one shape
+        answer = sound(parent, samples)
+        if number < 0:
+            return answer
+        place, value, _ = NONSENSE[number % len(NONSENSE)]
+        if isinstance(value, Exception):
+            raise value
+        if place is None:
+            return value
+        text = isinstance(value, list) and isinstance(value[0], str)
+        kind = ua.VariantType.String if text else kinds.get(type(value), ua.VariantType.DateTime)
+        answer[place] = ua.Variant(value, kind)
+        return answer
+
+    files = {name: str(keys_folder / file) for name, file in keys.CLIENT_FILES.items()}
+    plan = small_plan(cycles=1, bench=choice(address, **files), samples=16, settling=0.0)
+    (tmp_path / "plan.toml").write_text(toml_text(plan))
+    command = "acquire", tmp_path / "plan.toml", "-o", tmp_path / "c", "--yes"
+    read.call = nonsense
+    try:
+        code, out, err = inside(*command)
+    finally:
+        read.call = sound
+    assert (code, err.count("\n")) == (2, 1)
+    assert "5 shapes in a row gave no sound reading" in err
+    for _, _, said in NONSENSE:
+        assert said in out + err
+    assert inside(*command)[0] == 0
+    cycles = tn.read(tmp_path / "c").cycles
+    assert [cycle.valid.tolist() for cycle in cycles] == [[True] * 6] * 2
+
+
+def test_what_a_server_gets_wrong_is_one_line_that_names_it(foreign, keys_folder):
+    """Last of those that use the server, which it spoils."""
+    address, server, loop = foreign
+
+    async def spoil():
+        space = await server.get_namespace_index(NAMESPACE)
+        yes = ua.Variant("yes", ua.VariantType.String)
+        fine = ua.Variant([], ua.VariantType.String)
+        status, gap = (
+            server.get_node(ua.NodeId(f"Bench.{one}", space)) for one in ("Status", "Gap")
+        )
+        server.link_method(status, lambda _: [fine, yes, yes, yes])
+        await server.delete_nodes([gap])
+
+    with connect(choice(address), keys_folder) as bench:
+        asyncio.run_coroutine_threadsafe(spoil(), loop).result(20)
+        with pytest.raises(BenchFault) as raised:
+            bench.status()
+        said = f"{address}: the server gives Ready as 'yes', in Bench.Status; it is Boolean"
+        assert str(raised.value) == said
+    with pytest.raises(BenchFault) as raised:
+        connect(choice(address), keys_folder)
+    assert (
+        str(raised.value) == f"{address}: the server has no node Bench.Gap; add it, in {NAMESPACE}"
+    )
+
+
+GOOD = {
+    "Instrument": "RING8", "Gap": 65e-6, "Id": [1, 2, 3, 4], "X": [0.0, 1.0, 0.0, -1.0],
+    "Y": [1.0, 0.0, -1.0, 0.0], "Nz": [1.0] * 4,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"Gap": "68 um"}, "gives Bench.Gap as '68 um'; it is Double"),
+        ({"Gap": None}, "gives Bench.Gap as None; it is Double"),
+        ({"Instrument": 8}, "gives Bench.Instrument as 8; it is String"),
+        ({"X": 0.1}, "gives Bench.X as 0.1; it is Double[]"),
+        ({"X": [0.1, True, 0.2, 0.3]}, "gives Bench.X as [0.1, True, 0.2, 0.3]; it is Double[]"),
+        ({"X": [0.1] * 3}, "gives 3 values of Bench.X for 4 actuators"),
+        ({"Id": None}, "gives 0 values of Bench.Id for 0 actuators"),
+        ({"Enabled": [1, 1, 1, 1]}, "gives Bench.Enabled as [1, 1, 1, 1]; it is Boolean[]"),
+        ({"Gradients": 0.0}, "gives Bench.Gradients as 0.0; it is Double[]"),
+        ({"Gradients": [1.0]}, "gives 1 value of Bench.Gradients; they are two"),
+        ({"X": [np.nan] * 4}, "X"),
+        ({"X": [0, 1, 0, -1]}, "gives Bench.X as whole numbers; it is Double[]"),
+    ],
+)
+def test_variables_of_another_kind_are_refused_by_name(change, said):
+    assert mirror_of(GOOD, set(METHODS))[3].n == 4
+    with pytest.raises(TrueNewtonError, match=re.escape(said)):
+        mirror_of(GOOD | change, set(METHODS))
+
+
+@pytest.mark.parametrize("name", [*dict(VARIABLES), *METHODS])
+def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
+    values = {key: value for key, value in GOOD.items() if key != name}
+    methods = set(METHODS) - {name}
+    if name in OPTIONAL:
+        mirror_of(values, methods)
+        return
+    with pytest.raises(BenchFault, match=rf"has no node Bench\.{name}; add it, in urn:truenewton"):
+        mirror_of(values, methods)
+
+
+@pytest.mark.parametrize(
+    ("method", "values", "said"),
+    [
+        ("Status", [[], "yes", "", 1], "gives Ready as 'yes'; it is Boolean"),
+        (
+            "Status",
+            [[]],
+            "gives 0 values after the fault, where 3 are due; they are Ready, Message, Counter",
+        ),
+        ("Status", ["", True, "", 1], "gives Fault as ''; it is String[]"),
+        ("Rest", [["hot"]], "gives Fault as ['hot']; it is empty, or kind, fault and remedy"),
+        ("Rest", [["BenchFault", "", "cool it"]], "gives Fault as ['BenchFault', '', 'cool it']"),
+        ("Rest", [[], 1], "gives 1 value after the fault, where 0 are due; they are none"),
+        ("Read", [[], None, [], [], [], [], 1.0, 1, True], "gives Time as None; it is DateTime"),
+    ],
+)
+def test_answers_of_another_kind_are_refused_by_name(method, values, said):
+    assert received_answer("Rest", []) == ([], [])
+    assert received_answer("Rest", [["BenchFault", "hot", "cool it"]])[0][1] == "hot"
+    with pytest.raises(BenchFault, match=re.escape(said)):
+        received_answer(method, values)
+
+
+# -- what a plan says of its bench ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys_given", "said"),
+    [
+        ("opcua", {"seed": 7}, "bench.seed is 7; take it out: a bench of kind 'opcua'"),
+        ("opcua", {"fidelity": "loop"}, "bench.fidelity is 'loop'; take it out"),
+        ("opcua", {"force_noise": 1e-3}, "bench.force_noise is 0.001; take it out"),
+        ("opticalib", {"seed": 7}, "bench.seed is 7; take it out: a bench of kind 'opticalib'"),
+        ("replay", {"user": "me"}, "bench.user is 'me'; take it out"),
+        ("simulated", {"address": "a"}, "bench.address is 'a'; take it out"),
+    ],
+)
+def test_what_a_bench_does_not_use_is_refused(tmp_path, kind, keys_given, said):
+    text = toml_text(small_plan(bench=BenchChoice(kind)))
+    for name, value in keys_given.items():
+        written = f"'{value}'" if isinstance(value, str) else repr(value)
+        head, bench = text.split("[bench]")
+        text = head + "[bench]" + re.sub(rf"(?m)^{name} = .*$", f"{name} = {written}", bench)
+    (tmp_path / "plan.toml").write_text(text)
+    with pytest.raises(FormatError, match=re.escape(said)):
+        read_plan(tmp_path / "plan.toml")
+
+
+def test_serve_takes_the_fidelity(inside, keys_folder):
+    code, _, err = inside("serve", "p45", "--fidelity", "dynamic", "-o", keys_folder)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "there is no fidelity 'dynamic'; choose static, loop" in err
+
+
+# -- readings ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("samples", [0, -3, 10**10])
+def test_a_reading_has_a_sample_at_least(samples):
+    bench = tn.SimulatedBench(SMALL, 1)
+    bench.command(Shape(LOADS[0], 1, 1, 1, np.zeros(8)))
+    with pytest.raises(BenchFault, match=f"a reading of {samples} samples; ask for 1 to"):
+        bench.read(samples)
+    check_samples(1)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 5, 7])
+def test_a_short_record_of_the_loop_has_means(samples):
+    """No division by the samples of a half that has none (warnings are errors here)."""
+    bench = tn.SimulatedBench(SMALL, 1, fidelity="loop")
+    bench.command(Shape(LOADS[0], 1, 1, 1, np.zeros(8)))
+    reading = bench.read(samples)
+    assert np.isfinite(reading.force).all()
+    assert (reading.force_error is None) == (samples < 4)
+    assert (samples > 1) == bool(reading.force_scatter.any())
+
+
+def test_the_error_of_a_mean_in_closed_loop_is_that_of_readings_taken_again():
+    """Samples taken for independent were 11 times too large."""
+    from studies.closed_loop import errors_of_means
+
+    again, batches, independent = errors_of_means(SMALL, 40)
+    assert batches == pytest.approx(again, rel=0.15)
+    assert independent > 8 * again
+
+
+def test_independent_samples_give_their_error_by_batches(tmp_path):
+    from truenewton.bench.opticalib import OpticalibMirror
+
+    random = np.random.default_rng(2)
+
+    class Device:
+        n_acts = 8
+
+        def set_shape(self, cmd, differential):
+            self.shape = cmd
+
+        def get_shape(self):
+            return self.shape + 1e-9 * random.standard_normal(8)
+
+        def get_force(self):
+            return 1e5 * self.shape + 1e-3 * random.standard_normal(8)
+
+        def get_temperature(self):
+            return 21.5
+
+    mirror = replace(SMALL, coil_gradient=-280.0, bias_gradient=90.0)
+    bench = OpticalibMirror(Device(), mirror, settling=0.0)
+    assert bench.gradients == (-280.0, 90.0)
+    errors = []
+    for number in range(1, 101):
+        bench.command(Shape(LOADS[0], 1, number, 1, np.full(8, 1e-7)))
+        reading = bench.read(64)
+        errors.append(reading.force_error)
+        assert reading.temperature == 21.5
+    # 2400 degrees of freedom: known to 1.4 %.
+    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1e-3 / 8, rel=0.06)
+    assert bench.read(3).force_error is None
+
+
+def test_a_campaign_in_closed_loop_says_what_its_means_are_worth(tmp_path):
+    loop = tn.SimulatedBench(SMALL, 1, fidelity="loop", loads=LOADS)
+    plan = small_plan(cycles=1, count=2, samples=512)
+    tn.acquire(loop, plan, tmp_path / "c")
+    static = tn.SimulatedBench(SMALL, 1, loads=LOADS, force_noise=3e-4)
+    tn.acquire(static, plan, tmp_path / "s")
+    for cycle in tn.read(tmp_path / "s").cycles:
+        assert cycle.force_error == pytest.approx(6e-4)  # a quarter of the samples
+    for cycle in tn.read(tmp_path / "c").cycles:
+        assert 1e-6 < cycle.force_error < 1e-4
+
+
+def spoilt(name, change):
+    def spoil(shape, reading):
+        return replace(reading, **{name: change(shape, reading)})
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("position", "said"),
+    [
+        (lambda shape, reading: np.roll(reading.position, 1), r"stands .* m from where it was"),
+        (lambda shape, reading: -reading.position, r"in a shape of 1e-06 m"),
+        (lambda shape, reading: 0.8 * reading.position, r"stands .* m from where it was commanded"),
+        (lambda shape, reading: reading.position + 2e-7 * shape.number * np.eye(8)[2],
+         r"actuator 3 stands"),
+    ],
+    ids=["cables", "sign", "scale", "one actuator"],
+)  # fmt: skip
+def test_a_bench_in_another_shape_than_commanded_is_noticed(tmp_path, position, said):
+    bench = StubBench(spoil=spoilt("position", position))
+    with pytest.raises(BenchFault, match=said):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+
+
+@pytest.mark.parametrize(
+    ("scatter", "said"),
+    [(1e-9, "and six times its position_scatter of 1e-09 m"), (np.nan, "plan fewer shapes")],
+)
+def test_an_actuator_elsewhere_is_said_with_the_rule_and_its_remedy(tmp_path, scatter, said):
+    bench = StubBench(
+        spoil=lambda shape, reading: replace(
+            reading, position=0.8 * reading.position, position_scatter=np.full(8, scatter)
+        )
+    )
+    with pytest.raises(BenchFault, match=rf"of which a tenth is let pass.*{said}"):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+
+
+def test_what_its_noise_explains_is_no_other_shape(tmp_path):
+    """Sensors of 60 nm in shapes of 1 um: within six standard deviations of a sample."""
+    random = np.random.default_rng(1)
+    bench = StubBench(
+        spoil=lambda shape, reading: replace(
+            reading,
+            position=reading.position + 6e-8 * random.standard_normal(8),
+            position_scatter=np.full(8, 6e-8),
+        )
+    )
+    tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert all(cycle.valid.all() for cycle in tn.read(tmp_path / "c").cycles)
+
+
+@pytest.mark.parametrize(
+    "given", [None, (1.0,), ("steep", None), (float("nan"), 1.0), (1e9, None), 3.0]
+)
+def test_gradients_that_are_none_are_refused_before_anything_is_taken(tmp_path, given):
+    class Odd(StubBench):
+        gradients = given
+
+    bench: Bench = Odd()
+    with pytest.raises(BenchFault, match="the bench gives gradients"):
+        tn.acquire(bench, small_plan(), tmp_path / "c")
+    assert bench.commanded == []
+
+
+def test_a_reading_of_lists_counts_and_one_of_words_is_a_fault(tmp_path):
+    as_lists = StubBench(spoil=lambda shape, r: replace(r, force=r.force.tolist()))
+    tn.acquire(as_lists, small_plan(), tmp_path / "c")
+    assert len(tn.read(tmp_path / "c").cycles) == 4
+    words = StubBench(spoil=lambda shape, r: replace(r, force=["much"] * 8))
+    with pytest.raises(BenchFault, match="the force of a reading is no array of numbers"):
+        tn.acquire(words, small_plan(), tmp_path / "d")
+
+
+POSIX = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"}
+
+
+def test_nothing_needs_posix():
+    """Windows has none of these; the lock of a folder takes its own where there is no fcntl."""
+    found = []
+    for path in Path(tn.__file__).parent.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in getattr(node, "names", ())]
+            if isinstance(node, ast.ImportFrom):
+                names = [node.module]
+            if isinstance(node, ast.Import | ast.ImportFrom) and POSIX & set(names):
+                found.append(path.name)
+    assert found == ["lock.py"]
+
+
+def test_the_journal_is_let_go_before_it_is_removed(tmp_path, monkeypatch):
+    """Windows removes no file that is mapped."""
+    maps = Path("/proc/self/maps")
+    if not maps.exists():
+        pytest.skip("no /proc")
+    unlink, mapped = Path.unlink, []
+
+    def looked_at(path, **keywords):
+        if path.suffix == ".journal":
+            mapped.append(str(path) in maps.read_text())
+        unlink(path, **keywords)
+
+    monkeypatch.setattr(Path, "unlink", looked_at)
+    tn.acquire(StubBench(), small_plan(), tmp_path / "c")
+    assert len(mapped) >= 4
+    assert not any(mapped)

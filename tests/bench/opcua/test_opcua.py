@@ -1,0 +1,488 @@
+"""The bench over real OPC UA on the loopback: the same to the bit, and closed to strangers."""
+
+import asyncio
+import contextlib
+import dataclasses
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+import tomllib
+
+import numpy as np
+import pytest
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+
+import truenewton as tn
+from helpers.opcua_server import RecordingBench, behind, choice, free_port
+from truenewton.acquisition.benches import chosen_bench
+from truenewton.bench.choice import BenchChoice
+from truenewton.bench.opcua import connect, keys
+from truenewton.bench.opcua.client import OpcUaBench
+from truenewton.bench.opcua.methods import METHODS, VARIABLES, scalar
+from truenewton.bench.protocol import Bench, Operator, Reading, Shape, Status
+from truenewton.bench.simulated.noise import SAMPLES
+from truenewton.bench.simulated.static import static_bench
+from truenewton.errors import BenchFault, FormatError, UnknownName, UnreadableFile
+from truenewton.mirrors.known import p45
+
+BARE = tn.Load("bare")
+
+
+@pytest.fixture(scope="module")
+def strangers(tmp_path_factory):
+    """Keys as good as ours, which nobody trusts."""
+    path = tmp_path_factory.mktemp("strangers") / "keys"
+    keys.make_keys(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def noted(keys_folder):
+    """A recording bench and the address at which it is served."""
+    bench = RecordingBench()
+    with behind(bench, keys_folder, free_port()) as address:
+        yield bench, address
+
+
+@pytest.fixture
+def recorder(noted):
+    """The same, with nothing on record yet."""
+    bench, address = noted
+    bench.asked, bench.fault, bench.seconds = [], None, 0.0
+    return bench, address
+
+
+@pytest.fixture(scope="module")
+def p45_served(keys_folder):
+    with behind(tn.SimulatedBench(p45(), 3), keys_folder, free_port()) as address:
+        yield address
+
+
+# -- the same as in process ----------------------------------------------------------------------
+
+
+def test_a_served_bench_gives_what_the_bench_gives_to_the_bit(p45_served, keys_folder):
+    here, loads = tn.SimulatedBench(p45(), 3), static_bench(p45(), 3).loads
+    shapes = static_bench(p45(), 3).shapes
+    with connect(choice(p45_served), keys_folder) as there:
+        _bench: Bench = there
+        _operator: Operator = there
+        assert (there.instrument, there.gap) == (here.instrument, here.gap)
+        for name in ("id", "x", "y", "nz", "enabled"):
+            ours, theirs = getattr(here.layout, name), getattr(there.layout, name)
+            assert theirs.dtype == ours.dtype
+            assert np.array_equal(theirs, ours)
+        for load in loads:
+            for bench in (here, there):
+                bench.put_on(load)
+            for number, sign in ((1, 1), (1, -1), (45, 1)):
+                readings = []
+                for bench in (here, there):
+                    bench.command(Shape(load, 2, number, sign, sign * shapes[number - 1]))
+                    assert bench.status().message == "in shape"
+                    readings.append(bench.read(SAMPLES))
+                for field in dataclasses.fields(Reading):
+                    ours, theirs = (getattr(reading, field.name) for reading in readings)
+                    assert type(theirs) is type(ours)
+                    assert np.array_equal(theirs, ours), field.name
+        there.rest()
+        here.rest()
+        assert there.status() == here.status()
+
+
+def test_what_the_other_end_hears_is_what_was_said(recorder, keys_folder):
+    bench, address = recorder
+    position = np.array([1e-6, -2e-6, 5e-324, 0.1, -0.0])
+    with connect(choice(address), keys_folder) as there:
+        there.put_on(tn.Load(" Ring", -0.5, 0.01))
+        there.command(Shape(tn.Load("ring"), 3, 17, -1, position))
+        reading, status = there.read(12), there.status()
+    (_, load), (_, shape), samples, asked = bench.asked
+    assert (load, samples, asked) == (" Ring", ("read", 12), "status")
+    assert (shape.load.key, shape.cycle, shape.number, shape.sign) == ("ring", 3, 17, -1)
+    assert shape.position.tobytes() == position.tobytes()
+    assert reading.time.microsecond == 456789
+    assert np.isnan(reading.temperature)
+    assert reading.settled is False
+    assert reading.position_scatter.tolist() == [15.0, 16.0, 17.0, 18.0, 19.0]
+    assert status == Status(False, "a coil is hot", 2**40)
+
+
+def test_our_own_server_has_the_nodes_of_the_page(recorder, keys_folder):
+    """Every one, with its type, as a browser of OPC UA sees them."""
+    _, address = recorder
+    with connect(choice(address), keys_folder) as there:
+
+        async def browse():
+            client = there._client
+            node = client.get_node(ua.NodeId("Bench", there._space))
+            found = {}
+            for child in await node.get_children():
+                name = (await child.read_browse_name()).Name
+                if await child.read_node_class() is ua.NodeClass.Variable:
+                    value = (await child.read_data_value()).Value
+                    found[name] = value.VariantType, isinstance(value.Value, list)
+                    continue
+                sides = {(await one.read_browse_name()).Name: await one.read_value()
+                         for one in await child.get_properties()}  # fmt: skip
+                found[name] = [
+                    [(one.Name, one.DataType.Identifier, one.ValueRank > 0)
+                     for one in sides.get(which, ())]
+                    for which in ("InputArguments", "OutputArguments")
+                ]  # fmt: skip
+            return found
+
+        found = there._thread.post(browse())
+    for name, kind in VARIABLES:
+        assert found.pop(name) == (scalar(kind), isinstance(kind, list))
+    for name, (takes, gives) in METHODS.items():
+        as_sent = [
+            [(each, scalar(kind).value, isinstance(kind, list)) for each, kind in arguments]
+            for arguments in (takes, [("Fault", [ua.VariantType.String]), *gives])
+        ]
+        assert found.pop(name) == as_sent
+    assert found == {}
+
+
+def test_serve_then_a_campaign_over_opc_ua_recovers_alpha(tmp_path):
+    """The command in a process of its own; a person pastes what it prints into a plan."""
+    port, seed = free_port(), 5
+    bench = static_bench(p45(), seed)
+    command = [sys.executable, "-m", "truenewton", "serve", "p45", "--port", str(port),
+               "--seed", str(seed), "-o", str(tmp_path / "keys")]  # fmt: skip
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as server:
+        try:
+            printed = [server.stdout.readline() for _ in range(10)]
+            table = tomllib.loads("".join(printed[1:]))["bench"]
+            plan = tn.CampaignPlan("p45", bench.loads, cycles=2, bench=BenchChoice(**table))
+            with chosen_bench(plan, tmp_path) as there:
+                tn.acquire(there, plan, tmp_path / "campaign", beside=tmp_path)
+        finally:
+            server.send_signal(signal.SIGINT)
+            out, err = server.communicate(timeout=20)
+    assert (server.returncode, out, err) == (0, "", "")
+    found = tn.calibrate(tn.read(tmp_path / "campaign"))
+    pull = (found.alpha - bench.truth.alpha) / found.error
+    assert np.abs(pull).max() < 4.5
+    assert 0.8 < found.goodness.reduced < 1.3
+    assert np.abs(found.alpha - bench.truth.alpha).max() > 1e-6  # it never saw the truth
+
+
+# -- strangers get nothing -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"user": "admin"}, "refuses user 'admin'"),
+        ({"password_file": "wrong"}, "refuses user 'operator'"),
+        ({"certificate": "stranger", "private_key": "stranger"}, "cannot be reached"),
+        ({"private_key": "stranger"}, "cannot be reached"),
+        ({"certificate": "stranger"}, "cannot be reached"),
+        ({"server_certificate": "stranger"}, "cannot be reached"),
+    ],
+    ids=["user", "password", "certificate", "signature", "certificate alone", "server"],
+)
+def test_who_lacks_one_of_all_gets_nothing(
+    recorder, keys_folder, strangers, tmp_path, monkeypatch, change, said
+):
+    bench, address = recorder
+    wrong = tmp_path / "wrong.txt"
+    keys._write_secret(wrong, b"nothing\n")
+    files = {
+        "certificate": strangers / keys.CLIENT_CERTIFICATE,
+        "private_key": strangers / keys.CLIENT_KEY,
+        "server_certificate": strangers / keys.SERVER_CERTIFICATE,
+        "password_file": wrong,
+    }
+    change = {
+        name: str(files[name]) if value in ("stranger", "wrong") else value
+        for name, value in change.items()
+    }
+    if said == "cannot be reached":  # a refusal may take its time
+        monkeypatch.setattr(OpcUaBench, "_patience", 0.5)
+    with pytest.raises(BenchFault, match=said) as fault:
+        OpcUaBench(choice(address, **change), keys_folder)
+    assert str(fault.value).startswith(f"{address}: ")
+    assert "\n" not in str(fault.value)
+    assert bench.asked == []
+
+
+async def nothing_from(client, steps):
+    """Take the steps of a stranger; each must fail, or bring nothing."""
+    if client.uaclient.protocol:
+        client.uaclient.protocol.timeout = 0.5
+    try:
+        for step in steps:
+            with pytest.raises((ua.UaError, OSError, TimeoutError)):
+                await asyncio.wait_for(step(), 2.0)
+    finally:
+        client.uaclient.disconnect_socket()
+        await asyncio.sleep(0.05)
+
+
+def guarded_client(address, keys_folder, mode=ua.MessageSecurityMode.SignAndEncrypt, timeout=10.0):
+    """Return a client with the trusted certificate and key, but without user and password."""
+    client = Client(address, timeout=timeout)
+    client.session_timeout = 60_000
+    policy = SecurityPolicyBasic256Sha256(
+        keys.read_certificate(keys_folder / keys.SERVER_CERTIFICATE),
+        keys.read_certificate(keys_folder / keys.CLIENT_CERTIFICATE),
+        keys.read_private_key(keys_folder / keys.CLIENT_KEY),
+        mode,
+    )
+    client.security_policy = policy
+    client.uaclient.set_security(policy)
+    return client
+
+
+def call(client, method):
+    """Return a step that calls a method of the bench with whatever session there is."""
+    request = ua.CallMethodRequest(ua.NodeId("Bench", 2), ua.NodeId(f"Bench.{method}", 2), [])
+    return lambda: client.uaclient.call([request])
+
+
+def instrument(client):
+    return lambda: client.get_node(ua.NodeId("Bench.Instrument", 2)).read_value()
+
+
+def test_an_anonymous_client_with_a_trusted_certificate_gets_nothing(recorder, keys_folder):
+    bench, address = recorder
+
+    async def come():
+        client = guarded_client(address, keys_folder)
+        await client.connect_sessionless()
+        await client.create_session()
+        steps = [client.activate_session, instrument(client), call(client, "Rest")]
+        await nothing_from(client, steps)
+
+    asyncio.run(come())
+    assert bench.asked == []
+
+
+def test_a_channel_that_is_only_signed_is_not_opened(recorder, keys_folder):
+    bench, address = recorder
+
+    async def come():
+        client = guarded_client(address, keys_folder, ua.MessageSecurityMode.Sign, timeout=0.5)
+        await nothing_from(client, [client.connect_sessionless, client.get_endpoints])
+
+    asyncio.run(come())
+    assert bench.asked == []
+
+
+@pytest.mark.parametrize("channel", [True, False])
+def test_without_security_not_even_the_endpoints_are_told(recorder, channel):
+    """With a channel without security, and without any channel."""
+    bench, address = recorder
+
+    async def come():
+        client = Client(address, timeout=10.0)
+        await client.connect_socket()
+        await client.send_hello()
+        steps = [client.open_secure_channel] if channel else []
+        steps += [client.get_endpoints, client.find_servers, client.create_session]
+        await nothing_from(client, [*steps, client.activate_session, call(client, "Rest")])
+
+    asyncio.run(come())
+    assert bench.asked == []
+
+
+def test_nobody_takes_over_the_session_of_another(recorder, keys_folder):
+    """Its number can be guessed; the stranger here even knows it, and has a trusted certificate."""
+    bench, address = recorder
+    with connect(choice(address), keys_folder) as there:
+        token = there._client.uaclient.session.authentication_token
+
+        async def come():
+            client = guarded_client(address, keys_folder)
+            await client.connect_sessionless()
+            client.uaclient.session.restore_authentication_token(token)
+            client._server_nonce = b"guess"
+            client._policy_ids = there._client._policy_ids
+            steps = [client.activate_session, instrument(client), call(client, "Rest")]
+            await nothing_from(client, steps)
+
+        asyncio.run(come())
+        assert bench.asked == []
+        there.rest()
+    assert bench.asked == ["rest"]
+
+
+def test_the_user_may_write_nothing(recorder, keys_folder):
+    _, address = recorder
+    with connect(choice(address), keys_folder) as there:
+        node = there._client.get_node(ua.NodeId("Bench.Gap", 2))
+        with pytest.raises(ua.UaError):
+            there._thread.post(node.write_value(ua.Variant(1.0, ua.VariantType.Double)))
+        with pytest.raises(ua.UaError):
+            there._thread.post(there._client.nodes.objects.add_object(2, "mine"))
+
+
+# -- servers that go and come, faults ------------------------------------------------------------
+
+
+def test_the_connection_comes_back_with_the_server(keys_folder):
+    port, shape = free_port(), Shape(BARE, 1, 1, 1, np.zeros(5))
+    with behind(RecordingBench(), keys_folder, port) as address:
+        there = OpcUaBench(choice(address), keys_folder)
+        there.put_on(BARE)
+        there.command(shape)
+    with there:
+        there._patience = 0.3  # nobody is there
+        for method in (there.status, there.rest, lambda: there.read(1)):
+            with pytest.raises(
+                BenchFault, match=f"^{address}: the server cannot be reached"
+            ) as fault:
+                method()
+            assert "\n" not in str(fault.value)
+        there._patience = 10.0
+        bench = RecordingBench()
+        with behind(bench, keys_folder, port):
+            with pytest.raises(BenchFault, match="was lost since the shape was commanded"):
+                there.read(1)
+            with pytest.raises(BenchFault, match="knows of no load on the mirror"):
+                there.command(shape)
+            assert bench.asked == []
+            there.put_on(BARE)
+            there.command(shape)
+            assert there.read(1).counter == 7
+        with (
+            behind(RecordingBench(4), keys_folder, port),
+            pytest.raises(BenchFault, match="is no longer that of NOTED with its 5"),
+        ):
+            there.put_on(BARE)
+
+
+def test_a_connection_that_breaks_comes_back_and_no_row_is_taken_blindly(recorder, keys_folder):
+    _, address = recorder
+    shape = Shape(BARE, 1, 1, 1, np.zeros(5))
+    with connect(choice(address), keys_folder) as there:
+        there.put_on(BARE)
+        there.command(shape)
+        there._thread.loop.call_soon_threadsafe(there._client.disconnect_socket)
+        with pytest.raises(BenchFault, match="command it again"):
+            there.read(1)
+        there.command(shape)  # the server still knows which load it is
+        assert there.read(1).counter == 7
+
+
+def test_a_bench_that_does_not_answer_is_a_fault(recorder, keys_folder, monkeypatch):
+    bench, address = recorder
+    monkeypatch.setattr(OpcUaBench, "_timeout", 1.5)
+    with OpcUaBench(choice(address), keys_folder) as there:
+        there.put_on(BARE)
+        bench.seconds = 2.5
+        with pytest.raises(BenchFault, match=r"does not answer Status within 1\.5 s"):
+            there.status()
+        bench.seconds = 0.0
+        time.sleep(1.0)
+        there.rest()
+
+
+def test_what_the_bench_raises_comes_out_as_it_is(recorder, p45_served, keys_folder):
+    bench, address = recorder
+    here = tn.SimulatedBench(p45(), 3)
+    with connect(choice(p45_served), keys_folder) as there:
+        there.rest()
+        for raise_it, kind in (
+            (lambda one: one.put_on(tn.Load("anvil")), UnknownName),
+            (lambda one: one.read(10), BenchFault),
+        ):
+            with pytest.raises(kind) as ours:
+                raise_it(here)
+            with pytest.raises(kind) as theirs:
+                raise_it(there)
+            assert str(theirs.value) == str(ours.value)
+            assert theirs.value.remedy == ours.value.remedy
+        there.put_on(BARE)
+        with pytest.raises(BenchFault, match="3 displacements for 45"):
+            there.command(Shape(BARE, 1, 1, 1, np.zeros(3)))
+        with pytest.raises(BenchFault, match=r"is for load 'ring', .* 'bare' on the mirror"):
+            there.command(Shape(tn.Load("ring"), 1, 1, 1, np.zeros(45)))
+        with pytest.raises(BenchFault, match="not finite"):
+            there.command(Shape(BARE, 1, 1, 1, np.full(45, np.nan)))
+    with connect(choice(address), keys_folder) as there:
+        bench.fault = ZeroDivisionError("a slip")
+        with pytest.raises(BenchFault, match=r"fails in Rest \(BadUnexpectedError\)"):
+            there.rest()
+
+
+# -- keys ----------------------------------------------------------------------------------------
+
+
+def test_keys_are_the_owners_alone_and_made_once(keys_folder):
+    assert stat.S_IMODE(keys_folder.stat().st_mode) == 0o700
+    for name in (keys.PASSWORD, keys.SERVER_KEY, keys.CLIENT_KEY):
+        assert stat.S_IMODE((keys_folder / name).stat().st_mode) == 0o600
+    before = keys.read_password(keys_folder / keys.PASSWORD)
+    assert len(before) > 40
+    keys.make_keys(keys_folder)
+    assert keys.read_password(keys_folder / keys.PASSWORD) == before
+
+
+def test_keys_that_cannot_be_used_are_refused_in_one_line(tmp_path, keys_folder):
+    loose = tmp_path / "password.txt"
+    loose.write_text("secret\n")
+    loose.chmod(0o640)
+    with pytest.raises(UnreadableFile, match="may be read by others"):
+        keys.read_password(loose)
+    with pytest.raises(UnreadableFile, match="No such file"):
+        keys.read_private_key(tmp_path / "none.pem")
+    loose.chmod(0o600)
+    with pytest.raises(FormatError, match="is not an RSA private key"):
+        keys.read_private_key(loose)
+    with pytest.raises(FormatError, match="is not a certificate"):
+        keys.read_certificate(loose)
+    loose.write_text("\n")
+    with pytest.raises(FormatError, match="holds no password"):
+        keys.read_password(loose)
+    with pytest.raises(BenchFault, match=r"needs bench\.server_certificate"):
+        connect(choice("opc.tcp://127.0.0.1:1", server_certificate=""), keys_folder)
+
+
+def test_a_certificate_that_has_run_out_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(keys, "YEARS", 0)
+    keys.make_keys(tmp_path / "keys")
+    with pytest.raises(FormatError, match=r"is valid from .* only; make new keys"):
+        keys.read_certificate(tmp_path / "keys" / keys.CLIENT_CERTIFICATE)
+
+
+def test_serve_that_cannot_is_one_line_and_code_2(inside, keys_folder, tmp_path):
+    with contextlib.closing(socket.socket()) as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        code, out, err = inside("serve", "p45", "--port", port, "-o", keys_folder)
+    assert (code, out) == (2, "")
+    assert (
+        err
+        == f"truenewton: port {port} cannot be had (Address already in use); choose another port\n"
+    )
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    code, _, err = inside("serve", "p45", "-o", empty)
+    assert code == 2
+    assert err.startswith(f"truenewton: {empty}/server.der: cannot be read (No such file")
+    assert err.count("\n") == 1
+    assert list(empty.iterdir()) == []
+
+
+def test_without_the_extra_its_name_is_told(inside, keys_folder, monkeypatch):
+    monkeypatch.setitem(sys.modules, "asyncua", None)
+    with pytest.raises(BenchFault, match=r"needs asyncua; install it: pip install 'truenewton\["):
+        connect(choice("opc.tcp://127.0.0.1:1"), keys_folder)
+    code, _, err = inside("serve", "p45", "-o", keys_folder)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "pip install 'truenewton[opcua]'" in err
+
+
+def test_an_address_that_names_no_host_is_one_fault(keys_folder):
+    with pytest.raises(BenchFault, match="cannot be reached"):
+        connect(choice("opc.tcp://"), keys_folder)

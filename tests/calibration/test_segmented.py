@@ -1,0 +1,468 @@
+"""Segments are calibrated as if each were alone; one that is refused harms no other."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import QTable
+
+import truenewton as tn
+from helpers.segmented import in_one, pieces
+from truenewton.calibration.segments import telling
+from truenewton.calibration.verdict import Level
+from truenewton.calibration.workers import side_by_side
+from truenewton.errors import (
+    CampaignMismatch,
+    FormatError,
+    RankDeficient,
+    TrueNewtonWarning,
+    UnknownName,
+)
+from truenewton.figures.maps import bears_names, dot_radius, segment_places
+from truenewton.mirrors.known import p45
+from truenewton.mirrors.segmented import gmt
+from truenewton.modal.pupil import pupil_of
+from truenewton.modal.segments import modes_of_segments
+from truenewton.reading import read_one
+from truenewton.records.fault import Fault
+from truenewton.records.file import write_campaign
+from truenewton.records.segmented import coupling_faults
+from truenewton.report.verdict import headline_of
+from truenewton.rounding import numbered
+from truenewton.statics.arms import enabled_arms
+
+
+@pytest.fixture(scope="module")
+def three():
+    return pieces(3)[0]
+
+
+@pytest.fixture(scope="module")
+def data(three):
+    return tn.SegmentedData(tuple(in_one(three)))
+
+
+@pytest.fixture(scope="module")
+def alone(three):
+    return [tn.calibrate(campaign) for campaign in three]
+
+
+@pytest.fixture(scope="module")
+def whole(data):
+    return tn.calibrate(data)
+
+
+@pytest.fixture(scope="module")
+def folder(data, tmp_path_factory):
+    path = tmp_path_factory.mktemp("segments") / "campaign"
+    write_campaign(data.cycles, path)
+    return path
+
+
+def spoilt(data, number, change):
+    """Return data whose FORCE of one segment is changed."""
+    own = data.layout.segment == number
+    return replace(
+        data,
+        cycles=tuple(
+            replace(c, force=np.where(own, change(np.asarray(c.force)), c.force))
+            for c in data.cycles
+        ),
+    )
+
+
+def same(one, other):
+    """Hold a calibration of a segment, its actuators in any order, against one of it alone."""
+    order, there = np.argsort(one.layout.id), np.argsort(other.layout.id)
+    for name in ("alpha", "error", "reading_error", "systematic_error", "cycle_error"):
+        mine, yours = getattr(one, name)[order], getattr(other, name)[there]
+        assert mine == pytest.approx(yours, rel=1e-6, abs=1e-9), name
+    for name in ("bias_force", "bias_force_error", "noise", "weight"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6), name
+    assert one.torque_y == pytest.approx(other.torque_y, rel=1e-6, abs=1e-9)
+
+
+def test_each_segment_is_calibrated_as_if_alone(whole, alone):
+    assert whole.refused == {}
+    for number, other in enumerate(alone, 1):
+        same(whole.segments[number], other)
+        own = whole.layout.segment == number
+        assert np.array_equal(whole.alpha[own], whole.segment(number).alpha)
+        assert np.array_equal(whole.error[own], whole.segment(number).error)
+
+
+def test_processes_change_nothing(data, whole):
+    made = tn.calibrate(data, processes=2)
+    assert np.array_equal(made.alpha, whole.alpha)
+    assert np.array_equal(made.error, whole.error)
+    assert not made.segments[2].covariance.flags.writeable
+    assert not made.segments[2].layout.x.flags.writeable
+    assert made.verdict == whole.verdict
+
+
+def test_one_body_would_be_wrong(three, data):
+    """What the segments are spared: one B and one pair of torques for three bodies."""
+    cycles = tuple(
+        replace(c, layout=replace(c.layout, segment=None), segments=()) for c in data.cycles
+    )
+    wrong = tn.calibrate(tn.Campaign(cycles))
+    truth = np.concatenate([t[:14] for t in pieces(3)[1]])[np.argsort(data.layout.id).argsort()]
+    right = tn.calibrate(data)
+    off = np.abs(wrong.alpha - truth) / wrong.error
+    assert wrong.verdict.level != Level.SOUND or off.max() > 5.0
+    assert (np.abs(right.alpha - truth) / right.error).max() < 5.0
+
+
+def test_a_segment_that_is_refused_takes_no_other_down(data, alone):
+    random = np.random.default_rng(1)
+    wild = spoilt(data, 2, lambda force: random.permutation(force) * random.standard_normal())
+    with pytest.warns(TrueNewtonWarning):
+        made = tn.calibrate(wild)
+    same(made.segments[1], alone[0])
+    same(made.segments[3], alone[2])
+    assert made.verdict.level == Level.LIMITED
+    assert made.verdict.faults[0].fault.startswith("segment 2, ")
+    kept = made.without_unusable()
+    assert set(kept.segments) == {1, 3}
+    assert np.isnan(kept.alpha[data.layout.segment == 2]).all()
+    with pytest.raises(RankDeficient, match="segment 2 gave no alpha"):
+        kept.segment(2)
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_segment_without_actuators_or_forces_is_named(data, alone, processes):
+    off = replace(data.layout, enabled=data.layout.enabled & (data.layout.segment != 1))
+    still = spoilt(
+        replace(data, cycles=tuple(replace(c, layout=off) for c in data.cycles)), 3, np.zeros_like
+    )
+    made = tn.calibrate(still, processes=processes)
+    assert set(made.refused) == {1, 3}
+    assert "no actuator is ENABLED" in made.refused[1][0].fault
+    assert "FORCE is zero throughout" in made.refused[3][0].fault
+    same(made.segments[2], alone[1])
+
+
+def test_a_segment_of_one_actuator_gives_no_alpha_and_harms_none(data, alone):
+    numbers = np.array(data.layout.segment)
+    numbers[np.flatnonzero(numbers == 3)[0]] = 4
+    layout = replace(data.layout, segment=numbers)
+    cycles = tuple(
+        replace(c, layout=layout, segments=(*c.segments, tn.Segment(4, -0.0001, 0.0)),
+                weight=c.weight - 0.0001)
+        for c in data.cycles
+    )  # fmt: skip
+    made = tn.calibrate(tn.SegmentedData(cycles))
+    assert 4 in made.refused
+    same(made.segments[1], alone[0])
+    same(made.segments[2], alone[1])
+
+
+def test_no_segment_at_all_is_an_error(data):
+    bare = tuple(c for c in data.cycles if c.load.key == "bare")
+    with pytest.raises(RankDeficient, match="no segment gives alpha; segment 1: "):
+        tn.calibrate(tn.SegmentedData(bare))
+
+
+def test_files_that_disagree_on_a_segment_are_refused(data):
+    first, *others = data.cycles
+    own = first.segments
+    shifted = (
+        own[0]._replace(weight=own[0].weight - 0.1), own[1]._replace(weight=own[1].weight + 0.1),
+        own[2],
+    )  # fmt: skip
+    with pytest.raises(CampaignMismatch, match="WEIGHT or E_WEIGHT of segment 1"):
+        tn.SegmentedData((replace(first, segments=shifted), *others))
+    with pytest.raises(UnknownName, match="there is no segment 9; choose 1, 2, 3"):
+        data.segment(9)
+    one = data.segment(1)
+    with pytest.raises(FormatError, match="in one piece"):
+        tn.SegmentedData(one.cycles)
+
+
+def test_the_file_gives_back_everything(whole, tmp_path):
+    whole.write(tmp_path / "alpha.fits")
+    made = tn.read(tmp_path / "alpha.fits")
+    assert isinstance(made, tn.SegmentedCalibration)
+    assert np.array_equal(made.alpha, whole.alpha)
+    assert made.layout.same_as(whole.layout)
+    assert made.verdict == whole.verdict
+    for number, one in whole.segments.items():
+        back = made.segments[number]
+        assert np.array_equal(back.covariance, one.covariance)
+        assert (back.method, back.bias_force, back.instrument) == (
+            one.method,
+            one.bias_force,
+            one.instrument,
+        )
+    table = QTable.read(tmp_path / "alpha.fits", hdu="ALPHA")
+    assert table.colnames[:6] == ["ID", "X", "Y", "SEGMENT", "ALPHA", "E_ALPHA"]
+    assert np.array_equal(table["ALPHA"], whole.alpha)
+    segments = QTable.read(tmp_path / "alpha.fits", hdu="SEGMENTS")
+    assert segments["VERDICT"].tolist() == [
+        str(one.verdict.level) for one in whole.segments.values()
+    ]
+    with fits.open(tmp_path / "alpha.fits") as hdus:
+        assert hdus["CALIBRATION", 2].header["BIAS"] == whole.segments[2].bias_force
+        assert len(hdus["CALIBRATION", 3].data) == 14
+
+
+def test_a_file_keeps_why_a_segment_has_no_alpha(data, tmp_path):
+    made = tn.calibrate(spoilt(data, 3, np.zeros_like))
+    made.write(tmp_path / "alpha.fits.gz")
+    back = tn.read(tmp_path / "alpha.fits.gz")
+    assert back.refused == made.refused
+    assert np.array_equal(back.alpha, made.alpha, equal_nan=True)
+    assert back.layout.same_as(made.layout)
+    assert back.verdict == made.verdict
+
+
+def test_other_forms_hold_all_segments(whole, tmp_path):
+    for name in ("a.csv", "a.ecsv", "a.npy"):
+        whole.write(tmp_path / name)
+    assert np.array_equal(np.load(tmp_path / "a.npy"), whole.alpha)
+    table = QTable.read(tmp_path / "a.ecsv")
+    assert table.meta["VERDICT"] == str(whole.verdict.level)
+    assert np.array_equal(table["SEGMENT"], whole.layout.segment)
+    assert (tmp_path / "a.csv").read_text().startswith("ID,X,Y,SEGMENT,ALPHA,E_ALPHA")
+    assert list(whole.table.colnames)[:5] == ["ID", "X", "Y", "SEGMENT", "ALPHA"]
+
+
+def test_a_damaged_file_of_segments_is_refused_in_one_line(whole, tmp_path):
+    path = tmp_path / "alpha.fits"
+    whole.write(path)
+    with fits.open(path) as hdus:
+        kept = [hdu for hdu in hdus if (hdu.name, hdu.ver) != ("COVARIANCE", 2)]
+        fits.HDUList(kept).writeto(tmp_path / "less.fits")
+        kept = [hdu for hdu in hdus if hdu.ver != 2]
+        fits.HDUList(kept).writeto(tmp_path / "none.fits")
+        hdus["ALPHA"].data["ALPHA"][3] *= 1.01
+        hdus.writeto(tmp_path / "other.fits")
+    for name, words in (
+        ("less", "of segment 2, there is no image COVARIANCE"),
+        ("none", "does not name each segment"),
+        ("other", "ALPHA is not that of the segments|DATASUM|CHECKSUM"),
+    ):
+        with pytest.raises(tn.errors.TrueNewtonError, match=words) as refused:
+            tn.read(tmp_path / f"{name}.fits")
+        assert str(refused.value).startswith(str(tmp_path))
+
+
+@pytest.fixture(scope="module")
+def two():
+    """A stiffness of two segments, and of each alone."""
+    random = np.random.default_rng(3)
+    layout = tn.rings([0.05, 0.1], [6, 12])
+    blocks = []
+    for _ in range(2):
+        a = enabled_arms(layout)
+        out = np.eye(18) - np.linalg.pinv(a) @ a
+        root = out @ random.standard_normal((18, 18))
+        blocks.append(1e4 * root @ root.T / random.uniform(0.8, 1.2, 18)[:, None])
+    n = 36
+    stiffness = np.zeros((n, n))
+    stiffness[:18, :18], stiffness[18:, 18:] = blocks
+    both = tn.layout(
+        np.concatenate([layout.x, layout.x + 0.5]),
+        np.tile(layout.y, 2),
+        segment=np.repeat([1, 2], 18),
+    )
+    date = pieces(1)[0][0].cycles[0].date
+    alone = []
+    for where, block in zip((slice(18), slice(18, 36)), blocks, strict=True):
+        place = tn.layout(layout.x, layout.y, id=both.id[where])  # from its own middle
+        alone.append(tn.StiffnessMatrix("ONE", date, place, block))
+    return tn.StiffnessMatrix("TWO", date, both, stiffness), alone
+
+
+def test_a_stiffness_is_calibrated_by_segment(two, tmp_path):
+    matrix, alone = two
+    tn.write_stiffness(matrix, tmp_path / "k.fits")
+    made = tn.calibrate(tn.read(tmp_path / "k.fits"), "svd")
+    for number, one in enumerate(alone, 1):
+        other = tn.calibrate(one, "svd")
+        assert made.segments[number].alpha == pytest.approx(other.alpha, rel=1e-7)
+        assert not any("other segments" in f for f, _ in made.segments[number].verdict.faults)
+    with pytest.raises(FormatError, match="of 2 segments, which balance each by itself"):
+        tn.calibrate(matrix)
+
+
+def test_what_couples_segments_is_told_from_noise(two):
+    (matrix, _), random = two, np.random.default_rng(4)
+    stiffness = matrix.stiffness
+    size = 1e-3 * np.abs(stiffness).max()
+    noisy = stiffness + size * random.standard_normal(stiffness.shape)
+    joined = noisy.copy()
+    joined[:18, 18:] += (link := size * random.standard_normal((18, 18)))
+    joined[18:, :18] += link.T
+    swapped = np.roll(noisy, 18, axis=0)
+    for k, count in ((noisy, 0), (joined, 2), (swapped + noisy, 2)):
+        assert len(coupling_faults(replace(matrix, stiffness=k))) == count
+    made = tn.calibrate(tn.SegmentedData(stiffness=replace(matrix, stiffness=joined)), "svd")
+    told = [fault for fault, _ in made.verdict.faults if "it is coupled to other" in fault]
+    assert [fault[:9] for fault in told] == ["segment 1", "segment 2"]
+
+
+def test_modes_of_segments_are_those_of_each_alone(two, inside, tmp_path):
+    matrix, alone = two
+    tn.write_stiffness(matrix, tmp_path / "k.fits")
+    words = ("modes", tmp_path / "k.fits", "--anyway", "-o", tmp_path / "m.fits", "--off", 1)
+    code, said, wrong = inside(*words)
+    assert (code, wrong) == (0, "")
+    assert "m-1.fits" in said
+    for number, one in enumerate(alone, 1):
+        other = tn.find_modes(one, force=True, off=[1] if number == 1 else ())
+        with fits.open(tmp_path / f"m-{number}.fits") as hdus:
+            budget = hdus["BUDGET"].data
+        base = other.after.modes.stiffness
+        assert budget["STIFFNESS"] == pytest.approx(base, rel=1e-6, abs=1e-6 * np.abs(base).max())
+        whole, own = pupil_of(matrix.layout), pupil_of(one.layout)
+        assert own.diameter / own.radius == pytest.approx(whole.diameter / whole.radius)
+    code, _, wrong = inside(*words)
+    assert code == 2
+    assert "m-1.fits: exists already" in wrong
+    with pytest.raises(UnknownName, match="there is no actuator 99"):
+        modes_of_segments(tn.SegmentedData(stiffness=matrix), off=[99])
+
+
+def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path):
+    """That of one segment beside the modes of the other; that of all is refused."""
+    matrix, bad = tmp_path / "k.fits", tmp_path / "bad.fits"
+    tn.write_stiffness(two[0], matrix)
+    made = tn.calibrate(tn.read(matrix))
+    turned = {k: replace(one, alpha=-one.alpha) for k, one in made.segments.items()}
+    replace(made, segments={**made.segments, 2: turned[2]}).write(bad)
+    words = ("modes", matrix, "--calibration", bad)
+    code, said, wrong = inside(*words)
+    assert (code, wrong) == (0, "")
+    (line,) = [line for line in said.splitlines() if "no modes" in line]
+    negative = "not to be used: alpha is negative for 18 of 18 actuators; turn the sign of FORCE"
+    assert line.startswith(f"segment 2: no modes: {bad} gives no alpha: {negative}")
+    assert line.endswith("; --anyway takes it all the same")
+    assert "no modes" not in inside(*words, "--anyway")[1]
+    replace(made, segments=turned).write(bad, overwrite=True)
+    code, _, wrong = inside(*words)
+    assert code == 2
+    assert wrong.startswith(f"truenewton: {bad}: not to be used: segments 1, 2")
+
+
+def test_commands_take_segments(folder, inside, tmp_path):
+    out = tmp_path / "alpha.fits"
+    code, said, _ = inside("calibrate", folder, "-o", out)
+    assert code == 0
+    assert "of 3 segments" in said
+    assert "segment 3" in said
+    code, said, _ = inside("info", out)
+    assert code == 0
+    assert "a calibration of several segments" in said
+    code, said, _ = inside("info", folder)
+    assert code == 0
+    assert "3 with enough for alpha" in said
+    code, said, _ = inside("calibrate", folder, "--segment", 2, "-o", tmp_path / "two.fits")
+    assert code == 0
+    assert isinstance(tn.read(tmp_path / "two.fits"), tn.Calibration)
+    code, _, wrong = inside("export", folder, "--calibration", out, "-o", tmp_path / "x.fits")
+    assert code == 2
+    assert wrong.count("\n") == 1
+    assert "has 3 segments, and this takes one at a time; choose it by its number" in wrong
+    assert isinstance(read_one(out, segment=3), tn.Calibration)
+
+
+def test_the_report_has_a_section_for_each_segment(folder, data, inside, tmp_path):
+    page = tmp_path / "report.html"
+    code, said, _ = inside("report", folder, "-o", page)
+    text = page.read_text()
+    assert code == 0
+    assert "Alpha of all 3 segments" in said
+    for number in (1, 2, 3):
+        assert f'id="title-segment-{number}"' in text
+        assert f'href="#title-segment-{number}"' in text
+    assert 'data-key="segment"' in text
+    write = tn.calibrate(spoilt(data, 3, np.zeros_like))
+    tn.write_report(page, write, overwrite=True)
+    text = page.read_text()
+    assert "FORCE is zero throughout" in text
+    assert "Alpha of 2 of 3 segments" in text
+
+
+def test_the_report_counts_no_segment_that_is_not_to_be_used(whole):
+    """Nor is the range of alpha that of wrong ones; where no other is, it is told as it is."""
+    turned = {k: replace(one, alpha=-one.alpha) for k, one in whole.segments.items()}
+    one = headline_of(replace(whole, segments={**whole.segments, 2: turned[2]}))
+    assert one.sentence.startswith("Alpha of 2 of 3 segments")
+    assert [value.startswith("-") for _, value, _ in one.numbers] == [False] * 3
+    every = headline_of(replace(whole, segments=turned))
+    assert every.level == Level.UNUSABLE
+    assert every.numbers[0][1].startswith("-")
+
+
+def test_figures_show_all_segments(whole, inside, tmp_path):
+    whole.write(tmp_path / "alpha.fits")
+    code, _, _ = inside("figures", tmp_path / "alpha.fits", "-o", tmp_path / "figures")
+    assert code == 0
+    assert (tmp_path / "figures" / "fig6-alpha-map.png").stat().st_size > 10_000
+
+
+def test_what_is_said_of_several_segments_is_said_once(data):
+    """With the figures of the first; what else differs, as names of actuators, stays apart."""
+
+    def said(fault, *numbers):
+        return {number: (Fault(fault.format(number), "do"),) for number in numbers}
+
+    made = tn.calibrate(data)
+    one = replace(made, segments={2: made.segments[2]}, refused=said("known to {}.5 %", 1, 3))
+    faults = [fault for fault, _ in one.verdict.faults]
+    assert faults[0] == "segments 1, 3, no alpha: known to 1.5 % (as of segment 1)"
+    other = replace(made, segments={3: made.segments[3]}, refused=said("actuator {} is dead", 1, 2))
+    assert [fault for fault, _ in other.verdict.faults][:2] == [
+        "segment 1, no alpha: actuator 1 is dead", "segment 2, no alpha: actuator 2 is dead",
+    ]  # fmt: skip
+    assert numbered("segment", [1, 2, 3, 5, 7, 8]) == "segments 1 to 3, 5, 7, 8"
+
+
+def test_segments_are_named_beside_their_actuators(whole):
+    """No dot is hidden, and the nearest is one of their own; the middle one's has no hole."""
+    wall = replace(
+        whole.layout, x=whole.layout.x - whole.layout.x[whole.layout.segment == 1].mean()
+    )
+    for some in (gmt().layout, whole.layout, wall):
+        places = segment_places(some)
+        assert [number for number, _, _ in places] == list(some.segments)
+        for number, x, y in places:
+            own = some.segment == number
+            near = np.hypot(1e3 * some.x - x, 1e3 * some.y - y)
+            assert near.min() > 2 * dot_radius(some)
+            assert own[near.argmin()]
+    assert segment_places(whole.segments[1].layout) == []
+    one = p45().layout  # of two of them far apart dots are too small for names
+    two = tn.layout(np.append(one.x, one.x + 0.5), np.tile(one.y, 2), segment=np.repeat([1, 2], 45))
+    assert [bears_names(some) for some in (one, two)] == [True, False]
+
+
+def test_the_bar_counts_segments(data):
+    counts = []
+    with telling(lambda done, total: counts.append((done, total))):
+        tn.calibrate(data)
+    assert counts == [(0, 3), (1, 3), (2, 3), (3, 3)]
+    tn.calibrate(data)
+    assert len(counts) == 4
+
+
+def test_json_of_segments(folder, inside):
+    import json
+
+    code, said, _ = inside("calibrate", folder, "--json")
+    values = json.loads(said)
+    assert code == 0
+    assert values["schema"] == "truenewton.calibrate-segments/1"
+    assert [part["segment"] for part in values["segments"]] == [1, 2, 3]
+    assert len(values["actuators"]["alpha"]) == 42
+
+
+def test_a_process_that_dies_and_a_call_that_fails_are_told():
+    with pytest.raises(ChildProcessError, match="a process ended with 3"):
+        list(side_by_side([lambda: (os._exit, 3)], 1))
+    with pytest.raises(FileNotFoundError):
+        list(side_by_side([lambda: (os.listdir, "/no/such/folder")], 1))
+    assert list(side_by_side([lambda: (abs, -1), lambda: (abs, -2)], 2)) == [1, 2]

@@ -1,0 +1,312 @@
+"""One verdict on one set of data: the same from every command, and from the file it stands in."""
+
+import json
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+import truenewton as tn
+from helpers.balanced import p45_bench
+from truenewton.bench.simulated.static import START, run_cycles, static_bench
+from truenewton.calibration.verdict import Level, verdict_on
+from truenewton.errors import NotToBeUsed, TrueNewtonWarning
+from truenewton.estimation.diagnosis import FoundEffect, Goodness, NoiseSource
+from truenewton.estimation.stiffness_svd import Imbalance
+from truenewton.mirrors.known import p45
+from truenewton.records.campaign import Campaign
+from truenewton.records.file import write_campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.report.investigate import investigate
+
+
+def cycles(noise=1e-3, count=2):
+    """Return the cycles of P45 under two loads."""
+    return tuple(run_cycles(replace(p45_bench(), force_noise=noise), count))
+
+
+def poles_exchanged(actuator=20, noise=1e-3):
+    """Return cycles in which one actuator pulls where it should push."""
+    signs = np.where(np.arange(45) == actuator, -1.0, 1.0)
+    return tuple(replace(c, force=signs * np.asarray(c.force)) for c in cycles(noise))
+
+
+def copied(noise=1e-3):
+    """Return cycles of which the second under each load holds the readings of the first."""
+    every = cycles(noise, 4)
+    return tuple(
+        replace(c, force=every[k - 1].force) if k % 4 == 1 else c for k, c in enumerate(every)
+    )
+
+
+def four_times(noise=1e-3):
+    """Return one file under each load as if it were cycles 1 to 4."""
+    every = cycles(noise, 4)
+    return tuple(replace(c, force=every[4 * (k // 4)].force) for k, c in enumerate(every))
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return tn.calibrate(Campaign(cycles(count=4)))
+
+
+def written(tmp_path, made, name="campaign"):
+    """Return the folder of a campaign."""
+    write_campaign(made, tmp_path / name)
+    return tmp_path / name
+
+
+def faults(verdict):
+    """Return the faults of a verdict in one text."""
+    return " | ".join(fault for fault, _ in verdict.faults)
+
+
+def test_a_warning_of_calibrate_is_not_forgotten_by_the_report(inside, tmp_path):
+    folder, alpha = written(tmp_path, poles_exchanged()), tmp_path / "alpha.fits"
+    code, out, _ = inside("calibrate", folder, "-o", alpha)
+    assert code == 0
+    assert "the poles are exchanged" in out
+    assert "actuator 21" in out
+    code, out, _ = inside("report", alpha, "-o", tmp_path / "page.html")
+    assert code == 0
+    assert not out.startswith("Sound")
+    assert "Nothing needs to be done" not in out
+    assert "the poles are exchanged" in out
+    assert "the poles are exchanged" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize("made", [cycles, poles_exchanged, copied, four_times])
+def test_every_command_gives_the_same_verdict(inside, tmp_path, made):
+    folder, alpha = written(tmp_path, made()), tmp_path / "alpha.fits"
+    code, out, _ = inside("calibrate", folder, "-o", alpha, "--json", "--force")
+    assert code == 0
+    verdict = json.loads(out)["verdict"]
+    for path in (folder, alpha):
+        assert json.loads(inside("info", path, "--json")[1])["verdict"] == verdict
+        assert investigate(tn.read(path)).calibration.verdict.values == verdict
+        _, out, _ = inside("modes", folder, "--calibration", alpha, "--anyway", "--json")
+        assert json.loads(out)["verdict"] == verdict
+    assert tn.calibrate(tn.read(folder)).verdict.values == verdict
+    assert fits.getval(alpha, "VERDICT") == verdict["level"]
+    page = tmp_path / "page.html"
+    _, out, _ = inside("report", alpha, "-o", page)
+    assert out.startswith(verdict["level"].capitalize())
+    _, out, _ = inside("figures", alpha, "-o", tmp_path / "figures")
+    assert out.startswith(f"verdict: {verdict['level']}")
+
+
+def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp_path):
+    folder, alpha = written(tmp_path, copied()), tmp_path / "alpha.fits"
+    code, out, error = inside("calibrate", folder, "-o", alpha)
+    assert (code, out) == (2, "")
+    assert "not to be used" in error
+    assert "copy of another file" in error
+    assert "leave the copy out" in error
+    assert not alpha.exists()
+    code, out, _ = inside("calibrate", folder, "-o", alpha, "--force")
+    assert code == 0
+    assert fits.getval(alpha, "VERDICT") == "not to be used"
+    good = tmp_path / "good.fits"
+    inside("calibrate", written(tmp_path, cycles(), "good"), "-o", good)
+    for command in (
+        ("modes", folder, "--calibration", alpha, "-o", tmp_path / "modes.fits"),
+        ("track", good, alpha, "-o", tmp_path / "law.fits"),
+        ("recalibrate", tmp_path / "good", "--known", alpha, "--actuators", "3",
+         "-o", tmp_path / "again.fits"),
+    ):  # fmt: skip
+        code, out, error = inside(*command)
+        assert (code, out) == (2, ""), command[0]
+        assert "not to be used" in error
+        assert "alpha.fits" in error or command[0] == "modes"
+        assert not command[-1].exists()
+    assert inside("modes", folder, "--calibration", alpha, "--anyway")[0] == 0
+    code, out, _ = inside(
+        "recalibrate", tmp_path / "good", "--known", alpha, "--actuators", "3", "--force",
+        "-o", tmp_path / "again.fits",
+    )  # fmt: skip
+    assert code == 0
+    assert tn.read(tmp_path / "again.fits").verdict.level == "not to be used"
+
+
+def test_python_warns_of_what_is_not_to_be_used_and_refuses_to_go_on(tmp_path):
+    with pytest.warns(TrueNewtonWarning, match="not to be used: the data show: copy of another"):
+        bad = tn.calibrate(Campaign(copied()))
+    bad.write(tmp_path / "alpha.fits")
+    with pytest.warns(TrueNewtonWarning, match="not to be used"):
+        tn.read(tmp_path / "alpha.fits")
+    with pytest.raises(NotToBeUsed, match="copy"):
+        tn.recalibrate(Campaign(cycles()), bad, [3])
+    with pytest.raises(NotToBeUsed, match="copy"):
+        tn.find_modes(Campaign(cycles()), bad)
+    with pytest.raises(NotToBeUsed, match="copy"):
+        tn.track(bad, replace(bad, date_end=bad.date_end.replace(year=2030)))
+
+
+def test_sound_data_are_sound_without_a_word(clean):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tn.calibrate(Campaign(cycles(count=4)))
+    assert clean.verdict.level in (Level.SOUND, Level.LIMITED)
+    assert all("scale" in fault for fault, _ in clean.verdict.faults)
+
+
+def negative(c, count):
+    signs = np.where(np.arange(45) < count, -1.0, 1.0)
+    return replace(c, alpha=signs * c.alpha)
+
+
+def with_effect(c, name, **options):
+    effect = FoundEffect(name=name, where="bare 1", remedy="leave it out")
+    return replace(c, effects=(replace(effect, **options),))
+
+
+def with_goodness(c, reduced):
+    return replace(c, goodness=Goodness(100 * reduced, 100, NoiseSource.REPEATS, 0.0))
+
+
+def with_held_out(c, before, after):
+    line = Imbalance("all", 0.05, 0.01)
+    return replace(c, imbalances=(line, *[replace(line, before=before, after=after)] * 2))
+
+
+@pytest.mark.parametrize(
+    ("change", "level", "said"),
+    [
+        (lambda c: negative(c, 2), "limited", "actuator 2 stands off the others: alpha is -"),
+        (lambda c: negative(c, 3), "not to be used", "negative for 3 of 45"),
+        (lambda c: negative(c, 45), "not to be used", "negative for 45 of 45"),
+        (lambda c: with_effect(c, "copy of another file"), "not to be used", "copy of another"),
+        (lambda c: with_effect(c, "the file's load is another"), "not to be used", "load is"),
+        (lambda c: with_effect(c, "SIGN reversed"), "limited", "SIGN reversed"),
+        (lambda c: with_goodness(with_effect(c, "SIGN reversed"), 9.0), "not to be used", "SIGN"),
+        (lambda c: with_effect(c, "exchanged columns"), "not to be used", "exchanged columns"),
+        (lambda c: with_effect(c, "another order of FORCE"), "not to be used", "another order"),
+        (lambda c: replace(c, effects=3 * with_effect(c, "stuck reading").effects),
+         "not to be used", "3 of 45 actuators are dead, or their readings stuck"),
+        (lambda c: with_goodness(c, 2e8), "not to be used", "1.4e+04 times the noise"),
+        (lambda c: with_goodness(c, 5e3), "limited", "out of balance by 71 times"),
+        (lambda c: replace(c, loads=c.loads[:1], torque_y=c.torque_y[:1], torque_x=c.torque_x[:1]),
+         "not to be used", "nothing fixes the common scale"),
+        (lambda c: replace(c, reading_error=6.6 * c.alpha), "not to be used", "not told from 0"),
+        (lambda c: replace(c, systematic_error=0.5 * c.alpha), "not to be used", "not told from"),
+        (lambda c: replace(c, systematic_error=0.0 * c.alpha), "limited", "without errors"),
+        (lambda c: replace(c, rejected=40), "limited", "of the rows do not fit"),
+        (lambda c: with_held_out(c, 0.05, 0.03), "limited", "has not seen"),
+        (lambda c: with_held_out(c, 0.05, 0.06), "not to be used", "worse with alpha"),
+        (lambda c: replace(c, alpha=1e-3 * c.alpha, reading_error=1e-3 * c.reading_error),
+         "not to be used", "FORCE looks as if in mN"),
+    ],
+)  # fmt: skip
+def test_what_makes_a_verdict(clean, change, level, said):
+    verdict = verdict_on(change(clean))
+    assert said in faults(verdict)
+    if level is not None:
+        assert verdict.level == level
+    assert said in str(verdict) or level != "not to be used"  # what is grave is said first
+
+
+def test_an_effect_that_was_taken_out_condemns_nothing(clean):
+    corrected = with_effect(clean, "exchanged columns", corrected=True)
+    assert verdict_on(corrected).level != Level.UNUSABLE
+
+
+def test_one_file_four_times_is_not_to_be_used():
+    verdict = tn.calibrate(Campaign(four_times())).verdict
+    assert verdict.level == Level.UNUSABLE
+    assert "copies among the files" in verdict.faults[0].remedy
+
+
+def test_files_without_noise_are_sound():
+    assert tn.calibrate(Campaign(cycles(noise=0.0))).verdict.level != Level.UNUSABLE
+
+
+@pytest.mark.parametrize("change", [
+    lambda c: np.roll(np.asarray(c.force), 1, axis=1), lambda c: -np.asarray(c.force),
+])  # fmt: skip
+def test_files_that_are_not_what_they_say_are_refused_or_not_to_be_used(change):
+    made = Campaign(tuple(replace(c, force=change(c)) for c in cycles()))
+    assert investigate(made).calibration.verdict.level == Level.UNUSABLE
+
+
+def stiffness(change=lambda k: k, seed=1):
+    """Return the commanded stiffness of P45 with 0.01 % of noise, changed."""
+    truth = p45_bench().truth
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1 + 1e-4 * np.random.default_rng(seed).standard_normal(k.shape))
+    return StiffnessMatrix("P45", START, truth.layout, change(k))
+
+
+def test_a_stiffness_in_another_order_is_not_to_be_used(clean):
+    assert tn.calibrate(stiffness()).verdict.level != Level.UNUSABLE
+    try:
+        verdict = tn.calibrate(stiffness(lambda k: np.roll(k, 1, axis=0))).verdict
+    except tn.errors.RankDeficient:  # said as clearly
+        return
+    assert verdict.level == Level.UNUSABLE
+    assert "asymmetric stiffness" in str(verdict)
+
+
+def test_a_stiffness_of_the_other_sign_is_said_and_gives_no_modes():
+    other = stiffness(np.negative)
+    verdict = tn.calibrate(other).verdict
+    assert verdict.level == Level.LIMITED
+    assert "stiffness of the other sign" in verdict.faults[0].fault
+    with pytest.raises(NotToBeUsed, match="42 of 42 elastic modes are negative; reverse the sign"):
+        tn.find_modes(other)
+    assert tn.find_modes(stiffness()).after.modes.stiffness[3:].min() > 0
+
+
+def test_a_calibration_of_a_stiffness_keeps_its_verdict(tmp_path, inside):
+    made = tn.calibrate(stiffness())
+    made.write(tmp_path / "alpha.fits")
+    back = tn.read(tmp_path / "alpha.fits")
+    assert back.imbalances == made.imbalances != ()
+    assert back.verdict == made.verdict
+    [(note, _)] = back.verdict.notes  # annular sensors, read without the glass
+    assert note.startswith("alpha is by ml, not by reciprocity: its errors are 0.32 % typically")
+    assert back.verdict.level == tn.calibrate(stiffness(), "ml").verdict.level == Level.SOUND
+    assert note in inside("info", tmp_path / "alpha.fits")[1]
+    assert note[1:] in inside("report", tmp_path / "alpha.fits", "-o", tmp_path / "p.html")[1]
+
+
+def test_a_calibration_keeps_goodness_and_budget(tmp_path, clean):
+    clean.write(tmp_path / "alpha.fits")
+    back = tn.read(tmp_path / "alpha.fits")
+    assert back.goodness == clean.goodness
+    assert back.scale_errors == clean.scale_errors
+    assert back.unseen == clean.unseen != ()
+    assert back.verdict == clean.verdict
+
+
+def test_a_file_from_before_is_judged_by_what_it_holds(tmp_path, clean):
+    path = tmp_path / "alpha.fits"
+    clean.write(path)
+    with fits.open(path, mode="update") as hdus:
+        for name in ("FITCHI2", "FITNOISE", "FITPROB", "VERDICT", "CHECKSUM", "DATASUM"):
+            hdus[0].header.remove(name, ignore_missing=True)
+        del hdus["BUDGET"]
+    back = tn.read(path)
+    assert back.goodness is None
+    assert back.scale_errors == ()
+    assert back.verdict.level == clean.verdict.level
+    with fits.open(path, mode="update") as hdus:
+        hdus[0].header["FITNOISE"], hdus[0].header["FITCHI2"] = "magic", 1.0
+    with pytest.raises(tn.errors.FormatError, match="FITNOISE"):
+        tn.read(path)
+
+
+@pytest.mark.study
+def test_sound_data_are_not_condemned():
+    """Sixty campaigns, sixty matrices: hardly a word but of the scale, or of modes unseen."""
+    said = []
+    for seed in range(60):
+        bench = static_bench(p45(), seed, force_noise=(1e-3, 5e-5)[seed % 2])
+        verdict = tn.calibrate(Campaign(tuple(run_cycles(bench, 4)))).verdict
+        assert verdict.level != Level.UNUSABLE
+        said += [fault for fault, _ in verdict.faults if not fault.startswith("the common scale")]
+        verdict = tn.calibrate(stiffness(seed=seed)).verdict
+        assert verdict.level != Level.UNUSABLE
+        said += [fault for fault, _ in verdict.faults if "has not seen" not in fault]
+    assert len(said) <= 2

@@ -1,0 +1,411 @@
+"""Every command, as a person at a terminal or a script would run it."""
+
+import json
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+import truenewton
+from helpers.balanced import p45_bench
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+
+
+def run(*words):
+    """Run truenewton in a process of its own; return exit code, output, errors."""
+    command = [sys.executable, "-m", "truenewton", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a simulated campaign, made by the command."""
+    path = tmp_path_factory.mktemp("campaign") / "p45"
+    assert run("simulate", "p45", "-o", path, "--cycles", "2") == (
+        0,
+        f"{path}: P45, 2 loads x 2 cycles x 90 shapes; truth in p45.truth.fits\n",
+        "",
+    )
+    return path
+
+
+def test_simulate_writes_the_files_of_the_contract(folder):
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "bare-001.fits", "bare-002.fits", "ring-001.fits", "ring-002.fits",
+    ]  # fmt: skip
+    with fits.open(folder.with_name("p45.truth.fits")) as truth:
+        assert "MEASUREMENTS" not in truth
+
+
+def test_calibrate_writes_a_calibration_near_the_truth(folder, tmp_path):
+    output = tmp_path / "alpha.fits"
+    code, out, err = run("calibrate", folder, "-o", output)
+    assert (code, err) == (0, "")
+    assert f"written: {output}" in out
+    with fits.open(output) as made, fits.open(folder.with_name("p45.truth.fits")) as truth:
+        table, true = made["CALIBRATION"].data, truth["TRUTH"].data["ALPHA"]
+        assert np.all(np.abs(table["ALPHA"] - true) < 4 * table["E_ALPHA"])
+        assert np.abs(table["ALPHA"] - true).max() > 1e-9  # it never saw the truth
+
+
+def test_calibrate_never_opens_the_truth(folder, tmp_path):
+    truth = folder.with_name("p45.truth.fits")
+    aside = truth.rename(tmp_path / "aside.fits")
+    try:
+        assert run("calibrate", folder)[0] == 0
+    finally:
+        aside.rename(truth)
+
+
+def test_calibrate_as_json_is_for_scripts(inside, folder):
+    code, out, _ = inside("calibrate", folder, "--json")
+    values = json.loads(out)
+    assert code == 0
+    assert len(values["actuators"]["alpha"]) == 45
+    assert values["method"] == "ml"
+    assert values["scale"] == "weights"
+    assert values["noise"] == pytest.approx(1e-4, rel=0.05)
+    assert [load["load"] for load in values["loads"]] == ["bare", "ring"]
+
+
+def test_files_one_by_one_are_the_same_as_their_folder(inside, folder):
+    _, one, _ = inside("calibrate", folder, "--json")
+    _, other, _ = inside("calibrate", *sorted(folder.iterdir(), reverse=True), "--json")
+    assert one == other
+
+
+def test_info_says_what_a_folder_holds_and_that_it_is_sound(inside, folder):
+    code, out, _ = inside("info", folder)
+    assert code == 0
+    assert "a campaign of P45: 45 actuators, 4 cycle files, 45 shapes" in out
+    assert "enough for alpha, which stands apart by" in out
+
+
+def test_info_says_what_a_single_load_lacks(inside, folder):
+    code, out, _ = inside("info", folder / "bare-001.fits")
+    assert code == 0
+    assert "not enough for alpha: there is only one load, 'bare'" in out
+    _, out, _ = inside("info", folder / "bare-001.fits", "--json")
+    assert json.loads(out)["faults"][0]["remedy"].startswith("add cycles under a load")
+
+
+def test_info_and_figures_take_a_calibration(inside, folder, tmp_path):
+    alpha = tmp_path / "alpha.fits"
+    inside("calibrate", folder, "-o", alpha)
+    code, out, _ = inside("info", alpha)
+    assert code == 0
+    assert out.startswith("a calibration, method ml, scale weights\n")
+    code, out, _ = inside("figures", alpha, "-o", tmp_path / "figures")
+    assert code == 0
+    assert len(out.splitlines()) == 1 + 2 * (
+        3 + 3
+    )  # the verdict; the paper's; errors, leverage, budget
+
+
+def test_prove_prints_the_paper_and_passes(inside):
+    code, out, _ = inside("prove", "p45", "--seed", "3")
+    assert code == 0
+    assert out.splitlines()[-1].startswith("alpha comes back to machine precision")
+    _, out, _ = inside("prove", "--json", "--seeds", "3")
+    values = json.loads(out)
+    assert values["passed"] is True
+    assert len(values["proofs"]) == 3 * 8
+    assert values["worst"] == max(p["ratio"] for p in values["proofs"]) <= 20
+
+
+def test_prove_takes_a_layout_from_a_file(inside, folder):
+    code, out, _ = inside("prove", folder / "bare-001.fits")
+    assert code == 0
+    assert "45 of 45" in out
+
+
+def test_prove_exits_with_1_where_the_proof_fails(inside, monkeypatch):
+    from truenewton.studies import proof
+
+    monkeypatch.setattr(proof, "LIMIT", 1e-9)
+    code, out, err = inside("prove")
+    assert code == 1
+    assert "PROOF FAILED" in out
+    assert err == ""
+
+
+def test_prove_exits_with_1_where_the_rank_is_short(inside, folder, tmp_path):
+    """As its help says: all actuators on a line but one, whose alpha is free."""
+    with fits.open(folder / "bare-001.fits") as file:
+        actuators = file["ACTUATORS"]
+        actuators.data["X"][:-1], actuators.data["X"][-1] = 0.0, 0.1
+        actuators.data["Y"][:] = np.linspace(-0.1, 0.1, 45)
+        fits.HDUList([fits.PrimaryHDU(), actuators]).writeto(tmp_path / "line.fits", checksum=True)
+    code, out, err = inside("prove", tmp_path / "line.fits")
+    assert (code, err) == (1, "")
+    assert "44 of 45" in out
+    assert "49 of 50" in out
+    assert "PROOF FAILED" in out
+
+
+def test_demo_tells_the_whole_story(tmp_path, monkeypatch, inside):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = inside("demo")
+    assert (code, err) == (0, "")
+    for words in ("1. A campaign", "2. The calibration", "3. The truth", "4. The report"):
+        assert words in out
+    made = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    assert "truenewton-demo/alpha.fits" in made
+    assert "truenewton-demo/figures/fig6-alpha-map.pdf" in made
+    assert "truenewton-demo/report.html" in made
+    code, _, err = inside("demo")
+    assert code == 2
+    assert "exists already" in err
+    assert inside("demo", "--overwrite")[0] == 0
+
+
+def test_version_and_help(inside):
+    assert inside("--version")[:2] == (0, f"truenewton {truenewton.__version__}\n")
+    for words in ((), ("--help",), ("calibrate", "--help")):
+        code, out, _ = inside(*words)
+        assert code == 0
+        assert "Usage: truenewton" in out
+
+
+def test_help_has_every_command_in_a_group_and_an_example_of_each(inside):
+    from truenewton.cli.main import EXAMPLES, GROUPS, app
+
+    _, out, _ = inside("--help")
+    assert "..." not in out.split("To begin:")[1]
+    assert all(f"\n{title}:\n" in out for title in GROUPS)
+    assert len(EXAMPLES) == len(app.registered_commands) == 16
+    for name, example in EXAMPLES.items():
+        assert f"\n  {name} " in out
+        _, shown, _ = inside(name, "--help")
+        assert f"For example:\n    {example}\n" in shown
+        options = set(re.findall(r" (--?[a-z]+)", example))
+        assert options <= set(re.findall(r"--?[a-z]+", shown.split("For example")[0]))
+    assert "[ml|svd|reciprocity|auto]" in inside("calibrate", "--help")[1]
+
+
+def test_quiet_prints_what_was_written_and_what_is_wrong(inside, folder, tmp_path):
+    alpha = tmp_path / "alpha.fits"
+    assert inside("calibrate", folder, "-q", "-o", alpha) == (0, f"written: {alpha}\n", "")
+    assert inside("calibrate", folder, "--quiet") == (0, "", "")
+    code, out, err = inside("calibrate", folder, "-q", "-o", alpha)
+    assert (code, out) == (2, "")
+    assert str(alpha) in err
+    drawn = inside("figures", alpha, "-q", "-o", tmp_path / "figures")[1].splitlines()
+    assert {line.split(": ")[0] for line in drawn} == {"written"}
+
+
+def told(page, first):
+    """Return the keys that a table of docs/json.md gives by what stands first in its rows."""
+    rows = [line.split("|")[1:3] for line in page.splitlines() if re.match(first, line)]
+    bare = {name.strip(): re.sub(r"\([^)]*\)", "", keys) for name, keys in rows}
+    return {name: re.findall(r"`(\w+)`", keys) for name, keys in bare.items()}
+
+
+def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_path):
+    page = (ROOT / "docs" / "json.md").read_text()
+    top, within = told(page, r"\| truenewton\."), told(page, r"\| \w+: ")
+    top["truenewton.recalibrate/1"][:0] = top["truenewton.calibrate/1"]
+    alpha, drawn, written = (tmp_path / name for name in ("alpha.fits", "drawn", "page.html"))
+    plan, cool, matrix = (tmp_path / name for name in ("plan.toml", "cool", "matrix.npy"))
+    inside("plan", "--new", "-o", plan)
+    plan.write_text(plan.read_text().replace("cycles = 4", "cycles = 2"))
+    inside("simulate", "p45", "-o", cool, "--cycles", "2", "--temperature", "10")
+    truth = p45_bench().truth
+    np.save(matrix, truth.stiffness / truth.alpha[:, None])
+    seen = set()
+    for schema, words in {
+        "truenewton.calibrate/1": ("calibrate", folder, "-o", alpha),
+        "truenewton.recalibrate/1": ("recalibrate", folder, "--known", alpha, "--actuators", "3"),
+        "truenewton.info/1, of a campaign": ("info", folder),
+        "truenewton.track/1": ("track", alpha, cool, "--accuracy", "0.005"),
+        "truenewton.modes/1": ("modes", folder),
+        "truenewton.plan/1": ("plan", plan, "--target", "1e-4"),
+        "truenewton.acquire/1": ("acquire", plan, "-o", tmp_path / "day", "--yes"),
+        "truenewton.import/1": ("import", matrix, "--mirror", "p45"),
+        "truenewton.figures/1": ("figures", alpha, "-o", drawn),
+        "truenewton.report/1": ("report", alpha, "-o", written),
+        "truenewton.prove/1": ("prove",),
+        "truenewton.mirrors/1": ("mirrors",),
+        "truenewton.mirror/1": ("mirrors", "p45"),
+        "truenewton.mirror/1, of one in segments": ("mirrors", "gmt"),
+    }.items():
+        values = json.loads(inside(*words, "--json")[1])
+        assert list(values) == ["schema", *top[schema]], schema
+        assert values["schema"] == schema.split(",")[0]
+        for key, value in values.items():
+            part = value[0] if value and isinstance(value, list) else value
+            name = f"{re.split('[./]', schema)[1]}: {key}"
+            if name in within:
+                assert list(part) == within[name], name
+                seen.add(name)
+            elif isinstance(part, dict):  # of a name of its own, or told elsewhere
+                apart = "found", "invalid", "mirrors", "segmented", "calibration", "segments"
+                assert key in apart or f"calibrate: {key}" in within, key
+    assert seen == set(within)
+    values = json.loads(inside("info", alpha, "--json")[1])
+    assert list(values) == ["schema", "holds", *top["truenewton.calibrate/1"]]
+
+
+def test_quiet_is_known_to_all_that_print(inside):
+    from truenewton.cli.main import EXAMPLES
+
+    for name in EXAMPLES.keys() - {"serve"}:  # which says where it is
+        assert "-q, --quiet" in inside(name, "--help")[1], name
+
+
+def test_a_reader_of_errors_that_goes_away_does_not_hide_the_exit_code():
+    script = f"{shlex.quote(sys.executable)} -m truenewton calibrat 2> >(exec true)"
+    assert subprocess.run(["bash", "-c", script], check=False).returncode == 2
+
+
+def test_a_mistyped_command_or_option_is_told_what_was_meant(inside):
+    assert inside("calibrat")[::2] == (
+        2,
+        "truenewton: No such command 'calibrat'. Did you mean 'calibrate', 'recalibrate'?"
+        " See 'truenewton --help'\n",
+    )
+    assert "--json" in inside("calibrate", "x", "--jsno")[2]
+
+
+def test_ctrl_c_while_loading_leaves_no_traceback():
+    code = (
+        "import sys\n"
+        "class Stop:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'typer': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Stop())\n"
+        "from truenewton.__main__ import main\n"
+        "main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, b"", b"")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("truenewton re", ["recalibrate", "report"]),
+        ("truenewton calibrate --meth", ["--method"]),
+        ("truenewton calibrate --method r", ["reciprocity"]),
+    ],
+)
+def test_a_shell_completes_commands_options_and_choices(words, expected):
+    """As bash asks: what begins with the last word, one a line."""
+    import os
+
+    asked = {
+        **os.environ, "_TRUENEWTON_COMPLETE": "complete_bash", "COMP_WORDS": words,
+        "COMP_CWORD": str(len(words.split()) - 1),
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "truenewton"], capture_output=True, text=True, check=False, env=asked
+    )
+    assert done.stdout.split() == expected
+    assert done.stderr == ""
+
+
+def imported(*words):
+    """Return all modules that a command imports, which is what it costs before it begins."""
+    code = (
+        f"import sys; sys.argv = ['truenewton', *{[*map(str, words)]}]\n"
+        "from truenewton.cli import main\n"
+        "try: main()\n"
+        "except SystemExit as left: assert not left.code\n"
+        "print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(done.stdout.splitlines()[-1].split())
+
+
+def test_help_needs_no_numpy():
+    """So that it answers at once."""
+    heavy = {"numpy", "scipy", "astropy", "matplotlib", "bokeh", "jinja2", "rich"}
+    assert heavy.isdisjoint(imported("--help"))
+    assert heavy.isdisjoint(imported("--version"))
+
+
+def test_calibrate_and_info_import_nothing_heavy_for_little(folder):
+    """Half of what they cost is importing; of SciPy they need linear algebra and functions."""
+    heavy = {"scipy.stats", "scipy.optimize", "scipy.interpolate", "scipy.spatial", "scipy.fft"}
+    heavy |= {"scipy.integrate", "astropy.table", "matplotlib", "bokeh", "jinja2", "rich"}
+    for command in ("calibrate", "info"):
+        made = imported(command, folder)
+        assert {"scipy.linalg", "astropy.io.fits"} <= made
+        assert heavy.isdisjoint(made)
+
+
+def test_a_reader_that_goes_away_is_no_error(folder):
+    command = f"{shlex.quote(sys.executable)} -m truenewton prove --seeds 20 | head -1"
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == ""
+    assert done.returncode == 0
+
+
+def test_a_terminal_without_the_characters_is_no_error(folder):
+    import os
+
+    done = subprocess.run(
+        [sys.executable, "-m", "truenewton", "info", str(folder)],
+        capture_output=True, check=False, env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert done.stderr == b""
+
+
+def blocks(page):
+    """Return the blocks of shell commands and of Python in a page."""
+    return re.findall(r"```(sh|python)\n(.*?)```", page.read_text(), flags=re.DOTALL)
+
+
+def run_page(page, inside):
+    """Run every command and every example of a page in order; return how many."""
+    ran = 0
+    for language, block in blocks(page):
+        if language == "python":
+            exec(compile(block, page.name, "exec"), {})
+            ran += 1
+            continue
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if not words or words[0] in ("make", "pip", "git", "cd", "python3"):
+                continue
+            assert words[0] == "truenewton", line
+            code, _, err = inside(*words[1:])
+            assert (code, err) == (0, ""), line
+            ran += 1
+    return ran
+
+
+def test_every_command_and_example_in_the_readme_runs(tmp_path, monkeypatch, inside):
+    """In order, in one folder, as a reader would; `make` and installing are tried elsewhere."""
+    monkeypatch.chdir(tmp_path)
+    write_feedforward(tmp_path / "feedforward.fits")
+    assert run_page(README, inside) == 4
+    assert sum(run_page(page, inside) for page in sorted((ROOT / "docs").glob("*.md"))) >= 4
+    assert run_page(ROOT / "CONTRIBUTING.md", inside) == 3
+    code, _, err = inside("info", "bare-001.fits")
+    assert code == 2
+    assert "FORCE is zero throughout" in err
+
+
+def write_feedforward(path):
+    """Write what a working mirror has on disk: here from the simulated P45."""
+    from truenewton.bench.simulated.static import START
+
+    truth = p45_bench().truth
+    truenewton.write_stiffness(
+        truenewton.StiffnessMatrix(
+            "P45", START, truth.layout, truth.stiffness / truth.alpha[:, None]
+        ),
+        path,
+    )

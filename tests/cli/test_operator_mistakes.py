@@ -1,0 +1,538 @@
+"""What a tired operator does to files: named with the file, the fault and what to do."""
+
+import datetime
+import shutil
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+import truenewton as tn
+from helpers.balanced import p45_bench
+from helpers.changed import check_alike, p45, said, with_forces
+from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.calibration.words import summary_lines
+from truenewton.errors import RankDeficient, TooManyOutliers
+from truenewton.estimation.sifted import sift
+from truenewton.mirrors.known import p45 as p45_mirror
+from truenewton.records.campaign import Campaign
+from truenewton.records.file import write_campaign
+from truenewton.rounding import counted, listed, named
+
+BARE, RING = slice(0, 4), slice(4, 8)  # of four cycles a load
+ONE = 6  # the third under the ring
+
+
+def quiet(count=4):
+    return p45(1e-4, count)
+
+
+def times(factor, *files):
+    """Return cycles of which FORCE is so many times as large, in all files or some."""
+    return lambda: with_forces(quiet(), lambda k, f: f * factor if k in files or not files else f)
+
+
+def changed(change, *files):
+    """Return cycles of which some, or all, are changed."""
+    return lambda: [
+        change(cycle) if k in files or not files else cycle for k, cycle in enumerate(quiet())
+    ]
+
+
+def columns(order, *names, files=(ONE,)):
+    """Return cycles in some of which columns of FORCE or POSITION stand in another order."""
+    return changed(lambda c: replace(c, **{n: np.array(getattr(c, n))[:, order] for n in names}),
+                   *files)  # fmt: skip
+
+
+def holding(*at):
+    """Return what lets sensors read in each row what they read in the first."""
+
+    def change(cycle):
+        position = np.array(cycle.position)
+        position[:, at] = position[0, at]
+        return replace(cycle, position=position)
+
+    return change
+
+
+def elsewhere(layout, at, far):
+    """Return a layout in which one actuator is said to stand so far from where it is [m]."""
+    return replace(layout, x=np.where(np.arange(layout.n) == at, layout.x + far, layout.x))
+
+
+def exchanged(one, other):
+    order = np.arange(45)
+    order[[one, other]] = other, one
+    return order
+
+
+def load(cycle, **parts):
+    return replace(cycle, load=replace(cycle.load, **parts))
+
+
+def poles(cycle):
+    return replace(cycle, force=np.array(cycle.force) * np.where(np.arange(45) == 7, -1, 1))
+
+
+def of_another_mirror():
+    return [*quiet()[:ONE], of_another(4)[ONE], quiet()[ONE + 1]]
+
+
+@cache
+def of_another(count):
+    """Return cycles of a mirror of the same name, whose actuators are others."""
+    return tuple(run_cycles(replace(static_bench(p45_mirror(), 8), force_noise=1e-4), count))
+
+
+def two_campaigns():
+    return [*quiet(), *(replace(c, number=c.number + 4) for c in of_another(4))]
+
+
+def never_on():
+    """The ring lay beside the mirror."""
+    ring = quiet()[4].load
+    return [c if c.number < 3 else replace(c, load=ring, number=c.number - 2) for c in quiet()[:4]]
+
+
+def one_file_everywhere():
+    first = quiet()[0]
+    return [replace(c, force=first.force, position=first.position) for c in quiet()[2:6]]
+
+
+def dated(cycle):
+    return replace(cycle, date=cycle.date.replace(year=2062))
+
+
+def warmer(cycle):
+    return replace(cycle, temperature=cycle.temperature * 1.8 + 32)
+
+
+def weights(factor):
+    return changed(lambda c: replace(load(c, added=factor * c.load.added),
+                                     weight=factor * c.weight))  # fmt: skip
+
+
+def added(cycle, weight):
+    return load(cycle, added=weight, added_error=0.005)
+
+
+NOT, LIMITED = ("not to be used",), ("limited",)
+REFUSED = (None,)
+IN_ORDER = "in the order of ACTUATORS, or leave it out"
+FORCE_IN, WEIGHTS_IN = "the unit that the column FORCE declares", "store WEIGHT and ADDED in N"
+FAULTS = {
+    # units and signs, of all files
+    "mN": (times(1e3), NOT, "alpha is about 0.0009", "FORCE looks as if in mN", FORCE_IN),
+    "-mN": (times(-1e3), NOT, "as if in mN, and FORCE of the other sign", FORCE_IN),
+    "kN": (times(1e-3), NOT, "FORCE looks as if in kN, or WEIGHT and ADDED as if in mN", FORCE_IN),
+    "-kN": (times(-1e-3), NOT, "as if in mN, and FORCE of the other sign", FORCE_IN),
+    "counts": (times(1e5), NOT, "as if in counts of the electronics", FORCE_IN),
+    "-counts": (times(-1e5), NOT, "counts of the electronics", "other sign", FORCE_IN),
+    "kgf": (times(1 / 9.81), NOT, "FORCE looks as if in kgf", FORCE_IN),
+    "all in grams": (weights(101.97), NOT, "WEIGHT and ADDED look as if in g", WEIGHTS_IN),
+    "all in kilograms": (weights(1 / 9.81), NOT, "WEIGHT and ADDED look as if in kg", WEIGHTS_IN),
+    "the mirror in ADDED": (
+        changed(lambda c: added(c, c.weight + c.load.added), 4, 5, 6, 7),
+        NOT, "ADDED looks as if the weight of the mirror were in it", "store what was added alone",
+    ),
+    "ADDED at the bare mirror": (
+        changed(lambda c: load(c, added=-0.289 - c.load.added, tool=None)),
+        NOT, "alpha is negative for 45 of 45", "or ADDED stands at the wrong load",
+    ),
+    "E_ADDED in per cent": (
+        changed(lambda c: load(c, added_error=5.0), 4, 5, 6, 7),
+        NOT, "so it is not told from 0", "check E_WEIGHT, E_ADDED and E_TILT",
+    ),
+    # columns, of one file
+    **{
+        f"{what} of {a + 1} and {b + 1} exchanged": (
+            columns(exchanged(a, b), *what.lower().split(" and ")), NOT + REFUSED,
+            f"exchanged columns of {what}", f"actuators {a + 1} and {b + 1} in ring 3", IN_ORDER,
+        )
+        for a, b, what in (
+            (10, 11, "FORCE"), (3, 30, "FORCE"), (10, 11, "POSITION"),
+            (20, 44, "FORCE and POSITION"),
+        )
+    },
+    "under the ring": (
+        columns(exchanged(10, 11), "force", files=range(4, 8)),
+        NOT, "actuators 11 and 12 in ring 1, ring 2 and 2 more, or in bare 1", IN_ORDER,
+    ),
+    "all columns shifted": (
+        columns(np.roll(np.arange(45), 1), "force"),
+        REFUSED, "another order of FORCE: 45 of 45 actuators in ring 3", IN_ORDER,
+    ),
+    "poles in one file": (
+        changed(poles, ONE), REFUSED, "FORCE of the other sign: actuator 8 in ring 3",
+        "turn the sign",
+    ),
+    "FORCE turned in one file": (
+        times(-1, ONE), REFUSED, "FORCE of the other sign: ring 3", "turn the sign of FORCE",
+    ),
+    "kgf in one file": (
+        times(1 / 9.81, ONE), REFUSED, "FORCE in another unit: ring 3, 0.10 times the others",
+        "correct the unit of FORCE",
+    ),
+    "um in one file": (
+        changed(lambda c: replace(c, position=3.0 * c.position), ONE),
+        NOT, "POSITION in another unit (ring 3, 3.0 times", "correct the unit of POSITION",
+    ),
+    "POSITION not read": (
+        changed(lambda c: replace(c, position=0.0 * c.position)),
+        NOT, "POSITION is the same in all rows", "leave the column out",
+    ),
+    "a frozen sensor": (
+        changed(holding(7)),
+        LIMITED, "frozen sensor (POSITION of actuator 8 is the same in all rows)",
+        "have its electronics looked at",
+    ),
+    "frozen sensors of a board": (
+        changed(holding(3, 7, 9, 20, 30)),
+        LIMITED, "frozen sensor (POSITION of actuators 4, 8, 10 and 2 more is the same",
+    ),
+    "a sensor frozen in one file": (
+        changed(holding(7), ONE),
+        LIMITED, "frozen sensor (POSITION of actuator 8", "all rows of ring 3",
+    ),
+    # places
+    "a place a metre off": (
+        changed(lambda c: replace(c, layout=elsewhere(c.layout, 22, 1.0))),
+        NOT, "actuator stands elsewhere than at its X and Y (actuator 23, about x = 0.05",
+        "correct X and Y in that row",
+    ),
+    "a place a centimetre off": (
+        changed(lambda c: replace(c, layout=elsewhere(c.layout, 22, 0.01))),
+        NOT, "actuator stands elsewhere than at its X and Y (actuator 23, about x = 0.05",
+    ),
+    # labels
+    **{
+        f"LOAD {name!r}": (
+            changed(lambda c, name=name: load(c, name=name), ONE), LIMITED,
+            f"one load under two names ('{name}' in {name} 3 is as 'ring' at rest)",
+            "let LOAD say 'ring' there",
+        )
+        for name in ("rign", "none", "bare2")
+    },
+    "two of four labels": (
+        changed(lambda c: load(c, name="rign"), 5, 6), LIMITED, "one load under two names", "rign",
+    ),
+    "a bare one as a third load": (
+        changed(lambda c: load(added(c, -0.305), name="rign"), 2),
+        NOT, "the file's load is another (rign 3, at rest as under bare)", "correct LOAD",
+    ),
+    # files that do not belong together
+    "one of another mirror": (
+        of_another_mirror, REFUSED, "files of two mirrors", "ring 3 against bare 1",
+        "of one mirror",
+    ),
+    "two campaigns": (
+        two_campaigns, REFUSED, "files of two mirrors, campaigns", "and 6 more", "of one mirror",
+    ),
+    "bare of one, ring of another mirror": (
+        lambda: [*quiet()[:4], *of_another(4)[4:]],
+        NOT, "files of two mirrors", "against ring 1", "of one mirror",
+    ),
+    "one file everywhere": (
+        one_file_everywhere, REFUSED + NOT, "copy of another file", "leave the copy out",
+    ),
+    "a load that was never on": (
+        never_on, NOT + REFUSED, "the forces are the same under all loads", "lay on the mirror",
+    ),
+    "a date of next century": (
+        changed(dated, ONE), LIMITED, "by DATE-OBS 13149 days lie between ring 3 and the other",
+        "correct DATE-OBS",
+    ),
+    "Fahrenheit": (changed(warmer), LIMITED, "TEMPERATURE is 68", "Fahrenheit"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("made", "level", "words"),
+                         [(made, level, words) for made, level, *words in FAULTS.values()],
+                         ids=FAULTS)  # fmt: skip
+def test_it_is_said_first_where_it_is_and_what_to_do(made, level, words):
+    found, *sentences = said(made())
+    assert found in level
+    text = "; ".join(sentences)
+    assert all(word in text for word in words), text
+
+
+def test_readings_cut_off_are_seen_beside_gradients_of_the_coils():
+    """As they were read: times 1 + COILGRAD z no two of them are alike to the last bit."""
+    bench = replace(static_bench(p45_mirror(), 1), force_noise=1e-4)
+    cut = with_forces(list(run_cycles(bench, 1)), lambda k, f: np.clip(f, -0.24, 0.24))
+    assert cut[0].coil_gradient
+    [effect] = sift(Campaign(tuple(cut))).clipped
+    assert effect.name == "readings cut off at a limit"
+    assert "at 0.24 N" in effect.where
+
+
+@pytest.mark.parametrize("name", ["mN", "LOAD 'rign'", "two campaigns", "a frozen sensor",
+                                  "POSITION of 11 and 12 exchanged"])  # fmt: skip
+def test_every_command_says_it_alike(inside, tmp_path, name):
+    write_campaign(FAULTS[name][0](), tmp_path / "c")
+    check_alike(inside, tmp_path / "c", "--method", "ml")
+
+
+SOUND = {
+    "as it is": changed(lambda c: c),
+    "other cases and blanks": changed(lambda c: load(c, name=" Ring "), ONE),
+    "a ring put on elsewhere, by its name": lambda: [
+        c if k < 6 else load(replace(c, force=c.force + 2e-3 * p45_bench().truth.layout.x / 0.1),
+                             name="ring, turned")
+        for k, c in enumerate(quiet())
+    ],
+    "shapes 3 % larger under the ring": lambda: [
+        c if k < 4 else larger(c) for k, c in enumerate(quiet())
+    ],
+    "one file each": lambda: quiet(1),
+    "no POSITION": changed(lambda c: replace(c, position=None)),
+    "few shapes in common": changed(lambda c: replace(c, valid=c.shape != 1 + c.number)),
+}  # fmt: skip
+
+
+def larger(cycle):
+    rest = [np.asarray(values).mean(axis=0) for values in (cycle.force, cycle.position)]
+    force, position = (
+        mean + 1.03 * (values - mean)
+        for values, mean in zip((cycle.force, cycle.position), rest, strict=True)
+    )
+    return replace(cycle, force=force, position=position)
+
+
+@pytest.mark.parametrize("made", SOUND.values(), ids=SOUND)
+def test_nothing_of_that_is_said_where_it_is_not_so(made):
+    verdict = tn.calibrate(Campaign(tuple(made()))).verdict
+    text = " ".join(fault for fault, _ in verdict.faults)
+    for word in ("exchanged", "order", "sign", "unit", "two names", "load is", "two mirrors",
+                 "DATE-OBS", "TEMPERATURE", "POSITION"):  # fmt: skip
+        assert word not in text
+
+
+@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
+def test_a_short_run_after_a_replacement_says_it_too():
+    earlier = tn.calibrate(Campaign(tuple(quiet())))
+    for name, level in (
+        ("POSITION of 11 and 12 exchanged", NOT),
+        ("LOAD 'rign'", LIMITED),
+        ("a frozen sensor", LIMITED),
+    ):
+        made, _, *words = FAULTS[name]
+        verdict = tn.recalibrate(Campaign(tuple(made())), earlier, [17]).calibration.verdict
+        assert verdict.level in level
+        assert words[0] in verdict.faults[0].fault
+
+
+@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
+def test_frozen_sensors_are_named_where_a_stiffness_is_made_of_their_rows():
+    alone, five = (Campaign(tuple(changed(holding(*at))())) for at in ((7,), (3, 7, 9, 20, 30)))
+    good = tn.calibrate(Campaign(tuple(quiet())))
+    for what in (
+        lambda: tn.measured_stiffness(five),
+        lambda: tn.calibrate(alone, "reciprocity"),
+        lambda: tn.find_modes(alone, good),
+    ):
+        with pytest.raises(RankDeficient, match=r"frozen sensor: POSITION of actuator"):
+            what()
+    once = tn.find_modes(Campaign(tuple(changed(holding(7), ONE)())), good)
+    assert len(once.measured.rejected) > 80  # nearly all rows of that file stand off the others
+
+
+@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
+def test_why_reciprocity_was_not_tried_agrees_with_what_was_taken_out():
+    found = tn.calibrate(Campaign(tuple(changed(holding(7))())), "auto")
+    said = " ".join(summary_lines(found))
+    assert "the data show frozen sensor; mend that first" in said
+    assert "taken out of them" not in said.replace("not taken out of them", "")
+    assert "which ml alone takes out" not in said
+    assert "was not used: no table SENSORS" in said
+
+
+def test_a_gap_of_a_day_is_no_gap():
+    later = [replace(c, date=c.date + datetime.timedelta(days=2 * k))
+             for k, c in enumerate(quiet(2))]  # fmt: skip
+    assert "DATE-OBS" not in str(tn.calibrate(Campaign(tuple(later))).verdict.faults)
+
+
+# --- a file in the place of another -------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def paths(p45_folder, tmp_path_factory):
+    """One path of each kind, by its name."""
+    folder = tmp_path_factory.mktemp("kinds")
+    kinds = {name: folder / file for name, file in (
+        ("empty folder", "empty"), ("folder of text", "notes"), ("nothing", "nothing.fits"),
+        ("empty file", "zero.fits"), ("text", "text.fits"), ("image", "image.fits"),
+        ("table", "table.fits"), ("calibration", "alpha.fits"), ("plan", "plan.toml"),
+        ("no TOML", "bad.toml"), ("stiffness", "stiffness.fits"),
+    )}  # fmt: skip
+    kinds["empty folder"].mkdir()
+    kinds["folder of text"].mkdir()
+    (kinds["folder of text"] / "notes.txt").write_text("x")
+    kinds["empty file"].touch()
+    kinds["text"].write_text("no FITS\n")
+    fits.PrimaryHDU(np.zeros((10, 10))).writeto(kinds["image"])
+    column = fits.Column("A", "D", array=np.ones(3))
+    table = fits.BinTableHDU.from_columns([column], name="OTHER")
+    fits.HDUList([fits.PrimaryHDU(), table]).writeto(kinds["table"])
+    tn.calibrate(tn.read(p45_folder)).write(kinds["calibration"])
+    kinds["no TOML"].write_text("a = [1\n")
+    kinds["plan"].write_text("cycles = 2\n")
+    truth = p45_bench().truth
+    matrix = tn.StiffnessMatrix("P45", truth_date(), truth.layout, truth.stiffness)
+    tn.write_stiffness(matrix, kinds["stiffness"])
+    return kinds | {
+        "campaign": p45_folder,
+        "cycle": p45_folder / "bare-001.fits",
+        "below a file": kinds["text"] / "x.fits",
+    }
+
+
+def truth_date():
+    return datetime.datetime(2026, 11, 22, tzinfo=datetime.UTC)
+
+
+# What a command takes in the place of PATH, beside what the fixture has not.
+COMMANDS = {
+    "calibrate PATH": {"campaign", "stiffness"},
+    "info PATH": {"campaign", "cycle", "stiffness", "calibration"},
+    "report PATH -o OUT.html": {"campaign", "cycle", "stiffness", "calibration"},
+    "report ALPHA PATH -o OUT.html": {"calibration"},
+    "figures PATH -o OUT": {"campaign", "stiffness", "calibration"},
+    "track PATH": set(),
+    "track ALPHA PATH": set(),
+    "recalibrate PATH --known ALPHA --actuators 3": {"campaign", "cycle"},
+    "recalibrate CAMPAIGN --known PATH --actuators 3": {"calibration"},
+    "modes PATH": {"campaign", "stiffness"},
+    "modes CAMPAIGN --calibration PATH": {"calibration"},
+    "plan PATH": set(),
+    "acquire PATH -o OUT": set(),
+    "simulate PATH -o OUT": set(),
+    "serve PATH -o OUT": set(),
+    "prove PATH": {"cycle", "stiffness"},
+    "mirrors PATH": set(),
+    "calibrate STIFFNESS --method reciprocity --mirror PATH": set(),
+}
+OUTPUTS = {  # where a command would write: a folder that is not its own, below a file, nowhere
+    "calibrate CAMPAIGN -o PATH --overwrite": (),
+    "figures ALPHA -o PATH --overwrite": ("empty folder",),
+    "report ALPHA -o PATH --overwrite": (),
+    "modes CAMPAIGN -o PATH --overwrite": (),
+    "modes CAMPAIGN --figures PATH --overwrite": ("empty folder",),
+    "recalibrate CAMPAIGN --known ALPHA --actuators 3 -o PATH --overwrite": (),
+    "plan --new -o PATH --overwrite": (),
+    "simulate p45 --cycles 1 -o PATH --overwrite": ("empty folder", "campaign"),
+    "mirrors p45 --plot -o PATH --overwrite": (),
+}
+
+
+def refused(inside, monkeypatch, tmp_path, command, path, paths):
+    """Run a command line with a path in it; return the one line of its refusal."""
+    known = {"PATH": path, "ALPHA": paths["calibration"], "CAMPAIGN": paths["campaign"],
+             "STIFFNESS": paths["stiffness"]}  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    code, out, error = inside(*(known.get(word, word) for word in command.split()))
+    assert (code, out) == (2, ""), command
+    assert error.count("\n") == 1
+    assert error.startswith("truenewton: ")
+    assert str(path) in error
+    assert "; " in error  # the remedy
+    assert not list(tmp_path.iterdir())
+    return error
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_path_of_another_kind_is_refused_in_a_line_that_names_it(
+    inside, monkeypatch, tmp_path, paths, command
+):
+    for kind in paths.keys() - COMMANDS[command]:
+        refused(inside, monkeypatch, tmp_path, command, paths[kind], paths)
+
+
+@pytest.mark.parametrize("command", OUTPUTS)
+def test_an_output_that_cannot_be_is_refused_in_a_line_that_names_it(
+    inside, monkeypatch, tmp_path, paths, command
+):
+    kinds = {"empty folder", "folder of text", "campaign", "below a file"} - {*OUTPUTS[command]}
+    for path in (*(paths[kind] for kind in kinds), tmp_path / "nowhere" / "x.fits"):
+        refused(inside, monkeypatch, tmp_path, command, path, paths)
+
+
+def test_a_file_that_may_not_be_read_is_refused_by_name(inside, monkeypatch, tmp_path, paths):
+    """Who runs the tests may read everything: the system's answer is played."""
+    sound = Path.open
+
+    def denied(path, *arguments, **options):
+        if path == paths["cycle"]:
+            raise PermissionError(13, "Permission denied", str(path))
+        return sound(path, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", denied)
+    for command in COMMANDS:
+        if "stiffness" in COMMANDS[command] or "PATH -" not in command:
+            line = refused(inside, monkeypatch, tmp_path, command, paths["cycle"], paths)
+            assert "Permission denied" in line or "FITS" in line, command
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["recalibrate", "x"], "Missing option '--known'; see 'truenewton recalibrate --help'"),
+        (["figures", "x"], "Missing option '-o' / '--output'; see 'truenewton figures --help'"),
+        (["calibrate"], "Missing argument 'PATH...'; see 'truenewton calibrate --help'"),
+        (["kalibrate"], "No such command 'kalibrate'"),
+        (["modes", "x", "--outer-scale", "far"], "see 'truenewton modes --help'"),
+    ],
+)
+def test_a_wrong_command_line_names_the_help_of_its_command(inside, arguments, said):
+    code, _, error = inside(*arguments)
+    assert code == 2
+    assert said in error
+    assert error.count("\n") == 1
+
+
+# --- as people count ----------------------------------------------------------------------------
+
+
+def test_one_is_singular_and_the_rest_is_counted():
+    assert counted(1, "row") == "1 row"
+    assert counted([], "row") == "0 rows"
+    assert counted(np.int64(1), "elastic mode") == "1 elastic mode"
+    assert counted(np.ones(2), "day") == "2 days"
+    assert counted(2, "degree of freedom", "degrees of freedom") == "2 degrees of freedom"
+    assert listed([3], 3) == "3"
+    assert listed([3, 5], 3) == "3 and 5"
+    assert listed(range(1, 8), 3) == "1, 2, 3 and 4 more"
+    assert named("actuator", [3], 3) == "actuator 3"
+    assert named("actuator", [3, 5, 8, 9], 3) == "actuators 3, 5, 8 and 1 more"
+
+
+def test_no_command_counts_one_as_many(inside, p45_folder, tmp_path):
+    """A campaign of one cycle under one load, and matrices of it, are told in the singular."""
+    alone = tmp_path / "c"
+    alone.mkdir()
+    shutil.copy(p45_folder / "bare-001.fits", alone)
+    texts = [inside("info", alone)[1], inside("simulate", "p45", "--cycles", "1", "-o",
+                                              tmp_path / "s")[1]]  # fmt: skip
+    assert "1 cycle file, " in texts[0]
+    assert "1 cycle, 90 rows" in texts[0]
+    assert "x 1 cycle x 90 shapes" in texts[1]
+
+
+def test_a_file_of_other_shapes_than_the_others_is_no_crash():
+    files = changed(lambda c: replace(c, shape=c.shape + 1000), ONE)()
+    made = tn.calibrate(Campaign(tuple(files)))
+    assert np.max(np.abs(made.alpha / tn.calibrate(Campaign(tuple(quiet()))).alpha - 1)) < 1e-3
+
+
+def test_a_column_of_zeros_in_one_file_is_no_crash():
+    """The prints of rows are in single precision, where 1e-300 is nothing."""
+    first = np.arange(45) == 0
+    files = changed(lambda c: replace(c, force=np.where(first, 0.0, c.force)), ONE)()
+    frozen = pytest.raises(TooManyOutliers, match="frozen reading: actuator 1 in ring 3")
+    with np.errstate(divide="raise", invalid="raise"), frozen:
+        sift(Campaign(tuple(files)))

@@ -1,0 +1,351 @@
+"""What is wrong with data gets a remedy that fits, and the same one from every command."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import truenewton as tn
+from helpers.balanced import WEIGHT, campaign_of, p45_bench
+from helpers.changed import check_alike, p45, said, with_forces
+from helpers.small_bench import SmallBench
+from truenewton.bench.simulated.static import START
+from truenewton.errors import RankDeficient, TrueNewtonError, TrueNewtonWarning
+from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.rounding_steps import hidden_variance, rounding_steps
+from truenewton.estimation.sifted import sift
+from truenewton.records.campaign import Campaign
+from truenewton.records.file import write_campaign, write_stiffness
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.load import Load
+
+STEP = 41.6e-6
+
+
+def stuck(at, cycles=(0, 1, 2, 3), rows=slice(None)):
+    """Return what holds the reading of an actuator as it is in the first of some rows."""
+
+    def change(k, force):
+        if k in cycles:
+            force[rows, at] = force[rows, at][0]
+        return force
+
+    return change
+
+
+def hung(k, force):
+    """Record one row again and again in the first cycle."""
+    return force[:1] + 0 * force if k == 0 else force
+
+
+def bent(power, size, each=False, noise=5e-5):
+    """Return cycles whose coils are not linear: so much at 0.4 N."""
+    bench = SmallBench(3, noise)
+    size = size * (np.random.default_rng(2).standard_normal(14) if each else 1.0)
+    bench.law = lambda c: 1 + size * (c / 0.4) ** (power - 1)
+    return bench.campaign().cycles
+
+
+FAULTS = {
+    "stuck": (
+        lambda: with_forces(p45(), stuck(7)),
+        None, "the reading of actuator 8 is stuck", "set ENABLED to F",
+    ),
+    "stuck, with noise": (
+        lambda: with_forces(
+            p45(),
+            lambda k, f: stuck(7)(k, f) + 1e-3 * np.random.default_rng(k).normal(size=f.shape),
+        ),
+        "not to be used", "stuck reading (actuator 8)", "have its electronics looked at",
+    ),
+    "frozen in one file": (
+        lambda: with_forces(p45(), stuck(7, (1,))),
+        "limited", "frozen reading (actuator 8 in bare 2)", "leave the file out, or mark the rows",
+    ),
+    "frozen for half of a file": (
+        lambda: with_forces(p45(), stuck(7, (1,), slice(45, 90))),
+        "limited", "frozen reading (actuator 8 in bare 2)", "leave the file out, or mark the rows",
+    ),
+    "a recorder that hung": (
+        lambda: with_forces(p45(), hung),
+        None, "frozen readings: all actuators in bare 1", "leave the file out",
+    ),
+    "the same in all rows": (
+        lambda: with_forces(p45(), lambda _, f: f[:1] + 0 * f),
+        None, "FORCE is the same for all shapes", "record the forces commanded for each shape",
+    ),
+    "cut off": (
+        lambda: with_forces(p45(), lambda _, f: np.clip(f, -0.36, 0.36)),
+        "not to be used", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
+    ),
+    "cut off by much": (
+        lambda: with_forces(p45(1e-5), lambda _, f: np.clip(f, -0.24, 0.24)),
+        "not to be used", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
+    ),
+    "quadratic coils": (
+        lambda: bent(2, 0.01), "limited", "quadratic coil", "at half of which it is half",
+    ),
+    "each quadratic": (
+        lambda: bent(2, 0.05, each=True),
+        "limited", "quadratic coil of each", "at half of which it is half",
+    ),
+    "cubic coils": (
+        lambda: bent(3, 0.05), "limited", "cubic coil", "at half of which it is a quarter",
+    ),
+    "loads alike": (
+        lambda: campaign_of(
+            5, 1e-3, loads=(Load("bare"), Load("ring", 1e-3 * WEIGHT, 5e-5)), cycles=4
+        )[0].cycles,
+        "limited", "the loads differ by no more than 0.0029 N of 2.9 N", "more shapes do not help",
+    ),
+    "loads as good as the same": (
+        lambda: campaign_of(5, 1e-3, loads=(Load("bare"), Load("ring", 1e-4 * WEIGHT, 5e-5)))[
+            0
+        ].cycles,
+        None, "the loads differ by no more than 0.00029 N", "take a load that differs",
+    ),
+    "WEIGHT ten times too large": (
+        lambda: p45(weight=-29.2),
+        "limited", "WEIGHT is -29.2 N, 0.65 N for each actuator", "check WEIGHT and its unit",
+    ),
+    "WEIGHT ten times too small": (
+        lambda: p45(weight=-0.292),
+        "limited", "WEIGHT is -0.292 N, several times less", "check WEIGHT and its unit",
+    ),
+    "E_ADDED is 0": (
+        lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
+        "limited", "the weights are given without errors (E_ADDED of 'ring' is 0)", "give E_WEIGHT",
+    ),
+    "all of the other sign": (
+        lambda: with_forces(p45(), lambda _, f: -f),
+        "not to be used", "alpha is negative for 45 of 45", "turn the sign of FORCE",
+    ),
+    "in mN": (
+        lambda: with_forces(p45(1e-4), lambda _, f: 1e3 * f),
+        "not to be used", "FORCE looks as if in mN", "the unit that the column FORCE declares",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("made", "level", "fault", "remedy"), FAULTS.values(), ids=FAULTS)
+def test_a_fault_is_said_first_with_what_mends_it(made, level, fault, remedy):
+    found = said(made())
+    assert found[0] == level
+    assert fault in found[1]
+    assert remedy in found[2]
+
+
+@pytest.mark.parametrize("made", [
+    lambda: p45(1e-5), lambda: p45(0.0),
+    lambda: with_forces(p45(0.0), lambda _, f: np.round(f, 3)),  # far actuators hardly move
+    lambda: with_forces(p45(), lambda _, f: np.clip(f, -0.3951, 0.3951)),  # a reading or two
+])  # fmt: skip
+def test_no_reading_of_sound_data_stands_still(made):
+    sifted = sift(Campaign(tuple(made())))
+    assert not [effect for effect in sifted.suspects if "frozen" in effect.name]
+
+
+def test_an_order_that_balances_as_well_is_told_by_position(tmp_path):
+    """Turned by 120 degrees forces balance as before: the displacements alone say otherwise."""
+    layout = p45()[0].layout
+    place = layout.x + 1j * layout.y
+    turned = np.abs(place[:, None] * np.exp(2j * np.pi / 3) - place).argmin(axis=1)
+    assert sorted(turned) == list(range(45))
+    made = Campaign(tuple(with_forces(p45(), lambda _, force: force[:, turned])))
+    with pytest.warns(TrueNewtonWarning, match="not to be used"):
+        found = tn.calibrate(made)
+    assert found.goodness.probability > 1e-3  # nothing is wrong with the balance
+    assert found.verdict.level == "not to be used"
+    assert "order of FORCE is not that of POSITION" in found.verdict.faults[0].fault
+    found.write(tmp_path / "alpha.fits")
+    with pytest.warns(TrueNewtonWarning, match="order of FORCE"):
+        back = tn.read(tmp_path / "alpha.fits")
+    assert back.verdict == found.verdict
+    with pytest.raises(TrueNewtonError, match="order of FORCE"):
+        tn.find_modes(made, back)
+
+
+# --- an actuator without force ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["ml", "svd"])
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+def test_an_alpha_of_0_within_its_error_is_dead_by_name(method, noise):
+    bench = SmallBench(4, noise)
+    bench.arms[:, 5] = 0.0  # whatever it is commanded, it does nothing
+    verdict = tn.calibrate(bench.campaign(), method).verdict
+    assert verdict.level == "limited"
+    dead = [fault for fault, _ in verdict.faults if "actuator 6" in fault]
+    assert dead
+    assert "dead" in dead[0]
+
+
+# --- forces in steps --------------------------------------------------------------------------
+
+
+def rounded(cycles, step=STEP):
+    return with_forces(cycles, lambda _, force: np.round(force / step) * step)
+
+
+@pytest.mark.parametrize(
+    "stored",
+    [lambda f: f, lambda f: f + 0.01, lambda f: f.astype(np.float32).astype(float),
+     lambda f: 1e-3 * (1e3 * f).astype(np.float32)],
+    ids=["as they are", "with an offset", "in single precision", "in mN"],
+)  # fmt: skip
+def test_the_step_of_forces_is_found(stored):
+    force = np.random.default_rng(1).normal(0.0, 0.12, (40, 50))
+    assert not rounding_steps(list(stored(force))).any()
+    found = rounding_steps(list(stored(np.round(force / STEP) * STEP)))
+    assert found == pytest.approx(STEP, rel=1e-3)
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.05, 0.1, 0.2, 0.3, 0.5])
+def test_what_repeats_do_not_show_of_rounding(sigma):
+    """Against 4000 forces all over a step, 400 readings of each."""
+    random = np.random.default_rng(2)
+    force = (np.arange(4000) + 0.5) / 4000
+    read = np.round(force[:, None] + sigma * random.standard_normal((4000, 400)))
+    seen = float(read.var(axis=1, ddof=1).mean())
+    hidden = float(np.mean((read.mean(axis=1) - force) ** 2)) - seen / 400
+    assert hidden_variance(np.ones(1), np.array([seen]))[0] == pytest.approx(hidden, abs=1.5e-3)
+    assert seen + hidden == pytest.approx(sigma**2 + 1 / 12, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("noise", "count"), [(0.0, 2), (0.0, 4), (1e-6, 4), (5e-6, 4), (1e-5, 1), (1e-5, 2)]
+)
+def test_rounding_is_noise_and_no_outlier(noise, count):
+    """Steps of 41.6 uN: none of the shapes goes, and alpha is covered by what it adds."""
+    bench = p45_bench()
+    made = Campaign(tuple(rounded(p45(noise, count))))
+    found = tn.calibrate(made)
+    assert found.rejected == 0
+    assert found.effects == ()
+    assert found.goodness.probability > 1e-3 or count == 1
+    off = found.alpha / bench.truth.alpha
+    off = off / off.mean() - 1.0  # the weights are not what they say
+    z = off / (found.reading_error / found.alpha)
+    assert np.sqrt(np.mean(z**2)) < 1.6
+    text = " | ".join(fault for fault, _ in found.verdict.faults)
+    assert "repeated shapes scatter" not in text
+    if count > 1:
+        assert "FORCE comes in steps of 0.0416 mN" in text
+        assert "0.012 mN, step / root 12, is in E_STAT" in text
+
+
+def test_rounding_that_hardly_adds_is_not_said():
+    found = tn.calibrate(Campaign(tuple(rounded(p45(1e-4)))))
+    assert not any("steps" in fault for fault, _ in found.verdict.faults)
+
+
+def test_who_declares_less_than_rounding_has_not_declared_it():
+    made = Campaign(tuple(rounded([replace(c, force_error=1e-5) for c in p45(1e-5, 1)])))
+    noise = reading_noise(made, sift(made).moments)
+    each = np.sqrt(noise.variance) * 1e-5 / 1e-3
+    assert each == pytest.approx(np.hypot(1e-5, STEP / np.sqrt(12)), rel=1e-3)
+
+
+# --- one front end ----------------------------------------------------------------------------
+
+
+def spiked():
+    """Return cycles in which a row of each file is off."""
+    rows = np.arange(90)[:, None]
+    return with_forces(p45(), lambda k, f: f + 0.3 * (rows == 4 + k) * (np.arange(45) == 3))
+
+
+def one_label():
+    """Return cycles of which one under the ring says that it is bare."""
+    made = p45(count=3)
+    return [*made[:2], replace(made[3], number=3, load=made[0].load), *made[4:]]
+
+
+def neighbours(k, force):
+    return force[:, [1, 0, *range(2, 45)]]
+
+
+DATA = {
+    "sound": p45,
+    "spikes": spiked,
+    "one load": lambda: p45()[:2],
+    "five shapes": lambda: [shortened(c) for c in p45()],
+    "a wrong label": one_label,
+    "a copy": lambda: with_forces(p45(), lambda k, f: f if k != 1 else np.array(p45()[0].force)),
+    "poles": lambda: with_forces(p45(), lambda _, f: f * np.where(np.arange(45) == 20, -1, 1)),
+    "neighbours": lambda: with_forces(p45(), neighbours),
+    **{name: FAULTS[name][0] for name in (
+        "stuck", "frozen in one file", "the same in all rows", "cut off",
+        "WEIGHT ten times too large", "all of the other sign",
+    )},
+}  # fmt: skip
+
+
+def shortened(cycle):
+    keep = slice(10)
+    return replace(cycle, **{
+        name: getattr(cycle, name)[keep]
+        for name in ("time", "shape", "sign", "force", "valid", "temperature", "position")
+        if getattr(cycle, name) is not None
+    })  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "method"),
+    [*((name, "ml") for name in DATA), *((name, "svd") for name in ("spikes", "a copy", "poles"))],
+)
+def test_every_command_answers_alike(inside, tmp_path, name, method):
+    write_campaign(DATA[name](), tmp_path / "c")
+    check_alike(inside, tmp_path / "c", "--method", method)
+
+
+@pytest.mark.parametrize("options", [(), ("--population",), ("--method", "svd")])
+@pytest.mark.parametrize("change", [
+    lambda k: k, lambda k: -k, lambda k: np.roll(k, 1, axis=0), lambda k: np.eye(45),
+    lambda k: k * (1 + 0.1 * np.random.default_rng(3).standard_normal(k.shape)),
+])  # fmt: skip
+def test_every_command_answers_alike_of_a_matrix(inside, tmp_path, change, options):
+    truth = p45_bench().truth
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1 + 1e-4 * np.random.default_rng(1).standard_normal(k.shape))
+    write_stiffness(StiffnessMatrix("P45", START, truth.layout, change(k)), tmp_path / "k.fits")
+    check_alike(inside, tmp_path / "k.fits", *options)
+
+
+def test_the_page_says_the_same(inside, tmp_path):
+    write_campaign(DATA["stuck"](), tmp_path / "c")
+    _, out, _ = inside("info", tmp_path / "c", "--json")
+    verdict = json.loads(out)["verdict"]
+    code, out, _ = inside("report", tmp_path / "c", "-o", tmp_path / "page.html")
+    assert code == 0
+    assert out.startswith(verdict["level"].capitalize())
+    assert verdict["faults"][0]["fault"][1:] in out
+    assert verdict["faults"][0]["remedy"][1:] in out
+
+
+def test_svd_says_that_it_takes_rows_that_do_not_fit():
+    found = tn.calibrate(Campaign(tuple(spiked())), "svd")
+    assert any("rows among them that ml leaves out" in fault for fault, _ in found.verdict.faults)
+
+
+def test_alpha_that_does_harm_is_said_before_what_it_comes_from():
+    truth = p45_bench().truth
+    k = truth.stiffness / truth.alpha[:, None]
+    made = tn.calibrate(StiffnessMatrix("P45", START, truth.layout, k))
+    line = made.imbalances[0]
+    unseen = (replace(line, before=0.02, after=0.03),) * 2
+    doubtful = replace(made, imbalances=(line, *unseen), reading_error=np.ones(45))
+    verdict = doubtful.verdict
+    assert verdict.level == "not to be used"
+    assert "balance worse with alpha (3.0 % of their force)" in verdict.faults[0].fault
+    assert "known to" in verdict.faults[1].fault
+
+
+def test_positions_beyond_the_gap_are_in_another_unit():
+    cycles = campaign_of(5, 1e-3)[0].cycles
+    millimetres = [
+        replace(cycle, gap=68e-6, position=1e3 * np.abs(cycle.force) * 1e-6) for cycle in cycles
+    ]
+    with pytest.raises(RankDeficient, match=r"POSITION reaches .* beyond the GAP of 6.8e-05 m"):
+        tn.calibrate(tn.Campaign(tuple(millimetres)))

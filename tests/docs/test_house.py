@@ -1,0 +1,112 @@
+"""The house: what stands where, and that the pages which tell of it are true."""
+
+import ast
+import importlib
+import re
+import sys
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs"))
+import house  # noqa: E402
+
+PACKAGES = sorted(path.parent for path in house.SOURCE.rglob("__init__.py"))
+LOOSE = {"arrays", "chance", "cluster", "errors", "linalg", "reading", "rounding"}
+# A shape such as (n,), (N, 3), (..., 3), or a unit in brackets.
+SHAPE_OR_UNIT = re.compile(r"\((?!paper)[\w .+*/-]+(?:,[\w .+*/-]*)+\)|\[[^\]\n]+\]")
+
+
+def test_few_modules_are_loose():
+    modules = {path.stem for path in house.SOURCE.glob("*.py")}
+    assert modules - {"__init__", "__main__"} == LOOSE
+
+
+@pytest.mark.parametrize("package", PACKAGES[1:], ids=lambda path: path.name)
+def test_a_room_says_what_stands_in_it(package):
+    text = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8")))
+    listed = set(re.findall(r"^ *(\w+)/? {2,}\S", text, re.MULTILINE))
+    there = {path.stem for path in package.glob("*.py")} - {"__init__"}
+    there |= {path.parent.name for path in package.glob("*/__init__.py")}
+    assert listed >= there
+    assert {name for name in listed - there if not name.startswith(("eq", "sec"))} == set()
+
+
+def test_the_picture_shows_the_contract():
+    rooms = {room for level in house.layers() for room in level}
+    assert rooms == LOOSE | {path.name for path in PACKAGES[1:] if path.parent == house.SOURCE}
+    assert house.PICTURE.read_text(encoding="utf-8") == house.picture()
+
+
+def test_nothing_has_outgrown_its_room():
+    assert house.module_sizes()[0][0] <= house.MOST_LINES
+    assert house.function_sizes()[0][0] <= house.LONGEST_FUNCTION
+    complexities = house.complexities()
+    assert len(complexities) > 1000
+    assert complexities[0][0] <= house.MOST_COMPLEX
+
+
+def outermost(tree):
+    """Return the functions of a module and the methods of its classes."""
+    classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
+    inside = [node for part in (tree, *classes) for node in part.body]
+    return [node for node in inside if isinstance(node, ast.FunctionDef)]
+
+
+def test_docstrings_of_arrays_give_shapes_or_units():
+    bare = []
+    for path in house.modules():
+        for function in outermost(ast.parse(path.read_text(encoding="utf-8"))):
+            if function.name.startswith("_") or "@overload" in ast.unparse(function):
+                continue
+            types = ast.unparse(function.args) + ast.unparse(function.returns or ast.Constant(None))
+            text = ast.get_docstring(function) or ""
+            if re.search(r"Array\b|NDArray|ArrayLike", types) and not SHAPE_OR_UNIT.search(text):
+                bare.append(f"{path.relative_to(house.SOURCE)}: {function.name}")
+    assert bare == []
+
+
+def glossary():
+    """Return the names in the code of the glossary's table in docs/method.md."""
+    text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8").split("## Glossary")[1]
+    rows = [line for line in text.split("\n## ")[0].splitlines() if line.startswith("|")][2:]
+    return [name for row in rows for name in re.findall(r"`([\w.]+)`", row.split("|")[3])]
+
+
+def exists(name):
+    """Tell whether a module, a name in it, an attribute or a parameter of that exists."""
+    parts = name.split(".")
+    for k in range(len(parts), 0, -1):
+        try:
+            thing = importlib.import_module(".".join(["truenewton", *parts[:k]]))
+        except ModuleNotFoundError:
+            continue
+        for part in parts[k:]:
+            if is_dataclass(thing) and part in {field.name for field in fields(thing)}:
+                return part == parts[-1]
+            if not hasattr(thing, part):
+                return False
+            thing = getattr(thing, part)
+        return True
+    return False
+
+
+def test_every_name_in_the_glossary_exists():
+    names = glossary()
+    assert len(names) > 40
+    assert [name for name in names if not exists(name)] == []
+    assert not exists("estimation.minimum.Minimum.feigned")
+    assert not exists("estimation.nowhere")
+
+
+@pytest.mark.parametrize(
+    ("folder", "command"),
+    [("benchmarks", r"`python benchmarks/(\w+)\.py"), ("studies", r"`python -m studies\.(\w+)")],
+)
+def test_every_study_and_benchmark_is_evidence(folder, command):
+    page = (ROOT / "docs" / "evidence.md").read_text(encoding="utf-8")
+    files = (ROOT / folder).glob("*.py")
+    run = {path.stem for path in files if "__main__" in path.read_text(encoding="utf-8")}
+    assert set(re.findall(command, page)) == run

@@ -1,0 +1,180 @@
+"""A matrix whose forces balance as commanded tells no alpha: cleaned of rigid motions, or true."""
+
+import datetime
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.balanced import p45_bench
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import TrueNewtonWarning
+from truenewton.estimation.matrix_order import CLEANED, TRANSPOSED, TRUE_ALREADY, balance_effects
+from truenewton.estimation.reciprocity.gate import BY_ML, Evidence, instead, refusals
+from truenewton.estimation.sifted_matrix import sift_matrix
+from truenewton.foreign.importing import stiffness_from
+from truenewton.modal.findings import find_modes
+from truenewton.reading import read_data
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+
+DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
+REAL = os.environ.get("TRUENEWTON_REAL_DATA")
+needs_real_data = pytest.mark.skipif(
+    REAL is None, reason="TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set"
+)
+
+
+def measured():
+    """Return P45's matrix in commanded Newtons with 1e-4 noise, and alpha."""
+    truth = p45_bench().truth
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1.0 + 1e-4 * np.random.default_rng(2).standard_normal(k.shape))
+    return StiffnessMatrix("P45", DATE, truth.layout, k), truth.alpha
+
+
+def cleaned(k, rigid):
+    """Return (n, n) k less what (n, 3) rigid motions it holds on both sides, and in forces only."""
+    rigid = np.linalg.qr(rigid)[0]
+    forces = k - rigid @ (rigid.T @ k)
+    return forces - (forces @ rigid) @ rigid.T, forces
+
+
+def written(k, digits):
+    """Return (n, n) k as a file of so many significant digits holds it."""
+    return np.array([[float(f"{each:.{digits}g}") for each in row] for row in k])
+
+
+CLEANED_WAYS = {
+    "both": lambda k, rigid: cleaned(k, rigid)[0],
+    "forces": lambda k, rigid: cleaned(k, rigid)[1],
+    "single precision": lambda k, rigid: cleaned(k, rigid)[0].astype(np.float32).astype(float),
+    "four decimals": lambda k, rigid: 1e2 * np.round(cleaned(k, rigid)[0] / 1e2),
+    "three decimals": lambda k, rigid: 1e3 * np.round(cleaned(k, rigid)[1] / 1e3),
+    "three digits": lambda k, rigid: written(cleaned(k, rigid)[0], 3),
+    "four digits": lambda k, rigid: 1e6 * written(1e-6 * cleaned(k, rigid)[1], 4),
+    "six digits": lambda k, rigid: written(cleaned(k, rigid)[1], 6),
+    "symmetric": lambda k, rigid: cleaned(0.5 * (k + k.T), rigid)[0],
+    "symmetric, three": lambda k, rigid: 1e3 * np.round(cleaned(0.5 * (k + k.T), rigid)[0] / 1e3),
+    "symmetric, digits": lambda k, rigid: written(cleaned(0.5 * (k + k.T), rigid)[0], 3),
+}
+
+
+def rigid_motions(of):
+    return np.stack([of.nz, of.x, of.y], axis=1)[of.enabled]
+
+
+@pytest.mark.parametrize("way", CLEANED_WAYS)
+def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
+    """It balances with alpha = 1, and truth is 0.7 .. 1.1, and nobody is told to transpose it."""
+    matrix, _ = measured()
+    k = CLEANED_WAYS[way](matrix.stiffness, rigid_motions(matrix.layout))
+    balanced = replace(matrix, stiffness=k)
+    [effect] = sift_matrix(balanced).effects
+    assert effect.name == (TRUE_ALREADY if "symmetric" in way else CLEANED)
+    assert effect.remedy == "give the matrix as it was measured"
+    made = stiffness_from(k, matrix.layout, unit="N/m")
+    assert (made.balanced, made.transposed) == (True, False)
+    assert "cleaned of rigid motions?" in repr(made)
+    assert "TRANSPOSED" not in repr(made)
+
+
+@pytest.mark.parametrize("digits", [3, 4, 5])
+def test_few_significant_digits_of_measured_forces_are_not_taken_for_cleaning(digits):
+    matrix, _ = measured()
+    assert not [*balance_effects(replace(matrix, stiffness=written(matrix.stiffness, digits)))]
+
+
+@pytest.mark.parametrize("digits", [None, 1e3, 3e4, 3, 4, 5])
+@pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
+def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
+    """Electronics into which alpha is loaded: what its noise leaves out of balance is measured."""
+    truth, random = p45_bench().truth, np.random.default_rng(3)
+    right = 1.0 + 3e-4 * random.standard_normal(45)
+    k = truth.stiffness * (1.0 + noise * random.standard_normal((45, 45))) / right[:, None]
+    if digits is not None:
+        k = written(k, digits) if digits < 10 else digits * np.round(k / digits)
+    assert not [*balance_effects(StiffnessMatrix("P45", DATE, truth.layout, k))]
+
+
+def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_they_are():
+    """Rigid motions taken out of readings leave forces as they were measured."""
+    matrix, _ = measured()
+    k = cleaned(matrix.stiffness.T, rigid_motions(matrix.layout))[1].T
+    assert sift_matrix(replace(matrix, stiffness=k)).effects == ()
+    [effect] = sift_matrix(replace(matrix, stiffness=k.T)).effects
+    assert effect.name == TRANSPOSED
+
+
+def test_a_cleaned_matrix_is_not_to_be_used_and_a_true_one_has_modes():
+    matrix, alpha = measured()
+    rigid = rigid_motions(matrix.layout)
+    with pytest.warns(TrueNewtonWarning, match="already balanced as commanded: alpha is gone"):
+        made = calibrate(replace(matrix, stiffness=cleaned(matrix.stiffness, rigid)[0]))
+    assert (made.verdict.level, made.method) == ("not to be used", "ml")
+    true = 0.5 * (alpha[:, None] * matrix.stiffness + (alpha[:, None] * matrix.stiffness).T)
+    as_true = replace(matrix, stiffness=cleaned(true, rigid)[0])
+    with pytest.warns(TrueNewtonWarning, match="symmetric and balanced as commanded: a true one"):
+        found = find_modes(as_true)
+    stiffness = found.after.stiffness.stiffness
+    np.testing.assert_allclose(stiffness, as_true.stiffness, atol=1e-9 * stiffness.max())
+    [(fault, _)] = found.warnings
+    assert "taken for a true one" in fault
+
+
+def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
+    """One made symmetric, of alpha that scatter by 1.5 %: balance leaves others than 1."""
+    truth = p45_bench().truth
+    k = truth.stiffness / (1.0 + 0.015 * np.random.default_rng(6).standard_normal(45))[:, None]
+    k = 0.5 * (k + k.T)
+    with pytest.warns(TrueNewtonWarning, match="symmetric and balanced as commanded: a true one"):
+        found = find_modes(StiffnessMatrix("P45", DATE, truth.layout, k))
+    assert (found.calibration.alpha[truth.layout.enabled] == 1.0).all()
+    assert ["alpha is 1" in fault for fault, _ in found.warnings] == [True]
+    assert found.imbalance[0] == found.imbalance[1]
+
+
+@needs_real_data
+def test_a_real_lbt672_cleaned_of_rigid_motions_is_told_from_the_measured():
+    matrix = read_data(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")
+    k, rigid = matrix.used_stiffness, rigid_motions(matrix.layout)
+    assert not [*balance_effects(matrix)]
+    layout = matrix.layout.part(matrix.layout.enabled)
+    for way, change in CLEANED_WAYS.items():
+        [effect] = balance_effects(StiffnessMatrix("LBT672", DATE, layout, change(k, rigid)))
+        assert effect.name == (TRUE_ALREADY if "symmetric" in way else CLEANED), way
+
+
+def test_every_command_says_what_was_done_to_it(inside, tmp_path):
+    matrix, _ = measured()
+    rigid = rigid_motions(matrix.layout)
+    k = cleaned(matrix.stiffness, rigid)[1]
+    np.save(tmp_path / "k.npy", k)
+    np.savetxt(tmp_path / "xy.csv", rigid[:, 1:], delimiter=",", header="X,Y", comments="")
+    code, out, _ = inside(
+        "import", tmp_path / "k.npy", tmp_path / "xy.csv", "--unit", "N/m", "--lengths", "m",
+        "-o", tmp_path / "k.fits",
+    )  # fmt: skip
+    assert code == 0
+    assert "alpha        none of a matrix that is balanced as commanded" in out
+    assert "next" not in out
+    assert "ranspose" not in out
+    code, _, err = inside("calibrate", tmp_path / "k.fits", "-o", tmp_path / "alpha.fits")
+    assert code == 2
+    said = "already balanced as commanded: alpha is gone (cleaned of rigid motions?)"
+    assert said in err
+    assert not (tmp_path / "alpha.fits").exists()
+    code, out, _ = inside("info", tmp_path / "k.fits")
+    assert code == 0
+    assert said in out
+    assert "not to be used" in out
+
+
+@pytest.mark.parametrize(("error", "gross"), [(0.34, True), (0.004, False)])
+def test_reciprocity_that_makes_no_sense_beside_a_sure_balance_limits_alpha(error, gross):
+    """34 % beside 2e-6 %: so it was of a cleaned matrix; 0.4 % leave annuli without the glass."""
+    evidence = Evidence(as_stated=1e6, error=error, error_by_balance=2e-8)
+    [said] = instead(tuple(refusals(evidence)))
+    assert said.fault.startswith(BY_ML) is not gross
+    assert ("give it as it was measured" in said.remedy) is gross

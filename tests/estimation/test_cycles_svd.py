@@ -1,0 +1,268 @@
+"""The paper's method, against LAPACK on the explicit system, Monte Carlo and finite differences."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from helpers.balanced import RING, campaign_of, noisy, p45_campaign, three_loads
+from truenewton.calibration import methods
+from truenewton.errors import RankDeficient, UnknownName
+from truenewton.estimation.cycles_svd import bias, fit, solve, weight_changes
+from truenewton.estimation.systems import system_e
+from truenewton.estimation.weights import weight_errors
+from truenewton.records.campaign import Campaign
+from truenewton.statics.arms import enabled_arms
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+calibrate = partial(methods.calibrate, method="svd")
+
+
+def solution(calibration):
+    """Return alpha, B and torques of a calibration as one vector."""
+    torques = np.stack([calibration.torque_y, calibration.torque_x], axis=1).ravel()
+    on = calibration.layout.enabled
+    return np.concatenate([calibration.alpha[on], [calibration.bias_force], torques])
+
+
+@pytest.mark.parametrize("loads", [2, 3])
+def test_svd_equals_lapack_least_squares_on_the_explicit_system(loads):
+    campaign = campaign_of(seed=4, noise=1e-3)[0] if loads == 2 else three_loads(seed=4, noise=1e-3)
+    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    expected = np.linalg.lstsq(e, r, rcond=None)[0]
+    assert solution(calibrate(campaign)) == pytest.approx(expected, rel=1e-9, abs=1e-11)
+
+
+def test_svd_equals_lapack_on_p45():
+    campaign = p45_campaign()
+    e, r = system_e(campaign, enabled_arms(campaign.layout))
+    expected = np.linalg.lstsq(e, r, rcond=None)[0]
+    assert solution(calibrate(campaign)) == pytest.approx(expected, rel=1e-9, abs=1e-11)
+
+
+def test_without_noise_everything_comes_back():
+    campaign, truth = campaign_of(seed=5, noise=0.0)
+    assert solution(calibrate(campaign)) == pytest.approx(truth, abs=1e-12)
+
+
+def test_a_disabled_actuator_takes_no_part_and_has_nan():
+    campaign, truth = campaign_of(seed=6, noise=0.0, disabled=(2, 7))
+    calibration = calibrate(campaign)
+    assert solution(calibration) == pytest.approx(truth, abs=1e-12)
+    assert np.flatnonzero(np.isnan(calibration.alpha)).tolist() == [2, 7]
+    assert np.isnan(calibration.covariance[2]).all()
+    assert np.isnan(calibration.covariance[:, 7]).all()
+    assert np.isfinite(calibration.error[[0, 1, 3]]).all()
+
+
+def test_rows_that_are_not_valid_take_no_part():
+    campaign, truth = campaign_of(seed=7, noise=0.0, invalid=(0, 3))
+    calibration = calibrate(campaign)
+    assert solution(calibration) == pytest.approx(truth, abs=1e-12)
+    assert calibration.invalid == 2 * 4
+    assert calibration.shapes_used == 4 * 26
+
+
+def test_alpha_is_exactly_proportional_to_the_added_weight():
+    """The scale comes from the added weight and from nothing else."""
+    campaign, truth = campaign_of(seed=8, noise=0.0)
+    lighter = Campaign(
+        tuple(replace(c, load=replace(c.load, added=0.9 * c.load.added)) for c in campaign.cycles)
+    )
+    n = campaign.layout.n
+    assert calibrate(lighter).alpha == pytest.approx(0.9 * truth[:n], rel=1e-12)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.permutations(range(14)))
+def test_the_order_of_actuators_does_not_matter(order):
+    campaign, _ = campaign_of(seed=9, noise=1e-4)
+    layout, order = campaign.layout, list(order)
+    shuffled = Layout(*(getattr(layout, k)[order] for k in ("id", "x", "y", "nz", "enabled")))
+    other = Campaign(
+        tuple(replace(c, layout=shuffled, force=c.force[:, order]) for c in campaign.cycles)
+    )
+    one, two = calibrate(campaign), calibrate(other)
+    assert two.alpha == pytest.approx(one.alpha[order], rel=1e-9)
+    assert two.error == pytest.approx(one.error[order], rel=1e-7)
+    assert two.bias_force == pytest.approx(one.bias_force, rel=1e-9)
+
+
+@settings(max_examples=20, deadline=None, derandomize=True)
+@given(st.floats(0.0, 2 * np.pi))
+def test_turning_the_axes_leaves_noiseless_alpha_and_turns_the_torques(angle):
+    campaign, truth = campaign_of(seed=10, noise=0.0)
+    layout, (c, s) = campaign.layout, (np.cos(angle), np.sin(angle))
+    turned = Layout(
+        layout.id, c * layout.x - s * layout.y, s * layout.x + c * layout.y, layout.nz,
+        layout.enabled,
+    )  # fmt: skip
+    calibration = calibrate(Campaign(tuple(replace(k, layout=turned) for k in campaign.cycles)))
+    n = layout.n
+    assert calibration.alpha == pytest.approx(truth[:n], abs=1e-11)
+    torque_y, torque_x = truth[n + 1 :: 2], truth[n + 2 :: 2]
+    # (M_y, -M_x) turn as the moments of (x, y).
+    assert calibration.torque_y == pytest.approx(c * torque_y + s * torque_x, abs=1e-11)
+    assert calibration.torque_x == pytest.approx(-s * torque_y + c * torque_x, abs=1e-11)
+
+
+def test_forces_in_other_units_scale_alpha():
+    campaign, _ = campaign_of(seed=11, noise=1e-3)
+    scaled = Campaign(tuple(replace(c, force=4.0 * c.force) for c in campaign.cycles))
+    one, two = calibrate(campaign), calibrate(scaled)
+    assert 4.0 * two.alpha == pytest.approx(one.alpha, rel=1e-10)
+    assert 4.0 * two.error == pytest.approx(one.error, rel=1e-8)
+    assert two.noise == pytest.approx(4.0 * one.noise, rel=1e-10)
+
+
+def test_stated_scatter_is_the_scatter_over_campaigns():
+    """E_STAT against 300 campaigns that share their truth: seeded, both sides within 10 %."""
+    alphas, stated = [], []
+    quiet, _ = campaign_of(seed=12, noise=0.0, cycles=4)
+    for k in range(300):
+        campaign = noisy(quiet, 2e-3, [99, k])
+        calibration = calibrate(campaign)
+        alphas.append(calibration.alpha)
+        stated.append(calibration.reading_error**2)
+    scatter = np.std(alphas, axis=0, ddof=1)
+    ratio = np.sqrt(np.mean(stated, axis=0)) / scatter
+    assert ratio.mean() == pytest.approx(1.0, abs=0.05)
+    assert np.all(np.abs(ratio - 1.0) < 0.2)  # each: 1 / root(2 * 299) = 4 %, five sigma
+
+
+def test_weights_propagate_as_finite_differences_do():
+    campaign = three_loads(seed=13, noise=1e-3)
+    expected = 0.0
+    steps = {
+        "weight": [("weight", 0.005)],
+        "ring": [("ring", 0.005)],
+        "tilt": [("tilt", 0.002)],
+        "angle": [("angle", 0.1)],
+    }
+    base = solution(calibrate(campaign))
+    for source, [(name, sigma)] in steps.items():
+        moved = []
+        for c in campaign.cycles:
+            if source == "weight":
+                moved.append(replace(c, weight=c.weight + 1e-3 * sigma))
+            elif source == "angle" and c.load.name == "tilt":
+                moved.append(replace(c, load=replace(c.load, tilt=c.load.tilt + 1e-3 * sigma)))
+            elif c.load.name == name:
+                moved.append(replace(c, load=replace(c.load, added=c.load.added + 1e-3 * sigma)))
+            else:
+                moved.append(c)
+        change = (solution(calibrate(Campaign(tuple(moved)))) - base) / 1e-3
+        expected = expected + np.outer(change, change)
+    changes = weight_changes(campaign, fit(campaign), weight_errors(campaign))
+    found = changes.T @ changes
+    assert found == pytest.approx(expected, rel=2e-5, abs=1e-6 * np.abs(expected).max())
+
+
+def test_loads_with_one_tool_share_its_error_in_proportion():
+    loads = (Load("bare"), RING, Load("two rings", -0.578, 0.010, tool="ring A"))
+    campaign, _ = campaign_of(seed=14, noise=0.0, loads=loads)
+    errors = {str(e): change.tolist() for e, change in weight_errors(campaign).items()}
+    assert errors == {
+        "weight of the mirror": [0.005, 0.005, 0.005],
+        "weight of 'ring A'": [0.0, 0.005, 0.010],
+    }
+
+
+def test_relative_error_of_the_ring_is_the_error_of_the_scale():
+    """5 mN / 289 mN = 1.7 %, common to all actuators."""
+    campaign, _ = campaign_of(seed=15, noise=0.0)
+    calibration = calibrate(campaign)
+    assert calibration.systematic_error / calibration.alpha == pytest.approx(5 / 289, rel=1e-9)
+    n = campaign.layout.n
+    block = calibration.covariance[:n, :n]
+    correlation = block / np.sqrt(np.outer(np.diag(block), np.diag(block)))
+    assert correlation == pytest.approx(1.0, abs=1e-6)
+
+
+def test_the_papers_error_is_three_sigma_of_the_mean_over_cycles():
+    campaign, _ = campaign_of(seed=16, noise=1e-3, cycles=3)
+    calibration = calibrate(campaign)
+    n = campaign.layout.n
+    values = solution(calibration)
+    alphas = []
+    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
+        one = Campaign((cycle,))
+        e, r = system_e(one, enabled_arms(campaign.layout))
+        held = np.concatenate([[values[n]], values[n + 1 + 2 * place : n + 3 + 2 * place]])
+        alphas.append(np.linalg.lstsq(e[:, :n], r - e[:, n:] @ held, rcond=None)[0])
+    expected = 3 * np.std(alphas, axis=0, ddof=1) / np.sqrt(6)
+    assert calibration.cycle_error == pytest.approx(expected, rel=1e-9)
+
+
+def test_one_cycle_a_load_still_has_the_papers_error_and_one_file_none():
+    calibration = calibrate(campaign_of(seed=17, noise=1e-3, cycles=1)[0])
+    assert np.isfinite(calibration.cycle_error).all()
+    assert np.isnan(calibration.noise)  # nothing repeats
+
+
+def test_noise_comes_from_repeats():
+    calibration = calibrate(campaign_of(seed=18, noise=1e-3, cycles=4)[0])
+    freedom = 14 * 28 * 2 * 3  # actuators x shapes x loads x (cycles - 1)
+    assert calibration.noise == pytest.approx(1e-3, rel=4 / np.sqrt(2 * freedom))
+
+
+def test_solve_refuses_a_singular_matrix_and_too_few_equations():
+    with pytest.raises(RankDeficient, match="rank 1 of 2"):
+        solve(np.ones((5, 2)), np.ones(5))
+    with pytest.raises(RankDeficient, match="1 equations for 2 unknowns"):
+        solve(np.ones((1, 2)), np.ones(1))
+
+
+def test_an_unknown_method_is_named():
+    with pytest.raises(UnknownName, match="no method 'magic'; choose ml, svd"):
+        methods.calibrate(campaign_of(seed=19, noise=0.0)[0], "magic")
+
+
+@pytest.mark.parametrize(
+    ("factor", "said", "what_to_do"),
+    [
+        (1e-3, "alpha is about 840", "WEIGHT and ADDED"),
+        (1e3, "alpha is about 0.0008", "the unit that the column FORCE declares"),
+        (-1.0, "alpha is negative for 14 of 14", "turn the sign of FORCE"),
+    ],
+)
+def test_an_alpha_that_only_a_slip_explains_is_warned_of(factor, said, what_to_do):
+    campaign, _ = campaign_of(seed=20, noise=0.0)
+    assert said not in str(calibrate(campaign).verdict.faults)
+    slipped = Campaign(tuple(replace(c, force=factor * c.force) for c in campaign.cycles))
+    fault, remedy = calibrate(slipped).verdict.faults[0]
+    assert fault.startswith(said)
+    assert what_to_do in remedy
+
+
+def test_the_bias_to_first_order_is_the_bias():
+    """Mean of 200 campaigns that share their truth; where it matters the result warns of it."""
+    quiet, truth = campaign_of(seed=21, noise=0.0, cycles=4)
+    solutions, predicted = [], []
+    n = quiet.layout.n
+    for k in range(200):
+        campaign = noisy(quiet, 2e-3, [98, k])
+        fitted = fit(campaign)
+        solutions.append(fitted.solution)
+        predicted.append(bias(campaign, fitted, np.full(n, 4e-6)))
+    measured = (np.mean(solutions, axis=0) - truth)[:n]
+    error = (np.std(solutions, axis=0) / np.sqrt(200))[:n]
+    expected = np.mean(predicted, axis=0)[:n]
+    assert np.abs(expected).max() > 5 * error.max()  # it can be seen
+    assert np.all(np.abs(measured - expected) < 5 * error + 0.1 * np.abs(expected).max())
+    [(fault, remedy)] = calibrate(campaign).diagnosis.warnings
+    assert "svd is biased by" in fault
+    assert remedy == "use ml"
+    assert calibrate(campaign_of(seed=21, noise=1e-6)[0]).diagnosis.warnings == ()
+
+
+def test_a_cycle_that_was_broken_off_does_not_spoil_the_papers_error():
+    campaign, _ = campaign_of(seed=22, noise=1e-3, cycles=3)
+    broken = campaign.cycles[0]
+    few = replace(broken, valid=np.arange(len(broken.valid)) < 4)
+    whole, short = calibrate(campaign), calibrate(Campaign((few, *campaign.cycles[1:])))
+    assert short.cycle_error == pytest.approx(whole.cycle_error, rel=0.9)

@@ -1,0 +1,173 @@
+"""Where displacements count from: one reading of each sensor for a campaign, unless zeros jump."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.balanced import BIAS, LAYOUT, arms_of, gradients
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import TrueNewtonWarning
+from truenewton.estimation.displaced_rows import balanced_rows, common_reference
+from truenewton.estimation.sifted import campaign_moments, sift
+from truenewton.records.campaign import Campaign
+from truenewton.report.investigate import investigate
+from truenewton.statics.arms import enabled_arms
+
+MOVED = 3e-8  # between cycles [m], by 600 /m 2e-5 of alpha
+
+
+def shifted(campaign, zeros):
+    """Return the campaign with (cycles, n) or (n,) other zeros of its sensors."""
+    zeros = np.broadcast_to(zeros, (len(campaign.cycles), 14))
+    return Campaign(
+        tuple(
+            replace(c, position=c.position + zero)
+            for c, zero in zip(campaign.cycles, zeros, strict=True)
+        )
+    )
+
+
+def test_rest_and_stroke_are_mean_and_deviation():
+    campaign, _ = gradients(seed=1, noise=0.0, offset=1.0)
+    cycle = replace(campaign.cycles[0], valid=np.arange(28) != 5)  # shape 6 has lost its opposite
+    assert np.abs(
+        cycle.rest_position - np.delete(cycle.position, [5, 19], 0).mean(axis=0)
+    ).max() < (1e-15)
+    apart = np.delete(cycle.position, 5, 0) - cycle.rest_position
+    assert cycle.stroke == pytest.approx(np.sqrt(np.mean(apart**2, axis=0)), rel=1e-9)
+    assert cycle.knows_rest
+    alone = replace(cycle, valid=cycle.sign > 0)
+    assert not alone.knows_rest
+    assert alone.rest_position == pytest.approx(alone.position[:14].mean(axis=0), abs=1e-15)
+
+
+def test_a_glass_that_rests_elsewhere_under_each_load_costs_nothing():
+    """The equations of the file contract make the forces; the mean place of the cycles is z = 0."""
+    campaign, alpha = gradients(seed=10, noise=0.0, offset=1e-4, moved=MOVED)
+    found = calibrate(campaign)
+    assert found.alpha == pytest.approx(alpha, abs=1e-9)
+    assert found.bias_force == pytest.approx(BIAS, abs=1e-8)
+    own = calibrate(shifted(campaign, [-c.rest_position for c in campaign.cycles]))
+    assert np.abs(own.alpha - alpha).max() > 1e-6  # were each cycle taken by itself
+
+
+def test_alpha_is_that_of_the_mean_place():
+    """alpha (1 + 600 z) there; to second order, 600 z times 600 times a stroke."""
+    campaign, alpha = gradients(seed=9, noise=0.0, offset=0.0, moved=MOVED)
+    some = Campaign(campaign.cycles[:4])  # three cycles of one load, one of the other
+    z = np.mean([c.rest_position for c in some.cycles], axis=0)
+    assert np.abs(600 * z).max() > 1e-5
+    assert calibrate(some).alpha == pytest.approx(alpha * (1 + 600 * z), abs=1e-7)
+
+
+@pytest.mark.parametrize("size", [1e-5, 1e-2, 1.0])
+def test_one_offset_of_each_sensor_changes_nothing(size):
+    campaign, _ = gradients(seed=9, noise=1e-5, offset=0.0, moved=MOVED)
+    far = shifted(campaign, size * np.random.default_rng(1).standard_normal(14))
+    assert calibrate(far).alpha == pytest.approx(calibrate(campaign).alpha, abs=1e-11)
+
+
+@pytest.mark.parametrize("size", [1e-5, 1e-2])
+def test_zeros_set_anew_with_each_file_are_taken_out(size):
+    """Then each cycle counts from its own mean, as if this were 0 in every file; and it is said."""
+    campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, zeros=size)
+    assert np.isnan(common_reference(campaign)).all()
+    found = calibrate(campaign)
+    assert found.alpha == pytest.approx(alpha, abs=1e-9)
+    [(fault, remedy)] = found.diagnosis.warnings
+    assert fault.startswith("the zeros of 14 sensors were set anew between files")
+    assert remedy == "keep the zeros of the sensors through a campaign"
+    restless, _ = gradients(seed=9, noise=1e-5, offset=0.0, moved=MOVED, zeros=size)
+    centred = shifted(restless, [-c.rest_position for c in restless.cycles])
+    assert calibrate(restless).alpha == pytest.approx(calibrate(centred).alpha, abs=1e-11)
+
+
+def test_a_sensor_set_anew_leaves_the_others_alone():
+    campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
+    zeros = np.zeros((6, 14))
+    zeros[4:, 3] = 5e-6
+    one = shifted(campaign, zeros)
+    assert np.flatnonzero(np.isnan(common_reference(one))).tolist() == [3]
+    found = calibrate(one)
+    assert np.abs(np.delete(found.alpha - alpha, 3)).max() < 1e-5
+    assert abs(found.alpha[3] - alpha[3]) < 600 * 3 * MOVED
+    assert "the zeros of 1 sensor were" in found.diagnosis.warnings[0][0]
+
+
+@pytest.mark.parametrize("anew", [0.0, 1e-5])
+def test_a_sensor_that_does_not_move_is_none_set_anew(anew):
+    """Wherever it stands in each file; its own alpha is wrong by 600 z, that of the others not."""
+    campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
+    cycles = []
+    for k, cycle in enumerate(campaign.cycles):
+        position = cycle.position.copy()
+        position[:, 3] = anew * k
+        cycles.append(replace(cycle, position=position))
+    with pytest.warns(TrueNewtonWarning, match=r"frozen sensor \(POSITION of actuator 4 is"):
+        found = calibrate(Campaign(tuple(cycles)))
+    assert not any("zeros of" in fault for fault, _ in found.diagnosis.warnings)
+    assert np.abs(found.alpha - alpha).max() < 600 * MOVED
+
+
+def test_where_most_zeros_jump_no_sensor_is_trusted():
+    """The few that seem to have stayed are chance."""
+    campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
+    for jumped, lost in ((7, 7), (8, 14)):
+        zeros = np.zeros((6, 14))
+        zeros[4:, :jumped] = 5e-6
+        assert np.isnan(common_reference(shifted(campaign, zeros))).sum() == lost
+
+
+def test_a_cycle_broken_off_early_is_no_new_zero():
+    """Its mean is a displacement where no shape has its opposite."""
+    campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
+    last = campaign.cycles[-1]
+    for valid in (np.arange(28) == 2, last.sign > 0):
+        rest = common_reference(Campaign((*campaign.cycles[:-1], replace(last, valid=valid))))
+        assert rest == pytest.approx(common_reference(Campaign(campaign.cycles[:-1])), abs=1e-15)
+
+
+def test_a_spike_of_position_is_no_new_zero():
+    campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5)
+    position = campaign.cycles[0].position.copy()
+    position[3, 5] += 1e-4
+    spiked = replace(campaign.cycles[0], position=position)
+    assert not np.isnan(common_reference(Campaign((spiked, *campaign.cycles[1:])))).any()
+
+
+def test_without_gradients_nothing_counts():
+    campaign, _ = gradients(seed=9, noise=1e-4, offset=1e-5, zeros=1e-5)
+    for left_out in ({"position": None}, {"coil_gradient": None, "bias_gradient": None}):
+        bare = Campaign(tuple(replace(c, **left_out) for c in campaign.cycles))
+        assert np.isnan(common_reference(bare)).all()
+        faults = [fault for fault, _ in calibrate(bare).diagnosis.warnings]
+        assert not any("zeros of" in fault for fault in faults)
+
+
+def test_repeats_and_residuals_count_from_the_same():
+    """A noiseless cycle of one sign agrees with the others, and balances: its mean is no rest."""
+    campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
+    half = replace(campaign.cycles[-1], valid=campaign.cycles[-1].sign > 0)
+    campaign = Campaign((*campaign.cycles[:-1], half))
+    moments, a = campaign_moments(campaign), enabled_arms(campaign.layout)
+    assert np.abs(np.vstack(sift(campaign).samples)).max() < 1e-11
+    by_rest, by_all = (
+        rows.of(*rows.read(half.valid))[0]
+        for rows in (balanced_rows(half, a, z) for z in (half.rest_position, moments.reference))
+    )
+    assert np.abs(by_all - by_rest).max() > 1e-5
+    evidence = investigate(campaign).evidence
+    lines = {line.what: line for line in evidence.balance}
+    assert lines["force, ring"].before > 10.0  # mN
+    assert lines["force, ring"].after < 1e-5
+
+
+def test_the_bias_of_the_mean_place_goes_into_b():
+    """B there is B + 31 N/m times the sum of the displacements."""
+    campaign, _ = gradients(seed=9, noise=0.0, offset=0.0, moved=MOVED)
+    some = Campaign(campaign.cycles[2:])
+    z = np.mean([c.rest_position for c in some.cycles], axis=0)
+    more = 31.0 * arms_of(LAYOUT)[0] @ z
+    assert abs(more) > 1e-7
+    assert calibrate(some).bias_force == pytest.approx(BIAS + more, abs=0.1 * abs(more))

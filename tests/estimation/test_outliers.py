@@ -1,0 +1,253 @@
+"""Bad rows: found, named and left out; sound campaigns left alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from helpers.balanced import LAYOUT, RING, arms_of, campaign_of, p45_bench
+from truenewton.bench.simulated.static import run_cycles
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.estimation import cycles_ml
+from truenewton.estimation.imbalance import squared_distances, standing_out
+from truenewton.estimation.sifted import sift
+from truenewton.records.campaign import Campaign
+from truenewton.statics.load import Load
+
+SIGMA = 1e-3
+EXACT = (Load("bare"), replace(RING, added_error=0.0))
+
+
+def find(campaign, population=False):
+    """Return what ml finds of a campaign."""
+    return cycles_ml.find(sift(campaign), population)
+
+
+def small(seed, **options):
+    """Return a small campaign at 1 mN whose weights are exact, and its truth."""
+    return campaign_of(seed, SIGMA, loads=EXACT, weight_error=0.0, **options)
+
+
+def spiked(campaign, share, seed, low=20e-3, high=100e-3):
+    """Return the campaign with a spike in that share of its rows, and {(cycle, row): ID}."""
+    random = np.random.default_rng(seed)
+    cycles, places = [], {}
+    for k, cycle in enumerate(campaign.cycles):
+        rows = random.permutation(len(cycle.time))[: round(share * len(cycle.time))]
+        force = cycle.force.copy()
+        for row in rows.tolist():
+            actuator = int(random.choice(np.flatnonzero(cycle.layout.enabled)))
+            force[row, actuator] += random.choice([-1, 1]) * random.uniform(low, high)
+            places[k, row] = int(cycle.layout.id[actuator])
+        cycles.append(replace(cycle, force=force))
+    return Campaign(tuple(cycles)), places
+
+
+def p45_quiet():
+    """Return four noiseless cycles a load whose declared weights are the true ones."""
+    bench = p45_bench()
+    made = run_cycles(replace(bench, force_noise=0.0), 4)
+    return Campaign(
+        tuple(
+            replace(
+                c,
+                weight=bench.truth.weight,
+                load=replace(c.load, added=bench.truth.added[k // 4]),
+            )
+            for k, c in enumerate(made)
+        )
+    ), bench.truth.alpha
+
+
+def test_spikes_in_five_per_cent_of_rows_cost_less_than_a_tenth():
+    """15 campaigns of P45; the same noise with and without spikes, so that the ratio is sharp."""
+    quiet, alpha = p45_quiet()
+    clean, dirty, missed, wrong, named = [], [], 0, 0, 0
+    for seed in range(15):
+        random = np.random.default_rng([1, seed])
+        noisy = Campaign(
+            tuple(
+                replace(c, force=c.force + SIGMA * random.standard_normal(c.force.shape))
+                for c in quiet.cycles
+            )
+        )
+        bad, places = spiked(noisy, 0.05, [2, seed])
+        found = calibrate(bad)
+        clean.append(np.mean((calibrate(noisy).alpha - alpha) ** 2))
+        dirty.append(np.mean((found.alpha - alpha) ** 2))
+        rejected = {(row.cycle, row.row): row for row in found.rejected_rows}
+        missed += len(places.keys() - rejected.keys())
+        wrong += len(rejected.keys() - places.keys())
+        named += sum(rejected[k].actuator == places[k] for k in places.keys() & rejected.keys())
+        assert all(row.sigmas > 3 for row in found.rejected_rows)
+    assert np.sqrt(np.mean(dirty) / np.mean(clean)) < 1.10
+    spikes = 15 * 8 * 4  # a twentieth of 90 rows: 4 of each cycle
+    assert missed == 0
+    assert wrong <= 0.02 * spikes
+    assert named > 0.98 * (spikes - missed)
+
+
+def test_a_sound_campaign_loses_a_row_as_seldom_as_stated():
+    """Two tests at 1 % each: of 300 campaigns 6, and rarely more than 13 (three sigma)."""
+    lost = sum(bool(find(small([3, k], cycles=3)[0]).rejected) for k in range(300))
+    assert lost <= 13
+
+
+@pytest.mark.parametrize("cycles", [1, 2])
+def test_a_sound_campaign_with_few_repeats_loses_no_more(cycles):
+    lost = sum(bool(find(small([4, k], cycles=cycles)[0]).rejected) for k in range(150))
+    assert lost <= 8  # 3 on average, three sigma
+
+
+def test_a_row_that_is_off_is_named_with_its_actuator_and_distance():
+    campaign, _ = small(5, cycles=4)
+    force = campaign.cycles[6].force.copy()
+    force[17, 3] += 0.05
+    bad = Campaign(
+        (*campaign.cycles[:6], replace(campaign.cycles[6], force=force), campaign.cycles[7])
+    )
+    [row] = calibrate(bad).rejected_rows
+    assert (row.cycle, row.row, row.actuator, row.against) == (6, 17, 4, "repeats")
+    # Against the three others: 50 mN over 1 mN root(1 + 1 / 3), less what it adds to the noise.
+    assert 10 < row.sigmas < 60
+
+
+def test_an_actuator_that_often_spikes_does_not_hide_in_its_own_noise():
+    """As large each time and in a tenth of the rows: the scatter swells to 15 times the noise."""
+    campaign, truth = small(17, cycles=4)
+    random, cycles, spikes = np.random.default_rng(18), [], set()
+    for k, cycle in enumerate(campaign.cycles):
+        force = cycle.force.copy()
+        for row in random.permutation(28)[:3].tolist():
+            force[row, 5] += 0.05
+            spikes.add((k, row))
+        cycles.append(replace(cycle, force=force))
+    found = calibrate(Campaign(tuple(cycles)))
+    assert {(r.cycle, r.row) for r in found.rejected_rows} >= spikes
+    assert found.rejected <= len(spikes) + 6  # where two of three repeats are bad, all may go
+    error = (found.alpha - truth[:14]) / found.error
+    assert np.sqrt(np.mean(error**2)) < 2.5
+
+
+def test_two_rows_that_disagree_both_go():
+    campaign, _ = small(6, cycles=2)
+    force = campaign.cycles[1].force.copy()
+    force[4, 9] += 0.05
+    bad = Campaign(
+        (campaign.cycles[0], replace(campaign.cycles[1], force=force), *campaign.cycles[2:])
+    )
+    rows = calibrate(bad).rejected_rows
+    assert sorted((r.cycle, r.row, r.actuator) for r in rows) == [(0, 4, 10), (1, 4, 10)]
+
+
+def test_without_repeats_a_tenth_of_bad_rows_cannot_drag_the_start():
+    """20 campaigns of one cycle, spikes of 20 to 200 mN; errors all but as without bad rows."""
+    clean, dirty = [], []
+    for seed in range(20):
+        campaign, truth = small([7, seed], cycles=1)
+        bad, places = spiked(campaign, 0.10, [8, seed], high=0.2)
+        found = calibrate(bad)
+        assert {(row.cycle, row.row) for row in found.rejected_rows} >= set(places)
+        assert found.rejected <= len(places) + 2
+        assert {row.against for row in found.rejected_rows} == {"balance"}
+        clean.append(np.mean((calibrate(campaign).alpha - truth[:14]) ** 2))
+        dirty.append(np.mean((found.alpha - truth[:14]) ** 2))
+    # A tenth of 56 shapes gone costs 5 % in RMS and, on few shapes, some more: seen, 13 %.
+    assert np.sqrt(np.mean(dirty) / np.mean(clean)) < 1.3
+
+
+def test_a_row_wrong_in_all_repeats_is_found_against_the_balance():
+    """A spike that repeats: the readings agree, the balance does not."""
+    campaign, truth = small(9, cycles=4)
+    cycles = []
+    for cycle in campaign.cycles:
+        force = cycle.force.copy()
+        if cycle.load.name == "ring":
+            force[8, 12] += 0.1
+        cycles.append(replace(cycle, force=force))
+    found = calibrate(Campaign(tuple(cycles)))
+    assert {(r.cycle, r.row, r.against) for r in found.rejected_rows} == {
+        (k, 8, "balance") for k in (4, 5, 6, 7)
+    }
+    error = (found.alpha - truth[:14]) / found.error
+    assert np.sqrt(np.mean(error**2)) < 2.5
+
+
+@pytest.mark.parametrize("declared", [None, 1e-3])
+def test_a_tenth_of_rows_without_repeats_cannot_drag_the_start(declared):
+    for seed in range(6):
+        campaign, truth = small([17, seed], cycles=1)
+        bad, places = spiked(campaign, 0.1, seed, low=0.1, high=0.5)
+        bad = Campaign(tuple(replace(c, force_error=declared) for c in bad.cycles))
+        found = calibrate(bad)
+        assert {(row.cycle, row.row) for row in found.rejected_rows} >= set(places)
+        assert len(found.rejected_rows) <= len(places) + 2
+        assert np.sqrt(np.mean(((found.alpha - truth[:14]) / found.error) ** 2)) < 2.5
+
+
+@pytest.mark.parametrize("of", [3, 4])
+def test_a_cycle_of_the_wrong_sign_is_thrown_out_or_refused(of):
+    for seed in range(8):
+        campaign, truth = small([10, seed], cycles=of)
+        flipped = replace(campaign.cycles[0], force=-campaign.cycles[0].force)
+        check_not_used(Campaign((flipped, *campaign.cycles[1:])), truth[:14])
+
+
+def test_a_cycle_of_the_wrong_sign_is_thrown_out_or_refused_on_p45():
+    bench = p45_bench()
+    cycles = list(run_cycles(bench, 3))
+    cycles[4] = replace(cycles[4], force=-cycles[4].force)
+    check_not_used(Campaign(tuple(cycles)), bench.truth.alpha)
+
+
+def check_not_used(campaign, alpha):
+    """Refused, or all rows of one cycle rejected and alpha right."""
+    try:
+        found = calibrate(campaign)
+    except (TooManyOutliers, RankDeficient, NotConverged):
+        return
+    assert max(np.bincount([row.cycle for row in found.rejected_rows])) >= 0.9 * len(
+        campaign.cycles[0].time
+    )
+    assert np.sqrt(np.mean(((found.alpha - alpha) / found.error) ** 2)) < 3
+
+
+def test_a_cycle_of_the_wrong_sign_without_others_to_tell_is_warned_of():
+    campaign, _ = small(11, cycles=1)
+    flipped = Campaign(tuple(replace(c, force=-c.force) for c in campaign.cycles))
+    faults = [fault for fault, _ in calibrate(flipped).verdict.faults]
+    assert any("alpha is negative" in fault for fault in faults)
+
+
+def test_too_many_bad_rows_are_refused_with_their_number():
+    campaign, _ = small(12, cycles=4)
+    bad, _ = spiked(campaign, 0.4, 13, low=0.05, high=0.2)
+    with pytest.raises(TooManyOutliers) as refused:
+        calibrate(bad)
+    assert refused.value.want == pytest.approx(0.3)
+    assert f"of {8 * 28} rows" in str(refused.value)
+
+
+def test_rows_that_are_left_out_leave_the_rest_as_it_was():
+    campaign, _ = small(14, cycles=3)
+    bad, places = spiked(campaign, 0.04, 15)
+    sifted = sift(bad)
+    moments, sound, rejected = sifted.moments, sifted.sound, sifted.rejected
+    assert {(row.cycle, row.row) for row in rejected} == set(places)
+    for k, (one, other) in enumerate(zip(campaign.cycles, sound.cycles, strict=True)):
+        lost = [row for cycle, row in places if cycle == k]
+        assert np.flatnonzero(one.valid & ~other.valid).tolist() == sorted(lost)
+    assert moments.rows.sum() == 6 * 28 - len(places)
+    by_hand = calibrate(sound)
+    assert calibrate(bad).alpha == pytest.approx(by_hand.alpha, rel=1e-9)
+    assert by_hand.invalid == len(places)
+
+
+def test_distances_and_the_actuator_that_stands_out():
+    arms, random = arms_of(LAYOUT), np.random.default_rng(16)
+    s, weight = (arms * 1e-6) @ arms.T, random.uniform(1, 4, 14)
+    rho = (0.05 * np.eye(14)) @ arms.T  # a spike of each actuator in turn
+    expected = [w * r @ np.linalg.solve(s, r) for w, r in zip(weight, rho, strict=True)]
+    assert squared_distances(rho, weight, s) == pytest.approx(expected, rel=1e-12)
+    assert standing_out(rho, arms, s).tolist() == list(range(14))

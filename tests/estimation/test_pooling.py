@@ -1,0 +1,274 @@
+"""Rows pooled over loads and signs: U by its definition, sums by U, fits by the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.stats
+
+from helpers.small_bench import SmallBench
+from truenewton.calibration.methods import calibrate
+from truenewton.estimation.moments import chosen_groups
+from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.pooling import each_by_itself, over_loads_and_signs
+from truenewton.estimation.problem import problem_of
+from truenewton.estimation.sifted import campaign_moments, sift
+from truenewton.estimation.structure import independent_readings, structure_of
+from truenewton.records.campaign import Campaign
+
+
+def made_up(kind, random):
+    """Return labels, weights and sizes of groups."""
+    shapes, loads = 6, 2
+    size = np.ones(loads)
+    if kind == "three loads":
+        loads, size = 3, np.ones(3)
+    labels = [(k, s, d) for k in range(loads) for s in range(1, shapes + 1) for d in (-1, 1)]
+    if kind == "one sign":
+        labels = [label for label in labels if label[2] > 0]
+    elif kind == "missing":
+        labels = [label for index, label in enumerate(labels) if index not in (0, 5, 13, 20)]
+    elif kind == "unbalanced":
+        labels = [label for label in labels if label[0] == 0 or label[1] <= 2]
+    elif kind == "one sign under a load":
+        labels = [label for label in labels if label[0] == 0 or label[2] > 0]
+    labels = np.array(labels, dtype=np.int64)
+    weight = random.uniform(1.0, 5.0, len(labels))
+    if kind == "left out":
+        weight[[2, 9, 17]] = 0.0
+    if kind == "sizes":
+        size = np.array([1.0, 1.04])
+    return labels, weight, size
+
+
+KINDS = ["plain", "three loads", "one sign", "missing", "unbalanced", "one sign under a load",
+         "left out", "sizes"]  # fmt: skip
+
+
+def columns(labels, size):
+    """Return X: one column for each load and sign, one for each SHAPE times its SIGN."""
+    x = []
+    for load in np.unique(labels[:, 0]):
+        for sign in (-1, 1):
+            x.append((labels[:, 0] == load) & (labels[:, 2] == sign))
+    for shape in np.unique(labels[:, 1]):
+        x.append(np.where(labels[:, 1] == shape, labels[:, 2] * size[labels[:, 0]], 0.0))
+    return np.array(x, dtype=float).T
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kind):
+    random = np.random.default_rng([KINDS.index(kind), 1])
+    labels, weight, size = made_up(kind, random)
+    pooling = over_loads_and_signs(labels, weight, size)
+    u, on = pooling.basis.toarray(), weight > 0
+    x = columns(labels, size) * on[:, None]
+    assert u.T @ (weight[:, None] * u) == pytest.approx(np.eye(pooling.count), abs=1e-12)
+    assert pooling.count == np.linalg.matrix_rank(x)
+    # All of X lies in U, and of U nothing elsewhere, since their ranks are the same.
+    assert u @ (u.T @ (weight[:, None] * x)) == pytest.approx(x, abs=1e-12)
+    assert not u[~on].any()
+    assert pooling.squared_lengths == pytest.approx(np.sum(u**2, axis=1), abs=1e-12)
+    values = random.standard_normal((len(labels), 4))
+    assert pooling.rows(values) == pytest.approx((u.T * weight) @ values, abs=1e-12)
+    rows = random.standard_normal((pooling.count, 4))
+    assert pooling.groups(rows) == pytest.approx(u @ rows, abs=1e-12)
+
+
+def test_groups_by_themselves_are_rows_of_their_own():
+    weight = np.array([4.0, 0.0, 2.0, 1.0])
+    pooling = each_by_itself(weight)
+    mean = np.arange(8.0).reshape(4, 2)
+    assert pooling.count == 3
+    expected = np.sqrt(weight[[0, 2, 3], None]) * mean[[0, 2, 3]]
+    assert pooling.rows(mean) == pytest.approx(expected)
+    assert pooling.groups(pooling.rows(mean))[[0, 2, 3]] == pytest.approx(mean[[0, 2, 3]])
+
+
+def noiseless(kind):
+    """Return a small campaign without noise of a kind, and its bench."""
+    order = {"three loads": (0, 0, 1, 1, 2, 2), "unbalanced": (0, 0, 0, 1)}
+    bench = SmallBench(3, 0.0, order=order.get(kind, (0, 0, 1, 1)))
+    if kind == "sizes":
+        bench.size = np.where(bench.load == 1, 1.04, 1.0)
+    campaign = bench.campaign()
+
+    def lost(cycle):
+        if kind == "one sign":
+            return cycle.sign < 0
+        if kind == "missing":
+            return (cycle.shape % 4 == 1) & (cycle.load.name == "bare")
+        if kind == "one sign under a load":
+            return (cycle.sign < 0) & (cycle.load.name != "bare")
+        return np.zeros(28, dtype=bool)
+
+    cycles = [replace(c, valid=~lost(c)) for c in campaign.cycles]
+    return Campaign(tuple(cycles)), bench
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
+def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
+    campaign, bench = noiseless(kind)
+    moments = replace(sift(campaign).moments, pooled=True)
+    pooling = moments.pooling
+    assert pooling.count < moments.groups or kind == "one sign"
+    back = pooling.groups(pooling.rows(moments.mean))
+    assert back == pytest.approx(moments.mean, abs=1e-12)
+    problem = problem_of(campaign, reading_noise(campaign, moments))
+    assert problem.fitted(moments).values[:14] == pytest.approx(bench.alpha, rel=1e-9)
+
+
+@pytest.mark.parametrize("pooled", [False, True])
+def test_sums_are_those_of_the_rows(pooled):
+    bench = SmallBench(4, 1e-3, order=(0, 0, 0, 1, 2))
+    campaign = bench.campaign()
+    cycles = [replace(c, bias_gradient=31.0) for c in campaign.cycles]
+    moments = replace(campaign_moments(Campaign(tuple(cycles))), pooled=pooled)
+    chosen = np.random.default_rng(5).random(len(moments.rows)) > 0.1
+    moments = chosen_groups(moments, chosen)
+    u, r = moments.pooling.basis.toarray(), moments.weight
+    y, q = (u.T * r) @ moments.mean, (u.T * r) @ moments.known
+    load = (u.T * r) @ (moments.labels[:, :1] == np.arange(3))
+    assert moments.known.any()
+    sums = moments.sums
+    assert sums.shapes == len(y) == (14 + 6 - 1 if pooled else np.count_nonzero(chosen))
+    assert sums.weight == pytest.approx(np.sum(load**2, axis=0), rel=1e-12)
+    if not pooled:
+        assert sums.weight == pytest.approx([r[moments.labels[:, 0] == k].sum() for k in range(3)])
+    assert sums.force == pytest.approx(load.T @ y, rel=1e-10, abs=1e-10)
+    assert sums.square == pytest.approx(y.T @ y, rel=1e-10, abs=1e-10)
+    assert sums.known == pytest.approx(load.T @ q, rel=1e-9, abs=1e-15)
+    assert sums.known_force == pytest.approx(q.T @ y, rel=1e-9, abs=1e-15)
+    assert sums.known_square == pytest.approx(q.T @ q, rel=1e-9, abs=1e-20)
+
+
+def test_pooled_rows_have_the_noise_of_one_reading():
+    """Each is a combination of means whose noise has the variance of a row, whatever the design."""
+    random = np.random.default_rng(6)
+    labels, weight, size = made_up("unbalanced", random)
+    pooling = over_loads_and_signs(labels, weight, size)
+    noise = random.standard_normal((len(labels), 4000)) / np.sqrt(weight)[:, None]
+    rows = pooling.rows(noise)
+    covariance = rows @ rows.T / 4000
+    assert covariance == pytest.approx(np.eye(pooling.count), abs=0.1)
+
+
+@pytest.mark.parametrize("kind", ["plain", "one sign under a load", "unbalanced"])
+def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kind):
+    """Of 14 shapes the groups of two signs and two loads say four times the same."""
+    z, ratio = [], []
+    for seed in range(30):
+        bench = SmallBench([seed, 7], 1e-2, order=(0, 0, 0, 1) if kind == "unbalanced" else (0, 1))
+        campaign = bench.campaign()
+        cycles = [replace(c, force_error=1e-2) for c in campaign.cycles]
+        if kind == "one sign under a load":
+            cycles[1] = replace(cycles[1], valid=cycles[1].sign > 0)
+        campaign = Campaign(tuple(cycles))
+        alone = campaign_moments(campaign)
+        problem = problem_of(campaign, reading_noise(campaign, alone))
+        one, other = (problem.fitted(replace(alone, pooled=pooled)) for pooled in (True, False))
+        error = np.sqrt(np.diag(one.reading_covariance)[:14])
+        z.append((one.values[:14] - bench.alpha) / error)
+        ratio.append(np.mean(error**2) / np.mean(np.diag(other.reading_covariance)[:14]))
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(ratio) <= 1.0
+    assert max(ratio) < 1.02
+
+
+def test_sizes_of_shapes_come_from_the_displacements():
+    bench = SmallBench(8, 1e-4)
+    bench.size = np.where(bench.load == 1, 1.03, 1.0)
+    moments = sift(bench.campaign()).moments
+    assert moments.pooled
+    size, variance = moments.sizes
+    assert size == pytest.approx([1.0, 1.03], abs=1e-9)
+    assert variance[1] < 1e-12
+    calibration = calibrate(bench.campaign())
+    assert not calibration.effects
+    assert np.mean(np.abs(calibration.alpha - bench.alpha) < 2.5 * calibration.error) > 0.9
+    # Sensors count from zeros of their own, which the mean over the shapes takes out.
+    far = SmallBench(8, 1e-4)
+    far.size = bench.size
+    cycles = [replace(c, position=c.position + 1e-5 * np.arange(14)) for c in far.campaign().cycles]
+    assert sift(Campaign(tuple(cycles))).moments.sizes[0] == pytest.approx([1.0, 1.03], abs=1e-9)
+
+
+def test_displacements_that_differ_by_chance_only_leave_the_size_at_one():
+    bench = SmallBench(9, 1e-3)
+    cycles = [
+        replace(c, position=c.position + 1e-7 * bench.random.standard_normal(c.position.shape))
+        for c in bench.campaign().cycles
+    ]
+    size, variance = sift(Campaign(tuple(cycles))).moments.sizes
+    assert np.array_equal(size, [1.0, 1.0])
+    assert variance[1] > 0
+
+
+def test_without_displacements_shapes_of_another_size_are_not_pooled():
+    bench = SmallBench(8, 1e-4)
+    bench.size = np.where(bench.load == 1, 1.03, 1.0)
+    bench.has_position = False
+    sifted = sift(bench.campaign())
+    assert not sifted.moments.pooled
+    assert sifted.structure.probability < 1e-10
+    found = calibrate(bench.campaign())
+    # Whether the gain or the shapes differ nobody can tell: it is said, and alpha is not moved.
+    assert [(effect.name, effect.corrected) for effect in found.effects] == [
+        ("gain by load", False)
+    ]
+    error = np.abs(found.alpha - bench.alpha) / found.error
+    assert np.mean(error < 1.96) > 0.9
+
+
+def structures(count, order=(0, 0, 1, 1)):
+    """Return the structure tests of clean campaigns."""
+    return [sift(SmallBench([k, 9], 1e-3, order=order).campaign()).structure for k in range(count)]
+
+
+def test_shapes_that_repeat_fit_as_often_as_chance_says():
+    p = np.array([one.probability for one in structures(60)])
+    assert 0.35 < p.mean() < 0.65  # 3.8 sigma
+    assert np.mean(p < 0.05) < 0.16
+
+
+@pytest.mark.study
+def test_the_structure_is_uniform_on_clean_campaigns():
+    for order in ((0, 0, 1, 1), (0, 1, 0, 1, 2, 2, 0)):
+        p = [one.probability for one in structures(400, order)]
+        assert scipy.stats.kstest(p, "uniform").pvalue > 1e-3
+
+
+def test_the_structure_is_the_sum_of_what_is_left():
+    campaign = SmallBench(11, 1e-3).campaign()
+    moments = campaign_moments(campaign)
+    noise = reading_noise(campaign, moments)
+    x = columns(moments.labels, np.ones(2))
+    root = np.sqrt(moments.weight)[:, None]
+    basis = scipy.linalg.orth(x * root)
+    left = moments.mean * root - basis @ (basis.T @ (moments.mean * root))
+    structure = structure_of(moments, noise, ())  # no samples: all readings are independent
+    assert structure.degrees_of_freedom == (56 - 17) * 14
+    bias = 1 - 2 / moments.repeats
+    assert structure.chi2 == pytest.approx(bias * np.sum(left**2 / noise.variance), rel=1e-9)
+
+
+def test_readings_that_move_together_count_as_fewer():
+    random = np.random.default_rng(12)
+    alone = random.standard_normal((900, 40))
+    together = random.standard_normal((900, 3)) @ random.standard_normal((3, 40))
+    assert independent_readings((alone,), 40) == pytest.approx(40, rel=0.05)
+    assert independent_readings((alone[:20],), 40) > 30  # of few rows, chance taken out
+    scaled = together / np.sqrt(np.mean(together**2, axis=0))
+    expected = 40**2 / np.sum((scaled.T @ scaled / 900) ** 2)
+    assert independent_readings((together[:500], together[500:]), 40) == pytest.approx(
+        expected, rel=0.1
+    )
+    assert expected < 4
+    assert independent_readings((), 40) == 40
+
+
+def test_one_load_and_sign_leave_nothing_to_pool():
+    labels = np.array([[0, k, 1] for k in range(1, 6)], dtype=np.int64)
+    pooling = over_loads_and_signs(labels, np.ones(5), np.ones(1))
+    assert pooling.count == 5

@@ -1,0 +1,182 @@
+"""The figures show what they should, in files a journal takes."""
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from PIL import Image
+
+from helpers.balanced import campaign_of, p45_campaign
+from studies.step_response import plot_step_responses
+from truenewton.calibration.figures import write_figures
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import OutputExists
+from truenewton.figures.maps import (
+    mark_rings,
+    names_by_ring,
+    numbers_by_ring,
+    plot_layout,
+    plot_map,
+)
+from truenewton.figures.style import COLUMN
+from truenewton.mirrors.known import p45
+from truenewton.statics.groups import ring_centre, ring_of
+from truenewton.statics.layout import layout, rings
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    return calibrate(p45_campaign())
+
+
+def dots(ax):
+    return [c for c in ax.collections if isinstance(c, PatchCollection) and len(c.get_paths())]
+
+
+def test_the_map_shows_every_alpha_once_at_its_place(calibration):
+    ax = calibration.plot_map()
+    [shown] = dots(ax)
+    assert np.array_equal(shown.get_array(), calibration.alpha)
+    centres = np.array([path.vertices.mean(axis=0) for path in shown.get_paths()])
+    places = 1e3 * np.stack([calibration.layout.x, calibration.layout.y], axis=1)
+    assert np.abs(centres - places).max() < 2.0  # millimetres
+    assert {text.get_text() for text in ax.texts} >= {str(k) for k in range(1, 46)}
+
+
+def test_a_disabled_actuator_is_an_open_circle():
+    calibration = calibrate(campaign_of(seed=1, noise=1e-4, disabled=(4,))[0])
+    open_circles, shown = dots(calibration.plot_map())
+    assert len(open_circles.get_paths()) == 1
+    assert len(shown.get_paths()) == calibration.layout.n - 1
+
+
+def test_alpha_stands_with_three_sigma_bars_ring_by_ring(calibration):
+    ax = calibration.plot_actuators()
+    [bars] = ax.containers
+    assert bars.lines[0].get_ydata() == pytest.approx(calibration.alpha, rel=1e-15)
+    ends = np.array([s[:, 1] for s in bars.lines[2][0].get_segments()])
+    half = 0.5 * (ends[:, 1] - ends[:, 0])
+    assert half == pytest.approx(3 * calibration.reading_error, rel=1e-9)
+    named = {text.get_text() for text in ax.texts}
+    extremes = {str(calibration.alpha.argmin() + 1), str(calibration.alpha.argmax() + 1)}
+    assert named == {"ring 1", "ring 2", "ring 3"} | extremes
+
+
+def test_a_segment_beside_the_axis_has_its_own_rings_and_its_own_ids():
+    """Ring by ring about its middle; ticks name the actuators, not their places on the axis."""
+    one = rings([0.04, 0.07], [9, 15])
+    away = layout(one.x + 0.3, one.y - 0.2, id=np.arange(24, 0, -1) + 100)
+    assert np.array_equal(ring_of(away), ring_of(one))
+    assert ring_centre(away) == pytest.approx((0.3, -0.2))
+    assert (ring_centre(one), names_by_ring(one)) == ((0.0, 0.0), {})
+    ax = Figure().add_subplot()
+    ax.plot(numbers_by_ring(away), away.x)
+    mark_rings(ax, away)
+    written = ax.xaxis.get_major_formatter()
+    assert [written(place, None) for place in (0, 1, 9, 24, 25)] == ["", "124", "116", "101", ""]
+
+
+def test_the_errors_have_a_panel_of_their_own_in_per_cent_of_alpha(calibration):
+    c, ax = calibration, calibration.plot_actuators()
+    _, below = ax.figure.axes
+    assert below.get_yscale() == "log"
+    drawn = {line.get_label(): line for line in below.lines}
+    for name, error in (("E_STAT, 1σ", c.reading_error), ("E_SYST, 1σ", c.systematic_error),
+                        ("E_CYCLE, 3σ", c.cycle_error)):  # fmt: skip
+        assert drawn[name].get_xdata() == pytest.approx(np.arange(1, 46))
+        assert drawn[name].get_ydata() == pytest.approx(100 * error / c.alpha)
+    given = Figure().add_subplot()
+    calibration.plot_actuators(given)
+    assert given.figure.axes == [given]
+
+
+def test_alpha_stands_in_the_map_as_a_number_where_asked(calibration):
+    ax = plot_map(calibration.layout, calibration.alpha, numbers=True)
+    told = [text.get_text().split("\n") for text in ax.texts if "\n" in text.get_text()]
+    assert [int(name) for name, _ in told] == calibration.layout.id.tolist()
+    assert [float(value) for _, value in told] == pytest.approx(calibration.alpha, abs=0.0051)
+
+
+def test_the_layout_says_from_where_it_is_seen(calibration):
+    assert r"$z$, seen along $-z$" in {t.get_text() for t in plot_layout(calibration.layout).texts}
+
+
+def test_steps_stand_in_milliseconds_with_the_stiffness_of_their_modes():
+    time = np.linspace(0.0, 3e-3, 50)
+    position = 1 - np.exp(-np.outer(time, [1e3, 2e3, 4e3]))
+    ax = plot_step_responses(time, position, np.array([4.53e3, 6.9e5, 2.2e6]))
+    curves = [line for line in ax.lines if len(line.get_xdata()) == 50]
+    assert [line.get_xdata()[-1] for line in curves] == pytest.approx([3.0] * 3)
+    drawn = np.stack([line.get_ydata() for line in curves], axis=1)
+    assert drawn == pytest.approx(position)
+    assert len({(tuple(line.get_color()), line.get_linestyle()) for line in curves}) == 3
+    labels = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert all(k in label for k, label in zip(("4.5", "6.9", "2.2"), labels, strict=True))
+    assert "10^3" in labels[0]
+
+
+def test_axes_are_taken_and_returned(calibration):
+    ax = Figure().add_subplot()
+    assert calibration.plot_map(ax) is ax
+    ax = Figure().add_subplot()
+    assert calibration.plot_actuators(ax) is ax
+    ax = Figure().add_subplot()
+    assert plot_layout(calibration.layout, ax) is ax
+    ax = Figure().add_subplot()
+    assert plot_step_responses(np.arange(2.0), np.eye(2), np.array([1e3, 1e6]), ax) is ax
+
+
+def test_figures_2_5_and_6_as_pdf_and_png_at_column_width(calibration, tmp_path):
+    paths = write_figures(calibration, tmp_path / "figures")
+    names = {path.name for path in paths}
+    stems = ("fig2-actuators", "fig5-alpha", "fig6-alpha-map")
+    assert names == {f"{stem}.{form}" for stem in stems for form in ("pdf", "png")}
+    for path in paths:
+        if path.suffix == ".pdf":
+            written = path.read_bytes()
+            assert written.startswith(b"%PDF")
+            assert b"/CIDFontType2" in written  # TrueType, as journals take it
+            assert b"/Type3" not in written
+        else:
+            with Image.open(path) as image:
+                assert image.width == pytest.approx(COLUMN * 300, abs=2)
+                assert len(image.convert("L").getcolors()) > 50  # not an empty page
+
+
+def test_fonts_are_truetype_where_the_user_saves(calibration, tmp_path):
+    before = matplotlib.rcParams["pdf.fonttype"]
+    for name, ax in (("own", plot_map(calibration.layout, calibration.alpha)),
+                     ("pyplot", calibration.plot_map())):  # fmt: skip
+        ax.figure.savefig(tmp_path / f"{name}.pdf")
+        written = (tmp_path / f"{name}.pdf").read_bytes()
+        assert b"/CIDFontType2" in written
+        assert b"/Type3" not in written
+    assert matplotlib.rcParams["pdf.fonttype"] == before == 3
+
+
+def test_fig_2_shows_the_edges_of_the_glass_where_they_are_known():
+    mirror = p45()
+    ax = plot_layout(mirror.layout, edges=mirror.shell.seen_edges())
+    radii = {round(float(np.hypot(*patch.get_xy().T).max()), 2)
+             for patch in ax.patches if isinstance(patch, Polygon)}  # fmt: skip
+    # r along the glass is R sin(r / R) from the axis.
+    assert radii == {round(1955.0 * np.sin(r / 1955.0), 2) for r in (27.5, 120.005)}
+    assert ax.get_xlim()[1] > 120.0
+
+
+def test_the_same_calibration_draws_the_same_bytes(calibration, tmp_path):
+    one, two = (write_figures(calibration, tmp_path / name) for name in ("one", "two"))
+    assert [p.read_bytes() for p in one] == [p.read_bytes() for p in two]
+
+
+def test_figures_are_not_overwritten_unless_told(calibration, tmp_path):
+    write_figures(calibration, tmp_path / "figures")
+    with pytest.raises(OutputExists):
+        write_figures(calibration, tmp_path / "figures")
+    write_figures(calibration, tmp_path / "figures", overwrite=True)
+    (tmp_path / "figures" / "mine.txt").write_text("keep me")
+    with pytest.raises(OutputExists, match=r"mine\.txt, which is not ours"):
+        write_figures(calibration, tmp_path / "figures", overwrite=True)
+    assert (tmp_path / "figures" / "mine.txt").read_text() == "keep me"

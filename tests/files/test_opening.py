@@ -1,0 +1,276 @@
+"""What stands where a file was to be: pipes, devices, bombs; and calculations that break down."""
+
+import datetime
+import gzip
+import os
+import socket
+import sys
+
+import numpy as np
+import pytest
+
+from helpers.acquisition_plans import small_plan
+from truenewton.acquisition.drift import scale_balance
+from truenewton.acquisition.journal import Journal, journal_path
+from truenewton.acquisition.plan import planned_mirror
+from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
+from truenewton.figures.style import plain
+from truenewton.files import opening
+from truenewton.files.fits import read_fits
+from truenewton.files.sizes import BLOCK, CARD, check_sizes
+from truenewton.files.toml import read_toml
+from truenewton.linalg import covariance_fault, inverse_of_positive
+from truenewton.mirrors.glass import Shell, check_shell
+from truenewton.mirrors.shell.finite_elements.outline import checked_sides
+from truenewton.mirrors.tables import layout_in
+from truenewton.modal.actuator_roles import off_and_slaved
+from truenewton.modal.dissipation import Budget
+from truenewton.modal.pupil import Pupil
+from truenewton.modal.turbulence import Atmosphere
+from truenewton.records.file import write_stiffness
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import layout
+from truenewton.statics.load import Load
+
+
+def header(*cards):
+    return "".join(card.ljust(CARD) for card in (*cards, "END")).ljust(BLOCK).encode()
+
+
+START = header("SIMPLE  = T", "BITPIX  = 8", "NAXIS   = 0")
+
+
+def pipe(path):
+    os.mkfifo(path)
+
+
+def device(path):
+    path.symlink_to("/dev/zero")
+
+
+def loop(path):
+    path.symlink_to(path.name)
+
+
+def sparse(path):
+    with path.open("wb") as file:
+        file.write(START)
+        file.truncate(2**40)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has neither")
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (pipe, "is a pipe or a device"),
+        (device, "is a pipe or a device"),
+        (loop, "cannot be read (Too many levels of symbolic links)"),
+        (sparse, "is damaged"),
+    ],
+)
+def test_what_is_no_file_is_not_waited_for(tmp_path, make, said):
+    path = tmp_path / "x.fits"
+    make(path)
+    for whole in (True, False):
+        with pytest.raises(UnreadableFile) as refused:
+            read_fits(path, whole=whole)
+        assert said in str(refused.value)
+    if make is not sparse:
+        with pytest.raises(UnreadableFile):
+            read_toml(path)
+
+
+def test_a_folder_with_a_loop_is_one_line(inside, tmp_path):
+    loop(tmp_path / "x.fits")
+    code, out, error = inside("calibrate", tmp_path)
+    assert (code, out, error.count("\n")) == (2, "", 1)
+
+
+def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(opening, "MOST_UNPACKED", 2**20)
+    path = tmp_path / "x.fits.gz"
+    path.write_bytes(gzip.compress(START + bytes(2**23)))
+    with pytest.raises(UnreadableFile, match="unpacks to more than"):
+        read_fits(path)
+    path.write_bytes(gzip.compress(START))
+    assert read_fits(path).header["NAXIS"] == 0
+
+
+def test_tiles_that_unpack_to_too_much_are_refused(tmp_path):
+    tiles = header(
+        "XTENSION= 'BINTABLE'", "BITPIX  = 8", "NAXIS   = 2", "NAXIS1  = 0", "NAXIS2  = 0",
+        "PCOUNT  = 0", "GCOUNT  = 1", "TFIELDS = 0", "ZIMAGE  = T", "ZBITPIX = -64",
+        "ZNAXIS  = 2", "ZNAXIS1 = 99999", "ZNAXIS2 = 99999",
+    )  # fmt: skip
+    path = tmp_path / "x.fits"
+    path.write_bytes(START + tiles)
+    with path.open("rb") as file, pytest.raises(UnreadableFile, match="unpacks to more than"):
+        check_sizes(file, str(path))
+
+
+def test_a_text_has_an_end(tmp_path, monkeypatch):
+    monkeypatch.setattr(opening, "MOST_TEXT", 100)
+    (tmp_path / "plan.toml").write_text("#" * 101)
+    with pytest.raises(UnreadableFile, match="is longer than"):
+        read_toml(tmp_path / "plan.toml")
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("X,Y\n0.1,0.2\n,0.3\n", "line 3: X is empty; give a number"),
+        ("ID,X,Y\n1.5,0.1,0.2\n2,0.2,0.3\n", "ID holds float64"),
+        ("ID,X,Y\n99999999999999999999,0.1,0.2\n2,0.2,0.3\n", "ID holds"),
+        ("ENABLED,X,Y\nmaybe,0.1,0.2\nTrue,0.2,0.3\n", "ENABLED holds other words"),
+        ("ENABLED,X,Y\n2,0.1,0.2\n1,0.2,0.3\n", "ENABLED holds other words"),
+        ("X,Y\none,0.2\ntwo,0.3\n", "line 2: X is 'one'; give a number"),
+        ("X,Y\n0.1\n", "line 2: Y is empty"),
+        ("X,Y\n1e400,0.2\n0.1,0.3\n", "line 2: X is inf"),
+    ],
+)
+def test_a_table_of_text_is_held_against_what_it_is_to_be(tmp_path, table, said):
+    path = tmp_path / "a.csv"
+    path.write_text(table)
+    with pytest.raises(ValueError, match=r"a\.csv: ") as refused:
+        layout_in(path)
+    assert said in str(refused.value)
+
+
+def test_words_for_enabled_mean_what_they_say(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("ENABLED,X,Y\nTrue,0.1,0.2\nfalse,0.2,0.3\n")
+    assert layout_in(path).enabled.tolist() == [True, False]
+
+
+def test_a_null_character_is_no_name(tmp_path):
+    from truenewton.acquisition.plan import read_plan
+
+    (tmp_path / "plan.toml").write_text('mirror = "a\\u0000b"\nloads = []\n')
+    with pytest.raises(FormatError, match="without null characters"):
+        read_plan(tmp_path / "plan.toml")
+
+
+def test_readings_far_better_than_the_weights_are_no_riddle():
+    loads = (Load("bare"), Load("ring", -0.3, 1e6))
+    plan = small_plan(loads=loads, force_noise=1e-12)
+    mirror = planned_mirror(plan)
+    balance = scale_balance(plan, mirror, 3)
+    # Two loads: the scale follows from their difference, whatever is known of them.
+    assert balance.response == pytest.approx(np.array([1.0, -1.0]) / np.ptp(balance.held) * np.sign(
+        balance.held[1] - balance.held[0]))  # fmt: skip
+
+
+def test_an_inverse_does_not_depend_on_units():
+    random = np.random.default_rng(3)
+    root = random.standard_normal((6, 6))
+    matrix = root @ root.T + np.eye(6)
+    units = 10.0 ** np.arange(-20, 40, 10)
+    scaled = matrix * units * units[:, None]
+    assert inverse_of_positive(scaled) * units * units[:, None] == pytest.approx(
+        np.linalg.inv(matrix), rel=1e-10
+    )
+    for wrong in (np.zeros((2, 2)), np.diag([1.0, -1.0])):
+        with pytest.raises(np.linalg.LinAlgError):
+            inverse_of_positive(wrong)
+
+
+def test_variances_next_to_nothing_are_nothing():
+    assert covariance_fault(np.diag([1.0, 5e-324, 0.0])) == ""
+    assert covariance_fault(np.array([[5e-324, 1.0], [1.0, 1.0]])) == (
+        "is not positive semi-definite"
+    )
+
+
+def test_a_port_that_is_taken_leaves_no_keys(inside, tmp_path):
+    pytest.importorskip("asyncua")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        code, out, error = inside("serve", "p45", "-o", tmp_path / "keys", "--port", port)
+    assert (code, out, error.count("\n")) == (2, "", 1)
+    assert f"port {port} cannot be had" in error
+    assert not (tmp_path / "keys").exists()
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [lambda: np.linalg.inv(np.zeros((2, 2))), lambda: 1.0 / 0.0, lambda: np.ones(1) / np.zeros(1)],
+)
+def test_a_calculation_that_breaks_down_is_one_line(inside, monkeypatch, broken):
+    main = sys.modules["truenewton.cli.main"]
+    monkeypatch.setattr(main, "app", lambda *_, **__: broken())
+    code, out, error = inside("info", "x")
+    assert (code, out, error.count("\n")) == (2, "", 1)
+    assert error.startswith("truenewton: the calculation broke down (")
+
+
+def test_a_mistake_of_ours_is_not_taken_for_theirs(monkeypatch):
+    main = sys.modules["truenewton.cli.main"]
+    monkeypatch.setattr(main, "app", lambda *_, **__: int("x"))
+    monkeypatch.setattr(sys, "argv", ["truenewton", "info", "x"])
+    with pytest.raises(ValueError, match="invalid literal"):
+        main.main()
+
+
+def test_more_actuators_than_any_mirror_has_are_refused():
+    with pytest.raises(GeometryError, match="there are 20001 actuators"):
+        layout(np.linspace(0, 1, 20001), np.zeros(20001))
+    assert layout(np.linspace(0, 1, 20000), np.zeros(20000)).n == 20000
+
+
+def test_an_id_of_any_length_is_a_name_unknown():
+    with pytest.raises(UnknownName, match="no enabled actuator has the ID 1" + 30 * "0"):
+        off_and_slaved(layout([0.0, 0.1], [0.1, 0.0]), [10**30], ())
+
+
+@pytest.mark.parametrize("mesh_size", [1e-300, 0.0, -1.0, np.inf])
+def test_a_mesh_has_a_size(mesh_size):
+    with pytest.raises(GeometryError, match="mesh size"):
+        checked_sides([[[0, 0], [1, 0], [1, 1], [0, 1]]], mesh_size)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Atmosphere(1e-320),
+        lambda: Atmosphere(0.8, 1e-320),
+        lambda: Budget(power=1e-320),
+        lambda: Pupil(1e-320, 8.0),
+    ],
+)
+def test_optics_next_to_nothing_are_refused(make):
+    with pytest.raises(FormatError):
+        make()
+
+
+def test_a_glass_next_to_nothing_is_refused():
+    with pytest.raises(GeometryError, match="thickness is 1e-12 m"):
+        check_shell(Shell(0.02, 0.1, 1e-12))
+
+
+def test_elements_next_to_nothing_are_nothing():
+    k = np.diag([1.0, 2.0]) + 1e-300
+    made = StiffnessMatrix("M", datetime.datetime.now(datetime.UTC), layout([0, 1], [1, 0]), k)
+    assert made.stiffness.tolist() == [[1.0, 0.0], [0.0, 2.0]]
+    assert not made.stiffness.flags.writeable
+
+
+def test_a_diagonal_stiffness_is_no_glass(inside, tmp_path):
+    angle = np.arange(12.0)
+    where = layout(0.1 * np.cos(angle), 0.1 * np.sin(angle))
+    now = datetime.datetime.now(datetime.UTC)
+    write_stiffness(StiffnessMatrix("M", now, where, 1e5 * np.eye(12)), tmp_path / "k.fits")
+    for command in ("calibrate", "info"):
+        code, out, error = inside(command, tmp_path / "k.fits")
+        assert "STIFFNESS is diagonal: no actuator feels another" in error + out
+        assert error.count("\n") == (code == 2)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has none")
+def test_a_journal_is_a_file(tmp_path):
+    device(journal_path(tmp_path, Load("bare"), 1))
+    with pytest.raises(UnreadableFile, match="is a pipe or a device"):
+        Journal(tmp_path, Load("bare"), 1, 8)
+
+
+def test_a_name_of_odd_characters_is_a_label():
+    assert plain("a\x0b\ufffe b$") == r"a b\$"

@@ -1,0 +1,264 @@
+"""Campaigns larger than memory: rows stay in their files, and nothing else changes."""
+
+import dataclasses
+import gc
+import gzip
+import os
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from astropy.io import fits
+
+from helpers.balanced import arms_of, campaign_of
+from helpers.comparison import same
+from truenewton import reading
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import UnreadableFile
+from truenewton.estimation import repeats
+from truenewton.estimation.cycle_errors import CycleErrors, from_rows
+from truenewton.estimation.row_readers import read_rows
+from truenewton.estimation.sifted import sift
+from truenewton.estimation.systems import system_c
+from truenewton.files import stored_rows
+from truenewton.files.stored_rows import StoredRows, blocks, largest_in_rows
+from truenewton.reading import read, read_data
+from truenewton.records.file import write_campaign, write_cycle
+from truenewton.statics.layout import rings
+
+
+@pytest.fixture
+def left_on_disk(monkeypatch):
+    """Leave rows of every file on disk, and take few of them at once."""
+    monkeypatch.setattr(reading, "IN_MEMORY", -1)
+    for module in (stored_rows, repeats):
+        monkeypatch.setattr(module, "BLOCK_BYTES", 800)
+
+
+@pytest.fixture(scope="module", params=["ml", "svd"])
+def method(request):
+    """A method, each with its folder."""
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, method):
+    """A campaign with all that may happen: gradients, positions, noises, bad rows.
+
+    For ml outliers too, of which svd knows nothing.
+    """
+    outliers = method == "ml"
+    random = np.random.default_rng(3)
+    campaign, _ = campaign_of(seed=12, noise=1e-4, cycles=3, disabled=(5,), invalid=(3, 20))
+    wrong, cycles = 0.02 * random.standard_normal(14), []
+    for k, cycle in enumerate(campaign.cycles):
+        force, position = cycle.force.copy(), 1e-7 * random.standard_normal(cycle.force.shape)
+        force[7 + k, 2] += outliers * 0.05  # a spike against its repeats
+        force[12] += outliers * (k < 3) * wrong  # in all repeats of a shape: against the balance
+        position[[3, 20]] = np.nan
+        cycles.append(
+            replace(
+                cycle,
+                force=force,
+                position=position,
+                coil_gradient=600.0,
+                bias_gradient=31.0 if k else None,
+                force_error=(1e-4, 2e-4)[k % 2],
+            )
+        )
+    path = tmp_path_factory.mktemp("stored") / "c"
+    write_campaign(cycles, path)
+    return path
+
+
+def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
+    monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 800)
+    monkeypatch.setattr(repeats, "BLOCK_BYTES", 800)
+    one = calibrate(read_data(folder), method)
+    monkeypatch.setattr(reading, "IN_MEMORY", -1)
+    campaign = read_data(folder)
+    assert all(isinstance(c.force, StoredRows) for c in campaign.cycles)
+    assert all(isinstance(c.position, StoredRows) for c in campaign.cycles)
+    other = calibrate(campaign, method)
+    assert same(one, other)
+    if method == "ml":
+        assert {row.against for row in one.rejected_rows} == {"repeats", "balance"}
+    assert one.invalid == 12
+    assert np.isnan(one.alpha[5])
+    assert np.isfinite(one.cycle_error).sum() == 13
+
+
+def test_the_size_of_a_block_changes_rounding_only(folder, method, left_on_disk):
+    small = calibrate(read_data(folder), method)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (stored_rows, repeats):
+            patch.setattr(module, "BLOCK_BYTES", 2**24)
+        large = calibrate(read_data(folder), method)
+    assert len(small.rejected_rows) == len(large.rejected_rows)
+    for name in ("alpha", "reading_error", "cycle_error"):
+        assert getattr(small, name) == pytest.approx(getattr(large, name), rel=1e-8, nan_ok=True)
+
+
+INDICES = {
+    "all": slice(None),
+    "a slice": slice(3, 11),
+    "every third": slice(1, None, 3),
+    "backwards": slice(None, None, -1),
+    "none": slice(4, 4),
+    "beyond the end": slice(20, 99),
+    "a row": 5,
+    "the last": -1,
+    "rows in any order": np.array([7, 8, 9, 3, 3, 23, 0, 1]),
+    "a mask": np.arange(24) % 5 < 2,
+}
+
+
+@pytest.mark.parametrize("form", ["D", "E"])
+@pytest.mark.parametrize("far", [True, False], ids=["far apart", "side by side"])
+@pytest.mark.parametrize("rows", INDICES.values(), ids=INDICES)
+def test_rows_are_those_of_the_array(tiny, tmp_path, left_on_disk, form, far, rows):
+    cycle = tiny.cycles[0]
+    write_cycle(cycle, tmp_path / "c.fits")
+    with fits.open(tmp_path / "c.fits") as hdus:
+        columns = list(hdus["MEASUREMENTS"].columns)
+        force = np.array(1e3 * cycle.force, dtype=np.float32 if form == "E" else float)
+        at = [c.name for c in columns].index("FORCE")
+        columns[at] = fits.Column("FORCE", f"12{form}", unit="mN", array=force)
+        if far:
+            columns.insert(at, fits.Column("OTHER", "99D", array=np.ones((24, 99))))
+        table = fits.BinTableHDU.from_columns(columns, name="MEASUREMENTS")
+        fits.HDUList([hdus[0], hdus["ACTUATORS"], table]).writeto(tmp_path / "other.fits")
+    stored = read(tmp_path / "other.fits").cycles[0].force
+    assert isinstance(stored, StoredRows)
+    wanted = 1e-3 * force.astype(float)
+    assert stored[rows].dtype == np.float64
+    assert stored[rows].shape == wanted[rows].shape
+    assert stored[rows] == pytest.approx(wanted[rows], rel=1e-15)
+    assert (np.asarray(stored) == stored[:]).all()
+
+
+def test_rows_that_cannot_stay_are_read(tiny, tmp_path, left_on_disk):
+    """Gzipped files, and columns with TSCAL, are arrays."""
+    cycle = tiny.cycles[0]
+    write_cycle(cycle, tmp_path / "c.fits")
+    (tmp_path / "packed.fits.gz").write_bytes(gzip.compress((tmp_path / "c.fits").read_bytes()))
+    packed = read(tmp_path / "packed.fits.gz").cycles[0]
+    assert isinstance(packed.force, np.ndarray)
+    assert (packed.force == cycle.force).all()
+    with fits.open(tmp_path / "c.fits") as hdus:
+        table = hdus["MEASUREMENTS"]
+        number = table.columns.names.index("FORCE") + 1
+        table.header[f"TSCAL{number}"] = 0.5
+        del table.header["CHECKSUM"], table.header["DATASUM"]
+        (tmp_path / "scaled.fits").write_bytes(
+            b"".join(h.header.tostring().encode() + raw for h, raw in raw_data(tmp_path, hdus))
+        )
+    scaled = read(tmp_path / "scaled.fits").cycles[0]
+    assert isinstance(scaled.force, np.ndarray)
+    assert isinstance(scaled.position, StoredRows)
+    assert scaled.force == pytest.approx(0.5 * cycle.force, rel=1e-15)
+    assert (np.asarray(scaled.position) == cycle.position).all()
+
+
+def raw_data(folder, hdus):
+    """Return HDUs with the bytes of their data in c.fits."""
+    raw = (folder / "c.fits").read_bytes()
+    infos = [hdu.fileinfo() for hdu in hdus]
+    return [
+        (hdu, raw[i["datLoc"] : i["datLoc"] + i["datSpan"]])
+        for hdu, i in zip(hdus, infos, strict=True)
+    ]
+
+
+def test_a_campaign_written_from_disk_is_the_same_file(tiny, tmp_path, left_on_disk):
+    write_campaign(tiny.cycles, tmp_path / "one")
+    write_campaign(read(tmp_path / "one").cycles, tmp_path / "two")
+    for path in (tmp_path / "one").iterdir():
+        assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
+
+
+CHANGES = {
+    "touched": lambda path: os.utime(path, ns=(1, 1)),
+    "cut short": lambda path: path.write_bytes(path.read_bytes()[:9000]),
+    "longer": lambda path: path.write_bytes(path.read_bytes() + bytes(2880)),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_file_that_changes_while_in_use_is_refused(tiny, tmp_path, left_on_disk, change):
+    write_campaign(tiny.cycles, tmp_path / "c")
+    campaign = read_data(tmp_path / "c")
+    change(tmp_path / "c/ring-001.fits")
+    with pytest.raises(UnreadableFile, match=r"ring-001.fits: was changed while it was in use; "):
+        calibrate(campaign)
+
+
+def test_a_file_that_goes_while_in_use_is_refused(tiny, tmp_path, left_on_disk):
+    write_campaign(tiny.cycles, tmp_path / "c")
+    campaign = read_data(tmp_path / "c")
+    (tmp_path / "c/bare-001.fits").unlink()
+    with pytest.raises(UnreadableFile, match=r"bare-001.fits: cannot be read any more \(No such"):
+        calibrate(campaign)
+
+
+def peak_of_reading_twice(path):
+    """Return the most that a campaign takes while its rows are read twice, files of any size."""
+    tracemalloc.start()
+    stored = read_data(path)
+    gc.collect()  # files leave rings of objects behind
+    tracemalloc.reset_peak()
+    sift(stored)
+    read_rows(stored, (CycleErrors(stored, np.ones(stored.layout.n + 5)).take,))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+def test_memory_does_not_grow_with_repeats(tmp_path, left_on_disk, monkeypatch):
+    for module in (stored_rows, repeats):
+        monkeypatch.setattr(module, "BLOCK_BYTES", 2**16)
+    layout, peaks = rings([0.05, 0.08, 0.11, 0.14], [12, 24, 36, 48]), []
+    for cycles in (3, 12):
+        campaign = campaign_of(seed=13, noise=1e-4, layout=layout, cycles=cycles)[0]
+        write_campaign(campaign.cycles, tmp_path / str(cycles))
+        rows = 2 * cycles * campaign.cycles[0].force.nbytes
+        del campaign
+        # Once in a while the interpreter's own tables grow, by megabytes.
+        peaks.append(min(peak_of_reading_twice(tmp_path / str(cycles)) for _ in range(2)))
+    assert peaks[1] - peaks[0] < 0.1 * rows
+    assert peaks[0] > 2 * 2 * layout.n**2 * 8  # the means
+
+
+def test_blocks_hold_every_row_once():
+    for rows, width in ((0, 8), (1, 2**30), (10_000, 2**13), (5, 0)):
+        slices = list(blocks(rows, width))
+        assert [i for s in slices for i in range(s.start, s.stop)] == list(range(rows))
+        assert all(
+            (s.stop - s.start) * width <= max(stored_rows.BLOCK_BYTES, width) for s in slices
+        )
+
+
+def test_the_largest_of_a_row_is_nan_where_one_that_counts_is():
+    values = np.array([[1.0, -3.0, 2.0], [np.nan, 1.0, 1.0], [1.0, np.nan, 1.0], [0, np.inf, 0]])
+    found = largest_in_rows(values, np.array([True, False, True]))
+    assert found.tolist()[0::2] == [2.0, 1.0]
+    assert np.isnan(found[1])
+    assert largest_in_rows(values, np.ones(3, dtype=bool))[3] == np.inf
+
+
+def test_a_cycle_near_rank_deficiency_is_solved_from_its_rows(monkeypatch):
+    """E_CYCLE by singular values, a block after the other, is that of all rows at once."""
+    monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 800)
+    campaign, truth = campaign_of(seed=14, noise=1e-3, cycles=1)
+    cycle, a = campaign.cycles[0], arms_of(campaign.layout)
+    force = cycle.force.copy()
+    force[:, 0] *= 1e-7
+    cycle = dataclasses.replace(cycle, force=force)
+    external = (-2.9, *truth[14:17].tolist())
+    matrix, right = system_c(force, a, *external)
+    values = scipy.linalg.svdvals(matrix)
+    assert 1e5 < values[0] / values[-1] < 1e9
+    found = from_rows(cycle, a, external)
+    assert found == pytest.approx(scipy.linalg.lstsq(matrix, right)[0], rel=1e-6)

@@ -1,0 +1,652 @@
+"""People's own files: whatever layout a matrix lies in, calibrate finds the right alpha."""
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+import scipy.io
+from astropy.io import fits
+from astropy.table import QTable
+
+import truenewton as tn
+from helpers.foreign_files import (
+    TRACK,
+    N,
+    R,
+    electronics,
+    idl_save,
+    measured,
+    numbers_of,
+    supervisor_folder,
+)
+from truenewton.errors import (
+    CampaignMismatch,
+    FormatError,
+    OutputExists,
+    TrueNewtonError,
+    UnreadableFile,
+)
+from truenewton.foreign.choice import places_in
+from truenewton.foreign.stored import read_stored
+from truenewton.foreign.supervisor import supervisor_order
+from truenewton.rounding import percent
+from truenewton.statics.groups import ring_of
+
+CASE = measured()
+XY = np.stack([CASE.layout.x, CASE.layout.y])
+
+
+def semicolons(values):
+    return "\n".join(";".join(f"{v:.17g}".replace(".", ",") for v in row) for row in values) + "\n"
+
+
+def matrix_file(folder, kind):
+    """Write the matrix in a kind of file; return its path and what more is to be said."""
+    path, k = folder / f"ff.{kind}", CASE.k
+    if kind == "fits":
+        fits.PrimaryHDU(k).writeto(path)
+    elif kind == "fits.gz":
+        hdu = fits.ImageHDU(1e-6 * k, name="FF")
+        hdu.header["BUNIT"] = "N/um"
+        fits.HDUList([fits.PrimaryHDU(), hdu]).writeto(path)
+    elif kind == "npy":
+        np.save(path, 1e-3 * k)
+        return path, {"unit": "N/mm"}
+    elif kind == "npz":
+        np.savez(path, other=np.eye(N), mask=np.ones(3), ffwd=k)
+    elif kind == "csv":
+        path.write_text(semicolons(k))
+    elif kind == "txt":
+        np.savetxt(path, k, header="forces of actuators, N/m")
+    elif kind == "tsv":
+        lines = ["\t".join(["", *map(str, range(N))])]
+        lines += ["\t".join([str(i), *(f"{v:.17g}" for v in row)]) for i, row in enumerate(k)]
+        path.write_text("\n".join(lines))
+    elif kind == "mat":
+        scipy.io.savemat(path, {"K": k, "comment": "x"})
+    elif kind == "sav":
+        idl_save(path, "FF_MATRIX", k)
+    elif kind == "idl":
+        np.savetxt(path, k.ravel(), header=f"; TN\ndouble {N} {N} # text", comments="")
+    elif kind == "yaml":
+        path.write_text(json.dumps({"stiffness": k.tolist()}))
+    return path, {}
+
+
+def positions_file(folder, kind):
+    """Write positions in a kind of file; return its path and what more is to be said."""
+    path = folder / f"xy.{kind}"
+    x, y = 1e3 * XY
+    if kind == "csv":
+        lines = ["Actuator;Pos X [mm];Pos Y [mm];Type"]
+        lines += [f"{i};{a:.9g};{b:.9g};A{i}".replace(".", ",")
+                  for i, a, b in zip(CASE.layout.id, x, y, strict=True)]  # fmt: skip
+        path.write_bytes("\r\n".join(lines).encode("utf-16"))
+    elif kind == "txt":
+        np.savetxt(path, np.stack([x, y]).T, header="x y")
+    elif kind == "dat":
+        np.savetxt(
+            path, np.stack([CASE.layout.id, *XY]).T, delimiter=",", fmt=["%d", "%.12g", "%.12g"]
+        )
+    elif kind == "ecsv":
+        QTable({"ID": CASE.layout.id, "X": x * u.mm, "Y": y * u.mm}).write(path)
+    elif kind == "fits":
+        fits.PrimaryHDU(np.stack([x, y])).writeto(path)
+    elif kind == "npy":
+        np.save(path, XY.T)
+    elif kind == "mat":
+        scipy.io.savemat(path, {"x": XY[0], "y": XY[1], "id": CASE.layout.id})
+    elif kind == "table.fits":
+        table = QTable({"X": XY[0] * u.m, "Y": XY[1] * u.m})
+        table.write(path)
+    return path
+
+
+def check(made, rows=slice(None)):
+    """Hold alpha of an import against the truth; return the calibration."""
+    calibration = tn.calibrate(made.matrix)
+    expected = CASE.alpha[rows]
+    some = np.isfinite(expected)
+    assert np.array_equal(calibration.layout.enabled, some)
+    expected = expected[some] / expected[some].mean()
+    found = calibration.alpha[some] / calibration.alpha[some].mean()
+    assert np.std(found - expected) < 0.01  # alpha scatters by 6 %
+    z = (found - expected) / calibration.error[some]
+    assert np.sqrt(np.mean(z**2)) < 1.6
+    return calibration
+
+
+def text(made):
+    return " | ".join(made.lines)
+
+
+KINDS = ["fits", "fits.gz", "npy", "npz", "csv", "txt", "tsv", "idl", "mat", "sav", "yaml"]
+PLACES = ["csv", "txt", "dat", "ecsv", "fits", "npy", "mat", "table.fits"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_matrix_is_the_same_from_every_kind_of_file(tmp_path, kind):
+    path, more = matrix_file(tmp_path, kind)
+    made = tn.stiffness_from(path, XY.T * 1e3 * u.mm, **more)
+    np.testing.assert_allclose(made.matrix.stiffness, -CASE.k, rtol=1e-12)
+    assert np.array_equal(~made.matrix.layout.enabled, CASE.off)
+    assert "negative: turned" in text(made)
+    assert f"20 with rows and columns of zeros, disabled: {CASE.layout.id[CASE.off][0]}" in text(
+        made
+    )
+    assert "orientation  as it should be" in text(made)
+    assert len(made.lines) <= 10
+
+
+@pytest.mark.parametrize("kind", PLACES)
+def test_positions_are_the_same_from_every_kind_of_file(tmp_path, kind):
+    made = tn.stiffness_from(CASE.k, positions_file(tmp_path, kind), curvature=R)
+    layout = made.matrix.layout
+    np.testing.assert_allclose([layout.x, layout.y], XY, atol=2e-9)
+    np.testing.assert_allclose(layout.nz, CASE.layout.nz, atol=1e-8)
+    assert np.array_equal(layout.id, CASE.layout.id)
+
+
+def test_alpha_is_right_from_a_matrix_and_text_of_somebody_else(tmp_path):
+    path, _ = matrix_file(tmp_path, "csv")
+    made = tn.stiffness_from(path, positions_file(tmp_path, "csv"), curvature=R)
+    check(made)
+    assert "mm as declared" in text(made)
+    assert all(str(CASE.layout.id[b]) in text(made).split("do not fit")[1] for b in CASE.bad)
+
+
+@pytest.mark.parametrize("positions", ["coordinates", "rings"])
+def test_a_supervisors_folder(tmp_path, positions):
+    rows = supervisor_folder(tmp_path / "meas", positions=positions)
+    made = tn.stiffness_from(tmp_path / "meas", curvature=R if positions == "coordinates" else None)
+    layout = made.matrix.layout
+    np.testing.assert_allclose([layout.x, layout.y], XY[:, rows], atol=5e-6)  # angles to 1e-4 deg
+    np.testing.assert_allclose(layout.nz, CASE.layout.nz[rows], atol=1e-6)
+    assert made.matrix.date.isoformat() == "2011-03-11T13:05:23+00:00"
+    if positions == "coordinates":
+        table = positions_file(tmp_path, "ecsv")
+        with pytest.raises(
+            FormatError, match="no position of actuator"
+        ):  # 1 .. 144 are no channels
+            tn.stiffness_from(tmp_path / "meas", table)
+    channels = fits.getdata(tmp_path / "meas" / "ff_list.fits")
+    assert np.array_equal(layout.id, channels)
+    check(made, rows)
+
+
+def test_a_supervisors_folder_with_a_known_mirror(tmp_path):
+    supervisor_folder(tmp_path / "meas", positions="rings")
+    told = tn.stiffness_from(tmp_path / "meas").matrix.layout
+    known = tn.stiffness_from(tmp_path / "meas", mirror=tn.mirrors.lbt672().layout).matrix.layout
+    np.testing.assert_allclose([known.x, known.y, known.nz], [told.x, told.y, told.nz], atol=5e-6)
+
+
+def test_the_supervisors_order_of_rings():
+    assert np.array_equal(supervisor_order(CASE.layout), numbers_of(CASE.layout))
+    with pytest.raises(FormatError, match="ring 9 of the mirror has no actuator on its"):
+        supervisor_order(tn.mirrors.mmt336().layout)
+
+
+@pytest.mark.skipif("TRUENEWTON_REAL_DATA" not in __import__("os").environ, reason="no real data")
+def test_the_supervisors_order_is_that_of_a_real_mirror():
+    """Channels 0 and 1 are numbers 504 and 505 of the rings, by the supervisor's table."""
+    from pathlib import Path
+
+    matrix = tn.read(Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672/lbt672-feedforward.fits")
+    mirror = tn.mirrors.lbt672().layout
+    order = supervisor_order(mirror)[[504, 505, 506, 507, 585]]
+    real = [int(np.flatnonzero(matrix.layout.id == i)[0]) for i in (0, 1, 2, 3, 4)]
+    np.testing.assert_allclose(mirror.x[order], matrix.layout.x[real], atol=1e-4)
+    np.testing.assert_allclose(mirror.y[order], matrix.layout.y[real], atol=1e-4)
+
+
+def two_shells():
+    """Return opticalib's DP: the mirror twice, upper shell first; positions of both mixed."""
+    k = np.zeros((2 * N, 2 * N))
+    k[:N, :N], k[N:, N:] = -CASE.k, -2.0 * CASE.k
+    lower, upper = (XY.T + np.array([0.0, y]) for y in (0.3, 1.0))
+    mixed = np.empty((2 * N, 2))
+    mixed[0::2], mixed[1::2] = lower, upper
+    return k, mixed
+
+
+def test_opticalibs_simulated_prototype(tmp_path):
+    k, positions = two_shells()
+    fits.PrimaryHDU(k).writeto(tmp_path / "dp_ffwd.fits")
+    fits.PrimaryHDU(positions).writeto(tmp_path / "dp_coords.fits")
+    fits.PrimaryHDU(np.eye(2 * N)).writeto(tmp_path / "dp_cmdmat.fits")
+    with pytest.raises(FormatError, match="2 separate shells, of 124, 124 actuators"):
+        tn.stiffness_from(tmp_path)
+    made = tn.stiffness_from(tmp_path, shell=2)
+    x, y = XY[:, ~CASE.off]
+    np.testing.assert_allclose(made.matrix.layout.x, x - x.mean(), atol=1e-9)
+    np.testing.assert_allclose(made.matrix.layout.y, y - y.mean(), atol=1e-9)
+    np.testing.assert_array_equal(
+        made.matrix.stiffness, -2.0 * CASE.k[np.ix_(~CASE.off, ~CASE.off)]
+    )
+
+
+def test_opticalibs_configuration_folder(tmp_path):
+    fits.PrimaryHDU(np.float32(-CASE.k)).writeto(tmp_path / "ff_matrix.fits")
+    fits.PrimaryHDU(1e3 * XY.T).writeto(tmp_path / "ActuatorsCoordinates.fits")
+    made = tn.stiffness_from(tmp_path, curvature=R)
+    np.testing.assert_allclose(made.matrix.layout.x, XY[0], atol=1e-9)
+    assert "opticalib's configuration" in made.lines[0]
+    check(made)
+
+
+def test_opticalibs_simulated_m4(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "m4_data.h5", "w") as file:
+        file["FFWD"] = np.stack([-CASE.k, -CASE.k])
+        file["coordinates"] = np.concatenate([XY.T, XY.T + 2.0])
+        file["IM0"] = np.ones((N, 300))
+        file["mirrorModes"] = np.ones((2 * N, 2 * N))
+    with pytest.raises(FormatError, match="2 separate shells, of 144, 144 actuators"):
+        tn.stiffness_from(tmp_path / "m4_data.h5")
+    made = tn.stiffness_from(tmp_path / "m4_data.h5", shell=2)
+    x = XY[0] - XY[0].mean()
+    np.testing.assert_allclose(made.matrix.layout.x, x, atol=1e-12)
+
+    folder = tn.stiffness_from(tmp_path, shell=2)
+    np.testing.assert_array_equal(folder.matrix.stiffness, made.matrix.stiffness)
+
+
+def test_positions_in_another_order_are_put_in_that_of_their_numbers(tmp_path):
+    order, path = np.random.default_rng(2).permutation(N), tmp_path / "xy.txt"
+    lines = [f"{i} {XY[0, i]:.6f} {XY[1, i]:.6f}" for i in order]
+    path.write_text("act x y\n" + "\n".join(lines))
+    made = tn.stiffness_from(CASE.k, path)
+    np.testing.assert_allclose([made.matrix.layout.x, made.matrix.layout.y], XY, atol=1e-6)
+    assert "put in the order of their IDs" in text(made)
+    path.write_text("x y\n" + "\n".join(line.partition(" ")[2] for line in lines))
+    with pytest.raises(FormatError, match="another order than rows and columns: 0 %"):
+        tn.stiffness_from(CASE.k, path)
+    path.write_text("act x y\n" + "\n".join(f"{i} {x} {y}" for i, (x, y) in enumerate(XY.T)))
+    assert "put in" not in text(tn.stiffness_from(CASE.k, path))
+
+
+def test_a_list_of_actuators_in_yaml(tmp_path):
+    lines = [f"  - {{id: {i}, x: {x:.9f}, y: {y:.9f}}}" for i, (x, y) in enumerate(1e3 * XY.T, 1)]
+    path = tmp_path / "mirror.yml"
+    path.write_text("name: DSM\nactuators:\n" + "\n".join(lines))
+    layout = tn.stiffness_from(CASE.k, path).matrix.layout
+    np.testing.assert_allclose([layout.x, layout.y], XY, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", ["channels", "rings"])
+def test_positions_of_all_channels_may_stand_ring_by_ring(tmp_path, order):
+    rows = supervisor_folder(tmp_path / "meas", positions="rings")
+    by_number = np.zeros((200, 2))
+    by_number[:N] = 1e3 * XY.T[numbers_of(CASE.layout)]
+    path = tmp_path / "coordinates.txt"
+    np.savetxt(path, by_number if order == "rings" else by_number[electronics()])
+    made = tn.stiffness_from(tmp_path / "meas", path)
+    np.testing.assert_allclose([made.matrix.layout.x, made.matrix.layout.y], XY[:, rows], atol=1e-9)
+    assert ("in the order of act2mir_act.txt" in text(made)) == (order == "rings")
+
+
+def test_one_sensor_without_numbers_is_left_out():
+    k, bad = CASE.k.copy(), int(np.flatnonzero(~CASE.off)[40])
+    k[[3, 9], bad] = np.nan
+    made = tn.stiffness_from(k, XY)
+    assert f"2 elements of sensor {bad + 1} are no numbers" in text(made)
+    assert "its sensor reads nothing" in text(made)
+    assert not made.matrix.stiffness[:, bad].any()
+
+
+def test_a_pipe_is_no_file_of_positions(tmp_path):
+    path = tmp_path / "xy.txt"
+    os.mkfifo(path)
+    with pytest.raises(UnreadableFile, match="is a pipe or a device; give a file"):
+        tn.stiffness_from(CASE.k, path)
+
+
+def test_a_mat_file_of_version_73_has_its_axes_reversed(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "k.mat", "w", userblock_size=512) as file:
+        file["k"] = CASE.k.T
+        file["k"].attrs["MATLAB_class"] = np.bytes_("double")
+    raw = (tmp_path / "k.mat").read_bytes()
+    (tmp_path / "k.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(128) + raw[128:])
+    made = tn.stiffness_from(tmp_path / "k.mat", CASE.layout)
+    np.testing.assert_array_equal(made.matrix.stiffness, -CASE.k)
+
+
+def test_a_few_bad_sensors_do_not_make_a_sound_matrix_look_transposed():
+    sound = tn.stiffness_from(CASE.k, CASE.layout)
+    assert "as it should be" in text(sound)
+    turned = tn.stiffness_from(CASE.k.T, CASE.layout)
+    assert "LOOKS TRANSPOSED" in text(turned)
+    back = tn.stiffness_from(CASE.k.T, CASE.layout, transpose=True)
+    np.testing.assert_array_equal(back.matrix.stiffness, sound.matrix.stiffness)
+    noticed = tn.calibrate(sound.matrix).diagnosis.warnings
+    assert not any("transposed" in warning.fault for warning in noticed)
+
+
+def test_names_choose_positions_of_more_actuators(tmp_path):
+    rows = np.random.default_rng(2).permutation(N)[:120]
+    k = -CASE.k[np.ix_(rows, rows)]
+    path = positions_file(tmp_path, "dat")
+    with pytest.raises(FormatError, match=r"144 positions for 120 rows and columns; .*--ids"):
+        tn.stiffness_from(k, path)
+    made = tn.stiffness_from(k, path, ids=CASE.layout.id[rows])
+    np.testing.assert_allclose(made.matrix.layout.x, XY[0, rows], atol=1e-9)
+    assert np.array_equal(made.matrix.layout.id, CASE.layout.id[rows])
+
+
+@pytest.mark.parametrize("rows", [4, 12, N])
+def test_a_spreadsheet_names_rows_and_columns_and_may_hold_remarks(tmp_path, rows):
+    ids = CASE.layout.id[:rows]
+    lines = ["# Messung", ";" + "".join(f"S{i};" for i in ids)]
+    for i, row in zip(ids, CASE.k, strict=False):
+        lines += [f"A{i};" + "".join(f"{v:.17g};".replace(".", ",") for v in row[:rows])]
+    (tmp_path / "k.csv").write_text("\r\n".join(lines))
+    kept = read_stored(tmp_path / "k.csv").arrays[""].values
+    np.testing.assert_array_equal(kept, CASE.k[:rows, :rows])
+    table = ["# CAD", "Aktuator;Ring;x / mm;y / mm;Bemerkung"]
+    for i, (x, y) in zip(ids, 1e3 * XY.T, strict=False):
+        table += [f"A{i};1;{x:.12g};{y:.12g};{'neu' if i == 3 else ''}".replace(".", ",")]
+    (tmp_path / "xy.csv").write_text("\n".join(table))
+    found = places_in(read_stored(tmp_path / "xy.csv"))
+    np.testing.assert_allclose([found.x, found.y], 1e3 * XY[:, :rows], rtol=1e-11)
+    assert (found.unit, found.ids) == ("mm", None)
+    if rows == N:
+        made = tn.stiffness_from(tmp_path / "k.csv", tmp_path / "xy.csv", curvature=R)
+        np.testing.assert_array_equal(made.matrix.stiffness, -CASE.k)
+
+
+@pytest.mark.parametrize("name", ["x [mm]", "x / mm", "X(mm)", "pos_x_mm", "Pos x in mm", "x_mm"])
+def test_the_ways_to_write_a_unit_beside_a_name(tmp_path, name):
+    rows = [f"{name},{name.replace('x', 'y').replace('X', 'Y')}", "1,2", "3,4", "5,6"]
+    (tmp_path / "xy.csv").write_text("\n".join(rows))
+    found = places_in(read_stored(tmp_path / "xy.csv"))
+    assert (found.unit, found.x.tolist()) == ("mm", [1.0, 3.0, 5.0])
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["Y [mm],X [mm],remark", "2,1,", "4,3,", "6,5,"],
+        ["ID,Y,X", "-,mm,mm", "8,2,1", "9,4,3", "7,6,5"],
+        ["CAD of November", "Y;X;ID", "[mm];[mm];", "2,0;1,0;8", "4,0;3,0;9", "6,0;5,0;7"],
+    ],
+    ids=["no remark at all", "units below", "title above, units below"],
+)
+def test_names_and_units_of_columns_are_never_lost(tmp_path, lines):
+    (tmp_path / "xy.csv").write_text("\n".join(lines))
+    found = places_in(read_stored(tmp_path / "xy.csv"))
+    assert (found.unit, found.x.tolist(), found.y.tolist()) == ("mm", [1, 3, 5], [2, 4, 6])
+
+
+@pytest.mark.parametrize("rows", [4, N])
+def test_rows_may_have_names_where_columns_have_none(tmp_path, rows):
+    named = [
+        f"A{i}," + ",".join(map(repr, row)) for i, row in enumerate(CASE.k[:rows, :rows].tolist())
+    ]
+    for header in ([], ["row," + ",".join(map(str, range(1, rows + 1)))]):
+        (tmp_path / "k.csv").write_text("\n".join(header + named))
+        kept = read_stored(tmp_path / "k.csv").arrays[""].values
+        np.testing.assert_array_equal(kept, CASE.k[:rows, :rows])
+
+
+def test_positions_without_ids_are_told_which_columns_there_are(tmp_path):
+    order = np.random.default_rng(1).permutation(N)
+    rows = np.stack([CASE.layout.id, *XY]).T[order]
+    path = tmp_path / "xy.csv"
+    np.savetxt(path, rows, delimiter=",", header="knob,x,y", comments="")
+    said = "a column named ID; there is knob, x, y$"
+    for ids in (None, CASE.layout.id):
+        with pytest.raises(FormatError, match=said):
+            tn.stiffness_from(CASE.k, path, ids=ids)
+    np.savetxt(path, rows, delimiter=",", header="coil,x,y", comments="")
+    assert "in the order of their IDs" in text(tn.stiffness_from(CASE.k, path))
+    rows = np.insert(rows, 1, 1.0, axis=1)
+    np.savetxt(path, rows, delimiter=",", header="knob,ring,east,north", comments="")
+    with pytest.raises(FormatError, match=r"holds no positions; .*'knob', column 'ring'"):
+        tn.stiffness_from(CASE.k, path)
+
+
+def test_hdf5_declares_units_and_it_is_said_which_of_two_was_taken(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "k.h5", "w") as file:
+        file["run7/FF"], file["intmat"], file["xy"] = 1e-6 * CASE.k, np.eye(N), 1e3 * XY.T
+        file["run7/FF"].attrs["unit"], file["xy"].attrs["units"] = "N/um", np.bytes_("mm")
+    made = tn.stiffness_from(tmp_path / "k.h5", curvature=R)
+    np.testing.assert_allclose(made.matrix.stiffness, -CASE.k, rtol=1e-12)
+    assert "144 x 144, 'run7/FF' of intmat, run7/FF, N/um as declared: a median own" in text(made)
+    assert "mm as declared" in text(made)
+
+
+def test_a_slip_of_the_unit_is_said():
+    slipped = tn.stiffness_from(CASE.k, CASE.layout, unit="mN/m")
+    assert "N/m, UNLIKELY of a mirror: check it" in text(slipped)
+    assert "UNLIKELY" not in text(tn.stiffness_from(CASE.k, CASE.layout, unit="N/m"))
+
+
+def test_what_is_off_may_stand_nowhere():
+    x, y = XY.copy()
+    at = np.flatnonzero(CASE.off)
+    x[at[0]] = np.nan
+    x[at[1]], y[at[1]] = x[0], y[0]
+    k = CASE.k.copy()
+    k[at[2]] = k[:, at[2]] = np.nan
+    made = tn.stiffness_from(np.ma.masked_invalid(k), np.stack([x, y]), ids=CASE.layout.id)
+    assert made.matrix.layout.n == N - 2
+    assert np.count_nonzero(~made.matrix.layout.enabled) == 18
+    assert "2 that are off and stand nowhere" in text(made)
+
+
+def test_steps_of_electronics_give_the_same_alpha():
+    steps = tn.stiffness_from(CASE.k / 41.6, CASE.layout, unit="unknown")
+    newton = tn.stiffness_from(CASE.k, CASE.layout)
+    for made in (steps, newton):
+        assert np.array_equal(made.matrix.layout.enabled, ~CASE.off)
+    ratio = steps.matrix.used_stiffness / newton.matrix.used_stiffness
+    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
+    assert "unit unknown" in text(steps)
+    counted = tn.stiffness_from(CASE.k / 41.6, CASE.layout, unit="41.6 N/m")
+    np.testing.assert_allclose(counted.matrix.stiffness, newton.matrix.stiffness, rtol=1e-12)
+
+
+def scrambled():
+    return XY[:, np.random.default_rng(1).permutation(N)]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"coordinates": scrambled()}, "positions are in another order than rows and columns"),
+        ({"coordinates": XY[:, :-1]}, "143 positions for 144 rows and columns"),
+        ({"coordinates": None}, "no positions with it; give positions"),
+        ({"coordinates": XY[:, [*range(N - 1), 0]]}, r"two actuators stand at x = .* m: 1 and 144"),
+        ({"coordinates": XY * 100}, "in no unit that is declared; say which by --lengths"),
+        ({"coordinates": XY * u.s}, "unit of positions is 's'; give one as mm"),
+        ({"matrix": 1e-6 * CASE.k}, "no unit, .* is no mirror's; say which by --unit .*, as N/um"),
+        ({"matrix": CASE.k * u.N}, "unit of the matrix is 'N'; give one as N/um"),
+        ({"matrix": CASE.k[:, 1:]}, "holds no square matrix"),
+        ({"matrix": 1j * CASE.k}, "holds no real numbers"),
+        ({"matrix": np.where(np.eye(N, k=5), np.nan, CASE.k)}, "elements are NaN or infinite"),
+        ({"matrix": np.triu(CASE.k)}, "zero below its diagonal: half of it is not there; store"),
+        ({"matrix": np.clip(CASE.k, -1e5, 1e5)}, "144 own elements of STIFFNESS are the same"),
+        ({"matrix": np.linalg.pinv(CASE.k), "unit": "unknown"}, "looks like a compliance, disp"),
+        ({"ids": [1] * N}, "actuator ID 1 stands 144 times"),
+        ({"ids": [1, 2]}, "2 IDs for 144 rows"),
+        ({"shell": 2}, "there is no shell 2"),
+        ({"matrix": CASE.k + 1e40 * np.eye(N)}, "holds an element of 1e[+]40; measure it again"),
+        ({"matrix": np.full((N, N), np.inf)}, "holds no finite number; measure it again"),
+        ({"coordinates": XY * np.inf}, "holds no finite positions; give X and Y"),
+        ({"coordinates": XY + np.where(np.arange(N), 0.0, np.inf)}, "actuator 1 is not finite"),
+        ({"curvature": np.inf}, "curvature radius is inf m"),
+        ({"curvature": 0.1}, "from the axis of a surface of R = 0.1 m"),
+        ({"curvature": -2.0}, "curvature radius is -2 m"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_in_one_line(change, said):
+    given = {"matrix": CASE.k, "coordinates": XY} | change
+    with pytest.raises(TrueNewtonError, match=said) as caught:
+        tn.stiffness_from(given.pop("matrix"), given.pop("coordinates"), **given)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_header_of_several_lines_is_passed_over(tmp_path):
+    k = tmp_path / "k.csv"
+    np.savetxt(k, CASE.k, delimiter=",", header="Feed forward, saved by me\nact1,...", comments="")
+    np.testing.assert_array_equal(tn.stiffness_from(k, XY).matrix.stiffness, -CASE.k)
+
+
+def test_polar_coordinates_are_no_x_and_y(tmp_path):
+    path = tmp_path / "xy.csv"
+    np.savetxt(path, XY.T, delimiter=",", header="r [mm],theta [deg]", comments="")
+    with pytest.raises(FormatError, match=r"holds polar coordinates, .* give X and Y, both in a"):
+        tn.stiffness_from(CASE.k, path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.npy", b"\x93NUMPYjunk", "a.npy: cannot be read"),
+        ("a.mat", b"MATLAB 5.0 MAT-file" + bytes(200), "a.mat: cannot be read"),
+        ("a.png", b"\x89PNG\r\n\x1a\n\0\0", "a.png: is of no kind that is read here"),
+        (
+            "a.csv",
+            b"1,2,3\n4,5\n7,8,9\n",
+            "line 2 has 2 cells, line 1 has 3: '4,5'; give",
+        ),
+        ("a.csv", b"1,2,3\n4,5,six\n7,8,9\n", "holds no square matrix; give as many rows as col"),
+        ("a.csv", b"1,2\n" * 4, "holds no square matrix; give as many rows as columns; there"),
+        ("a.csv", b"1,5,2,5,3,5\n" * 3, "are decimal ones too, put semicolons between columns"),
+        ("a.csv", b"a,b,c\n", "holds a header and no numbers"),
+        ("a.txt", b"# nothing\n", "holds no numbers"),
+        ("a.txt", b"double 3 3\n1 2 3 4\n", "holds 4 numbers; give 3 x 3 numbers"),
+        ("a.yaml", b"{[", "a.yaml: cannot be read"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_in_one_line(tmp_path, name, content, said):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(TrueNewtonError) as caught:
+        tn.stiffness_from(tmp_path / name, XY)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wide_text_file_names_the_place_of_what_is_no_number(tmp_path):
+    lines = semicolons(CASE.k).splitlines()
+    lines[4] = "oops" + lines[4][lines[4].index(";") :]
+    (tmp_path / "k.csv").write_text("\n".join(lines))
+    with pytest.raises(FormatError, match="line 5, column 1 is 'oops'; give a number there"):
+        tn.stiffness_from(tmp_path / "k.csv", XY)
+
+
+def test_folders_and_missing_files(tmp_path):
+    with pytest.raises(FormatError, match="is a folder of no layout that is known here; give"):
+        tn.stiffness_from(tmp_path)
+    with pytest.raises(UnreadableFile, match="No such file"):
+        tn.stiffness_from(tmp_path / "ff.fits", XY)
+    supervisor_folder(tmp_path / "meas", positions="rings")
+    (tmp_path / "meas" / "conf" / "LBT672a" / "shell.txt").unlink()
+    with pytest.raises(FormatError, match=r"but no shell\.txt; give its folder, or the mirror"):
+        tn.stiffness_from(tmp_path / "meas")
+
+
+def test_the_command_says_what_it_found_and_writes_what_calibrate_reads(tmp_path):
+    path, _ = matrix_file(tmp_path, "csv")
+    xy = positions_file(tmp_path, "csv")
+    command = ["import", path, xy, "-o", tmp_path / "k.fits", "--curvature", R, "--instrument",
+               "X9", "--date", "2026-01-02T03:04:05"]  # fmt: skip
+    done = cli(*command)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("X9: 144 actuators, from ")
+    assert "2026-01-02 03:04:05 (as told)" in done.stdout
+    assert f"truenewton calibrate {tmp_path / 'k.fits'}" in done.stdout
+    assert "  verdict      limited: left out, as they do not fit the others" in done.stdout
+    read = tn.read(tmp_path / "k.fits")
+    np.testing.assert_array_equal(read.stiffness, -CASE.k)
+    again = cli(*command)
+    assert again.returncode == 2
+    assert "exists already" in again.stderr
+    found = json.loads(cli("import", path, xy, "--curvature", R, "--json").stdout)
+    assert found["actuators"] == N
+    assert found["found"]["sign"].startswith("negative: turned")
+    table = found["calibration"]["actuators"]
+    alpha, error = (np.array(table[name], dtype=float) for name in ("alpha", "e_alpha"))
+    assert f"  error        {percent(np.nanmedian(error / alpha))}, " in done.stdout
+    np.testing.assert_array_equal(np.isfinite(alpha), np.isfinite(CASE.alpha))
+
+
+def test_the_command_gives_no_answer_of_a_transposed_matrix(tmp_path):
+    np.save(tmp_path / "k.npy", CASE.k.T)
+    done = cli("import", tmp_path / "k.npy", positions_file(tmp_path, "csv"))
+    assert done.returncode == 0
+    assert "LOOKS TRANSPOSED" in done.stdout
+    assert "alpha        none of a matrix that looks transposed" in done.stdout
+    assert "next         the same command with --transpose" in done.stdout
+    np.save(tmp_path / "k.npy", CASE.k)
+    done = cli("import", tmp_path / "k.npy", positions_file(tmp_path, "csv"), "--transpose")
+    assert "next         the same command without --transpose" in done.stdout
+
+
+def test_after_a_matrix_that_gives_no_alpha_calibrate_is_not_the_next(tmp_path, inside):
+    np.save(tmp_path / "k.npy", (CASE.k + CASE.k.T) / 2)
+    where = positions_file(tmp_path, "csv")
+    code, out, _ = inside("import", tmp_path / "k.npy", where, "-o", tmp_path / "k.fits")
+    assert code == 0
+    assert "alpha        none: " in out
+    assert "  next         mend what is said, then import again" in out
+    assert "truenewton calibrate" not in out
+
+
+def cli(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "truenewton", *map(str, words)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_a_slightly_wrong_numbering_is_doubted():
+    """Every other ring is numbered clockwise."""
+    order, ring = np.arange(N), ring_of(CASE.layout)
+    for r in range(0, 6, 2):
+        some = np.flatnonzero(ring == r)
+        order[some] = some[::-1]
+    made = tn.stiffness_from(CASE.k, XY[:, order])
+    assert "LOW, check numbering" in text(made)
+
+
+def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
+    """What the supervisor reads: its checks, its singular vectors, and the forces are true."""
+    rows = supervisor_folder(tmp_path / "meas", positions="rings")
+    imported = tn.stiffness_from(tmp_path / "meas")
+    calibration = tn.calibrate(imported.matrix)
+    told = tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "20261122_101500")
+    new = {name: fits.getdata(tmp_path / "20261122_101500" / f"{name}.fits")
+           for name in ("ff_matrix", "ff_list", "ff_f_svec", "ff_p_svec", "ff_sval")}  # fmt: skip
+    old = fits.getdata(tmp_path / "meas" / "ff_matrix.fits")
+    assert new["ff_list"].dtype.kind == "i"
+    np.testing.assert_array_equal(new["ff_list"], calibration.layout.id)
+    known = np.isfinite(CASE.alpha[rows])
+    ratio = (new["ff_matrix"] / old)[:, 0]
+    expected = CASE.alpha[rows] / np.nanmean(CASE.alpha[rows])
+    assert np.std(ratio[known] - expected[known]) < 0.01
+    np.testing.assert_array_equal(new["ff_matrix"][~known], old[~known])
+    assert "without alpha, as they were" in told[-1]
+    assert (np.diag(new["ff_matrix"]) < 0.0).all()  # the sign of the electronics
+    assert (np.diff(new["ff_sval"]) >= 0.0).all()
+    product = new["ff_f_svec"] * new["ff_sval"] @ new["ff_p_svec"].T
+    np.testing.assert_allclose(product, new["ff_matrix"], atol=1e-6 * abs(old).max())
+    header = fits.getheader(tmp_path / "20261122_101500" / "ff_matrix.fits")
+    assert header["TRACKNUM"] == "20261122_101500"
+    assert header["DATE"].startswith("20")
+    unnamed = tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")
+    assert f"TRACKNUM {TRACK}" in unnamed[2]
+    other = replace(calibration.layout, id=calibration.layout.id + 1000)
+    wrong = replace(calibration, layout=other)
+    with pytest.raises(CampaignMismatch, match=r"no actuator .*, which is a channel"):
+        tn.export_supervisor(tmp_path / "meas", wrong, tmp_path / "wrong")
+    with pytest.raises(OutputExists):
+        tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")

@@ -1,0 +1,1 @@
+"""Fuzz: damaged files and absurd options for every command."""

@@ -1,0 +1,115 @@
+"""Sound files of other people's layouts, and ways to spoil those that hold arrays by name."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import h5py
+import numpy as np
+import scipy.io
+from astropy.io import fits
+from astropy.table import Table
+
+from truenewton.files.fits import read_fits
+
+from .process import must
+from .values import number
+
+
+def make_foreign(at: Path) -> None:
+    """Make files of a matrix of 24 actuators as others have it, of the one that is there."""
+    k = -np.asarray(read_fits(at / "stiffness.fits").pixels("STIFFNESS"))
+    table = np.genfromtxt(at / "actuators.csv", delimiter=",", skip_header=1)
+    ids, x, y, n = table[:, 0].astype(int), 1e3 * table[:, 1], 1e3 * table[:, 2], len(k)
+    f = at / "f"
+    f.mkdir()
+    write_arrays(f / "ff.npy", {"": k})
+    write_arrays(f / "ff.npz", {"ffwd": k, "xy": np.stack([x, y])})
+    write_arrays(f / "ff.mat", {"FF": k, "x": x, "y": y})
+    write_arrays(f / "ff.h5", {"ffwd": k, "coords": np.stack([x, y]).T})
+    fits.PrimaryHDU(k).writeto(f / "ff.fits")
+    np.savetxt(f / "ff.csv", k, delimiter=",", header=",".join(map(str, ids)), comments="")
+    (f / "ff.yaml").write_text(f"stiffness: {k.tolist()}\n".replace("], [", "],\n  ["))
+    rows = list(zip(ids.tolist(), x.round(3).tolist(), y.round(3).tolist(), strict=True))
+    (f / "xy.csv").write_text("ID;X [mm];Y [mm]\n" + "".join(f"{i};{a};{b}\n" for i, a, b in rows))
+    (f / "xy.txt").write_text("# x y\n" + "".join(f"{a} {b}\n" for _, a, b in rows))
+    lines = (f"  - {{id: {i}, x: {a}, y: {b}}}\n" for i, a, b in rows)
+    (f / "xy.yml").write_text("actuators:\n" + "".join(lines))
+    Table({"X": x, "Y": y}).write(f / "xy.fits")
+    for name in ("s", "o"):
+        (at / name).mkdir()
+        fits.PrimaryHDU(k).writeto(at / name / "ff_matrix.fits")
+    fits.PrimaryHDU(np.stack([x, y]).T).writeto(at / "o" / "ActuatorsCoordinates.fits")
+    channels = np.arange(n + 6)[3:-3]
+    fits.PrimaryHDU(channels.astype("i4")).writeto(at / "s" / "ff_list.fits")
+    places = np.zeros((n + 6, 2))
+    places[channels] = np.stack([x, y]).T
+    fits.PrimaryHDU(places).writeto(at / "s" / "act_coordinates.fits")
+    numbers = "\n".join(map(str, np.roll(np.arange(n + 6), 3)))
+    (at / "s" / "act2mir_act.txt").write_text(f";;+& TN &-;;\nfloat {n + 6}\n{numbers}\n")
+    must("import s -o sup.fits", at)
+    must("calibrate sup.fits -o chan.fits", at)
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of a file by name; that of an .npy is ''."""
+    if path.suffix == ".mat":
+        return {k: v for k, v in scipy.io.loadmat(path).items() if not k.startswith("__")}
+    if path.suffix == ".h5":
+        with h5py.File(path) as file:
+            return {name: np.asarray(held[()]) for name, held in file.items()}
+    held = np.load(path)
+    return {"": held} if path.suffix == ".npy" else dict(held)
+
+
+def write_arrays(path: Path, named: dict[str, np.ndarray]) -> None:
+    """Write arrays by name."""
+    if path.suffix == ".mat":
+        scipy.io.savemat(path, named)
+    elif path.suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            for name, values in named.items():
+                file[name] = values
+    elif path.suffix == ".npz":
+        np.savez(path, **named)
+    else:
+        np.save(path, next(iter(named.values())))
+
+
+def arrays(pick: random.Random, path: Path) -> str:
+    """Spoil one of the arrays of a file by its values, shape, type or name."""
+    named = read_arrays(path)
+    name = pick.choice(list(named))
+    kind = pick.choice(("element", "element", "row", "column", "whole", "shape", "type", "name"))
+    named[name] = _spoilt(pick, np.atleast_2d(np.array(named[name], dtype=float)), kind)
+    if kind == "name" and len(named) > 1:
+        named[pick.choice(("x", "X", "other", "a" * 31, "FFWD"))] = named.pop(name)
+    elif kind == "name":
+        named["other"] = named[name]
+    write_arrays(path, named)
+    return f"{name}: {kind}"
+
+
+def _spoilt(pick: random.Random, values: np.ndarray, kind: str) -> np.ndarray:
+    rows, columns = values.shape
+    i, j = pick.randrange(rows), pick.randrange(columns)
+    with np.errstate(all="ignore"):
+        if kind == "element":
+            values[i, j] = number(pick)
+        elif kind == "row":
+            values[i] = pick.choice((np.nan, 0.0, -values[i], number(pick), values[(i + 1) % rows]))
+        elif kind == "column":
+            values[:, j] = pick.choice((np.nan, 0.0, -values[:, j], 1.4 * values[:, j]))
+        elif kind == "whole":
+            factor = pick.choice((0.0, -1.0, 1e-6, 1e-320, 1e300, np.nan, np.inf, number(pick)))
+            values = values * factor
+        elif kind == "shape":
+            ways = (values.T, values[:-1], values[:, :-1], values[:1, :1], values[:0], values[None],
+                    np.stack([values, values]), values.ravel(), values[0, 0], values[::-1],
+                    np.zeros((3, 3)), np.eye(rows))  # fmt: skip
+            values = np.asarray(pick.choice(ways))
+        elif kind == "type":
+            types = ("f2", "f4", ">f8", "i1", "i8", "u2", "?", "c16", "S8", "M8[s]")
+            values = values.astype(pick.choice(types))
+    return values

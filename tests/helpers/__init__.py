@@ -1,0 +1,1 @@
+"""Helpers that the tests share: mirrors, campaigns, files and benches."""

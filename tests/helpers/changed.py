@@ -1,0 +1,78 @@
+"""Campaigns of P45 with something changed, and what every command says of them."""
+
+import json
+import warnings
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import truenewton as tn
+from helpers.balanced import p45_bench
+from truenewton.bench.simulated.static import run_cycles
+from truenewton.errors import TrueNewtonError, TrueNewtonWarning
+from truenewton.records.campaign import Campaign
+from truenewton.report.investigate import investigate
+from truenewton.report.verdict import verdict as report_verdict
+
+
+@cache
+def p45_cycles(noise, count):
+    return tuple(run_cycles(replace(p45_bench(), force_noise=noise), count))
+
+
+def p45(noise=1e-3, count=2, **changes):
+    """Return cycles of P45 under two loads, their keywords changed."""
+    return [replace(cycle, **changes) for cycle in p45_cycles(noise, count)]
+
+
+def with_forces(cycles, change):
+    """Return cycles with (N, n) forces changed, by the index of the cycle and what they are."""
+    return [replace(c, force=change(k, np.array(c.force))) for k, c in enumerate(cycles)]
+
+
+def said(cycles, method="ml"):
+    """Return level, first fault and remedy of what is said of cycles; a refusal has no level."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TrueNewtonWarning)
+        try:
+            verdict = tn.calibrate(Campaign(tuple(cycles)), method).verdict
+        except TrueNewtonError as error:
+            return None, error.fault, error.remedy
+    return (verdict.level, *verdict.faults[0])
+
+
+def check_alike(inside, path, *options):
+    """Check that info, calibrate, report and Python give one verdict, or one refusal.
+
+    What `report` prints and puts on its page is `report.verdict` of what it finds.
+    """
+    code, out, error = inside("info", path, *options, "--json")
+    assert (code, error) == (0, "")
+    verdict = json.loads(out)["verdict"]
+    fault, remedy = (verdict["faults"] or [{"fault": "", "remedy": ""}])[0].values()
+    python = dict(zip(("method",), options[1:], strict=False)) if "--method" in options else {}
+    python |= {"population": True} if "--population" in options else {}
+    code, out, error = inside("calibrate", path, *options, "--json")
+    page = report_verdict(investigate(tn.read(path), **python))
+    assert page.level == verdict["level"]
+    assert page.advice[:1] == (((fault, remedy),) if fault else ())
+    if verdict["level"] == "no alpha":
+        with pytest.raises(TrueNewtonError) as refusal:
+            tn.calibrate(tn.read(path), **python)
+        assert (refusal.value.fault, refusal.value.remedy) == (fault, remedy)
+        assert code == 2
+        assert fault in error
+        return
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        made = tn.calibrate(tn.read(path), **python)
+    assert made.verdict.values == verdict
+    if verdict["level"] == "not to be used":
+        assert code == 2
+        assert f"not to be used: {fault}; {remedy}" in error
+        assert any("not to be used" in str(one.message) for one in caught)
+    else:
+        assert code == 0
+        assert json.loads(out)["verdict"] == verdict

@@ -1,0 +1,347 @@
+"""Mirrors of any outline: their file, and the simulated bench on their finite elements."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+from scipy.optimize import brentq
+from scipy.special import iv, ivp, jv, jvp
+
+import truenewton as tn
+from helpers.shells import influence
+from truenewton.bench.simulated.static import held_command, loop_of, run_cycles, static_bench
+from truenewton.errors import GeometryError
+from truenewton.mirrors.file import mirror_from
+from truenewton.mirrors.glass import Annulus, Outline, Shell
+from truenewton.mirrors.known import ring
+from truenewton.mirrors.shell.air_film import VISCOSITY, film_damping
+from truenewton.mirrors.shell.held_glass import forces_under, held_glass, tool_wedges, weight_on
+from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
+from truenewton.mirrors.shell.puck_motion import displaced_readings
+from truenewton.statics.arms import external_load, resultants
+from truenewton.statics.layout import layout
+
+ROUND = ring(8)
+
+
+def polygon(radius, n, curvature):
+    """Return a regular polygon of a circle's area along the glass, seen along the axis."""
+    angle = 2 * np.pi * np.arange(n) / n
+    along = radius * np.sqrt(2 * np.pi / n / np.sin(2 * np.pi / n))
+    corner = curvature * np.sin(along / curvature)
+    return tuple(zip(corner * np.cos(angle), corner * np.sin(angle), strict=True))
+
+
+def outlined(mirror, mesh_size):
+    shell = mirror.shell
+    edge, hole = (
+        polygon(radius, n, shell.radius_of_curvature)
+        for radius, n in ((shell.outer_radius, 64), (shell.inner_radius, 32))
+    )
+    wider = replace(shell, outer_radius=1.01 * shell.outer_radius)
+    return replace(mirror, shell=replace(wider, outline=Outline(edge, (hole,), mesh_size)))
+
+
+@pytest.fixture(scope="module")
+def glasses():
+    """Return the glass of a round mirror by both models."""
+    return held_glass(ROUND), held_glass(outlined(ROUND, 8e-3))
+
+
+def test_a_nearly_round_outline_is_the_ring(glasses):
+    one, other = glasses
+    assert other.stiffness == pytest.approx(one.stiffness, abs=3e-3 * np.abs(one.stiffness).max())
+    stretch = [np.linalg.svd(glass.stiffness, compute_uv=False)[:-3] for glass in glasses]
+    assert stretch[1] == pytest.approx(stretch[0], rel=3e-3)
+    shells = [glass.mirror.shell for glass in glasses]
+    assert shells[1].mass == pytest.approx(shells[0].mass, rel=1e-9)
+    assert shells[1].centroid == pytest.approx((0.0, 0.0), abs=1e-15)
+
+
+def test_what_hangs_on_it_is_held_as_on_the_ring(glasses):
+    """Weight, magnets, a tool off its centre and bias magnets, by both models."""
+    bias = np.linspace(0.05, 0.09, 8)
+    held = [
+        forces_under(glass, weight_on(glass.mirror, -1.0, -0.2, off_centre=(2e-4, 0), bias=bias))
+        for glass in glasses
+    ]
+    assert held[1] == pytest.approx(held[0], abs=1e-3 * np.abs(held[0]).max())
+
+
+def test_the_mass_that_moves_is_that_of_the_ring(glasses):
+    """Through pucks of 5 mm, which the annulus of the sensor does not see."""
+    (mass, pucks), (other_mass, other_pucks) = (
+        moving_mass(glass, static_shapes(glass)) for glass in glasses
+    )
+    assert other_mass == pytest.approx(mass, abs=2e-3 * mass.max())
+    assert other_pucks == pytest.approx(pucks, abs=2e-3)
+    assert other_mass.sum() == pytest.approx(glasses[1].mirror.shell.mass + 8 * 2.75e-3, rel=1e-9)
+
+
+def test_sensors_off_their_magnets_read_what_they_read_on_the_ring(glasses):
+    one, other = map(displaced_readings, glasses)
+    for kind, worst in zip(range(5), (2e-3, 2e-3, 1e-2, 1e-2, 1e-2), strict=True):
+        assert np.linalg.norm(other[kind] - one[kind]) < worst * np.linalg.norm(one[kind])
+
+
+SQUARE = ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))
+
+
+def test_frequencies_of_a_square():
+    """A. W. Leissa, J. Sound Vibration 31 (1973) 257, nu = 0.3: stiffness and mass, from above."""
+    at = np.linspace(-0.095, 0.095, 8)
+    x, y = (grid.ravel() for grid in np.meshgrid(at, at))
+    plate = Shell(0.0, 0.15, 1.6e-3, poisson_ratio=0.3, outline=Outline(SQUARE, mesh_size=30e-3))
+    mirror = replace(
+        ROUND, layout=layout(x, y), shell=plate, magnet_mass=0.0, puck_radius=0.0,
+        sensor=Annulus(1e-6, 1e-6),
+    )  # fmt: skip
+    glass = held_glass(mirror)
+    K, M = 0.5 * (glass.stiffness + glass.stiffness.T), moving_mass(glass, static_shapes(glass))[0]
+    per_mass = plate.density * plate.thickness / plate.bending_stiffness
+    got = np.sqrt(eigh(K, M, eigvals_only=True)[3:8] * per_mass) * 0.2**2
+    excess = got / [13.468, 19.596, 24.270, 34.801, 34.801] - 1
+    assert np.all((excess > -1e-4) & (excess < 2e-3)), excess
+
+
+def hexagon(count, spacing):
+    """Return x, y of the actuators of a hexagon, one of them in the middle."""
+    k = np.arange(-count, count + 1)
+    i, j = (grid.ravel() for grid in np.meshgrid(k, k))
+    keep = np.abs(i + j) <= count
+    return spacing * (i + 0.5 * j)[keep], spacing * np.sqrt(0.75) * j[keep]
+
+
+@pytest.fixture(scope="module")
+def disc():
+    """Return a disc without a hole, an actuator in its middle, and its static shapes."""
+    x, y = hexagon(5, 19e-3)
+    plate = Shell(0.0, 0.1, 1.6e-3, poisson_ratio=0.3)
+    mirror = replace(
+        ROUND, layout=layout(x, y), shell=plate, magnet_mass=0.0, puck_radius=0.0,
+        sensor=Annulus(1e-6, 1e-6), vent_radius=0.0,
+    )  # fmt: skip
+    glass = held_glass(mirror)
+    return glass, static_shapes(glass)
+
+
+def of_free_disc(n, near, nu=0.3):
+    """Return lambda^2 of n nodal diameters (A. W. Leissa, NASA SP-160, 1969, eq. 2.13)."""
+
+    def missing(root):
+        # w = J(k r) + c I(k r): where moment and shear on the edge are 0 for one c
+        moment, shear = [], []
+        for sign, value, slope in ((1, jv, jvp), (-1, iv, ivp)):
+            f, df = value(n, root), root * slope(n, root)
+            moment.append(root**2 * f + sign * (1 - nu) * (df - n**2 * f))
+            shear.append(root**2 * df + sign * (1 - nu) * n**2 * (df - f))
+        return moment[0] * shear[1] - moment[1] * shear[0]
+
+    return brentq(missing, 0.98 * np.sqrt(near), 1.02 * np.sqrt(near)) ** 2
+
+
+def test_frequencies_of_a_disc(disc):
+    """Two, no, three nodal diameters: 5.358, 9.003, 12.44 at nu = 0.3, from above."""
+    glass, shapes = disc
+    plate = glass.mirror.shell
+    K, M = 0.5 * (glass.stiffness + glass.stiffness.T), moving_mass(glass, shapes)[0]
+    per_mass = plate.density * plate.thickness / plate.bending_stiffness
+    got = np.sqrt(eigh(K, M, eigvals_only=True)[3:8] * per_mass) * plate.outer_radius**2
+    exact = np.array([of_free_disc(n, near) for n, near in ((2, 5.358), (0, 9.003), (3, 12.44))])
+    assert exact == pytest.approx([5.358, 9.003, 12.44], rel=1e-4)
+    excess = got / np.repeat(exact, [2, 1, 2]) - 1
+    # Most of it is Guyan's reduction: with 37 actuators it is 3.5 times as much.
+    assert np.all((excess > -1e-4) & (excess < [1e-3, 1e-3, 2e-3, 2e-3, 6e-3])), excess
+
+
+def test_the_film_under_a_disc(disc):
+    """Moved as a whole the film takes 3 pi mu R^4 / 2 h^3 of its velocity."""
+    damping, mirror = film_damping(*disc), disc[0].mirror
+    exact = 1.5 * np.pi * VISCOSITY * mirror.shell.outer_radius**4 / mirror.gap**3
+    assert damping.sum() == pytest.approx(exact, rel=5e-3)
+
+
+L_SHAPE = ((-0.08, -0.08), (0.12, -0.08), (0.12, 0.02), (0.02, 0.02), (0.02, 0.12), (-0.08, 0.12))
+HOLES = (
+    ((0.07, -0.05), (0.09, -0.05), (0.09, -0.03), (0.07, -0.03)),
+    ((-0.03, -0.01), (-0.02, -0.01), (-0.025, 0.0)),
+)
+MINE = f"""
+name = "CORNER"
+actuators = "actuators.csv"
+weight = -1.2
+weight_error = 0.002
+added_weight = -0.1
+added_weight_error = 0.002
+bias_force = 0.09
+
+[shell]
+inner_radius = 0.01
+outer_radius = 0.16
+thickness = 1.6e-3
+radius_of_curvature = 2.0
+
+[shell.outline]
+edge = {[list(vertex) for vertex in L_SHAPE]}
+holes = {[[list(vertex) for vertex in hole] for hole in HOLES]}
+mesh_size = 0.025
+"""
+AT = [(-0.06, -0.06), (-0.02, -0.055), (0.045, -0.05), (0.1, -0.06), (0.1, -0.02), (0.04, -0.02),
+      (-0.055, 0.02), (-0.02, 0.05), (-0.06, 0.1), (-0.02, 0.1)]  # fmt: skip
+
+
+@pytest.fixture
+def corner(tmp_path):
+    rows = [f"{x},{y},{np.sqrt(1 - (x * x + y * y) / 4)}" for x, y in AT]
+    (tmp_path / "actuators.csv").write_text("\n".join(["X,Y,NZ", *rows]))
+    path = tmp_path / "corner.toml"
+    path.write_text(MINE)
+    return path
+
+
+def test_a_corner_on_the_bench(corner):
+    """Area 300 cm2 less 4.5; forces balance what is written down; the loop finds them too."""
+    mirror = mirror_from(corner)
+    assert mirror.shell.mass == pytest.approx(0.02955 * 1.6e-3 * 2530, rel=2e-3)
+    moments = 0.02 * np.array([0.02, -0.03]) + 0.01 * np.array([-0.03, 0.07])
+    moments -= 4e-4 * np.array([0.08, -0.04]) + 5e-5 * np.array([-0.025, -0.02 / 3])
+    centre = moments / 0.02955
+    assert mirror.shell.centroid == pytest.approx(centre, abs=1e-5)
+    bench = static_bench(mirror, 1, force_noise=0.0)
+    truth = bench.truth
+    for k, force in enumerate(bench.load_force):
+        load = external_load(
+            truth.weight + truth.added[k], truth.bias_force, truth.torque_y[k], truth.torque_x[k]
+        )
+        assert resultants(mirror.layout, force) == pytest.approx(-load, abs=1e-9)
+    static, settled = next(run_cycles(bench, 1)), next(run_cycles(bench, 1, loop_of(bench)))
+    assert settled.valid.all()
+    expected = held_command(bench, 0, settled.position - bench.sensors.offset)
+    assert settled.force == pytest.approx(expected, abs=2e-3)
+    assert np.abs(static.force).max() < 0.4
+
+
+def test_points_of_an_outline_from_a_table(corner):
+    """Of text and of FITS, either way round, in other units too: the same glass."""
+    from astropy.table import QTable
+
+    written = mirror_from(corner).shell
+    points = [(*at, k) for k, loop in enumerate((L_SHAPE[::-1], *HOLES)) for at in loop]
+    table = QTable(rows=points, names=("X", "Y", "LOOP"))
+    table.write(corner.parent / "edge.csv")
+    for name in "XY":
+        table[name] = 1e3 * table[name]
+        table[name].unit = "mm"
+    table.write(corner.parent / "edge.ecsv")
+    table.meta["EXTNAME"] = "OUTLINE"
+    table.write(corner.parent / "edge.fits")
+    start, stop = MINE.index("edge ="), MINE.index("mesh_size")
+    for name in ("edge.csv", "edge.ecsv", "edge.fits"):
+        corner.write_text(f'{MINE[:start]}points = "{name}"\n{MINE[stop:]}')
+        shell = mirror_from(corner).shell
+        assert len(shell.outline.holes) == 2
+        assert (shell.mass, *shell.centroid) == pytest.approx((written.mass, *written.centroid))
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("X,Y\n0,0\n1,0\n", "edge.csv: the edge has 2 points; give three"),
+        ("X,Y\n0,0\n0.1,O.1\n0,0.1\n", "edge.csv: line 3: Y is 'O.1'; give a number"),
+        ("X,Y\n0,0\n0.1,0\n0.1,0.1\n0,0\n", "edge.csv: points 4 and 1 of the edge stand"),
+        ("X,Y\n-0.1,-0.1\n0.1,0.05\n0.1,-0.1\n-0.1,0.05\n",
+         "edge.csv: the edge crosses itself at x = 0 m, y = -0.025"),
+        ("X,Y\n0,0\n100,0\n0,100\n", "the outline reaches 100 m from the axis; x and y are"),
+        ("X,Y,LOOP\n0,0,1\n", "LOOP holds 1; number the points of the edge 0"),
+        ("X,Y,LOOP\n0,0,a\n", "LOOP holds"),
+        ("X\n0\n", "lacks column 'Y'"),
+        ("X,Y\n" + "".join(f"{np.cos(k)},{np.sin(k)}\n" for k in np.arange(2001) * 3e-3),
+         "an outline of 2001 vertices; thin it to 2000"),
+    ],
+)  # fmt: skip
+def test_tables_that_are_no_outline(corner, table, said):
+    (corner.parent / "edge.csv").write_text(table)
+    start, stop = MINE.index("edge ="), MINE.index("mesh_size")
+    corner.write_text(f'{MINE[:start]}points = "edge.csv"\n{MINE[stop:]}')
+    with pytest.raises(Exception, match=r"(corner\.toml|edge\.csv): ") as refused:
+        mirror_from(corner)
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("holes =", 'points = "edge.csv"\nholes =', "has points and"),
+        ("bias_force", "tool_radius = 0.2\nbias_force", "the weight tool, 0.2 m from"),
+        ("bias_force", "tool_radius = -0.2\nbias_force", "tool_radius is -0.2"),
+        ("0.01\nouter", "-0.01\nouter", "reaches from -0.01 m"),
+        ("inner_radius = 0.01", "inner_radius = 0.12", "the weight tool, 0.1215 m from"),
+        ("outer_radius = 0.16", "outer_radius = 0.1", "the outline reaches 0.14"),
+        ("mesh_size = 0.025", "mesh_size = 0.0", "mesh size 0 m"),
+        ("[0.02, 0.12]", "[0.0, -0.05]", "the edge turns back to"),
+        ("[0.02, 0.12]", "[0.15, -0.15]", "the edge crosses itself at x ="),
+        ("[0.07, -0.05], [0.09, -0.05]", "[0.07, 0.05], [0.09, 0.05]", "the edge and hole 1 meet"),
+        ("[0.07, -0.05]", "[0.12, -0.08]", "edge and hole 1 meet at x = 0.120"),  # a corner of both
+        ("[0.12, 0.02]", "[0.12]", "give 2 values"),
+        ("[0.12, -0.08], ", "[0.11, -0.08], ", "actuator 4 stands 0.1167 m"),
+        ("edge =", "rim =", "knows no 'rim'; the keys are points, edge, holes, mesh_size"),
+        ("edge =", "point = 'edge.csv'\nedge =", "did you mean 'points'?"),
+    ],
+)
+def test_outlines_that_cannot_be(corner, old, new, said):
+    assert old in MINE
+    corner.write_text(MINE.replace(old, new, 1))
+    with pytest.raises(Exception, match=r"(corner\.toml|actuators\.csv): ") as refused:
+        mirror_from(corner)
+    assert said in str(refused.value)
+
+
+def test_radii_beside_an_outline_may_be_left_out(corner):
+    """The outer one is as far as the glass reaches; a tool without its own stands half as far."""
+    radii = "inner_radius = 0.01\nouter_radius = 0.16\n"
+    assert radii in MINE
+    corner.write_text(MINE.replace(radii, "").replace("[shell]", "tool_radius = 0.02\n[shell]", 1))
+    mirror = mirror_from(corner)
+    reach = 2.0 * np.arcsin(np.hypot(0.12, 0.08) / 2.0)  # along the sphere
+    assert (mirror.shell.inner_radius, mirror.shell.outer_radius) == (0.0, pytest.approx(reach))
+    wedges = np.hypot(*tool_wedges(replace(mirror, tool_radius=None)))
+    assert wedges == pytest.approx(np.full(3, reach / 2))
+
+
+def test_rings_of_fourier_refuse_an_outline():
+    shell = outlined(ROUND, 8e-3).shell
+    at = np.array([0.05]), np.array([0.0])
+    with pytest.raises(GeometryError, match="is no ring"):
+        influence(shell, at, at)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "simulated-bench.md"
+
+
+def test_the_hexagon_of_the_page(inside, tmp_path, monkeypatch):
+    """Its three files, the commands below them, a plan; alpha is within its errors of the truth."""
+    text = PAGE.read_text(encoding="utf-8").split("### Any outline")[1].split("### Segments")[0]
+    (mine,) = re.findall(r'```toml\n(name = "HEXAGON".*?)```', text, re.DOTALL)
+    edge, actuators = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)
+    for name, block in (("hexagon.toml", mine), ("edge.csv", edge), ("hexagon.csv", actuators)):
+        (tmp_path / name).write_text(block)
+    monkeypatch.chdir(tmp_path)
+    mirror = mirror_from("hexagon.toml")
+    assert mirror.layout.n == 37
+    assert (0.0, 0.0) in zip(mirror.layout.x, mirror.layout.y, strict=True)
+    (commands,) = re.findall(r"```console\n(.*?)```", text, re.DOTALL)
+    for line in commands.splitlines():
+        code, _, said = inside(*line.removeprefix("$ truenewton ").split())
+        assert code == 0, said
+    found = tn.read_calibration("hexagon.fits")
+    miss = (found.alpha - tn.read_truth("hexagon.truth.fits").alpha) / found.error
+    assert np.abs(miss).max() < 4
+    plan = inside("plan", "--new")[1].replace('"p45"', '"hexagon.toml"').replace("-0.289", "-0.25")
+    (tmp_path / "plan.toml").write_text(plan)
+    code, planned, said = inside("plan", "plan.toml", "--json")
+    assert code == 0, said
+    assert len(json.loads(planned)["actuators"]["id"]) == 37

@@ -1,0 +1,569 @@
+"""What `truenewton plan` predicts, against closed forms, explicit Jacobians and calibrations."""
+
+import datetime
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import truenewton as tn
+from helpers.acquisition_plans import write_shapes
+from helpers.balanced import arms_of, campaign_of, noisy, three_loads
+from studies.joint_bound import BruteForce
+from truenewton.acquisition.plan import (
+    AssumedSensors,
+    CampaignPlan,
+    PlannedShapes,
+    read_plan,
+    template,
+)
+from truenewton.acquisition.shapes import model_glass, shapes_and_forces
+from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.errors import RankDeficient
+from truenewton.estimation.prediction import predict
+from truenewton.estimation.reciprocity.sight import places_of
+from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
+from truenewton.estimation.sifted import campaign_moments
+from truenewton.estimation.weights import READINGS, tilt_as_load, typical
+from truenewton.mirrors.known import p45
+from truenewton.mirrors.shell.held_glass import held_glass
+from truenewton.mirrors.sight import motion_for
+from truenewton.planning.figures import plot_outlook
+from truenewton.planning.forces import holding, noiseless, prepared, strain
+from truenewton.planning.outlook import duration, outlook, predicted, with_sensors
+from truenewton.planning.target import ways_to
+from truenewton.planning.words import _drowned as drowned
+from truenewton.planning.words import lines
+from truenewton.records.campaign import Campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+LOADS = (Load("bare"), Load("ring", -0.289, 0.005, tool="ring"))
+PLAN = CampaignPlan("p45", LOADS)
+
+
+@pytest.fixture(scope="module")
+def ready():
+    return prepared(PLAN)
+
+
+def declared(campaign, noise):
+    """Return the first cycle of each load, with its noise declared."""
+    first = {c.load.key: c for c in campaign.cycles[::-1]}
+    return Campaign(tuple(replace(c, force_error=noise) for c in first.values()))
+
+
+def fisher(campaign, truth, noise, cycles):
+    """Return the information on alpha, B and torques, row by row from explicit Jacobians."""
+    a = arms_of(campaign.layout)
+    n, unknowns = a.shape[1], len(truth)
+    alpha = truth[:n]
+    s_inverse = np.linalg.inv((a * alpha * noise**2) @ (a * alpha).T)
+    information = np.zeros((unknowns, unknowns))
+    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
+        for c in cycle.force:
+            jacobian = np.zeros((3, unknowns))
+            jacobian[:, :n] = a * c
+            jacobian[0, n] = 1.0
+            jacobian[1, n + 1 + 2 * place] = 1.0
+            jacobian[2, n + 2 + 2 * place] = -1.0
+            information += cycles * jacobian.T @ s_inverse @ jacobian
+    return information
+
+
+def test_against_little_noise_the_errors_are_the_bound_of_cramer_and_rao():
+    quiet, truth = campaign_of(3, 0.0, cycles=1)
+    noise, n = 1e-6, quiet.layout.n
+    one = declared(quiet, noise)
+    found = predict(one, campaign_moments(one), 5, truth[:n])
+    bound = np.linalg.inv(fisher(one, truth, noise, 5))[:n, :n]
+    assert found.reading_covariance == pytest.approx(
+        bound, rel=1e-5, abs=1e-6 * np.abs(bound).max()
+    )
+    assert found.diagnosis.undetermined == 0
+    assert found.diagnosis.warnings == ()
+
+
+def test_what_is_stated_and_what_scatters_is_what_was_predicted():
+    """At a noise so large that what it feigns counts, and the plain bound is too small."""
+    bench = static_bench(
+        replace(p45(), weight_error=0.0), 1, loads=(Load("bare"), Load("ring", -0.289)),
+        force_noise=0.0,
+    )  # fmt: skip
+    quiet, alpha, noise = Campaign(tuple(run_cycles(bench, 4))), bench.truth.alpha, 1.2e-2
+    one = declared(quiet, noise)
+    # Pooled over loads and signs, as its rows will be: what noise feigns is less by half.
+    found = predict(one, replace(campaign_moments(one), pooled=True), 4, alpha)
+    truth = np.concatenate([alpha, np.zeros(5)])
+    bound = np.sqrt(np.diag(np.linalg.inv(fisher(one, truth, noise, 4)))[:45])
+    answers = [tn.calibrate(noisy(quiet, noise, seed)) for seed in range(60)]
+    stated = np.mean([c.reading_error for c in answers], axis=0)
+    scatter = np.sqrt(np.mean([(c.alpha - alpha) ** 2 for c in answers], axis=0))
+    assert stated == pytest.approx(found.reading_error, rel=0.03)
+    assert np.median(scatter / found.reading_error) == pytest.approx(1.0, abs=0.1)
+    assert np.median(found.reading_error / bound) > 1.01
+    unpooled = predict(one, campaign_moments(one), 4, alpha)
+    assert np.median(unpooled.reading_error / bound) > 1.05
+
+
+def test_a_planned_day_at_the_simulated_bench_gives_what_was_predicted(ready):
+    found = predicted(ready)
+    bench = replace(static_bench(p45(), 5, loads=LOADS), shapes=ready.shapes)
+    calibration = tn.calibrate(Campaign(tuple(run_cycles(bench, PLAN.cycles))))
+    assert typical(calibration.reading_error, calibration.alpha) == pytest.approx(
+        typical(found.reading_error, found.alpha), rel=0.05
+    )
+    assert typical(calibration.error, calibration.alpha) == pytest.approx(found.typical, rel=0.01)
+    each = (calibration.error / calibration.alpha) / (found.error / found.alpha)
+    assert each == pytest.approx(1.0, rel=0.02)
+
+
+@pytest.mark.parametrize("sensors", [AssumedSensors(gain=0.0, offset=0.0), AssumedSensors()])
+def test_of_reciprocity_the_bound_is_predicted(ready, sensors):
+    """Relative alpha, all of K unknown; within 3 %: of K the parts that magnets change are left."""
+    plan = replace(PLAN, force_noise=1e-3, sensors=sensors)
+    found = with_sensors(ready.changed(plan), [plan.cycles]).planned
+    n, glass = 45, model_glass(p45())
+    places = places_of(p45().layout, motion_for(p45(), p45().layout))
+    stiffness = glass.stiffness / 0.9
+    square = 2 * 2 * plan.cycles * ready.shapes.T @ ready.shapes
+    rows = 1e-6 * np.eye(n) + sensors.noise**2 * stiffness @ stiffness.T
+    brute = BruteForce(places, stiffness, np.linalg.inv(np.linalg.cholesky(rows)),
+                       np.linalg.cholesky(square), slopes=bool(sensors.offset))  # fmt: skip
+    asked = Asked(sensors.gain, sensors.offset)
+    step = {Kind.ALPHA: 1e-4, Kind.GAIN: 1e-4, Kind.X: 1e-6, Kind.Y: 1e-6}
+    steps = np.repeat([step[kind] for kind in asked.kinds], n)
+    known = brute.information(at_nominal(n), list(asked.kinds), steps)
+    known += np.diag(asked.information(n))
+    known[:n, :n] += np.trace(known[:n, :n]) / n**2
+    mean = np.eye(n) - 1.0 / n
+    bound, relative = (
+        np.sqrt(np.diag(mean @ covariance @ mean))
+        for covariance in (np.linalg.inv(known)[:n, :n], found.reading_covariance / 0.9**2)
+    )
+    assert relative == pytest.approx(bound, rel=0.03)
+
+
+def test_reciprocity_states_and_scatters_as_was_predicted(ready):
+    plan = replace(PLAN, force_noise=1e-3, sensors=AssumedSensors(offset=0.0))
+    said = with_sensors(ready.changed(plan), [plan.cycles])
+    found = said.planned
+    mean, motion = np.eye(45) - 1.0 / 45, motion_for(p45(), p45().layout)
+    stated, gains, squares = [], [], []
+    for seed in range(8):
+        bench = static_bench(p45(), seed, loads=LOADS, force_noise=1e-3)
+        bench = replace(bench, shapes=ready.shapes)
+        campaign = Campaign(tuple(run_cycles(bench, plan.cycles)))
+        made = tn.calibrate(campaign, "reciprocity", motion=motion)
+        stated.append(made.reading_error / made.alpha)
+        gains.append([sensor.gain_error for sensor in made.sensors])
+        squares.append((mean @ np.log(made.alpha / bench.truth.alpha)) ** 2)
+    error = found.reading_error / found.alpha
+    assert np.mean(stated) == pytest.approx(np.mean(error), rel=0.03)
+    assert np.mean(gains) == pytest.approx(np.mean(said.gain_error), rel=0.03)
+    relative = np.diag(mean @ found.reading_covariance @ mean) / found.alpha**2
+    # 8 x 44 numbers, but of few patterns that are weak.
+    assert np.sqrt(np.mean(squares) / np.mean(relative)) == pytest.approx(1.0, abs=0.12)
+    # The weights limit the scale as ever.
+    assert found.systematic_error == pytest.approx(predicted(ready).systematic_error)
+
+
+def test_without_all_motions_there_is_no_reciprocity(ready):
+    few = prepared(replace(PLAN, shapes=PlannedShapes(count=30)))
+    found = outlook(few)
+    assert found.reciprocity.planned is None
+    assert found.reciprocity.why_not == "no shape holds 15 of 45 motions of the mirror"
+    assert f"  by reciprocity          cannot be had: {found.reciprocity.why_not}" in [
+        *lines(found)
+    ]
+
+
+def test_two_loads_know_the_scale_as_well_as_their_difference(ready):
+    found = predicted(ready)
+    source = found.scale_errors[0]
+    assert str(source.source) == "weight of 'ring'"
+    assert source.relative == pytest.approx(0.005 / 0.289, rel=1e-9)
+    assert found.systematic_error / found.alpha == pytest.approx(0.005 / 0.289, rel=1e-6)
+
+
+def test_three_loads_whose_weights_can_correct_each_other():
+    quiet, noise = three_loads(4, 0.0), 1e-4
+    one = declared(quiet, noise)
+    alpha = tn.calibrate(quiet).alpha
+    found = predict(one, campaign_moments(one), 2, alpha)
+    answer = tn.calibrate(noisy(quiet, noise, 1))
+    assert found.error == pytest.approx(answer.error, rel=0.02)
+    assert found.reading_error == pytest.approx(answer.reading_error, rel=0.1)
+    for predicted_line, line in zip(found.scale_errors[:3], answer.scale_errors, strict=False):
+        assert predicted_line.source == line.source
+        assert predicted_line.relative == pytest.approx(line.relative, rel=0.02)
+
+
+@pytest.mark.parametrize("tilt", [20.0, 60.0])
+def test_a_tilt_as_the_load(ready, tilt):
+    leaning = (Load("bare"), Load("tilted", tilt=tilt, tilt_error=0.1))
+    found = predicted(ready.changed(replace(PLAN, loads=leaning)))
+    mirror = p45()
+    expected = tilt_as_load(mirror.weight, mirror.weight_error, tilt, 0.1)
+    weights = [line.relative for line in found.scale_errors if line.source != READINGS]
+    assert np.hypot(*weights) == pytest.approx(expected, rel=1e-9)
+
+
+def test_forces_at_rest_are_those_of_the_bench_but_for_its_scatter(ready):
+    mirror = p45()
+    leaning = replace(PLAN, loads=(*LOADS, Load("leaning", tilt=30.0)))
+    held = 0.9 * ready.changed(leaning).rest_force
+    balance = held @ arms_of(mirror.layout).T
+    bias = mirror.bias_force * mirror.layout.nz.sum()
+    weight = np.array([-2.920, -2.920 - 0.289, -2.920 * np.sqrt(0.75)])
+    assert balance[:, 0] == pytest.approx(-(weight + bias))
+    assert balance[:, 1:] == pytest.approx(0.0, abs=1e-12)
+    made = np.mean([static_bench(mirror, seed).load_force for seed in range(20)], axis=0)
+    assert held[:2] == pytest.approx(made, abs=4e-3)  # 5 % of 97 mN, twenty times
+
+
+def test_repeats_make_it_better_as_their_root(ready):
+    against = outlook(ready).against_cycles
+    assert against.values.tolist() == [1, 2, 4, 8, 16, 32, 64]
+    assert against.reading_error == pytest.approx(
+        against.reading_error[0] / np.sqrt(against.values), rel=1e-3
+    )
+
+
+def test_how_long_it_takes():
+    plan = replace(PLAN, cycles=3, settling=0.1, samples=716, pause=100.0)
+    assert duration(plan, 45) == pytest.approx(2 * 3 * 90 * 0.11 + 100.0)
+
+
+def test_one_load_or_equal_ones_leave_the_scale_free(ready):
+    for loads in ((Load("bare"),), (Load("bare"), Load("again"))):
+        found = predicted(ready.changed(replace(PLAN, loads=loads)))
+        assert found.scale_is_free
+        assert found.typical == np.inf
+        assert "the common scale is free" in found.diagnosis.warnings[0][0]
+        # Patterns are known all the same: about as well as under two loads.
+        assert 0.5 < typical(found.reading_error, found.alpha) / 3.7e-4 < 2.0
+
+
+def test_too_few_shapes_are_refused_and_weak_ones_warned_of(ready):
+    few = replace(PLAN, shapes=PlannedShapes(count=8))
+    with pytest.raises(RankDeficient, match="too few shapes: 8 for 45"):
+        predicted(prepared(few))
+    loud = predicted(ready.changed(replace(PLAN, force_noise=0.15)))
+    assert loud.diagnosis.undetermined > 4
+    assert "so many that the campaign will be refused" in loud.diagnosis.warnings[0][0]
+    # The estimator says the same of such a campaign.
+    bench = static_bench(p45(), 5, loads=LOADS, force_noise=1e-4)
+    bench = replace(bench, shapes=ready.shapes, force_noise=0.15)
+    with pytest.raises(RankDeficient):
+        tn.calibrate(Campaign(tuple(run_cycles(bench, PLAN.cycles))))
+
+
+def test_every_way_that_reaches_the_target_does_when_planned_anew(ready):
+    # Weak loads and loud readings, so that every change counts; 'shapes' and 'cycles' too.
+    plan = replace(PLAN, force_noise=9e-3, limits=replace(PLAN.limits, force=1.5))
+    loud = ready.changed(plan)
+    target = 0.025
+    assert predicted(loud).typical > target
+    ways = {way.what: way for way in ways_to(loud, target)}
+    assert set(ways) == {"cycles", "added weight", "balance", "tilt", "shapes"}
+    reached = [way for way in ways.values() if way.reached]
+    assert {way.what for way in reached} >= {"cycles", "shapes"}
+    for way in reached:
+        again = outlook(prepared(way.plan))
+        assert again.prediction.typical <= target
+        assert again.prediction.typical == pytest.approx(way.error, rel=1e-6)
+        assert again.duration == pytest.approx(way.duration)
+    more = ways["cycles"].plan
+    fewer = replace(more, cycles=more.cycles - 1)
+    assert predicted(loud.changed(fewer)).typical > target
+    assert not ways["balance"].reached
+    assert ways["balance"].error > target
+
+
+def test_of_weights_the_balance_or_a_tilt_help_and_cycles_do_not(ready):
+    ways = {way.what: way for way in ways_to(ready, 0.005)}
+    assert [name for name, way in ways.items() if way.reached] == ["balance", "tilt"]
+    known = ways["balance"].plan.loads[1].added_error
+    assert 0.9 < known / (0.005 * 0.289) <= 1.0
+    assert ways["cycles"].error == pytest.approx(0.005 / 0.289, rel=1e-3)
+    # The heaviest weight is what the limit of force allows.
+    heavier = replace(ways["added weight"].plan, loads=(LOADS[0], replace(LOADS[1], added=-1.5)))
+    assert strain(ready.changed(ways["added weight"].plan)).force <= 0.6
+    with pytest.raises(tn.errors.LimitExceeded, match=r"actuator \d+ takes 0.\d+ N under load"):
+        strain(ready.changed(heavier))
+    bare = ways_to(ready.changed(replace(PLAN, loads=LOADS[:1])), 0.005)
+    assert [way.reached for way in bare] == [False, False, False, True, False]
+    assert bare[1].plan is None
+
+
+def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
+    alpha = np.where(np.arange(45) % 2, 0.8, 1.0)
+    stiffness = static_bench(p45(), 1).truth.stiffness / alpha[:, None]
+    date = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
+    matrix = StiffnessMatrix("P45", date, p45().layout, stiffness)
+    tn.write_stiffness(matrix, tmp_path / "ff.fits")
+    plan = replace(PLAN, shapes=PlannedShapes("ff.fits", stroke=0.8e-6))
+    modes, force, _ = shapes_and_forces(plan, p45(), tmp_path)
+    assert force == pytest.approx(modes @ matrix.stiffness.T)
+    assert np.abs(modes).max() == pytest.approx(0.8e-6)
+    assert np.abs(force).max() == pytest.approx(0.3)
+    by_measured = prepared(plan, tmp_path)
+    assert not by_measured.given
+    assert predicted(by_measured).typical == pytest.approx(predicted(ready).typical, rel=0.01)
+
+    write_shapes(tmp_path / "given.fits", 0.5 * ready.shapes)
+    given = prepared(replace(PLAN, shapes=PlannedShapes("given.fits")), tmp_path)
+    assert given.given
+    half, whole = predicted(given), predicted(ready)
+    # Twice, but for what the static forces say of alpha.
+    assert half.reading_error == pytest.approx(1.85 * whole.reading_error, rel=0.08)
+    assert ways_to(given, 1e-4)[-1].plan is None
+    for wrong, said in (
+        (np.zeros((45, 45)), "no more than noise"),
+        (ready.shapes[:, 1:], "give shapes x 45 actuators"),
+        (np.full((45, 45), np.nan), "SHAPES holds NaN"),
+    ):
+        write_shapes(tmp_path / "given.fits", wrong)
+        with pytest.raises((RankDeficient, tn.errors.FormatError), match=said):
+            predicted(prepared(given.plan, tmp_path))
+
+
+def test_the_glass_is_made_once(monkeypatch):
+    """Of a petal of M4 it takes 18 s."""
+    made = []
+
+    def counted(mirror):
+        made.append(mirror)
+        return held_glass(mirror)
+
+    monkeypatch.setattr("truenewton.acquisition.shapes.held_glass", counted)
+    assert with_sensors(prepared(PLAN), [PLAN.cycles]).planned is not None
+    assert len(made) == 1
+
+
+def test_disabled_actuators_take_no_part(ready):
+    mirror = p45()
+    on = ~np.isin(np.arange(45), (3, 30))
+    layout = Layout(mirror.layout.id, mirror.layout.x, mirror.layout.y, mirror.layout.nz, on)
+    mirror = replace(mirror, layout=layout)
+    shapes, force, _ = shapes_and_forces(PLAN, mirror)
+    assert shapes.shape == (43, 45)
+    assert (shapes[:, ~on] == 0).all()
+    assert (force[:, ~on] == 0).all()
+    assert np.abs(force[:, on] @ arms_of(layout)[:, on].T).max() < 1e-9
+    glass = model_glass(mirror)
+    own, tool = holding(glass)
+    some = replace(
+        ready, mirror=mirror, glass=glass, shapes=shapes, force=force, own=own, tool=tool
+    )
+    found = predicted(some)
+    assert found.error.shape == (43,)
+    assert found.typical == pytest.approx(0.005 / 0.289, rel=0.01)
+    balance = noiseless(some).cycles[0].used_force @ arms_of(layout)[:, on].T * 0.9
+    assert balance[:, 0] == pytest.approx(2.920 - 0.097 * layout.nz[on].sum())
+
+
+def test_the_plan_that_ships_drives_the_modes_as_the_paper_says():
+    plans = Path(__file__).parents[2] / "docs" / "plans"
+    ready = prepared(read_plan(plans / "p45-as-in-the-paper.toml"), plans)
+    stroke = np.abs(ready.shapes).max(axis=1)
+    assert (stroke > 0.999e-6).sum() == 3
+    assert np.abs(ready.shapes[:3] - ready.shapes[:3].mean(axis=1, keepdims=True)).max() > 0.5e-6
+    assert stroke[3:].max() < 0.9e-6
+
+
+def test_planned_shapes_keep_to_stroke_and_force(ready):
+    shapes = shapes_and_forces(PLAN, p45())[0]
+    assert shapes == pytest.approx(ready.shapes)
+    assert len(shapes_and_forces(replace(PLAN, shapes=PlannedShapes(count=7)), p45())[0]) == 7
+    largest = np.maximum(
+        np.abs(ready.shapes).max(axis=1) / 1e-6, 0.9 * np.abs(ready.force).max(axis=1) / 0.3
+    )
+    assert largest == pytest.approx(1.0)
+
+
+# The command.
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "plan.toml"
+    path.write_text(template())
+    return path
+
+
+def test_the_template_is_a_plan_that_predicts(inside, tmp_path, file):
+    plan = read_plan(file)
+    # What it shows is what is taken when left out, but for the turns.
+    assert plan == replace(PLAN, turns=0)
+    code, out, _ = inside("plan", "--new")
+    assert (code, out) == (0, template())
+    other = tmp_path / "other.toml"
+    assert inside("plan", "--new", "-o", other)[:2] == (0, f"written: {other}\n")
+    assert other.read_text() == template()
+    code, _, err = inside("plan", "--new", "-o", other)
+    assert code == 2
+    assert "exists already" in err
+    assert inside("plan", "--new", "-o", other, "--overwrite")[0] == 0
+    code, out, err = inside("plan", file)
+    assert (code, err) == (0, "")
+    for words in (
+        "P45, predicted: 45 actuators, 4 cycles of 45 shapes and their negatives under 2 loads",
+        "typical error of alpha  1.7 %",
+        "weight of 'ring' 1.7 %",
+        "720 readings of 179 ms, 3 x 30 min to change the load",
+        "smallest gap            67 um",
+        "limit 0.6 N",
+    ):
+        assert words in out
+    assert "WARNING" not in out
+    assert "smallest stroke" not in out
+    assert "there and back        alpha 0 %, zeros 0 %, mounting 0.17 %" in out
+
+
+def test_shapes_that_drown_in_the_noise_of_sensors_are_foretold(ready):
+    """Where `acquire` would take noise for an actuator that stands elsewhere."""
+    strokes = np.abs(ready.shapes).max(axis=1)
+    for border in (0.99 * strokes.min(), 1.01 * strokes.min(), np.median(strokes)):
+        sensors = replace(PLAN.sensors, noise=border / 60)  # six times that are a tenth of it
+        rows = drowned(SimpleNamespace(ready=ready.changed(replace(PLAN, sensors=sensors))))
+        assert len(rows) == (border > strokes.min())
+        for _, value, note in rows:
+            assert value == f"{1e9 * strokes.min():.3g} nm"
+            small = np.count_nonzero(strokes < border)
+            assert f"of {small} of 45 shapes a tenth is less than six times the noise" in note
+
+
+def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
+    figure = tmp_path / "plan.png"
+    code, out, err = inside("plan", file, "--json", "--target", "0.005", "--plot", figure)
+    assert (code, err) == (0, "")
+    values = json.loads(out)
+    found = predicted(prepared(PLAN))
+    assert values["typical_error"] == pytest.approx(found.typical)
+    assert values["actuators"]["e_alpha"] == pytest.approx(found.error)
+    reciprocity = values["reciprocity"]
+    assert reciprocity["cycles"]["cycles"] == [1, 2, 4, 8, 16, 32, 64]
+    assert reciprocity["cycles"]["e_stat"][2] == reciprocity["typical_e_stat"]
+    assert reciprocity["typical_e_stat"] < 0.75 * values["typical_e_stat"]
+    assert len(reciprocity["actuators"]["e_gain"]) == 45
+    assert values["largest_force"] < 0.6
+    assert values["curves"]["cycles"]["cycles"] == [1, 2, 4, 8, 16, 32, 64]
+    assert values["curves"]["added_factor"]["added_factor"][:4] == [0.25, 0.5, 1, 2]
+    assert [way["reached"] for way in values["ways"]] == [False, False, True, True, False]
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    code, _, err = inside("plan", file, "--plot", figure)
+    assert code == 2
+    assert "exists already" in err
+
+
+def test_for_a_target_it_says_what_to_change(inside, file):
+    out = inside("plan", file, "--target", "0.005")[1]
+    assert "for 0.50 %, one of these alone:" in out
+    assert re.search(r"balance +'ring' known to 1\.\d+ mN: 0\.\d+ %, 92 min", out)
+    assert re.search(r"tilt +a load tilted by \d+ deg, known to 0\.1 deg: 0\.\d+ %, 3\.1 h", out)
+    assert "cannot: even 999 cycles leaves 1.7 %" in out
+    assert "2.0 % is reached as it is" in inside("plan", file, "--target", "0.02")[1]
+
+
+def test_a_free_scale_is_a_warning(inside, file):
+    file.write_text(template().replace("added = -0.289 ", "added = 0.0 "))
+    code, out, _ = inside("plan", file, "--target", "0.01")
+    assert code == 0
+    assert "common scale            free" in out
+    assert "WARNING: the 2 loads have the same weight, so the common scale is free" in out
+    assert "leaves the scale free" in out
+    values = json.loads(inside("plan", file, "--json")[1])
+    assert values["typical_error"] is None
+    assert values["typical_e_stat"] > 0
+
+
+def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
+    found = outlook(ready)
+    first, second = plot_outlook(found, 0.005).figure.axes
+    assert first.get_xlabel() == "cycles"
+    assert second.get_xlabel() == "added weight (N)"
+    total, dot = first.lines[0], first.lines[3]
+    assert total.get_ydata() == pytest.approx(100 * found.against_cycles.error)
+    assert dot.get_xydata().tolist() == [[4, pytest.approx(100 * found.prediction.typical)]]
+    assert second.lines[3].get_xdata()[0] == pytest.approx(0.289)
+    bare = outlook(ready.changed(replace(PLAN, loads=LOADS[:1])))
+    assert len(plot_outlook(bare).figure.axes) == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('mirror = "p45"', "", "lacks 'mirror'; add it"),
+        ('mirror = "p45"', 'mirror = "nobody"', "no mirror is called 'nobody'; the known ones"),
+        ('mirror = "p45"', 'mirror = "none.toml"', "none.toml: cannot be read"),
+        ("cycles = 4", "cycles = 0", "cycles is 0; give 1 to 999"),
+        ("cycles = 4", "cycles = 4.0", "cycles is 4.0; give an integer"),
+        ("cycles = 4", "cyclse = 4", "knows no 'cyclse'; did you mean 'cycles'?"),
+        ("cycles = 4", "cycles = ", "is not TOML"),
+        ("samples = 2048", "samples = 0", "samples is 0; give 1 to"),
+        ("settling = 0.15", "settling = -1", "settling is -1.0; give zero or more"),
+        ("pause = 1800.0", "pause = inf", "pause is inf; give zero or more"),
+        ("force_noise = 1e-4 ", "force_noise = 0", "force_noise is 0.0; give a positive number"),
+        ("force_noise = 1e-4 ", "force_noise = nan", "force_noise is nan; give a number"),
+        ("stroke = 1e-6", "stroke = 0", "shapes.stroke is 0.0; give a positive"),
+        ("stroke = 1e-6", "stroke = 6e-6", "shapes.stroke is 6e-06, beyond its limit of 5e-06"),
+        ("count = 0", "count = -1", "shapes.count is -1; give zero or more"),
+        ("count = 0", "count = 9", "too few shapes: 9 for 45 actuators; apply 45"),
+        ("force = 0.3", "force = 0.7", "shapes.force is 0.7, beyond its limit of 0.6"),
+        ("force = 0.3", "force = 0.59", "N under load 'ring', beyond its limit of 0.6; plan"),
+        ("force = 0.6", "force = -0.6", "limits.force is -0.6; give a positive number"),
+        ("gap = 30e-6", "gap = 67.5e-6", "gap closes to 6.7e-05 m, beyond its limit of 6.75e-05"),
+        ("[-10.0, 40.0]", "[40.0, -10.0]", "limits.temperature is [40.0, -10.0]; lowest first"),
+        ("[-10.0, 40.0]", "[40.0]", "limits.temperature is [40.0]; give 2 values"),
+        ('source = "modes"', 'source = "no.fits"', "no.fits: "),
+        ('name = "ring"', 'name = "Bare"', "give every load once, with a name of its own"),
+        ('name = "ring"', 'name = " "', "load ' ': LOAD is blank; name the load"),
+        ("added = -0.289", "added = 0.289", "load 'ring': ADDED is 0.289 N; z points up"),
+        ("added = -0.289", "added = -inf", "load 'ring': ADDED is -inf N; give the weight"),
+        ("added_error = 0.005", "added_error = -1", "load 'ring': E_ADDED is -1; give a standard"),
+        ('tool = "ring"', "tilt = 90", "load 'ring': TILT is 90 deg; give the angle"),
+        ('tool = "ring"', "tilt_error = -1", "load 'ring': E_TILT is -1; give a standard"),
+        ('tool = "ring"', "tool = 3", "loads.tool is 3; give text"),
+        ('kind = "simulated"', 'kind = "real"', "bench.kind is 'real'; choose simulated"),
+        ("seed = 1 ", "seed = -1", "bench.seed is -1; give zero or more"),
+    ],
+)
+def test_what_is_wrong_with_a_plan_is_said_in_one_line(inside, file, old, new, said):
+    assert old in template()
+    file.write_text(template().replace(old, new, 1))
+    code, out, err = inside("plan", file)
+    assert (code, out) == (2, "")
+    assert err.startswith("truenewton: ")
+    assert err.count("\n") == 1
+    assert said in err
+    assert ".toml: " in err or ".fits: " in err
+    assert "; " in err
+
+
+def test_a_plan_without_loads(inside, file):
+    head = template().partition("[[loads]]")[0]
+    file.write_text("loads = []\n" + head)
+    assert "loads is []; give every load once" in inside("plan", file)[2]
+
+
+def test_words_that_do_not_go_together(inside, file, tmp_path):
+    for words in (
+        ("plan",),
+        ("plan", file, "--new"),
+        ("plan", "--new", "--target", "0.01"),
+        ("plan", file, "-o", tmp_path / "x"),
+        ("plan", file, "--target", "-1"),
+        ("plan", file, "--target", "nan"),
+        ("plan", file, "--plot", tmp_path / "x.doc"),
+        ("plan", tmp_path / "none.toml"),
+    ):
+        code, out, err = inside(*words)
+        assert (code, err.count("\n")) == (2, 1), words
+        assert out == ""

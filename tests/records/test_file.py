@@ -1,0 +1,558 @@
+"""The three kinds of file: what is written is read back bit for bit, by us and by astropy."""
+
+import dataclasses
+import datetime
+import gzip
+import hashlib
+import warnings
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from helpers.comparison import same
+from truenewton.calibration.methods import calibrate
+from truenewton.errors import FormatError, OutputExists, OutputFailed
+from truenewton.reading import read
+from truenewton.records.campaign import Campaign
+from truenewton.records.file import write_campaign, write_cycle, write_stiffness
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.layout import Layout
+from truenewton.statics.load import Load
+
+
+def edited(path, edit, target=None):
+    """Rewrite a FITS file after an edit of its HDUs, with new checksums."""
+    with fits.open(path) as hdus:
+        for hdu in hdus:
+            hdu.data  # noqa: B018 - astropy loads late
+        edit(hdus)
+        hdus.writeto(target or path, overwrite=True, checksum=True)
+
+
+def without(hdu, *names):
+    """Return a table without some of its columns."""
+    columns = [c for c in hdu.columns if c.name not in names]
+    return fits.BinTableHDU.from_columns(columns, name=hdu.name)
+
+
+@pytest.fixture
+def bare_file(tiny, tmp_path):
+    write_cycle(tiny.cycles[0], tmp_path / "bare.fits")
+    return tmp_path / "bare.fits"
+
+
+@pytest.fixture
+def full_cycle(tiny):
+    """A cycle that uses all of the contract, with numbers that no decimal holds."""
+    random = np.random.default_rng(3)
+    enabled, valid = np.ones(12, dtype=bool), np.ones(24, dtype=bool)
+    enabled[5], valid[[3, 4]] = False, False
+    layout = Layout(
+        id=random.permutation(1000)[:12],  # no order of ours
+        x=tiny.layout.x,
+        y=tiny.layout.y,
+        nz=random.uniform(0.9, 1.0, 12),
+        enabled=enabled,
+    )
+    force = tiny.cycles[1].force.copy()
+    force[:, 5], force[3], force[4, 0] = np.nan, np.inf, 1e300
+    return dataclasses.replace(
+        tiny.cycles[1],
+        layout=layout,
+        valid=valid,
+        force=force,
+        date=datetime.datetime(2026, 5, 4, 9, 30, 7, 123457, tzinfo=datetime.UTC),
+        number=41,
+        weight=-np.pi,
+        load=Load("Ring two", -1 / 3, 1e-3 / 7, "ring A", 1 / 7, 1 / 70),
+        time=random.uniform(0, 100, 24),
+        shape=random.permutation(24) + 1,
+        coil_gradient=600.1,
+        bias_gradient=-31.7,
+        gap=68e-6 / 1.1,
+        force_error=1e-4 / 3,
+    )
+
+
+def test_a_cycle_file_gives_every_bit_back(full_cycle, tmp_path):
+    write_cycle(full_cycle, tmp_path / "c.fits")
+    [cycle] = read(tmp_path / "c.fits").cycles
+    assert same(cycle, full_cycle)
+    assert cycle.source.file == str(tmp_path / "c.fits")
+
+
+def test_what_a_cycle_does_not_know_is_neither_written_nor_read(tiny, tmp_path):
+    cycle = dataclasses.replace(
+        tiny.cycles[0], temperature=None, position=None, gap=float("nan"), coil_gradient=None
+    )
+    write_cycle(cycle, tmp_path / "c.fits")
+    with fits.open(tmp_path / "c.fits") as hdus:
+        absent = {"TOOL", "COILGRAD", "BIASGRAD", "GAP", "FORCERR"}
+        assert not absent & set(hdus[0].header)
+        assert hdus["MEASUREMENTS"].columns.names == ["TIME", "SHAPE", "SIGN", "FORCE", "VALID"]
+    [back] = read(tmp_path / "c.fits").cycles
+    assert same(back, dataclasses.replace(cycle, gap=None))
+    assert back.load.tool is None
+
+
+def test_a_stiffness_file_gives_every_bit_back(tiny, tmp_path):
+    stiffness = np.random.default_rng(1).standard_normal((12, 12)) * 1e5
+    matrix = StiffnessMatrix("TINY", tiny.cycles[0].date, tiny.layout, stiffness)
+    write_stiffness(matrix, tmp_path / "k.fits")
+    assert same(read(tmp_path / "k.fits"), matrix)
+    with fits.open(tmp_path / "k.fits") as hdus:
+        assert hdus["STIFFNESS"].data[2, 9] == stiffness[2, 9]  # numpy order, actuator first
+        assert hdus["STIFFNESS"].header["BUNIT"] == "N/m"
+
+
+def contract(hdu):
+    """Return names, types and units of a table's columns."""
+    return [(c.name, c.format, c.unit) for c in hdu.columns]
+
+
+ACTUATORS = [
+    ("ID", "J", None), ("X", "D", "m"), ("Y", "D", "m"), ("NZ", "D", None), ("ENABLED", "L", None),
+]  # fmt: skip
+
+
+def test_a_cycle_file_is_as_the_contract_says(full_cycle, tmp_path):
+    write_cycle(full_cycle, tmp_path / "c.fits")
+    with fits.open(tmp_path / "c.fits") as hdus:
+        assert [hdu.name for hdu in hdus[1:]] == ["ACTUATORS", "MEASUREMENTS"]
+        assert hdus[0].data is None
+        header = hdus[0].header
+        assert header["DATE-OBS"] == "2026-05-04T09:30:07.123457"
+        wanted = {
+            "INSTRUME": "TINY", "LOAD": "Ring two", "CYCLE": 41, "WEIGHT": -np.pi,
+            "E_WEIGHT": 0.005, "ADDED": -1 / 3, "E_ADDED": 1e-3 / 7, "TOOL": "ring A",
+            "TILT": 1 / 7, "E_TILT": 1 / 70, "COILGRAD": 600.1, "BIASGRAD": -31.7,
+            "GAP": 68e-6 / 1.1, "FORCERR": 1e-4 / 3,
+        }  # fmt: skip
+        assert {key: header[key] for key in wanted} == wanted
+        assert contract(hdus["ACTUATORS"]) == ACTUATORS
+        assert contract(hdus["MEASUREMENTS"]) == [
+            ("TIME", "D", "s"), ("SHAPE", "J", None), ("SIGN", "J", None),
+            ("TEMPERATURE", "D", "deg_C"), ("FORCE", "12D", "N"), ("POSITION", "12D", "m"),
+            ("VALID", "L", None),
+        ]  # fmt: skip
+
+
+def test_the_calibration_file_is_as_the_contract_says(p45_folder, tmp_path):
+    calibration = calibrate(read(p45_folder), "svd")
+    calibration.write(tmp_path / "a.fits")
+    with fits.open(tmp_path / "a.fits") as hdus:
+        names = ["CALIBRATION", "LOADS", "COVARIANCE", "SYSTEMATIC", "SOURCES", "BUDGET"]
+        assert [hdu.name for hdu in hdus[1:]] == names
+        structure = {"SIMPLE", "BITPIX", "NAXIS", "EXTEND", "CHECKSUM", "DATASUM"}
+        # DOF and CHI2 are absent: this method does not know them.
+        assert set(hdus[0].header) - structure == {
+            "INSTRUME", "DATE-OBS", "DATE-END", "TEMPERAT", "WEIGHT", "E_WEIGHT", "BIAS", "E_BIAS",
+            "METHOD", "SCALE", "NSHAPES", "NREJECT", "NINVALID", "CONDITIO", "SOLVCOND", "RANK",
+            "NOISE", "VERDICT",
+        }  # fmt: skip
+        assert hdus[0].header["DATE-OBS"] == "2026-01-01T09:00:00.000"
+        assert hdus[0].header["TEMPERAT"] == 20.0
+        assert (hdus[0].header["METHOD"], hdus[0].header["SCALE"]) == ("svd", "weights")
+        table = hdus["CALIBRATION"]
+        # NZ, last, is more than the contract asks: it makes the layout complete.
+        assert contract(table) == [
+            ("ID", "J", None), ("X", "D", "m"), ("Y", "D", "m"), ("ALPHA", "D", None),
+            ("E_ALPHA", "D", None), ("E_STAT", "D", None), ("E_SYST", "D", None),
+            ("E_CYCLE", "D", None), ("NZ", "D", None),
+        ]  # fmt: skip
+        assert contract(hdus["LOADS"]) == [
+            ("LOAD", "4A", None), ("ADDED", "D", "N"), ("E_ADDED", "D", "N"), ("TILT", "D", "deg"),
+            ("MY", "D", "N m"), ("E_MY", "D", "N m"), ("MX", "D", "N m"), ("E_MX", "D", "N m"),
+            ("TOOL", "4A", None),
+        ]  # fmt: skip
+        assert list(hdus["LOADS"].data["LOAD"]) == ["bare", "ring"]
+        covariance, n = hdus["COVARIANCE"].data, 45
+        assert covariance.shape == hdus["SYSTEMATIC"].data.shape == (50, 50)
+        np.testing.assert_allclose(
+            table.data["E_ALPHA"] ** 2, table.data["E_STAT"] ** 2 + table.data["E_SYST"] ** 2
+        )
+        np.testing.assert_allclose(np.diag(covariance)[:n], table.data["E_ALPHA"] ** 2)
+        np.testing.assert_allclose(covariance[n, n], hdus[0].header["E_BIAS"] ** 2)
+        np.testing.assert_allclose(
+            np.diag(covariance)[n + 1 :].reshape(2, 2),
+            np.transpose([hdus["LOADS"].data["E_MY"] ** 2, hdus["LOADS"].data["E_MX"] ** 2]),
+        )
+        sources = hdus["SOURCES"]
+        assert contract(sources) == [
+            ("FILE", "13A", None), ("SHA256", "64A", None), ("ROWS", "J", None),
+            ("REJECTED", "J", None),
+        ]  # fmt: skip
+        files = sorted(p.name for p in p45_folder.iterdir())
+        assert list(sources.data["FILE"]) == files
+        digests = [hashlib.sha256((p45_folder / f).read_bytes()).hexdigest() for f in files]
+        assert list(sources.data["SHA256"]) == digests
+        assert list(sources.data["ROWS"]) == [90] * 4
+
+
+def test_a_calibration_is_read_as_it_was_written(p45_folder, tmp_path):
+    calibration = calibrate(read(p45_folder), "svd")
+    calibration.write(tmp_path / "a.fits")
+    assert same(
+        read(tmp_path / "a.fits"),
+        dataclasses.replace(calibration, diagnosis=None),
+    )
+
+
+def test_a_calibration_without_tools_is_read_all_the_same(p45_folder, tmp_path):
+    calibrate(read(p45_folder), "svd").write(tmp_path / "a.fits")
+    with fits.open(tmp_path / "a.fits") as hdus:
+        loads = hdus["LOADS"]
+        columns = [c for c in loads.columns if c.name != "TOOL"]
+        hdus["LOADS"] = fits.BinTableHDU.from_columns(columns, name="LOADS")
+        hdus.writeto(tmp_path / "b.fits")
+    assert [load.tool for load in read(tmp_path / "b.fits").loads] == [None, None]
+
+
+def test_a_disabled_actuator_is_nan_in_the_calibration_file(tiny, tmp_path):
+    enabled = np.arange(12) != 5
+    layout = dataclasses.replace(tiny.layout, enabled=enabled)
+    # The held-out actuator's share of the balance goes into the others, as a bench would do.
+    arms = np.stack([layout.nz, layout.x, layout.y])
+    others = np.linalg.pinv(arms * enabled)
+    cycles = []
+    for cycle in tiny.cycles:
+        true_force = cycle.force * tiny.alpha
+        missing = np.outer(true_force[:, 5], arms[:, 5]) @ others.T
+        force = np.where(enabled, (true_force + missing) / tiny.alpha, np.nan)
+        cycles.append(dataclasses.replace(cycle, layout=layout, force=force))
+    write_campaign(cycles, tmp_path / "c")
+    calibration = calibrate(read(tmp_path / "c"), "svd")
+    np.testing.assert_allclose(calibration.alpha[enabled], tiny.alpha[enabled], rtol=1e-10)
+    calibration.write(tmp_path / "a.fits")
+    with fits.open(tmp_path / "a.fits") as hdus:
+        for name in ("ALPHA", "E_ALPHA", "E_STAT", "E_SYST", "E_CYCLE"):
+            values = hdus["CALIBRATION"].data[name]
+            np.testing.assert_array_equal(np.isnan(values), ~enabled)
+        alone = np.outer(*2 * [np.append(enabled, np.ones(5, dtype=bool))])
+        for name in ("COVARIANCE", "SYSTEMATIC"):
+            np.testing.assert_array_equal(np.isfinite(hdus[name].data), alone)
+    assert list(read(tmp_path / "a.fits").layout.enabled) == list(enabled)
+
+
+def test_the_calibration_of_a_stiffness_file_is_read_as_it_was_written(tiny, tmp_path):
+    root = np.random.default_rng(5).standard_normal((12, 9)) * 1e3
+    arms = np.stack([tiny.layout.nz, tiny.layout.x, tiny.layout.y])
+    root -= np.linalg.pinv(arms) @ arms @ root
+    stiffness = root @ root.T / tiny.alpha[:, None]
+    matrix = StiffnessMatrix("TINY", tiny.cycles[0].date, tiny.layout, stiffness)
+    calibration = calibrate(matrix, "svd")
+    np.testing.assert_allclose(calibration.alpha, tiny.alpha / tiny.alpha.mean(), rtol=1e-9)
+    calibration.write(tmp_path / "a.fits")
+    assert same(read(tmp_path / "a.fits"), calibration)
+    with fits.open(tmp_path / "a.fits") as hdus:
+        assert not {"WEIGHT", "E_WEIGHT", "BIAS", "E_BIAS", "TEMPERAT"} & set(hdus[0].header)
+        assert len(hdus["LOADS"].data) == 0
+        assert hdus["COVARIANCE"].data.shape == (13, 13)
+        assert hdus[0].header["SCALE"] == "mean 1"
+
+
+def write_each(tiny, p45_folder, folder):
+    """Write one file of each kind."""
+    write_cycle(tiny.cycles[1], folder / "cycle.fits")
+    matrix = StiffnessMatrix("TINY", tiny.cycles[0].date, tiny.layout, np.diag(np.arange(12) + 1.0))
+    write_stiffness(matrix, folder / "stiffness.fits")
+    calibrate(read(p45_folder), "svd").write(folder / "alpha.fits")
+    return sorted(folder.iterdir())
+
+
+def test_astropy_finds_the_checksums_sound(tiny, p45_folder, tmp_path):
+    for path in write_each(tiny, p45_folder, tmp_path):
+        with warnings.catch_warnings(), fits.open(path, checksum=True) as hdus:
+            warnings.simplefilter("error")
+            hdus.verify("exception")
+            assert [(hdu.verify_checksum(), hdu.verify_datasum()) for hdu in hdus] == [
+                (1, 1)
+            ] * len(hdus)
+
+
+def test_the_same_data_give_the_same_bytes(tiny, p45_folder, tmp_path):
+    (tmp_path / "one").mkdir()
+    (tmp_path / "two").mkdir()
+    one = write_each(tiny, p45_folder, tmp_path / "one")
+    two = write_each(tiny, p45_folder, tmp_path / "two")
+    assert [p.read_bytes() for p in one] == [p.read_bytes() for p in two]
+    write_cycle(tiny.cycles[0], tmp_path / "one" / "x.fits.gz")
+    write_cycle(tiny.cycles[0], tmp_path / "two" / "x.fits.gz")
+    assert (tmp_path / "one/x.fits.gz").read_bytes() == (tmp_path / "two/x.fits.gz").read_bytes()
+
+
+def test_gzipped_files_are_read(tiny, tmp_path):
+    write_cycle(tiny.cycles[0], tmp_path / "ours.fits.gz")
+    write_cycle(tiny.cycles[1], tmp_path / "plain.fits")
+    (tmp_path / "theirs.fits.gz").write_bytes(gzip.compress((tmp_path / "plain.fits").read_bytes()))
+    (tmp_path / "plain.fits").unlink()
+    campaign = read(tmp_path)
+    assert all(map(same, campaign.cycles, tiny.cycles))
+
+
+def test_a_folder_is_read_by_suffix_and_other_files_are_ignored(tiny, tmp_path):
+    write_campaign(tiny.cycles, tmp_path / "c")
+    assert sorted(p.name for p in (tmp_path / "c").iterdir()) == ["bare-001.fits", "ring-001.fits"]
+    for name in ("notes.txt", "bare-001.fits~", ".bare-002.fits", "fits", "map.fit"):
+        (tmp_path / "c" / name).write_text("no FITS at all")
+    assert len(read(tmp_path / "c").cycles) == 2
+
+
+def test_loads_whose_names_hold_dots_and_slashes_are_written_and_read(tiny, tmp_path):
+    bare, ring = tiny.cycles
+    named = dataclasses.replace(ring, load=dataclasses.replace(ring.load, name="../.Ring 0.5"))
+    write_campaign([bare, named], tmp_path / "c")
+    assert read(tmp_path / "c").loads[1].name == "../.Ring 0.5"
+    assert list(tmp_path.iterdir()) == [tmp_path / "c"]
+
+
+def test_loads_are_compared_without_case_and_blanks(tiny, tmp_path):
+    bare, ring = tiny.cycles
+    write_campaign([bare, ring], tmp_path / "c")
+    write_cycle(dataclasses.replace(ring, number=2), tmp_path / "c" / "again.fits")
+
+    def rename(hdus):
+        hdus[0].header["LOAD"] = "  RiNG "
+
+    edited(tmp_path / "c" / "again.fits", rename)
+    campaign = read(tmp_path / "c")
+    assert [load.key for load in campaign.loads] == ["bare", "ring"]
+    assert campaign.load_index == (0, 1, 1)
+
+
+def test_a_campaign_does_not_depend_on_the_order_of_its_files(tiny, tmp_path):
+    write_campaign(tiny.cycles, tmp_path / "c")
+    one = read(tmp_path / "c" / "bare-001.fits", tmp_path / "c" / "ring-001.fits")
+    other = read(tmp_path / "c" / "ring-001.fits", tmp_path / "c" / "bare-001.fits")
+    assert same(one, other)
+    twice = read(tmp_path / "c", tmp_path / "c" / "ring-001.fits")
+    assert same(one, twice)
+
+
+@pytest.mark.parametrize(
+    ("table", "name", "unit", "factor"),
+    [
+        ("ACTUATORS", "X", "mm", 1e3),
+        ("ACTUATORS", "Y", "um", 1e6),
+        ("MEASUREMENTS", "FORCE", "mN", 1e3),
+        ("MEASUREMENTS", "FORCE", "kN", 1e-3),
+        ("MEASUREMENTS", "FORCE", "kg m s-2", 1.0),
+        ("MEASUREMENTS", "POSITION", "um", 1e6),
+        ("MEASUREMENTS", "TIME", "ms", 1e3),
+        ("MEASUREMENTS", "TIME", "min", 1 / 60),
+    ],
+)
+def test_units_are_converted(tiny, bare_file, table, name, unit, factor):
+    def store(hdus):
+        hdus[table].data[name] *= factor
+        hdus[table].columns[name].unit = unit
+
+    edited(bare_file, store)
+    [cycle] = read(bare_file).cycles
+    got = getattr(cycle.layout if table == "ACTUATORS" else cycle, name.lower())
+    want = getattr(tiny.layout if table == "ACTUATORS" else tiny.cycles[0], name.lower())
+    np.testing.assert_allclose(got, want, rtol=1e-15)
+
+
+@pytest.mark.parametrize("unit", ["K", "Celsius", "celsius", "deg_C", "degC", "deg C"])
+def test_temperatures_are_read_in_kelvin_and_every_spelling_of_celsius(tiny, bare_file, unit):
+    def store(hdus):
+        hdus["MEASUREMENTS"].data["TEMPERATURE"] += 273.15 if unit == "K" else 0.0
+        hdus["MEASUREMENTS"].columns["TEMPERATURE"].unit = unit
+
+    edited(bare_file, store)
+    assert fits.getval(bare_file, "TUNIT4", "MEASUREMENTS") == unit
+    [cycle] = read(bare_file).cycles
+    np.testing.assert_allclose(cycle.temperature, tiny.cycles[0].temperature, atol=1e-12)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("N/mm", 1e-3), ("N/um", 1e-6), ("kN m-1", 1e-3)])
+def test_a_stiffness_is_converted(tiny, tmp_path, unit, factor):
+    stiffness = np.random.default_rng(1).standard_normal((12, 12)) * 1e5
+    matrix = StiffnessMatrix("TINY", tiny.cycles[0].date, tiny.layout, stiffness)
+    write_stiffness(matrix, tmp_path / "k.fits")
+
+    def store(hdus):
+        hdus["STIFFNESS"].data *= factor
+        hdus["STIFFNESS"].header["BUNIT"] = unit
+
+    edited(tmp_path / "k.fits", store)
+    np.testing.assert_allclose(read(tmp_path / "k.fits").stiffness, stiffness, rtol=1e-14)
+
+
+def test_unknown_keywords_columns_and_extensions_are_left_alone(tiny, bare_file):
+    def add(hdus):
+        hdus[0].header["OBSERVER"] = "Ricci"
+        hdus[0].header["HIERARCH ESO INS TEMP"] = 12.5
+        hdus[0].header["EMPTY"] = None
+        for text in ("one", "one"):
+            hdus[0].header["COMMENT"] = hdus[0].header["HISTORY"] = text
+        note = fits.Column(name="NOTE", format="3A", array=["abc"] * 24)
+        old = hdus["MEASUREMENTS"]
+        hdus["MEASUREMENTS"] = fits.BinTableHDU.from_columns(old.columns + note, name=old.name)
+        for _ in range(2):  # two without a name, two with the same
+            hdus.append(fits.ImageHDU(np.zeros((3, 3), dtype=np.int16)))
+            hdus.append(fits.ImageHDU(np.zeros(3), name="EXTRA"))
+        text = fits.Column(name="A", format="A3", array=["abc"])
+        hdus.append(fits.TableHDU.from_columns([text], name="ASCII"))
+        unnamed = fits.BinTableHDU.from_columns([fits.Column(name="A", format="E", array=[1.0])])
+        del unnamed.header["TTYPE1"]
+        hdus.append(unnamed)
+
+    edited(bare_file, add)
+    [cycle] = read(bare_file).cycles
+    assert same(cycle, tiny.cycles[0])
+
+
+def test_optional_columns_may_be_absent(tiny, bare_file):
+    def strip(hdus):
+        hdus["ACTUATORS"] = without(hdus["ACTUATORS"], "NZ", "ENABLED")
+        hdus["MEASUREMENTS"] = without(hdus["MEASUREMENTS"], "VALID", "TEMPERATURE", "POSITION")
+        for key in ("TILT", "E_TILT"):
+            del hdus[0].header[key]
+
+    edited(bare_file, strip)
+    [cycle] = read(bare_file).cycles
+    bare = dataclasses.replace(tiny.cycles[0], temperature=None, position=None)
+    assert same(cycle, bare)
+
+
+def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(tiny, tmp_path):
+    cycle = tiny.cycles[0]
+    header = {
+        "INSTRUME": "TINY", "DATE-OBS": "2026-05-04T11:30:00+02:00", "LOAD": "bare", "CYCLE": 1,
+        "WEIGHT": -3, "E_WEIGHT": 0.005, "ADDED": 0, "E_ADDED": 0,
+    }  # fmt: skip
+    counts = np.round(cycle.force * 1e3 * 20)  # int16 of 0.05 mN, zero at 0.1 N
+    actuators = [
+        fits.Column(name="y", format="E", unit="mm", array=tiny.layout.y * 1e3),
+        fits.Column(name="x", format="E", unit="mm", array=tiny.layout.x * 1e3),
+        fits.Column(name="id", format="I", array=tiny.layout.id),
+    ]
+    rows = [
+        fits.Column(name="Force", format="12I", unit="mN", array=counts - 2000),
+        fits.Column(name="sign", format="I", array=cycle.sign),
+        fits.Column(name="SHAPE", format="B", array=cycle.shape),
+        fits.Column(name="Time", format="E", unit="s", array=cycle.time),
+    ]
+    hdus = fits.HDUList(
+        [
+            fits.PrimaryHDU(header=fits.Header(header)),
+            fits.BinTableHDU.from_columns(rows, name="measurements"),
+            fits.BinTableHDU.from_columns(actuators, name="Actuators"),
+        ]
+    )
+    hdus[1].header["TSCAL1"], hdus[1].header["TZERO1"] = 0.05, 100.0
+    hdus.writeto(tmp_path / "c.fits")
+    [back] = read(tmp_path / "c.fits").cycles
+    with fits.open(tmp_path / "c.fits") as hdus:
+        assert hdus[1].columns["Force"].format == "12I"  # scaled integers on disk indeed
+        assert (hdus[1].header["TSCAL1"], hdus[1].header["TZERO1"]) == (0.05, 100.0)
+    np.testing.assert_allclose(back.force, counts * 5e-5, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(back.layout.x, tiny.layout.x, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(back.time, cycle.time)
+    assert (back.shape.tolist(), back.sign.tolist()) == (cycle.shape.tolist(), cycle.sign.tolist())
+    assert back.date == cycle.date  # a zone is honoured
+    assert back.force.dtype == back.layout.x.dtype == np.float64
+    assert back.force_error is None
+
+
+def test_identifiers_beyond_32_bits_are_kept(tiny, tmp_path):
+    layout = dataclasses.replace(tiny.layout, id=tiny.layout.id + 5_000_000_000)
+    write_campaign((dataclasses.replace(c, layout=layout) for c in tiny.cycles), tmp_path / "c")
+    assert read(tmp_path / "c").layout.id[0] == 5_000_000_001
+
+
+def test_dates_in_another_zone_are_written_in_utc(tiny, tmp_path):
+    zone = datetime.timezone(datetime.timedelta(hours=2))
+    cycle = dataclasses.replace(tiny.cycles[0], date=tiny.cycles[0].date.astimezone(zone))
+    write_cycle(cycle, tmp_path / "c.fits")
+    assert same(read(tmp_path / "c.fits").cycles[0].date, tiny.cycles[0].date)
+
+
+@pytest.mark.parametrize("name", ["Größe", "two\nlines"])
+def test_text_that_fits_cannot_hold_is_refused(tiny, tmp_path, name):
+    cycle = dataclasses.replace(tiny.cycles[0], instrument=name)
+    with pytest.raises(FormatError, match=r"INSTRUME .* ASCII"):
+        write_cycle(cycle, tmp_path / "c.fits")
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_calibration_keeps_alpha_through_the_files(tiny, tmp_path):
+    write_campaign(tiny.cycles, tmp_path / "c")
+    calibration = calibrate(read(tmp_path / "c"), "svd")
+    np.testing.assert_allclose(calibration.alpha, tiny.alpha, rtol=1e-10)
+    np.testing.assert_allclose(calibration.bias_force, tiny.bias_force, rtol=1e-9)
+    np.testing.assert_allclose(calibration.torque_y, tiny.torques[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(calibration.torque_x, tiny.torques[:, 1], rtol=1e-9)
+    table = calibration.table
+    assert table["X"].unit == u.m
+    np.testing.assert_array_equal(table["ALPHA"].value, calibration.alpha)
+
+
+def test_a_campaign_of_records_is_the_campaign_of_their_files(tiny, tmp_path):
+    write_campaign(tiny.cycles[::-1], tmp_path / "c")
+    assert same(read(tmp_path / "c"), Campaign(tiny.cycles))
+
+
+def test_an_output_that_stands_is_left_alone_unless_told(tiny, tmp_path):
+    target = tmp_path / "c.fits"
+    target.write_text("mine")
+    with pytest.raises(OutputExists, match="overwrite"):
+        write_cycle(tiny.cycles[0], target)
+    assert target.read_text() == "mine"
+    write_cycle(tiny.cycles[0], target, overwrite=True)
+    assert same(read(target).cycles[0], tiny.cycles[0])
+
+
+def test_a_folder_is_replaced_only_if_all_in_it_is_ours(tiny, tmp_path):
+    folder = tmp_path / "c"
+    write_campaign(tiny.cycles, folder)
+    write_campaign(tiny.cycles[:1], folder, overwrite=True)
+    assert [p.name for p in folder.iterdir()] == ["bare-001.fits"]
+    (folder / "notes.txt").write_text("mine")
+    with pytest.raises(OutputExists, match=r"notes\.txt"):
+        write_campaign(tiny.cycles, folder, overwrite=True)
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_a_campaign_cut_short_leaves_nothing(tiny, tmp_path):
+    def cut_short():
+        yield tiny.cycles[0]
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OutputFailed, match="No space left"):
+        write_campaign(cut_short(), tmp_path / "c")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_comes_back_where_its_replacement_fails(tiny, tmp_path, monkeypatch):
+    write_campaign(tiny.cycles, tmp_path / "c")
+    replace = Path.replace
+
+    def stuck(path, target):
+        if path.name == "c":
+            raise OSError(5, "Input/output error")
+        return replace(path, target)
+
+    monkeypatch.setattr(Path, "replace", stuck)
+    with pytest.raises(OutputFailed, match="Input/output error"):
+        write_campaign(tiny.cycles[:1], tmp_path / "c", overwrite=True)
+    assert same(read(tmp_path / "c"), Campaign(tiny.cycles))
+    assert list(tmp_path.iterdir()) == [tmp_path / "c"]
+
+
+def test_degrees_of_freedom_may_be_a_float(tiny, tmp_path):
+    """As another program may have written them."""
+    path = tmp_path / "alpha.fits"
+    calibrate(Campaign(tiny.cycles)).write(path)
+    with fits.open(path, mode="update") as hdus:
+        dof = hdus[0].header["DOF"]
+        hdus[0].header["DOF"] = float(dof)
+    for name in ("CHECKSUM", "DATASUM"):
+        fits.delval(path, name)
+    assert read(path).degrees_of_freedom == dof

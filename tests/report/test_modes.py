@@ -1,0 +1,203 @@
+"""The report tells of the modal base wherever the data do, and why where they do not."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from helpers.balanced import p45_bench, p45_campaign
+from truenewton.bench.simulated.static import START
+from truenewton.modal import words
+from truenewton.modal.comparison import compare_modes
+from truenewton.modal.dissipation import Budget
+from truenewton.modal.figures import plot_power
+from truenewton.modal.findings import find_modes
+from truenewton.records.campaign import Campaign
+from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.report import investigate as module
+from truenewton.report.figures import still_figures
+from truenewton.report.investigate import investigate
+from truenewton.report.page.modal_sections import modal_sections
+from truenewton.report.page.page import page
+
+
+@pytest.fixture(scope="module")
+def p45():
+    return investigate(p45_campaign(2))
+
+
+@pytest.fixture(scope="module")
+def matrix():
+    truth = p45_bench().truth
+    return StiffnessMatrix("P45", START, truth.layout, truth.stiffness / truth.alpha[:, None])
+
+
+def sections(findings):
+    return {part.key: part for part in modal_sections(findings)}
+
+
+def told(campaign, change):
+    """Return the sections of a campaign whose cycles were changed, and its page."""
+    found = investigate(Campaign(tuple(map(change, campaign.cycles))))
+    assert found.calibration is not None
+    assert found.modes is None
+    assert "modes" not in still_figures(found)
+    return sections(found), page(found)
+
+
+def check_table(table, cost, others):
+    """Compare the table with forces and powers of the modes themselves."""
+    numbers = [int(row[0]) for row in table.rows]
+    assert numbers[-1] == cost.residual.size
+    assert numbers == sorted(set(numbers))
+    for number, row in zip(numbers, table.rows, strict=True):
+        k = number - 1
+        left = [1e9 * each.residual[k] for each in (cost, *others)]
+        force, power = 1e3 * cost.force[:, k], cost.power[:, k]
+        assert [float(cell) for cell in row[1:4]] == pytest.approx(left, rel=1e-3)
+        forces = [np.sqrt(np.mean(force**2)), force.max()]
+        assert [float(cell) for cell in row[4:6]] == pytest.approx(forces, rel=6e-3)
+        powers = [power.mean(), power.max(), power.sum()]
+        assert [float(cell) for cell in row[6:9]] == pytest.approx(powers, rel=6e-2)
+    assert len(table.head) == len(table.rows[0])
+
+
+def test_cycles_with_positions_tell_their_modes(p45):
+    found = find_modes(p45_campaign(2), p45.calibration)
+    parts = sections(p45)
+    assert list(parts) == ["modes", "turbulence", "dissipation"]
+    check_table(parts["dissipation"].tables[0], found.after.costs[0], found.after.costs[1:])
+    words = " ".join(parts["modes"].words)
+    stiffness = found.after.modes.stiffness
+    assert f"Of 45 modes the softest elastic one has {stiffness[3] / 1e3:.1f} kN/m" in words
+    assert f"the stiffest {stiffness[-1] / 1e6:.1f} MN/m" in words
+    assert f"{np.degrees(found.comparison.distance):.2g} deg rms" in words
+    assert "Measured stiffness: 90 shapes, 360 rows; repeats to" in words
+    [faults] = parts["modes"].tables
+    for row, name in zip(faults.rows, ("asymmetry", "imbalance"), strict=True):
+        for cell, base in zip(row[1:], (found.before, found.after), strict=True):
+            value = getattr(base.stiffness, name)
+            assert float(cell.removesuffix(" %")) == pytest.approx(100 * value, rel=0.05)
+    assert "seeing 0.8 arcsec" in parts["turbulence"].words[0]
+    assert "Static force of the actuators: -" in parts["dissipation"].words[0]
+
+
+def test_a_stiffness_file_tells_its_modes_but_no_weight(matrix):
+    found = investigate(matrix)
+    parts = sections(found)
+    base = find_modes(matrix, found.calibration).after
+    check_table(parts["dissipation"].tables[0], base.costs[0], base.costs[1:])
+    assert not any("Measured stiffness" in words for words in parts["modes"].words)
+    assert "unknown" in parts["dissipation"].words[0]
+    text = page(found)
+    for title in ("Stiffness modes", "Turbulence", "Dissipation"):
+        assert title in text
+    assert "modes-power" in still_figures(found)
+
+
+def test_the_maps_hold_each_chosen_mode_at_its_place(p45):
+    ax, layout = p45.plot("modes"), p45.calibration.layout
+    [dots] = ax.collections
+    part, (x, y) = np.asarray(dots.get_array()), np.asarray(dots.get_offsets()).T
+    chosen = [0, 1, 2, 3, 4, 5, 6, 7, 11, 18, 28, 44]
+    titles = [title.get_text() for title in ax.texts]
+    assert [int(title.split(":")[0]) for title in titles] == [k + 1 for k in chosen]
+    assert len(part) == 45 * len(chosen)
+    for place, k in enumerate(chosen):
+        mode = p45.modes.after.modes.modes[:, k]
+        some = slice(45 * place, 45 * (place + 1))
+        assert part[some] == pytest.approx(mode / np.abs(mode).max(), abs=1e-6)
+        for drawn, own in ((x, layout.x), (y, layout.y)):
+            apart = drawn[some] - 1e3 * own
+            assert np.ptp(apart) < 1e-3  # moved as a whole [mm]
+    corners = np.array([[x[45 * k : 45 * (k + 1)].min(), y[45 * k : 45 * (k + 1)].max()]
+                        for k in range(12)])  # fmt: skip
+    assert (np.diff(corners[:4, 0]) > 2e3 * np.hypot(layout.x, layout.y).max()).all()
+    assert (np.diff(corners[::4, 1]) < -2e3 * np.hypot(layout.x, layout.y).max()).all()
+    softest = p45.modes.after.modes.stiffness[3] / 1e3
+    assert titles[3] == f"4: {softest:.1f} kN/m"
+
+
+def test_the_curves_are_those_of_the_three_bases(p45):
+    costs = p45.modes.after.costs
+    curves = {
+        "modes-residual": [1e9 * cost.residual[:-1] for cost in costs],
+        "modes-power": [f(cost.power, axis=0) for cost in costs for f in (np.max, np.mean)],
+    }
+    for name, wanted in curves.items():
+        ax = p45.plot(name)
+        assert len(ax.lines) == len(wanted)
+        for line, values in zip(ax.lines, wanted, strict=True):
+            assert line.get_ydata() == pytest.approx(values, rel=1e-6)
+            assert line.get_xdata().tolist() == list(range(1, len(values) + 1))
+        legend = [text.get_text() for text in ax.get_legend().get_texts()]
+        assert legend == [cost.base for cost in costs]
+
+
+def test_cycles_without_positions_say_so():
+    parts, text = told(p45_campaign(2), lambda cycle: replace(cycle, position=None))
+    assert list(parts) == ["modes"]
+    assert parts["modes"].figure == ""
+    [words] = parts["modes"].words
+    assert words.startswith("The data do not tell them: no cycle holds POSITION")
+    assert "give a measured stiffness file." in words
+    assert "Stiffness modes" in text
+    assert "Dissipation" not in text
+
+
+def test_positions_that_lack_an_elastic_motion_say_so(p45):
+    motion = p45.modes.after.modes.modes[:, 6]
+
+    def without_it(cycle):
+        position = np.asarray(cycle.position)
+        return replace(cycle, position=position - np.outer(position @ motion, motion))
+
+    parts, _ = told(p45_campaign(2), without_it)
+    assert "1 of 42 elastic motions are missing" in parts["modes"].words[0]
+
+
+def test_a_large_mirror_is_left_to_the_command(monkeypatch):
+    monkeypatch.setattr(module, "MOST_MODES", 44)
+    parts, _ = told(p45_campaign(2), lambda cycle: cycle)
+    assert parts["modes"].words == (
+        "Those of 45 actuators take a while: truenewton modes finds them.",
+    )
+
+
+def test_a_calibration_alone_tells_nothing_of_modes(p45):
+    alone = investigate(p45.calibration)
+    assert sections(alone) == {}
+    assert "Stiffness modes" not in page(alone)
+    no_alpha = investigate(Campaign(p45_campaign(2).cycles[:2]))
+    assert no_alpha.calibration is None
+    assert sections(no_alpha) == {}
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(-21.9, "-22 N/m"), (999.4, "1.0 kN/m"), (4632.0, "4.6 kN/m"), (110e3, "110 kN/m"),
+     (8.99e6, "9.0 MN/m"), (0.0, "0 N/m")],
+)  # fmt: skip
+def test_a_stiffness_reads_in_its_unit(value, text):
+    assert words.stiffness_text(value) == text
+
+
+def test_equal_modes_are_not_told_apart():
+    compared = compare_modes(np.eye(4), np.eye(4)[:, ::-1], np.ones(4))
+    alike = SimpleNamespace(compares=True, comparison=compared)
+    assert words.comparison_text(alike).startswith("not to be told from the calibrated")
+
+
+def test_an_axis_of_power_begins_at_what_is_drawn(p45, matrix):
+    """Static force heats every coil; without it a piston costs next to nothing, and is left out."""
+    for found, drawn_whole in ((p45.modes, True), (find_modes(matrix), False)):
+        costs = found.after.costs
+        least = min(cost.power.mean(axis=0).min() for cost in costs)
+        most = max(cost.power.max() for cost in costs)
+        start = plot_power(found.after, Budget()).get_ylim()[0]
+        if drawn_whole:
+            assert 0.5 * least < start < least
+        else:
+            assert least < 1e-8 * most
+            assert start == pytest.approx(1e-5 * most)
