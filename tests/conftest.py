@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from helpers.balanced import p45_campaign
 from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.calibration.methods import calibrate
 from truenewton.cli.main import main
 from truenewton.mirrors.known import p45
 from truenewton.records.cycle import Cycle
 from truenewton.records.file import write_campaign
+from truenewton.report.investigate import investigate
 from truenewton.statics.layout import Layout, rings
 from truenewton.statics.load import Load
 
@@ -72,6 +75,18 @@ def p45_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("p45") / "campaign"
     write_campaign(run_cycles(static_bench(p45(), 1, force_noise=1e-4), 2), folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def p45_calibration():
+    """P45 in four cycles at 1 mN (helpers.balanced.p45_campaign), calibrated; never changed."""
+    return calibrate(p45_campaign())
+
+
+@pytest.fixture(scope="session")
+def p45_findings():
+    """What a report shows of P45 in two cycles at 1 mN; never changed."""
+    return investigate(p45_campaign(2))
 
 
 @pytest.fixture(scope="session")
