@@ -2,7 +2,7 @@
 PYTHON ?= python3
 
 # A worker a core; each keeps to one thread of linear algebra (tests/conftest.py).
-WORKERS = -m pytest -n logical --dist worksteal
+WORKERS = -m pytest -n logical --dist loadscope
 PYTEST = .venv-test/bin/python $(WORKERS)
 PIP_INSTALL = python -m pip install --quiet --disable-pip-version-check
 
