@@ -106,6 +106,15 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
+        code = _run()
+    finally:
+        _discard_unwritten()
+    raise SystemExit(code)
+
+
+def _run() -> Any:
+    """Run the command line and return its exit code."""
+    try:
         with _told_to_end(), warnings.catch_warnings():  # the commands themselves show each verdict
             warnings.simplefilter("ignore")
             # What overflows or has no value in an array is no result: it ends as an error does.
@@ -113,36 +122,35 @@ def main() -> None:
             code = app(sys.argv[1:] or ["--help"], prog_name="truenewton", standalone_mode=False)
         if code == STOPPED:  # what the command line's library makes of Ctrl-C
             raise KeyboardInterrupt
-        code = code or 0
         if sys.stdout is not None:  # as where a shell closed it
             sys.stdout.flush()
+        return code or 0
     except Interrupted as stopped:
-        code = _refuse(str(stopped), STOPPED)
+        return _refuse(str(stopped), STOPPED)
     except TrueNewtonError as error:
-        code = _refuse(str(error))
+        return _refuse(str(error))
     except CommandLineError as error:
         command = " ".join(["truenewton", *(word for word in sys.argv[1:2] if word in EXAMPLES)])
         fault = error.format_message().rstrip(".")
         see = " See" if fault.endswith("?") else "; see"  # it asks what was meant
-        code = _refuse(f"{fault}{see} '{command} --help'")
+        return _refuse(f"{fault}{see} '{command} --help'")
     except (typer.Abort, KeyboardInterrupt):
-        code = _refuse("interrupted; nothing was left half-written", STOPPED)
-    except BrokenPipeError:
-        code = _reader_gone()
+        return _refuse("interrupted; nothing was left half-written", STOPPED)
+    except BrokenPipeError:  # nobody reads our output any more, as in `| head`
+        return 0
     except SystemExit as left:
         # The command line's library leaves by itself where the reader of our output went away.
         gone = isinstance(left.__context__, BrokenPipeError)
-        code = _reader_gone() if gone else left.code
+        return 0 if gone else left.code
     except (ArithmeticError, RuntimeWarning, ValueError) as error:
         if isinstance(error, ValueError) and type(error).__name__ != "LinAlgError":
             raise
-        code = _refuse(f"{BROKEN} ({error}): {WHAT_TO_DO}")
+        return _refuse(f"{BROKEN} ({error}): {WHAT_TO_DO}")
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        code = _refuse(f"{where}{error.strerror or error}")
+        return _refuse(f"{where}{error.strerror or error}")
     except MemoryError:
-        code = _refuse("not enough memory; give fewer files at once")
-    raise SystemExit(code)
+        return _refuse("not enough memory; give fewer files at once")
 
 
 @contextlib.contextmanager
@@ -155,13 +163,22 @@ def _told_to_end() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _reader_gone() -> int:
-    """End quietly where nobody reads any more, as in `| head`."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    return 0
+def _discard_unwritten() -> None:
+    """Write what the standard streams still hold, or discard what cannot be written.
+
+    A write that failed leaves its text in the buffer. Python writes it again when it ends, and if
+    that fails too, its exit code is 120 instead of ours (signal module, Note on SIGPIPE).
+    """
+    for stream in (sys.__stdout__, sys.__stderr__):
+        if stream is None or stream.closed:
+            continue
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _refuse(line: str, code: int = 2) -> int:
-    with contextlib.suppress(BrokenPipeError):  # as where standard error is read by `head` too
+    with contextlib.suppress(OSError):  # as where standard error is read by `head`, or a full file
         print(f"truenewton: {printable(' '.join(line.split()))}", file=sys.stderr)
     return code

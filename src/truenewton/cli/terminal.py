@@ -22,9 +22,16 @@ Item = TypeVar("Item")
 
 
 def say(*lines: object, stream: TextIO | None = None, end: str = "\n") -> None:
-    """Print lines, whatever the names in them hold; the only place that prints to people."""
+    """Print lines, whatever the names in them hold; the only place that prints to people.
+
+    A reader of standard error that goes away ends no command: results are elsewhere.
+    """
     for line in lines:
-        print(printable(str(line)), file=stream, end=end, flush=True)
+        try:
+            print(printable(str(line)), file=stream, end=end, flush=True)
+        except BrokenPipeError:
+            if stream is None or stream is not sys.stderr:
+                raise
 
 
 @contextlib.contextmanager
