@@ -22,7 +22,7 @@ ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "truenewton"
 PICTURE = ROOT / "docs" / "images" / "house.svg"
 
-MOST_LINES, LONGEST_FUNCTION, MOST_COMPLEX = 350, 80, 15
+MOST_LINES, LONGEST_FUNCTION, MOST_COMPLEX = 600, 80, 15
 
 WIDTH, MARGIN, GAP, PADDING = 1000, 16, 10, 10
 NAME, TEXT, LINE = 15, 12, 16  # sizes of type, and from line to line [px]

@@ -13,7 +13,9 @@ from helpers.balanced import p45_bench
 from truenewton.bench.simulated.static import START, run_cycles, static_bench
 from truenewton.calibration.verdict import Level, verdict_on
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
-from truenewton.estimation.diagnosis import FoundEffect, Goodness, NoiseSource
+from truenewton.estimation.diagnosis import Goodness, NoiseSource
+from truenewton.estimation.findings.catalogue import read_name
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign
@@ -158,7 +160,8 @@ def negative(c, count):
 
 
 def with_effect(c, name, **options):
-    effect = FoundEffect(name=name, where="bare 1", remedy="leave it out")
+    code, detail = read_name(name)
+    effect = Finding(code=code, detail=detail, where="bare 1", remedy="leave it out")
     return replace(c, effects=(replace(effect, **options),))
 
 

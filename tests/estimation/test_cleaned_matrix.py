@@ -11,7 +11,8 @@ import pytest
 from helpers.balanced import p45_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonWarning
-from truenewton.estimation.matrix_order import CLEANED, TRANSPOSED, TRUE_ALREADY, balance_effects
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.matrix_order import balance_effects
 from truenewton.estimation.reciprocity.gate import BY_ML, Evidence, instead, refusals
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.foreign.importing import stiffness_from
@@ -72,7 +73,7 @@ def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
     k = CLEANED_WAYS[way](matrix.stiffness, rigid_motions(matrix.layout))
     balanced = replace(matrix, stiffness=k)
     [effect] = sift_matrix(balanced).effects
-    assert effect.name == (TRUE_ALREADY if "symmetric" in way else CLEANED)
+    assert effect.code == (Code.TRUE_STIFFNESS if "symmetric" in way else Code.CLEANED_STIFFNESS)
     assert effect.remedy == "give the matrix as it was measured"
     made = stiffness_from(k, matrix.layout, unit="N/m")
     assert (made.balanced, made.transposed) == (True, False)
@@ -104,7 +105,7 @@ def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_th
     k = cleaned(matrix.stiffness.T, rigid_motions(matrix.layout))[1].T
     assert sift_matrix(replace(matrix, stiffness=k)).effects == ()
     [effect] = sift_matrix(replace(matrix, stiffness=k.T)).effects
-    assert effect.name == TRANSPOSED
+    assert effect.code == Code.TRANSPOSED_STIFFNESS
 
 
 def test_a_cleaned_matrix_is_not_to_be_used_and_a_true_one_has_modes():
@@ -143,7 +144,9 @@ def test_a_real_lbt672_cleaned_of_rigid_motions_is_told_from_the_measured():
     layout = matrix.layout.part(matrix.layout.enabled)
     for way, change in CLEANED_WAYS.items():
         [effect] = balance_effects(StiffnessMatrix("LBT672", DATE, layout, change(k, rigid)))
-        assert effect.name == (TRUE_ALREADY if "symmetric" in way else CLEANED), way
+        assert effect.code == (
+            Code.TRUE_STIFFNESS if "symmetric" in way else Code.CLEANED_STIFFNESS
+        ), way
 
 
 def test_every_command_says_what_was_done_to_it(inside, tmp_path):

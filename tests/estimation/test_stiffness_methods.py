@@ -12,7 +12,8 @@ from astropy.table import QTable
 from helpers.balanced import p45_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
-from truenewton.estimation.matrix_order import TRANSPOSED, order_effects, rigid_cost
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.matrix_order import order_effects, rigid_cost
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.estimation.stiffness_svd import (
     balance_modes,
@@ -123,7 +124,7 @@ def test_a_transposed_matrix_is_not_to_be_used():
     assert sift_matrix(matrix).effects == ()
     turned = replace(matrix, stiffness=matrix.stiffness.T)
     [effect] = sift_matrix(turned).effects
-    assert effect.name == TRANSPOSED
+    assert effect.code == Code.TRANSPOSED_STIFFNESS
     assert "[i, j], the force of actuator i per displacement of sensor j" in effect.remedy
     with pytest.warns(TrueNewtonWarning, match="transposed stiffness"):
         made = calibrate(turned, "svd")

@@ -16,6 +16,8 @@ from truenewton.estimation.diagnosis import (
     NoiseSource,
     ScaleError,
 )
+from truenewton.estimation.findings.catalogue import Code, read_name
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
@@ -98,8 +100,11 @@ CALIBRATION = FileFormat(
         TableFormat(
             "EFFECTS",
             (
+                Column("CODE", "code", kind="str", absent=""),
                 Column("EFFECT", "name", kind="str"),
+                Column("DETAIL", "detail", kind="str", absent=""),
                 Column("PLACE", "where", kind="str"),
+                Column("ACTUATORS", "ids", kind="str", absent=""),
                 Column("PROBABILITY", "probability"),
                 Column("SIZE", "size"),
                 Column("UNIT", "unit", kind="str"),
@@ -180,9 +185,12 @@ def calibration_from(file: FitsFile) -> Calibration:
     try:
         values["goodness"] = _goodness(values["degrees_of_freedom"], **values["goodness"])
         values["scale_errors"] = _scale_errors(values.pop("scale_errors", None))
+        values["effects"] = _findings(values.pop("effects", None))
     except (KeyError, ValueError) as error:
         raise FormatError(
-            f"FITNOISE or a KIND of BUDGET is {error}", remedy="calibrate again", path=file.path
+            f"FITNOISE, a KIND of BUDGET or ACTUATORS of EFFECTS is {error}",
+            remedy="calibrate again",
+            path=file.path,
         ) from None
     warnings = values.pop("diagnosis", {}).get("warnings", {"fault": (), "remedy": ()})
     if warnings["fault"]:
@@ -214,6 +222,28 @@ def _goodness(
     if freedom is None or not against:
         return None
     return Goodness(chi2, freedom, NoiseSource(against), probability)
+
+
+def _findings(columns: dict[str, Any] | None) -> tuple[Finding, ...]:
+    """Return what was found; of files that have no codes, by its name and place."""
+    if columns is None:
+        return ()
+    cells = (each.tolist() if isinstance(each, np.ndarray) else each for each in columns.values())
+    rows = zip(*cells, strict=True)
+    return tuple(_finding(**dict(zip(columns, row, strict=True))) for row in rows)
+
+
+def _finding(code: str, name: str, detail: str, where: str, ids: str, **values: Any) -> Finding:
+    if not code:
+        found, detail = read_name(name)
+        actuator, _, only = where.partition(" ")
+        ids = only if actuator == "actuator" and only.isdigit() else ""
+    elif code in set(Code):
+        found = Code(code)
+    else:  # of a newer version
+        found, detail = Code.OTHER, name
+    actuators = tuple(int(i) for i in ids.split())
+    return Finding(code=found, detail=detail, where=where, actuators=actuators, **values)
 
 
 def _scale_errors(columns: dict[str, Any] | None) -> tuple[ScaleError, ...]:

@@ -13,7 +13,6 @@ from truenewton.arrays import Array, freeze
 from truenewton.errors import FormatError
 from truenewton.estimation.diagnosis import (
     Diagnosis,
-    FoundEffect,
     Goodness,
     RejectedRow,
     ScaleError,
@@ -21,6 +20,7 @@ from truenewton.estimation.diagnosis import (
     UnseenError,
 )
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.format import quantities
@@ -140,7 +140,7 @@ class Calibration:
     scale_errors: tuple[ScaleError, ...] = ()
     solved_condition: float = float("nan")
     rejected_rows: tuple[RejectedRow, ...] = ()
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[Finding, ...] = ()
     unseen: tuple[UnseenError, ...] = ()
     imbalances: tuple[Imbalance, ...] = ()
     sensors: tuple[Sensor, ...] = ()

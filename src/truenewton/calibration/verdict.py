@@ -7,7 +7,7 @@ the calibration was that wrote it.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
@@ -22,14 +22,13 @@ from truenewton.calibration.scale_faults import (
     weights_along_axis,
 )
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
-from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
+from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.effects.words import MISFIT, effect_warnings
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.files_apart import STILL
+from truenewton.estimation.findings.catalogue import Concern
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import NO_LOAD_SEEN, alike_loads_fault
-from truenewton.estimation.matrix_order import AS_A_WHOLE
 from truenewton.estimation.reciprocity.gate import BY_ML
-from truenewton.estimation.seen_places import ELSEWHERE
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
 from truenewton.records.of_segments import alike
@@ -48,35 +47,6 @@ MANY = 0.02  # of the rows left out
 SENSELESS = 1e4
 UNEVEN = 2.0  # times as much imbalance in modes that the fit has not seen: said
 SIGMAS = 3.0  # within which alpha is 0
-UNUSABLE_BEFORE = "earlier calibration that is not to be used"
-# Effects in which the files are not what they say: the user alone can settle them.
-OF_FILES = (
-    "copy of another file",
-    "FORCE in another unit",
-    "the file's load is another",
-    "exchanged columns",
-    f"actuator {ELSEWHERE}",
-    "another order of ",
-    "order of FORCE is not that of POSITION",
-    "FORCE of the other sign",
-    "POSITION of the other sign",
-    "POSITION in another unit",
-    "files of two mirrors",
-    STILL.name,
-    "asymmetric stiffness",
-    *AS_A_WHOLE,
-    UNUSABLE_BEFORE,
-)
-# Labels of rows say which of them repeat, which the balance of each does not ask: where the rest
-# fits, the rows that disagreed were left out.
-OF_ROWS = (
-    "SIGN reversed",
-    "SHAPE counted from another one",
-    "SHAPE and SIGN label other rows",
-    "frozen reading",
-    "readings cut off at a limit",
-)
-SILENT = ("dead actuator", "stuck reading")
 
 
 class Level(StrEnum):
@@ -181,14 +151,18 @@ def _grave(c: Calibration) -> Iterator[Fault]:
     """Yield why a calibration is not to be used, causes before what they do."""
     fits = c.goodness is None or not c.goodness.probability < IMPROBABLE
     unit = unit_fault(c)
-    grave = OF_FILES + OF_ROWS * (not fits) + SILENT * (unit is not None)
+    grave = {Concern.FILES}
+    if not fits:  # else the rows that disagreed were left out
+        grave.add(Concern.ROWS)
+    if unit is not None:
+        grave.add(Concern.SILENT)
     yield from effect_warnings(_uncorrected(c, grave))
     if unit:
         yield unit
     yield from _harm(c)
     alpha = c.alpha[c.layout.enabled]
     few = max(2, FEW * alpha.size)
-    negative, silent = int(np.count_nonzero(alpha <= 0)), _uncorrected(c, SILENT)
+    negative, silent = int(np.count_nonzero(alpha <= 0)), _uncorrected(c, {Concern.SILENT})
     if len(silent) > few:
         yield Fault(
             f"{len(silent)} of {alpha.size} actuators are dead, or their readings stuck",
@@ -282,9 +256,9 @@ def _limits(c: Calibration) -> Iterator[Fault]:
         yield Fault(f"{part} of the rows do not fit", "find out what happened during the run")
     yield from scale_faults(c)
     yield from _row_faults(c)
-    named = {effect.where for effect in c.effects}
+    named = {actuator for effect in c.effects for actuator in effect.actuators}
     for k in _off_family(c):
-        if f"actuator {c.layout.id[k]}" in named:
+        if c.layout.id[k] in named:
             continue
         alpha = with_error(float(c.alpha[k]), float(c.reading_error[k]))
         if abs(c.alpha[k]) < SIGMAS * c.reading_error[k]:
@@ -343,6 +317,6 @@ def _off_family(c: Calibration) -> NDArray[np.int64]:
     return np.flatnonzero(far)
 
 
-def _uncorrected(c: Calibration, names: tuple[str, ...] = ("",)) -> list[FoundEffect]:
-    """Return the effects that were not taken out, those of some names."""
-    return [e for e in c.effects if not e.corrected and e.name.startswith(names)]
+def _uncorrected(c: Calibration, about: Collection[Concern] = tuple(Concern)) -> list[Finding]:
+    """Return the effects that were not taken out, those about something."""
+    return [e for e in c.effects if not e.corrected and e.concern in about]

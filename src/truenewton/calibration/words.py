@@ -115,7 +115,7 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
         "scale_errors": [
             {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
-        "effects": [asdict(effect) for effect in c.effects],
+        "effects": [effect.values for effect in c.effects],
         "unseen": [asdict(error) for error in c.unseen],
         "sensors": [asdict(sensor) for sensor in c.sensors],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",

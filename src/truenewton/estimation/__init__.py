@@ -64,6 +64,7 @@ files, in the order in which data pass through them:
     population       what is not smooth in log alpha, as samples of one population
     undetermined     patterns of alpha that noise decides
     identifiability  what the data can and cannot fix
+    findings         what was found beside the model: codes and sentences, the record of a finding
     diagnosis        how well alpha is determined and how well the data fit, in records
     estimate         what every method hands over
     prediction       errors of a campaign before a reading is taken

@@ -14,7 +14,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.moments import Moments
 from truenewton.linalg import assignment, asymmetry
 from truenewton.records.campaign import Campaign
@@ -26,7 +27,7 @@ FEW = 4  # columns that are named one by one
 CLEARLY = np.log(1.5)  # larger each element of a better order is, on the average
 
 
-def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[FoundEffect, ...]:
+def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[Finding, ...]:
     """Name an order of FORCE that POSITION contradicts.
 
     Nothing is said where POSITION is not at hand, or shapes are too few for a stiffness.
@@ -51,10 +52,11 @@ def misordered_columns(campaign: Campaign, moments: Moments) -> tuple[FoundEffec
     percent += f" {100 * after:.0f} %"
     which = f"{moved.size} of {len(order)} columns" if not few else named("actuator", ids, FEW)
     return (
-        FoundEffect(
-            name="exchanged columns of FORCE or POSITION" if few else
-            "order of FORCE is not that of POSITION",
+        Finding(
+            code=Code.EXCHANGED_COLUMNS if few else Code.ORDER_OF_POSITION,
+            detail="FORCE or POSITION" if few else "",
             where=f"{which} ({percent})",
+            actuators=tuple(ids),
             size=before,
             remedy="put the columns of FORCE and POSITION in the order of the ACTUATORS table",
         ),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from itertools import combinations
 
-from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign
 
@@ -16,7 +17,7 @@ BY_CHANCE = 4.0  # times as many as between those files under one load that shar
 
 def copied_files(
     campaign: Campaign, prints: RowPrints, *, in_steps: bool = False
-) -> tuple[FoundEffect, ...]:
+) -> tuple[Finding, ...]:
     """Name files that hold the readings of others: rows of the same SHAPE and SIGN, bit by bit.
 
     Of files under one load nothing is said where even those of different origin repeat to the last
@@ -50,8 +51,8 @@ def copied_files(
             if alike > usual or campaign.load_index[one] != campaign.load_index[other]
         }
     return tuple(
-        FoundEffect(
-            name="copy of another file",
+        Finding(
+            code=Code.COPIED_FILE,
             where=f"{cycles[other].name} of {cycles[one].name}",
             size=alike,
             remedy="leave the copy out: it holds no reading of its own",

@@ -145,36 +145,6 @@ class UnseenError:
     relative: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class FoundEffect:
-    """What a bench did beside the model (docs/effects.md).
-
-    What only the user can settle has no probability, and is never corrected.
-
-    Attributes
-    ----------
-    name, where
-        What it is; in which file, of which actuator or load it is largest, '' where that says
-        nothing.
-    probability
-        Of data like these without it.
-    size, unit
-        Of its largest parameter.
-    corrected
-        Whether it was taken out of the data.
-    remedy
-        What to do about it.
-    """
-
-    name: str
-    where: str = ""
-    probability: float = 0.0
-    size: float = 0.0
-    unit: str = ""
-    corrected: bool = False
-    remedy: str
-
-
 @dataclass(frozen=True)
 class RejectedRow:
     """A row that was left out.

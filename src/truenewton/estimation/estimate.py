@@ -8,13 +8,13 @@ from enum import StrEnum
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import (
     Diagnosis,
-    FoundEffect,
     Goodness,
     RejectedRow,
     ScaleError,
     Sensor,
     UnseenError,
 )
+from truenewton.estimation.findings.finding import Finding
 from truenewton.records.fault import Fault
 
 
@@ -73,7 +73,7 @@ class Estimate:
     declared_chi2: float = float("nan")
     scale_errors: tuple[ScaleError, ...] = ()
     rejected: tuple[RejectedRow, ...] = ()
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[Finding, ...] = ()
     unseen: tuple[UnseenError, ...] = ()
     solved_condition: float = float("nan")
     sensors: tuple[Sensor, ...] = ()

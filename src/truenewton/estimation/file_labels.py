@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.row_prints import RowPrints
 from truenewton.linalg import assignment
@@ -34,15 +35,16 @@ SAID = 3  # files that are named
 INDISTINCT = 1.5  # times as far as files of one load lie apart
 
 
-def files_in_other_units(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+def files_in_other_units(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
     """Name files whose readings are far larger or smaller than those of the others."""
     largest = {file: float(np.median(limit)) for file, limit in prints.limit.items()}
     usual = float(np.median(list(largest.values())))
     if usual == 0.0:
         return ()
     return tuple(
-        FoundEffect(
-            name="FORCE in another unit",
+        Finding(
+            code=Code.OTHER_UNIT,
+            detail="FORCE",
             where=f"{campaign.cycles[file].name}, {size / usual:.2g} times the others",
             size=size / usual,
             remedy="check the unit of FORCE in that file, N",
@@ -52,7 +54,7 @@ def files_in_other_units(campaign: Campaign, prints: RowPrints) -> tuple[FoundEf
     )
 
 
-def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[FoundEffect, ...]:
+def mislabelled_files(campaign: Campaign, moments: Moments) -> tuple[Finding, ...]:
     """Name files whose forces at rest are those of another load than they say.
 
     Parameters
@@ -83,7 +85,7 @@ def _load_of_clusters(cluster: NDArray[np.int64], said: NDArray[np.int64]) -> ND
 
 def _mislabelled(
     campaign: Campaign, rest: Array, distance: Array, true: NDArray[np.int64]
-) -> Iterator[FoundEffect]:
+) -> Iterator[Finding]:
     """Name files whose load is another than they say, if the weights agree with that."""
     said, weights = np.array(campaign.load_index), campaign.effective_weights
     there = np.unique(true)
@@ -106,8 +108,8 @@ def _mislabelled(
             off = max(abs(float(total[k] - sums[there == other].item())), scatter)
             if own not in means and np.abs(alpha).max() * off > CLEAR * differ:
                 continue
-            yield FoundEffect(
-                name="the file's load is another",
+            yield Finding(
+                code=Code.OTHER_LOAD,
                 where=f"{campaign.cycles[k].name}, at rest as under {campaign.loads[other].name}",
                 size=float(np.sqrt(np.mean((means[other] - rest[k]) ** 2))),
                 unit="N",
@@ -118,8 +120,8 @@ def _mislabelled(
     for (own, other), files in named.items():
         names = listed([campaign.cycles[k].name for k in files], SAID)
         one, two = (f"'{campaign.loads[load].name}'" for load in (own, other))
-        yield FoundEffect(
-            name="one load under two names",
+        yield Finding(
+            code=Code.LOAD_OF_TWO_NAMES,
             where=f"{one} in {names} is as {two} at rest",
             remedy=f"let LOAD say {two} there, or {one} elsewhere, unless loads were two",
         )
@@ -169,7 +171,7 @@ def clusters(distance: Array, count: int) -> NDArray[np.int64] | None:
     return answer if within < CLEAR * between else None
 
 
-def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[FoundEffect, ...]:
+def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding, ...]:
     """Name files whose rows fit other labels than theirs: SIGN reversed, or SHAPE counted anew.
 
     Parameters
@@ -188,12 +190,12 @@ def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[FoundEff
     found = []
     for k in suspicious:
         others = [j for j in range(len(rows)) if j != k]
-        name = _other_labels(rows[k], codes[k], [rows[j] for j in others],
+        code = _other_labels(rows[k], codes[k], [rows[j] for j in others],
                              [codes[j] for j in others])  # fmt: skip
-        if name:
+        if code is not None:
             found.append(
-                FoundEffect(
-                    name=name,
+                Finding(
+                    code=code,
                     where=campaign.cycles[k].name,
                     size=float(np.sqrt(np.mean(rows[k] ** 2))),
                     unit="N",
@@ -208,8 +210,8 @@ def _other_labels(
     codes: NDArray[np.int64],
     other_rows: list[Array],
     other_codes: list[NDArray[np.int64]],
-) -> str:
-    """Say how rows of one file are labelled otherwise than those of others; '' where they agree."""
+) -> Code | None:
+    """Return how rows of one file are labelled otherwise than those of others, if they are."""
     known = np.unique(np.concatenate(other_codes))
     typical = np.empty((len(known), rows.shape[1]))
     for at, code in enumerate(known):  # the median: one of the others may be wrong, too
@@ -218,19 +220,19 @@ def _other_labels(
     shared = np.isin(codes, known)
     rows, codes = rows[shared], codes[shared]
     if not len(rows):
-        return ""
+        return None
     square = np.sum(rows**2, axis=1)[:, None] + np.sum(typical**2, axis=1) - 2 * rows @ typical.T
     square = np.maximum(square, 0.0)
     own = square[np.arange(len(rows)), np.searchsorted(known, codes)]
     moved = square.min(axis=1) < MOVED**2 * own
     if np.count_nonzero(moved) < max(3, SHARE * len(rows)):
-        return ""
+        return None
     best, said = known[square.argmin(axis=1)][moved], codes[moved]
     if np.mean(best == -said) > ALIKE:
-        return "SIGN reversed"
+        return Code.SIGN_REVERSED
     shapes = np.unique(np.abs(known))
     step = np.searchsorted(shapes, np.abs(best)) - np.searchsorted(shapes, np.abs(said))
     step %= len(shapes)
     if step.any() and np.mean(step == np.bincount(step).argmax()) > ALIKE:
-        return "SHAPE counted from another one"
-    return "SHAPE and SIGN label other rows"
+        return Code.SHAPE_OFFSET
+    return Code.OTHER_LABELS

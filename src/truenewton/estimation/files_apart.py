@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.file_labels import clusters
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.row_prints import RowPrints, common_labels
 from truenewton.linalg import assignment
 from truenewton.records.campaign import Campaign
@@ -38,28 +39,28 @@ class Difference(NamedTuple):
 
     Attributes
     ----------
-    name, remedy
-        What it is, the column still to be named; what to do.
+    code, remedy
+        What it is; what to do, the column still to be named.
     actuators
         Which of those that take part; none where it is all of them.
     times
         How much larger the file is.
     """
 
-    name: str
+    code: Code
     remedy: str
     actuators: tuple[int, ...] = ()
     times: str = ""
 
 
-STILL = FoundEffect(
-    name="POSITION is the same in all rows",
+STILL = Finding(
+    code=Code.CONSTANT_POSITION,
     remedy="leave the column out where no sensors were read; then COILGRAD, BIASGRAD are not used",
 )
-TURNED = Difference("{} of the other sign", "turn the sign of {} in that file, or leave it out")
+TURNED = Difference(Code.OTHER_SIGN, "turn the sign of {} in that file, or leave it out")
 
 
-def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
     """Name files whose FORCE or POSITION stands for other actuators, signs or units than elsewhere.
 
     What most files say is taken for right; of two files, or two halves, nobody can tell.
@@ -71,7 +72,7 @@ def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...
     """
     if len(campaign.cycles) < 2:
         return ()
-    found, still = dict[tuple[Difference, tuple[int, ...]], list[str]](), tuple[FoundEffect, ...]()
+    found, still = dict[tuple[Difference, tuple[int, ...]], list[str]](), tuple[Finding, ...]()
     for quantity, rows in (("FORCE", prints.common_rows()), ("POSITION", positions(campaign))):
         if rows is None or rows.shape[1] < FEWEST:
             continue
@@ -93,7 +94,7 @@ def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...
 
 def unlike_files(
     campaign: Campaign, prints: RowPrints, least: float = UNLIKE
-) -> tuple[FoundEffect, ...]:
+) -> tuple[Finding, ...]:
     """Name the fewer of files that fall apart in two lots, as those of two mirrors or days do.
 
     Parameters
@@ -116,8 +117,8 @@ def unlike_files(
     fewer = lot == np.bincount(lot).argmin()
     names = np.array([cycle.name for cycle in campaign.cycles])
     return (
-        FoundEffect(
-            name="files of two mirrors, campaigns or lists of shapes",
+        Finding(
+            code=Code.TWO_MIRRORS,
             where=f"{listed(names[fewer], FILES)} against {listed(names[~fewer], FILES)}",
             size=float(fewer.mean()),
             remedy="calibrate together what was taken of one mirror with the same shapes, and no"
@@ -173,19 +174,19 @@ def _differences(rows: Array, typical: Array) -> Iterator[Difference]:
     if left < CURES**2 * min(own.sum(), _square(rows).sum()):  # the file as a whole
         if not 1.0 / UNIT < abs(times) < UNIT:
             remedy = "correct the unit of {} in that file"
-            yield Difference("{} in another unit", remedy, times=significant(abs(times)))
+            yield Difference(Code.OTHER_UNIT, remedy, times=significant(abs(times)))
         elif times < 0.0:
             yield TURNED
         return
     moved = _moved(rows, typical, odd) if odd.size <= MOST else np.empty(0, dtype=np.int64)
     if moved.size:
-        what = "exchanged columns of {}" if moved.size <= SAID else "another order of {}"
+        what = Code.EXCHANGED_COLUMNS if moved.size <= SAID else Code.OTHER_ORDER
         remedy = "put the columns of {} in that file in the order of ACTUATORS, or leave it out"
         yield Difference(what, remedy, tuple(moved.tolist()))
     turned = odd[_square(rows + typical)[odd] < CURES**2 * own[odd]]
     if turned.size:
         remedy = "look at its plug; turn the sign of {} of the actuator in that file"
-        yield Difference(TURNED.name, remedy, tuple(turned.tolist()))
+        yield Difference(TURNED.code, remedy, tuple(turned.tolist()))
 
 
 def _moved(rows: Array, typical: Array, odd: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -206,9 +207,9 @@ def _square(values: Array) -> Array:
 
 def _effect(
     campaign: Campaign, what: Difference, files: tuple[int, ...], quantities: list[str]
-) -> FoundEffect:
+) -> Finding:
     cycles, column = campaign.cycles, " and ".join(quantities)
-    where = listed([cycles[k].name for k in files], FILES)
+    where, actuators = listed([cycles[k].name for k in files], FILES), tuple[int, ...]()
     if 2 * len(files) >= len(cycles):
         others = [cycle.name for k, cycle in enumerate(cycles) if k not in files]
         where += f", or in {listed(others, FILES)}"
@@ -216,13 +217,16 @@ def _effect(
         where += f", {what.times} times the others"
     if what.actuators:
         ids = campaign.layout.id[campaign.layout.enabled]
-        which = f"{len(what.actuators)} of {len(ids)} actuators"
-        if len(what.actuators) <= SAID:
-            which = named("actuator", ids[list(what.actuators)].tolist(), SAID)
+        actuators = tuple(ids[list(what.actuators)].tolist())
+        which = f"{len(actuators)} of {len(ids)} actuators"
+        if len(actuators) <= SAID:
+            which = named("actuator", list(actuators), SAID)
         where = f"{which} in {where}"
-    return FoundEffect(
-        name=what.name.format(column),
+    return Finding(
+        code=what.code,
+        detail=column,
         where=where,
+        actuators=actuators,
         size=len(files) / len(cycles),
         remedy=what.remedy.format(column),
     )

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.couplings import NEAR, relative_couplings, typical_spacing
-from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.rounding_steps import rounding_steps
 from truenewton.linalg import assignment, asymmetry
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -29,17 +30,6 @@ FEWEST = 20  # actuators among which one can be told not to fit
 # Gains or alpha that scatter by 10 % cost 0.08, neighbours exchanged on 45 actuators 0.09; random
 # places 0.9, those sorted by radius 0.4.
 BENT = 0.12
-DISORDERED = "coordinates in another order than STIFFNESS"
-INCOMPLETE = "forces missing in STIFFNESS"
-MADE_SYMMETRIC = "STIFFNESS made symmetric"
-TRANSPOSED = "transposed stiffness"
-CLEANED = "STIFFNESS already balanced as commanded: alpha is gone (cleaned of rigid motions?)"
-TRUE_ALREADY = (
-    "STIFFNESS symmetric and balanced as commanded: a true one, or alpha is gone (cleaned of rigid"
-    " motions?)"
-)
-# No single actuator explains these.
-AS_A_WHOLE = DISORDERED, INCOMPLETE, MADE_SYMMETRIC, TRANSPOSED, CLEANED, TRUE_ALREADY
 SUSPECT = 0.005  # cost from which other orders are tried
 BETTER = 3.0  # times less it costs in the right one
 SAME_RADIUS = 1e-3  # of the largest: actuators of one ring
@@ -141,7 +131,7 @@ def _likeness(
     return float(np.sum(np.abs(np.sum(r * c, axis=1)) / np.maximum(sizes, 1e-300)))
 
 
-def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[FoundEffect]:
+def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[Finding]:
     """Say that the coordinates are not those of the matrix's actuators, or forces are missing.
 
     Parameters
@@ -168,15 +158,16 @@ def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[FoundEffe
     unit = "of the force that any displacement costs, to move it rigidly"
     if told or (not named and size > BENT):
         if told or not share_by_distance(k, comparable_arms(layout)) > DOUBTFUL_ORDER:
-            yield FoundEffect(
-                name=DISORDERED + (f": {name}" if told else ""),
+            yield Finding(
+                code=Code.DISORDERED_STIFFNESS,
+                detail=name if told else "",
                 size=size,
                 unit=unit,
                 remedy="put the rows of ACTUATORS in the order of rows and columns of STIFFNESS",
             )
         else:
-            yield FoundEffect(
-                name=INCOMPLETE,
+            yield Finding(
+                code=Code.INCOMPLETE_STIFFNESS,
                 size=size,
                 unit=unit,
                 remedy="look for elements that are zero, cut off at a limit or in another unit, and"
@@ -184,34 +175,34 @@ def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[FoundEffe
             )
 
 
-def balance_effects(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
+def balance_effects(matrix: StiffnessMatrix) -> Iterator[Finding]:
     """Say that forces balance as commanded, so that nothing tells alpha."""
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
     imbalance = rigid_cost_and_imbalance(k, a)[1]
     true = asymmetry(k) < SYMMETRIC and imbalance < OUT
     if true or balances_by_rounding(k, a):
-        yield FoundEffect(
-            name=TRUE_ALREADY if true else CLEANED,
+        yield Finding(
+            code=Code.TRUE_STIFFNESS if true else Code.CLEANED_STIFFNESS,
             size=imbalance,
             unit="of the own stiffness, columns out of balance",
             remedy="give the matrix as it was measured",
         )
 
 
-def orientation_effects(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
+def orientation_effects(matrix: StiffnessMatrix) -> Iterator[Finding]:
     """Say that a matrix is transposed, or was made symmetric: alpha is then that of sensors."""
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
     cost, imbalance = rigid_cost_and_imbalance(k, a)
     if len(k) >= FEWEST and asymmetry(k) < SYMMETRIC and imbalance > OUT:
-        yield FoundEffect(
-            name=MADE_SYMMETRIC,
+        yield Finding(
+            code=Code.SYMMETRISED_STIFFNESS,
             size=imbalance,
             unit="of the own stiffness, columns out of balance",
             remedy="give it as it was measured: what tells alpha from gains of sensors is gone",
         )
     elif looks_transposed(k, a) and cost > SENSORS:
-        yield FoundEffect(
-            name=TRANSPOSED,
+        yield Finding(
+            code=Code.TRANSPOSED_STIFFNESS,
             size=cost,
             unit="of the own stiffness, to move it rigidly",
             remedy="store [i, j], the force of actuator i per displacement of sensor j",

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import f_isf, normal_sf
-from truenewton.estimation.diagnosis import FoundEffect, NoiseSource
+from truenewton.estimation.diagnosis import NoiseSource
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
 from truenewton.estimation.noise import Noise
@@ -44,21 +46,22 @@ class ReadingsChange(NamedTuple):
     zero: NDArray[np.bool_]
 
 
-def constant_actuators(campaign: Campaign, change: ReadingsChange) -> tuple[FoundEffect, ...]:
+def constant_actuators(campaign: Campaign, change: ReadingsChange) -> tuple[Finding, ...]:
     """Name actuators whose reading does not change from shape to shape by more than noise."""
     ids = campaign.layout.id[campaign.layout.enabled]
-    dead = "dead actuator, no force is commanded", "look at its coil, driver and cable"
-    stuck = "stuck reading", "have its electronics looked at"
+    dead = Code.DEAD_NO_FORCE, "look at its coil, driver and cable"
+    stuck = Code.STUCK_READING, "have its electronics looked at"
     return tuple(
-        FoundEffect(
-            name=name,
+        Finding(
+            code=code,
             where=f"actuator {ids[i]}",
+            actuators=(int(ids[i]),),
             size=float(change.rms[i]),
             unit="N",
             remedy=f"{remedy}; set ENABLED to F if it exerts no force",
         )
         for i in np.flatnonzero(change.within_noise)
-        for name, remedy in [dead if change.zero[i] else stuck]
+        for code, remedy in [dead if change.zero[i] else stuck]
     )
 
 
@@ -113,7 +116,7 @@ def readings_change(moments: Moments, noise: Noise) -> ReadingsChange:
     return ReadingsChange(change, size, np.asarray(dead), np.asarray(at_zero))
 
 
-def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[FoundEffect, ...]:
+def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Finding, ...]:
     """Name actuators whose alpha is 0 or negative while that of the others is not.
 
     Parameters
@@ -134,19 +137,20 @@ def strange_alphas(campaign: Campaign, alpha: Array, error: Array) -> tuple[Foun
         2, MOST * alpha.size
     ):  # the model is wrong, not they
         return ()
-    names = (
-        (dead, "dead actuator, alpha is 0", "look at its coil and magnet"),
-        (negative, "alpha is negative, the poles are exchanged",
+    codes = (
+        (dead, Code.DEAD_ALPHA_ZERO, "look at its coil and magnet"),
+        (negative, Code.NEGATIVE_ALPHA,
          "exchange the poles of its cable, or the sign of its column of FORCE"),
     )  # fmt: skip
     return tuple(
-        FoundEffect(
-            name=name,
+        Finding(
+            code=code,
             where=f"actuator {ids[i]}",
+            actuators=(int(ids[i]),),
             probability=float(normal_sf((typical - alpha[i]) / error[i])),
             size=float(alpha[i]),
             remedy=remedy,
         )
-        for which, name, remedy in names
+        for which, code, remedy in codes
         for i in np.flatnonzero(which)
     )

@@ -21,13 +21,14 @@ from truenewton.chance import t_isf
 from truenewton.cluster import Client
 from truenewton.errors import FormatError, TooManyOutliers, TrueNewtonError
 from truenewton.estimation.copied_files import copied_files
-from truenewton.estimation.diagnosis import FoundEffect, RejectedRow
+from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.file_labels import (
     files_in_other_units,
     mislabelled_files,
     mislabelled_rows,
 )
 from truenewton.estimation.files_apart import FAR_UNLIKE, files_apart, unlike_files
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.moments import QUARTILE, Moments
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
@@ -83,10 +84,10 @@ class Sifted:
     moments: Moments
     samples: tuple[Array, ...]
     structure: Structure | None
-    suspects: tuple[FoundEffect, ...] = ()
-    clipped: tuple[FoundEffect, ...] = ()
-    unlike: tuple[FoundEffect, ...] = ()
-    frozen: tuple[FoundEffect, ...] = ()
+    suspects: tuple[Finding, ...] = ()
+    clipped: tuple[Finding, ...] = ()
+    unlike: tuple[Finding, ...] = ()
+    frozen: tuple[Finding, ...] = ()
 
 
 def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
@@ -137,7 +138,7 @@ def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
             raise naming(error, suspects + clipped) from None
     suspects += () if apart else _relabelled(campaign, prints, _hit(campaign, rejected))
     noise = reading_noise(sound, sums.moments)
-    moments, frozen = sums.moments, tuple[FoundEffect, ...]()
+    moments, frozen = sums.moments, tuple[Finding, ...]()
     if (displacement := sums.displacement()) is not None:
         frozen = frozen_sensors(campaign)
         displacement[:, still_sensors(campaign).any(axis=0)] = 0.0
@@ -162,9 +163,7 @@ def _require_stored(campaign: Campaign) -> None:
             )
 
 
-def _relabelled(
-    campaign: Campaign, prints: RowPrints, files: Sequence[int]
-) -> tuple[FoundEffect, ...]:
+def _relabelled(campaign: Campaign, prints: RowPrints, files: Sequence[int]) -> tuple[Finding, ...]:
     """Say why rows of some files lie far from their repeats: their labels, or the files' origin."""
     if not files:
         return ()
@@ -178,7 +177,7 @@ def _hit(campaign: Campaign, rejected: list[RejectedRow]) -> list[int]:
     return np.flatnonzero(lost > np.maximum(2, SYSTEMATIC * np.array(rows))).tolist()
 
 
-def naming(error: TrueNewtonError, suspects: Sequence[FoundEffect]) -> TrueNewtonError:
+def naming(error: TrueNewtonError, suspects: Sequence[Finding]) -> TrueNewtonError:
     """Return a refusal that names what is suspected of being its cause."""
     if not suspects:
         return error

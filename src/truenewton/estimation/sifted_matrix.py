@@ -12,7 +12,8 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.bad_sensors import other_half
 from truenewton.estimation.couplings import pair_ratios, typical_spacing
-from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix_faults import (
     NO_FORCE,
     NO_SENSOR,
@@ -38,8 +39,6 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms, enabled_arms
 
-NO_FIT = "actuator does not fit"
-IS_OFF = "actuator is off"
 OFF = "row or column is zero"
 UNSEEN = 0.3  # of the own stiffness, in any column: so none tells what it was
 BALANCED = 5.0  # times what is typical: columns about an actuator that was off
@@ -68,7 +67,7 @@ class SiftedMatrix:
     start: Array
     disturbance: Array
     warnings: tuple[Fault, ...] = ()
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[Finding, ...] = ()
     pushing: bool = False
 
 
@@ -178,11 +177,11 @@ def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> Stif
     return replace(matrix, layout=replace(matrix.layout, enabled=left), stiffness=stiffness)
 
 
-def as_calibrated(matrix: StiffnessMatrix, effects: Sequence[FoundEffect]) -> StiffnessMatrix:
+def as_calibrated(matrix: StiffnessMatrix, effects: Sequence[Finding]) -> StiffnessMatrix:
     """Return the matrix with those actuators freed that a calibration's effects say it left out."""
-    out = {each.where for each in effects if each.name.startswith((NO_FIT, IS_OFF))}
-    ids = matrix.layout.id[matrix.layout.enabled]
-    good = np.array([f"actuator {i}" not in out for i in ids.tolist()], dtype=np.bool_)
+    left_out = {Code.ACTUATOR_OFF, Code.ACTUATOR_MISFIT}
+    out = [i for each in effects if each.code in left_out for i in each.actuators]
+    good = ~np.isin(matrix.layout.id[matrix.layout.enabled], out)
     if good.all():
         return matrix
     return freed(matrix, good, condensed(matrix.used_stiffness, good)[0])
@@ -274,10 +273,12 @@ def _named(ids: NDArray[np.int64], some: Sequence[BadActuator]) -> str:
     return named("actuator", [ids[each.index] for each in some], 20)
 
 
-def _effect(ids: NDArray[np.int64], each: BadActuator) -> FoundEffect:
-    return FoundEffect(
-        name=IS_OFF if each.reason == OFF else f"{NO_FIT}: {each.reason}",
+def _effect(ids: NDArray[np.int64], each: BadActuator) -> Finding:
+    return Finding(
+        code=Code.ACTUATOR_OFF if each.reason == OFF else Code.ACTUATOR_MISFIT,
+        detail="" if each.reason == OFF else each.reason,
         where=f"actuator {ids[each.index]}",
+        actuators=(int(ids[each.index]),),
         size=each.size,
         corrected=True,
         remedy="look at coil, driver, cable, sensor and place; set ENABLED to F while it is off",

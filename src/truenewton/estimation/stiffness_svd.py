@@ -17,10 +17,12 @@ from truenewton import linalg
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.column_terms import Columns
-from truenewton.estimation.diagnosis import Diagnosis, FoundEffect
+from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.estimate import Estimate, Scale
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import geometry_fault, refuse
-from truenewton.estimation.matrix_order import TRANSPOSED, looks_transposed
+from truenewton.estimation.matrix_order import looks_transposed
 from truenewton.estimation.sifted_matrix import SiftedMatrix
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
@@ -221,7 +223,11 @@ def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
                 raise error.changed(fault=effect.name, remedy=effect.remedy) from None
         raise
     n, singular_values = len(fitted.alpha), fitted.singular_values
-    turned = () if _named(sifted, TRANSPOSED) else _orientation_warnings(matrix)
+    turned = (
+        ()
+        if any(effect.code == Code.TRANSPOSED_STIFFNESS for effect in sifted.effects)
+        else _orientation_warnings(matrix)
+    )
     of_file = (*_unit_warnings(matrix), *turned)
     warnings = (*sifted.warnings, *of_file, *fitted.warnings)
     return Estimate(
@@ -238,21 +244,17 @@ def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
     )
 
 
-def _named(sifted: SiftedMatrix, name: str) -> bool:
-    return any(effect.name == name for effect in sifted.effects)
-
-
-def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[FoundEffect]:
+def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[Finding]:
     """Name an asymmetry that no gains explain, rows and columns in two orders; the other sign."""
     if np.trace(matrix.used_stiffness) < 0.0:
-        yield FoundEffect(
-            name="stiffness of the other sign",
+        yield Finding(
+            code=Code.NEGATIVE_STIFFNESS,
             remedy="reverse the sign of STIFFNESS; relative alpha is the same, modes are not",
         )
     size = asymmetry(matrix)
     if size > DISORDER:
-        yield FoundEffect(
-            name="asymmetric stiffness",
+        yield Finding(
+            code=Code.ASYMMETRIC_STIFFNESS,
             size=size,
             unit="|K + K'|",
             remedy="put rows and columns of STIFFNESS in the order of the ACTUATORS table",

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign
 from truenewton.rounding import listed, named
@@ -18,7 +19,7 @@ MOST = 0.03  # of the actuators: where more readings stand still, shapes do not 
 SAID = 3  # actuators that are named
 
 
-def frozen_readings(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+def frozen_readings(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
     """Name readings that do not change from shape to shape in a file, where the others do.
 
     One that is the same in all files is `odd_actuators.constant_actuators`'.
@@ -26,7 +27,7 @@ def frozen_readings(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect,
     return tuple(_frozen(campaign, prints))
 
 
-def _frozen(campaign: Campaign, prints: RowPrints) -> Iterator[FoundEffect]:
+def _frozen(campaign: Campaign, prints: RowPrints) -> Iterator[Finding]:
     ids = campaign.layout.id[campaign.layout.enabled]
     whole = [prints.longest[file] == prints.rows(file) - 1 for file in prints.longest]
     constant = np.logical_and.reduce(whole)
@@ -35,7 +36,7 @@ def _frozen(campaign: Campaign, prints: RowPrints) -> Iterator[FoundEffect]:
         share = longest / prints.rows(file)
         if still.all() and not constant.all():
             yield _effect(
-                "frozen readings",
+                Code.FROZEN_READINGS,
                 f"all actuators in {name}",
                 float(share.min()),
                 "leave the file out, or mark the rows that repeat the one before as not VALID",
@@ -43,11 +44,12 @@ def _frozen(campaign: Campaign, prints: RowPrints) -> Iterator[FoundEffect]:
         elif np.count_nonzero(still & ~constant) <= max(1, MOST * len(ids)):
             for i in np.flatnonzero(still & ~constant):
                 yield _effect(
-                    "frozen reading",
+                    Code.FROZEN_READING,
                     f"actuator {ids[i]} in {name}",
                     float(share[i]),
                     "leave the file out, or mark the rows in which it stands still as not VALID;"
                     " have its electronics looked at",
+                    (int(ids[i]),),
                 )
 
 
@@ -66,7 +68,7 @@ def still_sensors(campaign: Campaign) -> NDArray[np.bool_]:
     return np.array([each & ~each.all() for each in still])
 
 
-def frozen_sensors(campaign: Campaign) -> tuple[FoundEffect, ...]:
+def frozen_sensors(campaign: Campaign) -> tuple[Finding, ...]:
     """Name sensors that read the same in all rows of a file."""
     still, ids = still_sensors(campaign), campaign.layout.id[campaign.layout.enabled]
     found = dict[tuple[int, ...], list[int]]()
@@ -74,7 +76,7 @@ def frozen_sensors(campaign: Campaign) -> tuple[FoundEffect, ...]:
         found.setdefault(tuple(np.flatnonzero(still[:, i]).tolist()), []).append(int(ids[i]))
     return tuple(
         _effect(
-            "frozen sensor",
+            Code.FROZEN_SENSOR,
             f"POSITION of {named('actuator', actuators, SAID)} is the same in all rows"
             + ("" if len(files) == len(still) else f" of {listed(_names(campaign, files), SAID)}"),
             len(files) / len(still),
@@ -82,6 +84,7 @@ def frozen_sensors(campaign: Campaign) -> tuple[FoundEffect, ...]:
             " be had of it"
             if len(files) == len(still)
             else "have its electronics looked at, and leave the files out where POSITION is needed",
+            tuple(actuators),
         )
         for files, actuators in found.items()
     )
@@ -99,7 +102,7 @@ def _stand_still(prints: RowPrints, file: int) -> NDArray[np.bool_]:
     return np.asarray((longest >= max(FEWEST, SHARE * prints.rows(file))) & ~at_limit)
 
 
-def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect, ...]:
+def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
     """Name readings that end at a limit, which several shapes reach to the last bit.
 
     A limit is no fault where the force ends there as well: it is one where data do not fit.
@@ -116,10 +119,11 @@ def clipped_readings(campaign: Campaign, prints: RowPrints) -> tuple[FoundEffect
         return ()
     return (
         _effect(
-            "readings cut off at a limit",
+            Code.CLIPPED_READINGS,
             f"{named('actuator', ids[clipped].tolist(), SAID)}, at {largest:.4g} N",
             float(clipped.mean()),
             "use smaller shapes, or mark the rows that reach the limit as not VALID",
+            tuple(ids[clipped].tolist()),
         ),
     )
 
@@ -132,5 +136,7 @@ def _few_valued(prints: RowPrints) -> bool:
     return bool(np.median(distinct.sum(axis=0) / np.maximum(rest.sum(axis=0), 1)) < 0.5)
 
 
-def _effect(name: str, where: str, size: float, remedy: str) -> FoundEffect:
-    return FoundEffect(name=name, where=where, size=size, remedy=remedy)
+def _effect(
+    code: Code, where: str, size: float, remedy: str, actuators: tuple[int, ...] = ()
+) -> Finding:
+    return Finding(code=code, where=where, actuators=actuators, size=size, remedy=remedy)

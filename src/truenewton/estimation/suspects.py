@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.column_order import misordered_columns
-from truenewton.estimation.diagnosis import FoundEffect
 from truenewton.estimation.effects.exchanges import exchanged_columns
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import refuse
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.odd_actuators import (
@@ -38,19 +38,19 @@ class Suspects:
         Files in two lots, each of which repeats.
     """
 
-    files: tuple[FoundEffect, ...]
-    actuators: tuple[FoundEffect, ...]
-    order: tuple[FoundEffect, ...]
-    exchanged: tuple[FoundEffect, ...] = ()
-    unlike: tuple[FoundEffect, ...] = ()
+    files: tuple[Finding, ...]
+    actuators: tuple[Finding, ...]
+    order: tuple[Finding, ...]
+    exchanged: tuple[Finding, ...] = ()
+    unlike: tuple[Finding, ...] = ()
 
     @property
-    def columns(self) -> tuple[FoundEffect, ...]:
+    def columns(self) -> tuple[Finding, ...]:
         """Columns that stand for other actuators; the balance knows better which."""
         return self.exchanged or self.order
 
     @property
-    def named(self) -> tuple[FoundEffect, ...]:
+    def named(self) -> tuple[Finding, ...]:
         """All of them."""
         return (*self.files, *self.actuators, *self.columns)
 
@@ -85,7 +85,7 @@ def suspects_of(sifted: Sifted, problem: Problem) -> Suspects:
 
 
 @contextmanager
-def refusal_naming(suspects: Callable[[], Sequence[FoundEffect]]) -> Iterator[None]:
+def refusal_naming(suspects: Callable[[], Sequence[Finding]]) -> Iterator[None]:
     """Let a refusal name what is suspected of being its cause."""
     try:
         yield

@@ -14,7 +14,7 @@ from truenewton.calibration.methods import asked, calibrate, calibration_of, fin
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import Level, refuse_unusable
 from truenewton.errors import NotToBeUsed
-from truenewton.estimation.matrix_order import TRUE_ALREADY
+from truenewton.estimation.findings.catalogue import Code
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.sifted_matrix import as_calibrated
@@ -276,7 +276,7 @@ def _usable(calibration: Calibration, *, force: bool) -> Calibration:
 
 def _true_already(calibration: Calibration) -> bool:
     """Tell whether the stiffness that was calibrated is a true one, as `modes` itself writes it."""
-    return any(effect.name == TRUE_ALREADY for effect in calibration.effects)
+    return any(effect.code == Code.TRUE_STIFFNESS for effect in calibration.effects)
 
 
 def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:

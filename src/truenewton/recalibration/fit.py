@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.verdict import UNUSABLE_BEFORE, Level, warn_of
+from truenewton.calibration.verdict import Level, warn_of
 from truenewton.chance import chi2_sf, t_sf
 from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
-from truenewton.estimation.diagnosis import Diagnosis, FoundEffect, RejectedRow, ScaleError
+from truenewton.estimation.diagnosis import Diagnosis, RejectedRow, ScaleError
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
@@ -237,8 +239,10 @@ def _with_faults(
     effects = calibration.effects
     if known.verdict.level == Level.UNUSABLE:
         effects += (
-            FoundEffect(
-                name=UNUSABLE_BEFORE, where=known.name, remedy=known.verdict.faults[0].remedy
+            Finding(
+                code=Code.UNUSABLE_CALIBRATION,
+                where=known.name,
+                remedy=known.verdict.faults[0].remedy,
             ),
         )
     return replace(calibration, diagnosis=replace(diagnosis, warnings=warnings), effects=effects)

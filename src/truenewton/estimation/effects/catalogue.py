@@ -28,9 +28,22 @@ from truenewton.estimation.effects.readings import (
     on_readings,
     row_functions,
 )
+from truenewton.estimation.findings.catalogue import ENTRIES, Code
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
 
+# By which rows of one group differ.
+WITHIN = {
+    Code.GAIN_BY_HOUR,
+    Code.GAIN_BY_HOUR_OF_EACH,
+    Code.GAIN_BY_FILE,
+    Code.GAIN_BY_FILE_OF_SINGLE,
+    Code.ZERO_BY_HOUR,
+    Code.ZERO_BY_HOUR_OF_EACH,
+    Code.ZERO_BY_FILE,
+    Code.ZERO_BY_FILE_OF_EACH,
+    Code.LOAD_REPOSITIONED,
+}
 AT_ONCE = 64  # actuators whose parameters are judged together
 ONLY = slice(0, 1)  # of one function
 
@@ -41,8 +54,8 @@ class Effect:
 
     Attributes
     ----------
-    name, unit
-        In words; of its parameters.
+    code, unit
+        What it is; of its parameters.
     derivative
         Of a fit; None where the data say nothing of the effect.
     of
@@ -53,7 +66,7 @@ class Effect:
         Whether it is taken out of the data of a fit where that cures them; else it is said.
     """
 
-    name: str
+    code: Code
     unit: str
     derivative: Callable[[FittedRows], Derivative | None]
     remedy: str | Callable[[FittedRows], str]
@@ -63,7 +76,12 @@ class Effect:
     @property
     def within(self) -> bool:
         """Whether rows of one group differ by it."""
-        return "hour" in self.name or "file" in self.name
+        return self.code in WITHIN
+
+    @property
+    def name(self) -> str:
+        """How it reads."""
+        return ENTRIES[self.code].name
 
     def remedy_of(self, fit: FittedRows) -> str:
         """Return what the user can do, given what the files hold already."""
@@ -281,43 +299,45 @@ def _by_load(fit: FittedRows) -> str:
     return f"{what}: what warms coils changes the bias magnets too, and the scale with them"
 
 
-GAIN_BY_LOAD = "gain by load"
-ZEROS_OF_EACH = Effect("zero by file of each", "N", partial(zero_by_file, each=True), _ZERO, "file")
+ZEROS_OF_EACH = Effect(
+    Code.ZERO_BY_FILE_OF_EACH, "N", partial(zero_by_file, each=True), _ZERO, "file"
+)
 # What zeros of each are found to be where they leave the sums of the forces alone.
-PUT_ON_ANEW = Effect(
-    "load put on anew by file",
+LOAD_REPOSITIONED = Effect(
+    Code.LOAD_REPOSITIONED,
     "N",
     put_on_anew,
     "put loads on at the same place each time",
     "file",
 )
-POSITIONS = Effect("positions", "m", positions, "measure X and Y of the magnets", "actuator")
+POSITIONS = Effect(Code.POSITIONS, "m", positions, "measure X and Y of the magnets", "actuator")
 
 CATALOGUE: tuple[Effect, ...] = (
-    Effect("gain by hour", "1/h", partial(gain_by_hour, each=False), _WARM),
-    Effect("gain by hour of each", "1/h", partial(gain_by_hour, each=True), _WARM, "actuator"),
-    Effect("gain by file", "", partial(gain_by_file, single=False), _WARM, "file"),
-    Effect("gain of single actuators by file", "", partial(gain_by_file, single=True), _DRIVER,
+    Effect(Code.GAIN_BY_HOUR, "1/h", partial(gain_by_hour, each=False), _WARM),
+    Effect(Code.GAIN_BY_HOUR_OF_EACH, "1/h", partial(gain_by_hour, each=True), _WARM, "actuator"),
+    Effect(Code.GAIN_BY_FILE, "", partial(gain_by_file, single=False), _WARM, "file"),
+    Effect(Code.GAIN_BY_FILE_OF_SINGLE, "", partial(gain_by_file, single=True), _DRIVER,
            "actuator"),
-    Effect(GAIN_BY_LOAD, "", gain_by_load, _by_load, "load",
+    Effect(Code.GAIN_BY_LOAD, "", gain_by_load, _by_load, "load",
            lambda fit: fit.moments.displacement is not None),
-    Effect("weight of a load", "N", weight_of_load, "weigh mirror and loads anew", "load",
+    Effect(Code.WEIGHT_OF_LOAD, "N", weight_of_load, "weigh mirror and loads anew", "load",
            lambda _: False),
-    Effect("zero by hour", "N/h", partial(zero_by_hour, each=False), _ZERO),
-    Effect("zero by hour of each", "N/h", partial(zero_by_hour, each=True), _ZERO, "actuator"),
-    Effect("zero by file", "N", partial(zero_by_file, each=False), _ZERO, "file"),
+    Effect(Code.ZERO_BY_HOUR, "N/h", partial(zero_by_hour, each=False), _ZERO),
+    Effect(Code.ZERO_BY_HOUR_OF_EACH, "N/h", partial(zero_by_hour, each=True), _ZERO, "actuator"),
+    Effect(Code.ZERO_BY_FILE, "N", partial(zero_by_file, each=False), _ZERO, "file"),
     ZEROS_OF_EACH,
-    Effect("quadratic coil", "1/N", partial(power_of_force, power=2, each=False), _QUADRATIC),
-    Effect("quadratic coil of each", "1/N", partial(power_of_force, power=2, each=True), _QUADRATIC,
+    Effect(Code.QUADRATIC_COIL, "1/N", partial(power_of_force, power=2, each=False), _QUADRATIC),
+    Effect(Code.QUADRATIC_COIL_OF_EACH, "1/N", partial(power_of_force, power=2, each=True),
+           _QUADRATIC, "actuator"),
+    Effect(Code.CUBIC_COIL, "1/N2", partial(power_of_force, power=3, each=False), _CUBIC),
+    Effect(Code.CUBIC_COIL_OF_EACH, "1/N2", partial(power_of_force, power=3, each=True), _CUBIC,
            "actuator"),
-    Effect("cubic coil", "1/N2", partial(power_of_force, power=3, each=False), _CUBIC),
-    Effect("cubic coil of each", "1/N2", partial(power_of_force, power=3, each=True), _CUBIC,
-           "actuator"),
-    Effect("coil gradient", "1/m", coil_gradient,
+    Effect(Code.COIL_GRADIENT, "1/m", coil_gradient,
            partial(_gradient, keyword="COILGRAD", declared="coil_gradient")),
-    Effect("bias gradient", "N/m", bias_gradient,
+    Effect(Code.BIAS_GRADIENT, "N/m", bias_gradient,
            partial(_gradient, keyword="BIASGRAD", declared="bias_gradient")),
-    Effect("contact in one sign", "N, N m", partial(contact, by_load=False), _TOUCH, "axis"),
-    Effect("contact in one sign by load", "N, N m", partial(contact, by_load=True), _TOUCH, "load"),
+    Effect(Code.CONTACT_IN_ONE_SIGN, "N, N m", partial(contact, by_load=False), _TOUCH, "axis"),
+    Effect(Code.CONTACT_IN_ONE_SIGN_BY_LOAD, "N, N m", partial(contact, by_load=True), _TOUCH,
+           "load"),
     POSITIONS,
 )  # fmt: skip

@@ -16,14 +16,15 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.chance import chi2_cdf
 from truenewton.errors import NotConverged, RankDeficient
-from truenewton.estimation.diagnosis import FoundEffect
-from truenewton.estimation.effects.catalogue import PUT_ON_ANEW, ZEROS_OF_EACH
+from truenewton.estimation.effects.catalogue import LOAD_REPOSITIONED, ZEROS_OF_EACH
 from truenewton.estimation.effects.correction import Correction, correction
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named
 from truenewton.estimation.effects.shared_noise import beside_shared_noise
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM
@@ -182,9 +183,10 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
     if not found or now.excess > NEARLY:
         return None
     effects = tuple(
-        FoundEffect(
-            name="unknown force",
+        Finding(
+            code=Code.UNKNOWN_FORCE,
             where=f"actuator {force.actuator}",
+            actuators=(force.actuator,),
             probability=float(np.exp(force.log_probability)),
             size=force.size,
             unit="N",
@@ -195,15 +197,15 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
     return replace(now, effects=(*now.effects, *effects))
 
 
-def _correlated(start: Examined, effects: tuple[FoundEffect, ...]) -> Examined:
+def _correlated(start: Examined, effects: tuple[Finding, ...]) -> Examined:
     """Return the fit to noise that hangs together from row to row, as sure as zeros by file leave.
 
     Where it is slow each file has zeros of its own, which shapes do not feel but statics do.
     """
     fit = FittedRows(start.problem, start.moments, start.minimum, independent=True)
     moved = correction(fit, ZEROS_OF_EACH)
-    found = FoundEffect(
-        name="correlated noise",
+    found = Finding(
+        code=Code.CORRELATED_NOISE,
         probability=1.0 - start.probability,
         size=start.minimum.chi2 / start.problem.degrees_of_freedom(start.moments),
         remedy="average longer at each shape, and take the shapes of each file in another order",
@@ -249,8 +251,8 @@ def _as_mounting(
     chi2 = float(np.sum((vectors[:, seen].T @ sums) ** 2 / values[seen]))
     if not seen.any() or chi2_cdf(chi2, np.count_nonzero(seen)) > FALSE_ALARM:
         return test, corrected
-    anew = correction(fit, PUT_ON_ANEW)
-    return (test, corrected) if anew is None else (replace(test, effect=PUT_ON_ANEW), anew)
+    anew = correction(fit, LOAD_REPOSITIONED)
+    return (test, corrected) if anew is None else (replace(test, effect=LOAD_REPOSITIONED), anew)
 
 
 def _after(
@@ -276,33 +278,35 @@ def _after(
     )
 
 
-def _with_one_more(effects: tuple[FoundEffect, ...], more: FoundEffect) -> tuple[FoundEffect, ...]:
+def _with_one_more(effects: tuple[Finding, ...], more: Finding) -> tuple[Finding, ...]:
     """Return effects with one more; of one that was found before, with the size of both."""
-    before = [effect for effect in effects if effect.name == more.name]
+    before = [effect for effect in effects if effect.code == more.code]
     if not before:
         return (*effects, more)
     size = more.size + before[0].size
     return tuple(replace(one, size=size) if one is before[0] else one for one in effects)
 
 
-def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> FoundEffect:
+def _found(fit: FittedRows, test: EffectTest, corrected: Correction | None) -> Finding:
     """Return an effect in words and numbers."""
     campaign, effect = fit.problem.campaign, test.effect
     theta = np.zeros(test.derivative.count) if corrected is None else corrected.theta
     worst = int(np.abs(theta).argmax())
-    where = ""
+    where, actuators = "", tuple[int, ...]()
     if corrected is not None and effect.of == "file":
         where = campaign.cycles[worst * len(campaign.cycles) // len(theta)].name
     elif corrected is not None and effect.of == "actuator":
         ids = campaign.layout.id[campaign.layout.enabled]
         ids = ids if test.derivative.actuators is None else ids[test.derivative.actuators]
-        where = f"actuator {ids[worst % len(ids)]}"
+        actuators = (int(ids[worst % len(ids)]),)
+        where = f"actuator {actuators[0]}"
     elif corrected is not None and effect.of == "load":
         loads = campaign.loads[-(len(theta) if len(theta) < len(campaign.loads) else 0) :]
         where = loads[worst * len(loads) // len(theta)].name
-    return FoundEffect(
-        name=effect.name,
+    return Finding(
+        code=effect.code,
         where=where,
+        actuators=actuators,
         probability=float(np.exp(test.log_probability)),
         size=float(theta[worst]),
         unit=effect.unit,

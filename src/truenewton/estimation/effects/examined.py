@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from truenewton.chance import chi2_sf, f_sf
-from truenewton.estimation.diagnosis import FoundEffect
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.noise import Noise
@@ -39,7 +39,7 @@ class Examined:
     moments: Moments
     minimum: Minimum
     told: float = 0.0
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[Finding, ...] = ()
     structure: Structure | None = None
     correlated: bool = False
     explained: bool = False

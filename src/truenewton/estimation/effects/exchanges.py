@@ -21,12 +21,14 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation.diagnosis import FoundEffect, NoiseSource
+from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.effects.examined import chi2_probability
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import centred_means
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem, roughly_scaled
-from truenewton.estimation.seen_places import ELSEWHERE, FEWEST, out_of_place, projected
+from truenewton.estimation.seen_places import FEWEST, out_of_place, projected
 from truenewton.estimation.structure import FITS
 from truenewton.linalg import assignment
 from truenewton.rounding import named
@@ -43,7 +45,7 @@ ALIKE = 10.0  # alphas of a fit that counts lie within this factor
 BETTER = 0.25  # of chi^2, where nothing tells what it should be
 
 
-def exchanged_columns(problem: Problem, moments: Moments) -> tuple[FoundEffect, ...]:
+def exchanged_columns(problem: Problem, moments: Moments) -> tuple[Finding, ...]:
     """Name actuators whose columns of FORCE are exchanged, by a fit that is bad as they stand.
 
     Parameters
@@ -62,7 +64,7 @@ def exchanged_columns(problem: Problem, moments: Moments) -> tuple[FoundEffect, 
     return ()
 
 
-def _misplaced(problem: Problem, moments: Moments) -> tuple[FoundEffect, ...]:
+def _misplaced(problem: Problem, moments: Moments) -> tuple[Finding, ...]:
     """Name actuators that stand at no place of the layout, if the balance is better where seen."""
     layout, seen = problem.campaign.layout, _homogeneous(problem, moments)
     if seen is None or problem.n < FEWEST:
@@ -78,9 +80,10 @@ def _misplaced(problem: Problem, moments: Moments) -> tuple[FoundEffect, ...]:
     if _fit(there, moments)[1] > BETTER * chi2:
         return ()
     return tuple(
-        FoundEffect(
-            name=f"actuator {ELSEWHERE}",
+        Finding(
+            code=Code.MISPLACED_ACTUATOR,
             where=f"actuator {layout.id[on][i]}, about x = {x:.3g}, y = {y:.3g} m",
+            actuators=(int(layout.id[on][i]),),
             probability=probability,
             size=float(np.hypot(x - layout.x[on][i], y - layout.y[on][i])),
             unit="m",
@@ -101,13 +104,15 @@ def _cures(problem: Problem, moments: Moments, order: NDArray[np.int64]) -> bool
 
 def _named(
     problem: Problem, moments: Moments, order: NDArray[np.int64], moved: NDArray[np.int64]
-) -> FoundEffect:
+) -> Finding:
     layout, few = problem.campaign.layout, moved.size <= FEW
     ids = layout.id[layout.enabled][moved].tolist()
     far = np.hypot(*(problem.a[1:, order[moved]] - problem.a[1:, moved]))
-    return FoundEffect(
-        name="exchanged columns" if few else "another order of FORCE",
+    return Finding(
+        code=Code.EXCHANGED_COLUMNS if few else Code.OTHER_ORDER,
+        detail="FORCE",
         where=named("actuator", ids, FEW) if few else f"{moved.size} of {problem.n} columns",
+        actuators=tuple(ids),
         probability=_fit(problem, moments)[0],
         size=float(far.max()),
         unit="m",

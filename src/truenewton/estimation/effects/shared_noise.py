@@ -21,6 +21,7 @@ from truenewton.arrays import Array
 from truenewton.chance import f_logsf
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, log_chance, there
+from truenewton.estimation.findings.catalogue import Code
 from truenewton.estimation.structure import independent_readings
 
 
@@ -35,8 +36,8 @@ def beside_shared_noise(
     """
     some = [test for test in found if test.effect.within]
     judged = [_judged(test, fit, np.concatenate(samples)) for test in some]
-    names = {test.effect.name for test in there(judged)}
-    return [test for test in some if test.effect.name in names]
+    codes = {test.effect.code for test in there(judged)}
+    return [test for test in some if test.effect.code in codes]
 
 
 def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
@@ -46,7 +47,7 @@ def _judged(test: EffectTest, fit: FittedRows, samples: Array) -> EffectTest:
         share = independent_readings([samples], n) / n
         chance = log_chance(share * statistic, share * freedom)
         return replace(test, log_probability=chance)
-    gain = test.effect.name.startswith("gain")
+    gain = test.effect.code in (Code.GAIN_BY_HOUR, Code.GAIN_BY_FILE)
     weights = (fit.fitted().mean(axis=0) if gain else np.ones(n)) / variance
     kappa = float(np.mean((samples @ weights) ** 2) / np.sum(weights**2 * variance))
     left = fit.moments.repeats - freedom

@@ -20,7 +20,7 @@ import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import UnseenError
-from truenewton.estimation.effects.catalogue import GAIN_BY_LOAD, ONLY, on_balance
+from truenewton.estimation.effects.catalogue import ONLY, on_balance
 from truenewton.estimation.effects.derivative import Derivative, scored
 from truenewton.estimation.effects.examined import Examined
 from truenewton.estimation.effects.fitted import FittedRows
@@ -32,6 +32,7 @@ from truenewton.estimation.effects.readings import (
     of_each,
     on_readings,
 )
+from truenewton.estimation.findings.catalogue import Code
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.weights import MAGNETS, NEGLIGIBLE
 from truenewton.records.campaign import load_temperatures
@@ -92,7 +93,7 @@ def with_magnets_unsure(left: Examined) -> Minimum:
     `MAGNETS`; the bias magnets are so too, which nothing shows.
     """
     minimum = left.minimum
-    lost = [e.size for e in left.effects if e.name == GAIN_BY_LOAD and e.corrected]
+    lost = [e.size for e in left.effects if e.code == Code.GAIN_BY_LOAD and e.corrected]
     fit = FittedRows(left.problem, left.moments, minimum, independent=True)
     derivative = warmer_magnets(fit) if lost else None
     if derivative is None:

@@ -25,7 +25,7 @@ def with_positions_unsure(left: Examined) -> Minimum:
 
     How far magnets stand off the data say themselves where they can; else as far as is declared.
     """
-    if any(effect.name == POSITIONS.name for effect in left.effects):
+    if any(effect.code == POSITIONS.code for effect in left.effects):
         return left.minimum  # they are unknowns already
     fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
     taken_out = correction(fit, POSITIONS)

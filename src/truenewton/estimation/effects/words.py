@@ -6,22 +6,24 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from truenewton.estimation.diagnosis import ErrorKind, FoundEffect, ScaleError
+from truenewton.estimation.diagnosis import ErrorKind, ScaleError
 from truenewton.estimation.effects.examined import Examined
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.records.campaign import Campaign, load_temperatures
 from truenewton.records.fault import Fault
 
 MISFIT = "the model does not fit the data"
 
 
-def effect_warnings(effects: Iterable[FoundEffect]) -> Iterator[Fault]:
+def effect_warnings(effects: Iterable[Finding]) -> Iterator[Fault]:
     """Say of each effect what it is, where, and whether it was taken out of the data."""
     for effect in effects:
         done = "taken out of them" if effect.corrected else "not taken out of them"
         yield Fault(f"the data show: {in_words(effect)}, {done}", effect.remedy)
 
 
-def in_words(effect: FoundEffect) -> str:
+def in_words(effect: Finding) -> str:
     """Return an effect with where it is largest, and its size where that is one of readings."""
     size = ""
     if effect.size and (effect.corrected or effect.unit == "K"):
@@ -54,13 +56,13 @@ def misfit_warnings(left: Examined) -> Iterator[Fault]:
         )
 
 
-def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iterator[FoundEffect]:
+def warmer_loads(campaign: Campaign, scale_errors: Iterable[ScaleError]) -> Iterator[Finding]:
     """Name a temperature that differs between loads by more than the readings leave open."""
     relative = {line.source.kind: line.relative for line in scale_errors}
     if relative.get(ErrorKind.BETWEEN_LOADS, 0.0) <= relative.get(ErrorKind.READINGS, np.inf):
         return
-    yield FoundEffect(
-        name=str(ErrorKind.BETWEEN_LOADS.value),
+    yield Finding(
+        code=Code.TEMPERATURE_BETWEEN_LOADS,
         size=float(np.ptp(load_temperatures(campaign))),
         unit="K",
         remedy="keep the temperature, or take bare and loaded cycles in turn; if it was kept, check"

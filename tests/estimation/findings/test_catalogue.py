@@ -1,0 +1,101 @@
+"""The catalogue of findings, and the findings that calibration files contain."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+import truenewton as tn
+from truenewton.estimation.findings.catalogue import ENTRIES, Code, Concern, read_name
+from truenewton.estimation.findings.finding import Finding
+
+SOURCE = Path(tn.__file__).parent
+
+
+def test_every_code_has_one_entry_and_a_name_of_its_own():
+    assert set(ENTRIES) == set(Code)
+    assert len({entry.name for entry in ENTRIES.values()}) == len(Code)
+
+
+@pytest.mark.parametrize("code", Code)
+def test_a_name_without_code_is_read_as_the_code_that_wrote_it(code):
+    detail = "FORCE" if "{}" in ENTRIES[code].name else ""
+    assert read_name(Finding(code=code, detail=detail, remedy="").name) == (code, detail)
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "detail"),
+    [
+        ("exchanged columns", Code.EXCHANGED_COLUMNS, "FORCE"),
+        ("FORCE and POSITION in another unit", Code.OTHER_UNIT, "FORCE and POSITION"),
+        ("actuator does not fit: its row unlike its column", Code.ACTUATOR_MISFIT,
+         "its row unlike its column"),
+        ("coordinates in another order than STIFFNESS: reversed", Code.DISORDERED_STIFFNESS,
+         "reversed"),
+        ("what nobody wrote", Code.OTHER, "what nobody wrote"),
+    ],
+)  # fmt: skip
+def test_names_of_earlier_files(name, code, detail):
+    assert read_name(name) == (code, detail)
+    assert Finding(code=code, detail=detail, remedy="").name.startswith(name)
+
+
+def test_no_control_flow_rests_on_the_words_of_a_finding():
+    """The name of a finding is written and printed; what follows from it follows from its code."""
+    compared = re.compile(r"(effect|finding|each|e|one)\.name( ==| in |\.startswith|\.endswith)")
+    found = [
+        f"{path.name}: {line.strip()}"
+        for path in SOURCE.rglob("*.py")
+        if "estimation" in path.parts or "calibration" in path.parts or "modal" in path.parts
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if compared.search(line)
+    ]
+    assert found == []
+
+
+@pytest.fixture
+def found():
+    return (
+        Finding(code=Code.EXCHANGED_COLUMNS, detail="FORCE", where="actuators 3, 17", size=0.1,
+                actuators=(3, 17), unit="m", remedy="put the cables in order"),
+        Finding(code=Code.STUCK_READING, where="actuator 5", actuators=(5,), remedy="look at it"),
+        Finding(code=Code.GAIN_BY_HOUR, probability=1e-9, size=0.01, unit="1/h", corrected=True,
+                remedy="let it warm up"),
+    )  # fmt: skip
+
+
+def test_a_file_keeps_findings_and_one_without_codes_gives_the_same(
+    p45_calibration, found, tmp_path
+):
+    path, earlier = tmp_path / "alpha.fits", tmp_path / "earlier.fits"
+    replace(p45_calibration, effects=found).write(path)
+    assert tn.read(path).effects == found
+    with fits.open(path) as hdus:
+        table = hdus["EFFECTS"]
+        assert table.data["CODE"].tolist() == [each.code for each in found]
+        columns = [c for c in table.columns if c.name not in ("CODE", "DETAIL", "ACTUATORS")]
+        hdus["EFFECTS"] = fits.BinTableHDU.from_columns(columns, name="EFFECTS")
+        hdus.writeto(earlier, checksum=True)
+    read = tn.read(earlier)
+    assert [each.code for each in read.effects] == [each.code for each in found]
+    assert [each.actuators for each in read.effects] == [(), (5,), ()]  # a place names one alone
+    assert str(read.verdict) == str(tn.read(path).verdict)
+    np.testing.assert_array_equal(read.alpha, p45_calibration.alpha)
+
+
+def test_a_code_of_a_newer_version_is_kept_by_its_name(p45_calibration, found, tmp_path):
+    path = tmp_path / "alpha.fits"
+    replace(p45_calibration, effects=found).write(path)
+    with fits.open(path) as hdus:
+        hdus["EFFECTS"].data["CODE"][0] = "a-newer-one"
+        hdus.writeto(path, overwrite=True, checksum=True)
+    (newer, *_) = tn.read(path).effects
+    assert (newer.code, newer.name) == (Code.OTHER, found[0].name)
+
+
+def test_what_the_user_alone_can_settle_is_of_concern_as_files():
+    assert Finding(code=Code.COPIED_FILE, remedy="").concern == Concern.FILES
+    assert Finding(code=Code.GAIN_BY_HOUR, remedy="").concern == Concern.BENCH
