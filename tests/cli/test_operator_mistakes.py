@@ -128,11 +128,14 @@ FAULTS = {
     # units and signs, of all files
     "mN": (times(1e3), NOT, "alpha is about 0.0009", "FORCE looks as if in mN", FORCE_IN),
     "-mN": (times(-1e3), NOT, "as if in mN, and FORCE of the other sign", FORCE_IN),
-    "kN": (times(1e-3), NOT, "FORCE looks as if in kN, or WEIGHT and ADDED as if in mN", FORCE_IN),
+    "kN": (times(1e-3), NOT, "FORCE looks as if in kN, or WEIGHT and ADDED look as if in mN",
+           FORCE_IN),
     "-kN": (times(-1e-3), NOT, "as if in mN, and FORCE of the other sign", FORCE_IN),
-    "counts": (times(1e5), NOT, "as if in counts of the electronics", FORCE_IN),
-    "-counts": (times(-1e5), NOT, "counts of the electronics", "other sign", FORCE_IN),
+    "counts": (times(1e5), NOT, "as if in counts or volts of the electronics", FORCE_IN),
+    "-counts": (times(-1e5), NOT, "counts or volts of the electronics", "other sign", FORCE_IN),
     "kgf": (times(1 / 9.81), NOT, "FORCE looks as if in kgf", FORCE_IN),
+    "lbf": (times(1 / 4.448), NOT, "FORCE looks as if in lbf", FORCE_IN),
+    "volts, 2 a newton": (times(2.0), NOT, "counts or volts", FORCE_IN),
     "all in grams": (weights(101.97), NOT, "WEIGHT and ADDED look as if in g", WEIGHTS_IN),
     "all in kilograms": (weights(1 / 9.81), NOT, "WEIGHT and ADDED look as if in kg", WEIGHTS_IN),
     "the mirror in ADDED": (

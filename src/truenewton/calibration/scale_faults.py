@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -25,23 +25,40 @@ WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a b
 GRAVITY = 9.81  # [m/s^2]
 FORCE_IN = "correct the unit that the column FORCE declares, or its numbers: N"
 WEIGHTS_IN = f"store WEIGHT and ADDED in N: {-GRAVITY} for a kilogram"
-# What alpha is where a unit is taken for N; units lie ten times apart, alphas of mirrors do not.
-LOOKS = {
-    1e-6: Fault("FORCE looks as if in uN", FORCE_IN),
-    1e-3: Fault("FORCE looks as if in mN", FORCE_IN),
-    1e-3 * GRAVITY: Fault("FORCE looks as if in gf (grams)", FORCE_IN),
-    1 / GRAVITY: Fault("WEIGHT and ADDED look as if in kg", WEIGHTS_IN),
-    GRAVITY: Fault("FORCE looks as if in kgf (kilograms)", FORCE_IN),
-    1e3 / GRAVITY: Fault("WEIGHT and ADDED look as if in g", WEIGHTS_IN),
-    1e3: Fault(
-        "FORCE looks as if in kN, or WEIGHT and ADDED as if in mN", f"{FORCE_IN}; or {WEIGHTS_IN}"
-    ),
-}
-COUNTS = Fault(
-    "FORCE looks as if in counts of the electronics, or in another unit than N", FORCE_IN
+
+
+class Mistake(NamedTuple):
+    """A keyword or unit that is not what the file contract says.
+
+    Attributes
+    ----------
+    factor
+        What it makes of an alpha of 1.
+    said, remedy
+        How it looks; what to do.
+    """
+
+    factor: float
+    said: str
+    remedy: str
+
+
+POUND = 4.4482216  # [N], of force
+MISTAKES = (
+    Mistake(1e-6, "FORCE looks as if in uN", FORCE_IN),
+    Mistake(1e-3, "FORCE looks as if in mN", FORCE_IN),
+    Mistake(1e-3 * GRAVITY, "FORCE looks as if in gf (grams)", FORCE_IN),
+    Mistake(POUND, "FORCE looks as if in lbf (pounds)", FORCE_IN),
+    Mistake(GRAVITY, "FORCE looks as if in kgf (kilograms)", FORCE_IN),
+    Mistake(1e3, "FORCE looks as if in kN", FORCE_IN),
+    Mistake(1 / GRAVITY, "WEIGHT and ADDED look as if in kg", WEIGHTS_IN),
+    Mistake(1 / POUND, "WEIGHT and ADDED look as if in lbf", WEIGHTS_IN),
+    Mistake(1e3 / GRAVITY, "WEIGHT and ADDED look as if in g", WEIGHTS_IN),
+    Mistake(1e3, "WEIGHT and ADDED look as if in mN", WEIGHTS_IN),
 )
+OTHER_UNIT = "FORCE looks as if in counts or volts of the electronics, or in another unit than N"
+NEAR_ONE = (0.6, 1.6)  # the typical alpha of mirrors, which a single mistake is to bring back
 UNTOLD = 1 / 3  # of alpha, its error from readings: beyond, it is not told from 0 by three sigma
-NEAR = 2.2  # times a unit
 LIKE_OTHERS, MOST = 0.5, 0.9  # relative to the median, of how many: else it is no unit alone
 
 
@@ -56,17 +73,28 @@ def unit_fault(c: Calibration) -> Fault | None:
     alike = np.abs(c.alpha[c.layout.enabled] / median - 1.0) < LIKE_OTHERS
     if PLAUSIBLE[0] < abs(median) < PLAUSIBLE[1] or np.mean(alike) < MOST:
         return None
-    unit = min(LOOKS, key=lambda one: abs(np.log(one / max(abs(median), 1e-300))))
-    looks, remedy = LOOKS[unit] if 1 / NEAR < abs(median) / unit < NEAR else COUNTS
-    # With the weight of the mirror in ADDED as well, the load seems heavier by it.
-    added = min((load.added for load in c.loads), default=0.0)
-    less = (added - c.weight) / added if added < c.weight else 0.0
-    if PLAUSIBLE[0] < abs(median) * less < PLAUSIBLE[1]:
-        looks = "ADDED looks as if the weight of the mirror were in it"
-        remedy = f"store what was added alone, {significant(added - c.weight, 3)} N"
+    fitting = [
+        each
+        for each in (*_added_with_weight(c), *MISTAKES)
+        if NEAR_ONE[0] < abs(median) / each.factor < NEAR_ONE[1]
+    ]
+    looks = ", or ".join(each.said for each in fitting) or OTHER_UNIT
+    remedy = "; or ".join(dict.fromkeys(each.remedy for each in fitting)) or FORCE_IN
     other = ", and FORCE of the other sign" if median < 0.0 else ""
     said = f"alpha is about {significant(median)}, near 1 where all is in N"
     return Fault(f"{said}: {looks}{other}", remedy)
+
+
+def _added_with_weight(c: Calibration) -> Iterator[Mistake]:
+    """Yield that ADDED includes the weight of the mirror: the load seems heavier by it."""
+    added = min((load.added for load in c.loads), default=0.0)
+    alone = added - c.weight
+    if alone < 0.0:
+        yield Mistake(
+            added / alone,
+            "ADDED looks as if the weight of the mirror were in it",
+            f"store what was added alone, {significant(alone, 3)} N",
+        )
 
 
 def scale_faults(c: Calibration) -> Iterator[Fault]:

@@ -21,7 +21,7 @@ from truenewton.records.fault import Fault
 from truenewton.rounding import counted, listed
 
 LOUDER = 1.5  # times FORCERR: a scatter of the repeats that is said
-PLAUSIBLE = (0.2, 5.0)  # alpha in the median
+PLAUSIBLE = (0.5, 2.0)  # alpha in the median: beyond, a unit or a weight is wrong
 LONG_AFTER, SAID = 30.0, 2  # days without a file, in one campaign; files that are named
 WARM = 50.0  # [deg C]
 FARTHER = 3.0  # times the weight: bias magnets that hold so much hold another weight
