@@ -1,0 +1,1 @@
+"""Recorded reference results: what guards every restructuring (`make reference`)."""

@@ -1,0 +1,244 @@
+"""The cases whose results are recorded: each a function of nothing, seeded, to a result.
+
+To add a case, write a function and decorate it with `case`.
+"""
+
+from __future__ import annotations
+
+import datetime
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import truenewton as tn
+from helpers.balanced import gradients, three_loads
+from helpers.segmented import in_one, pieces
+from helpers.tracked import MEAN_K, campaign_at, days_of, pattern
+from studies.faults import happening
+from studies.faulty.fault import FAULTS
+from studies.matrices import FAULTS as MATRIX_FAULTS
+from studies.matrices import LAWS, measured_or_made, noisy, true_stiffness, with_faults
+from studies.simulated_matrices import foreign
+from truenewton.acquisition.plan import CampaignPlan
+from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
+from truenewton.mirrors.known import mmt336, p45
+from truenewton.modal.findings import find_modes
+from truenewton.planning.forces import prepared
+from truenewton.planning.outlook import predicted
+
+Array = np.ndarray
+DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What is recorded of a case.
+
+    Attributes
+    ----------
+    sentences
+        Verdict, findings, warnings: a line each.
+    ids
+        (n,) names of the rows.
+    columns
+        By name (n,) numbers: first the values, then their standard uncertainty, then others.
+    """
+
+    sentences: tuple[str, ...]
+    ids: tuple[int, ...] = ()
+    columns: dict[str, Array] | None = None
+
+
+CASES: dict[str, Callable[[], Any]] = {}
+FAST = set[str]()
+
+
+def case(name: str, *, fast: bool = False) -> Callable[[Callable[[], Any]], Callable[[], Any]]:
+    """List a function under a name; a fast one belongs to `make test`."""
+
+    def listed(make: Callable[[], Any]) -> Callable[[], Any]:
+        CASES[name] = make
+        if fast:
+            FAST.add(name)
+        return make
+
+    return listed
+
+
+def result_of(made: Any) -> Result:
+    """Return what is recorded of what a case made."""
+    if isinstance(made, Result):
+        return made
+    if isinstance(made, tn.SegmentedCalibration):
+        parts = [result_of(made.segments[number]) for number in sorted(made.segments)]
+        names = parts[0].columns
+        return Result(
+            (*verdict_lines(made.verdict), *(line for part in parts for line in part.sentences)),
+            tuple(i for part in parts for i in part.ids),
+            {name: np.concatenate([part.columns[name] for part in parts]) for name in names},
+        )
+    if isinstance(made, tn.Calibration):
+        return calibration_result(made)
+    return calibration_result(tn.calibrate(made))
+
+
+def verdict_lines(verdict: Any) -> tuple[str, ...]:
+    return (
+        f"verdict: {verdict.level}",
+        *(f"fault: {'; '.join(filter(None, each))}" for each in verdict.faults),
+        *(f"note: {'; '.join(filter(None, each))}" for each in verdict.notes),
+    )
+
+
+def calibration_result(c: tn.Calibration) -> Result:
+    on = c.layout.enabled
+    sentences = (
+        f"method: {c.method}",
+        *verdict_lines(c.verdict),
+        *(
+            f"finding: {e.code} {' '.join(map(str, e.actuators))} | {e.name} | {e.where} |"
+            f" {e.size:.3g} {e.unit} | corrected {e.corrected}"
+            for e in c.effects
+        ),
+        *(f"warning: {'; '.join(each)}" for each in (c.diagnosis.warnings if c.diagnosis else ())),
+        f"rejected rows: {c.rejected}",
+    )
+    columns = {
+        "ALPHA": c.alpha[on],
+        "E_STAT": c.reading_error[on],
+        "E_SYST": c.systematic_error[on],
+    }
+    return Result(sentences, tuple(c.layout.id[on].tolist()), columns)
+
+
+# -- campaigns of P45 and others ------------------------------------------------------------------
+
+
+def p45_cycles(noise: float, cycles: int = 2, **changes: Any) -> tn.Campaign:
+    bench = static_bench(p45(), 3, force_noise=noise)
+    return tn.Campaign(tuple(replace(c, **changes) for c in run_cycles(bench, cycles)))
+
+
+for _name, _noise in (("clean", 1e-6), ("0.1 mN", 1e-4), ("1 mN", 1e-3), ("10 mN", 1e-2)):
+    case(f"p45, {_name}", fast=True)(lambda noise=_noise: p45_cycles(noise))
+case("p45, without positions", fast=True)(lambda: p45_cycles(1e-4, position=None))
+case("p45, svd", fast=True)(lambda: tn.calibrate(p45_cycles(1e-4), "svd"))
+case("a tilt as a load", fast=True)(lambda: three_loads(3, 1e-4))
+case("gradients and positions", fast=True)(lambda: gradients(3, 1e-4, 1e-7)[0])
+case("mmt336")(
+    lambda: tn.Campaign(tuple(run_cycles(static_bench(mmt336(), 3, force_noise=1e-3), 1)))
+)
+
+
+@case("closed loop")
+def closed_loop() -> tn.Campaign:
+    bench = static_bench(p45(), 2)
+    return tn.Campaign(tuple(run_cycles(bench, 1, loop_of(bench))))
+
+
+@case("segments as of m4", fast=True)
+def segments() -> tn.SegmentedCalibration:
+    return tn.calibrate(tn.SegmentedData(tuple(in_one(pieces(3)[0]))))
+
+
+QUICK = {"clean", "all alphas drift 0.3 %/h", "two far cables swapped", "a dead actuator"}
+for _fault in FAULTS:
+    case(f"fault, {_fault.name}", fast=_fault.name in QUICK)(
+        lambda fault=_fault: happening(fault, "p45", 0, 1e-4, 3).campaign()
+    )
+
+
+# -- stiffness matrices ---------------------------------------------------------------------------
+
+
+def p45_matrix(law: str = "equal", level: float = 5e-4) -> tn.StiffnessMatrix:
+    made = measured_or_made("p45")
+    return noisy(made, true_stiffness(made), 5, law, level)[1]
+
+
+for _law in LAWS:
+    case(f"matrix, noise {_law}", fast=_law == "equal")(lambda law=_law: p45_matrix(law))
+case("matrix, by ml", fast=True)(lambda: tn.calibrate(p45_matrix(), "ml"))
+case("matrix, by svd", fast=True)(lambda: tn.calibrate(p45_matrix(), "svd"))
+for _kind in MATRIX_FAULTS:
+    case(f"matrix, {_kind}")(lambda kind=_kind: with_faults(p45_matrix(), 5, 1, kind)[0])
+
+
+@case("matrix, cleaned", fast=True)
+def cleaned() -> tn.StiffnessMatrix:
+    matrix = p45_matrix()
+    rigid = np.linalg.qr(np.stack([matrix.layout.nz, matrix.layout.x, matrix.layout.y], 1))[0]
+    k = matrix.stiffness - rigid @ (rigid.T @ matrix.stiffness)
+    return replace(matrix, stiffness=k - (k @ rigid) @ rigid.T)
+
+
+for _name, _make in foreign(DATE):
+    case(f"matrix, {_name}")(lambda make=_make: make(3)[0])
+
+
+@case("matrix, measured lbt672")
+def lbt672() -> Result | None:
+    """Nothing but sums of alpha is recorded of a measured mirror."""
+    folder = os.environ.get("TRUENEWTON_REAL_DATA")
+    if folder is None:
+        return None
+    c = tn.calibrate(tn.read(Path(folder) / "lbt672" / "lbt672-feedforward.fits"))
+    whole = calibration_result(c)
+    n = len(whole.ids)
+    waves = np.cos(np.pi * np.outer(np.arange(12), np.arange(n) + 0.5) / n) / np.sqrt(n)
+    error = np.full(12, float(np.sqrt(np.mean(whole.columns["E_STAT"] ** 2))))
+    columns = {"ALPHA": waves @ whole.columns["ALPHA"], "E_STAT": error}
+    return Result(whole.sentences, tuple(range(12)), columns)
+
+
+# -- what is made of calibrations -----------------------------------------------------------------
+
+
+@case("law of six days")
+def law() -> Result:
+    found = tn.track(*(tn.calibrate(day) for day in days_of(3, MEAN_K)))
+    sentences = (f"effects: {' '.join(found.effects)}", *(f"limit: {x}" for x in found.limits))
+    n = found.layout.n
+    error = np.sqrt(np.diag(found.covariance))
+    columns = {
+        "COEFFICIENT": found.coefficient,
+        "ERROR": error[n : 2 * n],
+        "ALPHA": found.alpha,
+        "E_ALPHA": error[:n],
+    }
+    return Result(sentences, tuple(found.layout.id.tolist()), columns)
+
+
+@case("recalibration", fast=True)
+def recalibration() -> tn.Calibration:
+    factor = np.ones(45)
+    factor[16] = 0.8
+    short = campaign_at(factor, np.random.default_rng(4), cycles=1, loads=1)
+    return tn.recalibrate(short, replace(pattern(), sources=()), [17]).calibration
+
+
+@case("plan", fast=True)
+def plan() -> Result:
+    loads = (tn.Load("bare"), tn.Load("ring", -0.289, 0.005, tool="ring"))
+    found = predicted(prepared(CampaignPlan("p45", loads)))
+    sentences = tuple(f"{line.source}: {line.relative:.6g}" for line in found.scale_errors)
+    columns = {
+        "ALPHA": found.alpha,
+        "E_STAT": found.reading_error,
+        "E_SYST": found.systematic_error,
+    }
+    return Result(sentences, tuple(found.layout.id.tolist()), columns)
+
+
+@case("modal base", fast=True)
+def modal_base() -> Result:
+    campaign = p45_cycles(2e-5)
+    found = find_modes(campaign, tn.calibrate(campaign))
+    stiffness = found.after.modes.stiffness
+    sentences = tuple(f"warning: {'; '.join(each)}" for each in found.warnings)
+    columns = {"STIFFNESS": stiffness, "SIZE": stiffness}  # its own size is the scale
+    return Result(sentences, tuple(range(1, len(stiffness) + 1)), columns)

@@ -1,0 +1,36 @@
+"""Results are those that were recorded (tests/reference; `make reference` records them anew)."""
+
+from dataclasses import replace
+
+import pytest
+
+from reference.cases import CASES, FAST
+from reference.recorded import as_text, compare, compute, from_text, path_of
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=() if n in FAST else pytest.mark.study) for n in CASES],
+)
+def test_a_result_is_as_it_was_recorded(name):
+    result = compute(name)
+    if result is None:
+        pytest.skip("TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set")
+    recorded = from_text(path_of(name).read_text(encoding="utf-8"))
+    assert compare(recorded, from_text(as_text(result))) == []
+
+
+def test_every_recorded_file_has_a_case():
+    paths = {path_of(name) for name in CASES}
+    assert len(paths) == len(CASES)
+    assert set(path_of("plan").parent.glob("*")) == paths
+
+
+def test_a_small_change_is_seen():
+    recorded = from_text(path_of("p45, 1 mN").read_text(encoding="utf-8"))
+    columns = recorded.columns | {"ALPHA": recorded.columns["ALPHA"] * (1 + 1e-6)}
+    assert len(compare(recorded, replace(recorded, columns=columns))) == 1
+    less = replace(recorded, sentences=recorded.sentences[:-1])
+    assert compare(recorded, less) == [f"- {recorded.sentences[-1]}"]
+    verdict = tuple(x.replace("verdict: ", "verdict: not ") for x in recorded.sentences)
+    assert len(compare(recorded, replace(recorded, sentences=verdict))) == 2
