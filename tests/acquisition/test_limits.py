@@ -171,6 +171,7 @@ def upset(faults):
     return spoil
 
 
+@pytest.mark.study
 @settings(
     max_examples=60,
     deadline=None,

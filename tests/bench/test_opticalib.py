@@ -112,7 +112,7 @@ def test_faults_are_one_line(device):
 
 def test_a_mirror_is_found_by_its_address(tmp_path):
     (tmp_path / "laboratory_p45.py").write_text(
-        "from test_opticalib import Device\n"
+        f"from {__name__} import Device\n"
         "device = Device()\n"
         "make = lambda: device\n"
         "class Rack: slot = device\n"

@@ -304,6 +304,7 @@ def test_what_couples_segments_is_told_from_noise(two):
     assert [fault[:9] for fault in told] == ["segment 1", "segment 2"]
 
 
+@pytest.mark.study
 def test_modes_of_segments_are_those_of_each_alone(two, inside, tmp_path):
     matrix, alone = two
     tn.write_stiffness(matrix, tmp_path / "k.fits")

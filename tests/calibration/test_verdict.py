@@ -79,7 +79,13 @@ def test_a_warning_of_calibrate_is_not_forgotten_by_the_report(inside, tmp_path)
     assert "the poles are exchanged" in (tmp_path / "page.html").read_text()
 
 
-@pytest.mark.parametrize("made", [cycles, poles_exchanged, copied, four_times])
+@pytest.mark.parametrize(
+    "made",
+    [
+        copied,
+        *(pytest.param(m, marks=pytest.mark.study) for m in (cycles, poles_exchanged, four_times)),
+    ],
+)
 def test_every_command_gives_the_same_verdict(inside, tmp_path, made):
     folder, alpha = written(tmp_path, made()), tmp_path / "alpha.fits"
     code, out, _ = inside("calibrate", folder, "-o", alpha, "--json", "--force")
@@ -251,6 +257,7 @@ def test_a_stiffness_in_another_order_is_not_to_be_used(clean):
     assert "asymmetric stiffness" in str(verdict)
 
 
+@pytest.mark.study
 def test_a_stiffness_of_the_other_sign_is_said_and_gives_no_modes():
     other = stiffness(np.negative)
     verdict = tn.calibrate(other).verdict

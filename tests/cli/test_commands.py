@@ -154,6 +154,7 @@ def test_prove_exits_with_1_where_the_rank_is_short(inside, folder, tmp_path):
     assert "PROOF FAILED" in out
 
 
+@pytest.mark.study
 def test_demo_tells_the_whole_story(tmp_path, monkeypatch, inside):
     monkeypatch.chdir(tmp_path)
     code, out, err = inside("demo")
@@ -419,6 +420,7 @@ def run_page(page, inside):
     return ran
 
 
+@pytest.mark.study
 def test_every_command_and_example_in_the_readme_runs(tmp_path, monkeypatch, inside):
     """In order, in one folder, as a reader would; `make` and installing are tried elsewhere."""
     monkeypatch.chdir(tmp_path)

@@ -136,6 +136,7 @@ def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
     assert found.imbalance[0] == found.imbalance[1]
 
 
+@pytest.mark.study
 @needs_real_data
 def test_a_real_lbt672_cleaned_of_rigid_motions_is_told_from_the_measured():
     matrix = read_data(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")

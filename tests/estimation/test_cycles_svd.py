@@ -119,6 +119,7 @@ def test_forces_in_other_units_scale_alpha():
     assert two.noise == pytest.approx(4.0 * one.noise, rel=1e-10)
 
 
+@pytest.mark.study
 def test_stated_scatter_is_the_scatter_over_campaigns():
     """E_STAT against 300 campaigns that share their truth: seeded, both sides within 10 %."""
     alphas, stated = [], []

@@ -28,7 +28,7 @@ def with_motion(quiet, alpha, seed):
     return Campaign(tuple(made))
 
 
-@pytest.mark.parametrize("cycles", [2, 4])
+@pytest.mark.parametrize("cycles", [2, pytest.param(4, marks=pytest.mark.study)])
 def test_sound_campaigns_are_improbable_as_often_as_chance_has_it(cycles):
     bench = replace(p45_bench(), force_noise=0.0)
     quiet, alpha = Campaign(tuple(run_cycles(bench, cycles))), bench.truth.alpha

@@ -352,7 +352,10 @@ BENCHES = {
 }
 
 
-@pytest.mark.parametrize("bench", BENCHES)
+@pytest.mark.parametrize(
+    "bench",
+    [pytest.param(b, marks=() if b == "two loads" else pytest.mark.study) for b in BENCHES],
+)
 def test_scatter_is_at_the_bound(bench):
     quiet, truth = campaign_of(11, 0.0, cycles=3, weight_error=0.0, **BENCHES[bench])
     sigma = np.full(int(quiet.layout.enabled.sum()), SIGMA)
@@ -363,6 +366,7 @@ def test_scatter_is_at_the_bound(bench):
     assert max(f.diagnosis.undetermined for f in found) == 0
 
 
+@pytest.mark.study
 def test_noise_that_differs_by_actuator_is_weighed():
     quiet, truth = campaign_of(13, 0.0, cycles=4, weight_error=0.0, loads=EXACT)
     sigma = SIGMA * np.where(np.arange(14) % 2, 3.0, 1.0)
@@ -371,6 +375,7 @@ def test_noise_that_differs_by_actuator_is_weighed():
     check_goodness(found)
 
 
+@pytest.mark.study
 def test_cycles_of_unequal_noise_weigh_as_declared():
     quiet, truth = campaign_of(15, 0.0, cycles=3, weight_error=0.0, loads=EXACT)
     errors = [1e-3, 2e-3, 0.5e-3] * 2
@@ -383,7 +388,7 @@ def test_cycles_of_unequal_noise_weigh_as_declared():
     check_goodness(found)
 
 
-@pytest.mark.parametrize("declared", [SIGMA, None])
+@pytest.mark.parametrize("declared", [SIGMA, pytest.param(None, marks=pytest.mark.study)])
 def test_without_repeats_the_noise_is_as_declared_or_from_the_minimum(declared):
     quiet, truth = campaign_of(17, 0.0, cycles=1, weight_error=0.0, loads=EXACT)
     quiet = Campaign(tuple(replace(c, force_error=declared) for c in quiet.cycles))
@@ -431,7 +436,7 @@ def elastic_information(truth, unknowns, noise=ELASTIC_NOISE):
     return total
 
 
-@pytest.mark.parametrize("repeats", [True, False])
+@pytest.mark.parametrize("repeats", [True, pytest.param(False, marks=pytest.mark.study)])
 def test_a_stiffness_matrix_beside_cycles_adds_its_information(repeats):
     cycles = 3 if repeats else 1
     quiet, truth = campaign_of(19, 0.0, cycles=cycles, weight_error=0.0, loads=EXACT)
@@ -452,6 +457,7 @@ def test_a_stiffness_matrix_beside_cycles_adds_its_information(repeats):
     assert noise == pytest.approx(SIGMA, rel=0.02)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("loads", [BARE_AND_RING, THREE])
 def test_weights_off_as_declared_are_covered_and_at_the_bound_that_counts_them(loads):
     """Weights as they are declared differ from the true ones by their errors."""
@@ -630,6 +636,7 @@ def test_a_population_is_named_never_default_and_pulls_to_the_mean():
         calibrate(campaign, motion={1: np.eye(campaign.layout.n)})
 
 
+@pytest.mark.study
 def test_a_population_is_better_where_the_data_are_poor():
     """alpha are drawn evenly from 0.7 to 1.1; 60 campaigns with few and noisy shapes."""
     plain, pooled = [], []

@@ -97,7 +97,7 @@ def off(k, _):
         (off, "zero in row or column of STIFFNESS"),
     ],
 )
-@pytest.mark.parametrize("method", ["svd", "ml"])
+@pytest.mark.parametrize("method", [pytest.param("svd", marks=pytest.mark.study), "ml"])
 def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, said):
     matrix, alpha = measured(change)
     calibration = calibrate(matrix, method)
@@ -115,7 +115,7 @@ def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, s
 
 
 @pytest.mark.parametrize(("at", "off"), [(0, (1.0, 0.0)), (12, (0.0, 0.02)), (23, (-0.03, 0.1))])
-@pytest.mark.parametrize("level", [1e-4, 1e-3])
+@pytest.mark.parametrize("level", [pytest.param(1e-4, marks=pytest.mark.study), 1e-3])
 def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(at, off, level):
     """X and Y in another unit, or of another mirror: the innermost of 24, another, the last."""
     truth, random = static_bench(ring(24), 3).truth, np.random.default_rng(at)
@@ -216,6 +216,7 @@ def test_four_neighbours_are_named_and_nobody_else():
     assert np.sqrt(np.mean(z**2)) < 1.6
 
 
+@pytest.mark.study
 def test_noise_alone_does_not_make_alpha_harmful():
     """With 600 N/m soft modes are all noise, and balance as badly with any alpha."""
     truth = p45_bench().truth
@@ -327,7 +328,7 @@ def test_the_order_of_rows_is_that_of_the_largest_product():
     assert np.array_equal(k[order][row_order(k[order])], k)
 
 
-@pytest.mark.parametrize("change", [off, sign])
+@pytest.mark.parametrize("change", [off, pytest.param(sign, marks=pytest.mark.study)])
 def test_modes_and_report_do_without_those_left_out(change):
     matrix, _ = measured(change)
     findings = find_modes(matrix)

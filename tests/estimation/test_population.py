@@ -50,6 +50,7 @@ def test_nothing_pulls_a_smooth_alpha(n):
     assert prior.mean.mean() == pytest.approx(1.0, rel=1e-12)
 
 
+@pytest.mark.study
 def test_errors_cover_alpha_that_rises_to_the_rim():
     """P45, 10 % to the rim beside 2 % of scatter, 300 N/m of noise in each element."""
     truth, covered = p45_bench().truth, []

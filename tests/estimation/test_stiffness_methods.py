@@ -64,7 +64,7 @@ def test_imbalance_vanishes_on_noiseless_modes_and_on_held_out_ones(method):
         assert line.after < 1e-9
 
 
-@pytest.mark.parametrize("method", ["svd", "ml"])
+@pytest.mark.parametrize("method", ["svd", pytest.param("ml", marks=pytest.mark.study)])
 def test_stated_error_is_that_of_a_hundred_or_on_the_safe_side(method):
     """Equal noise in all elements: the soft modes carry more of it, the columns the same."""
     truth = p45_bench().truth
@@ -96,7 +96,13 @@ def test_a_matrix_of_noise_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("factor", "unit"), [(1e-3, "N/mm"), (1e-6, "N/um"), (1e-9, "N/nm"), (3e5, "counts")]
+    ("factor", "unit"),
+    [
+        (1e-3, "N/mm"),
+        pytest.param(1e-6, "N/um", marks=pytest.mark.study),
+        pytest.param(1e-9, "N/nm", marks=pytest.mark.study),
+        pytest.param(3e5, "counts", marks=pytest.mark.study),
+    ],
 )
 def test_alpha_does_not_ask_for_the_unit_of_the_matrix(factor, unit):
     matrix, _ = commanded_stiffness(1e-4)
@@ -164,6 +170,7 @@ def test_a_real_lbt672_knows_its_coordinates():
     assert effect.name.endswith("shifted by 7 rows")
 
 
+@pytest.mark.study
 @needs_real_data
 def test_on_a_real_lbt672_alpha_restores_balance():
     matrix = read_data(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")
@@ -179,6 +186,7 @@ def test_on_a_real_lbt672_alpha_restores_balance():
     assert calibrate(matrix, "svd").diagnosis.warnings == ()
 
 
+@pytest.mark.study
 @needs_real_data
 def test_on_a_real_lbt672_a_population_foretells_the_modes_it_has_not_seen():
     """Alpha agrees with the magnets' efficiency, which was measured apart.

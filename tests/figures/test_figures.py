@@ -166,6 +166,7 @@ def test_fig_2_shows_the_edges_of_the_glass_where_they_are_known():
     assert ax.get_xlim()[1] > 120.0
 
 
+@pytest.mark.study
 def test_the_same_calibration_draws_the_same_bytes(calibration, tmp_path):
     one, two = (write_figures(calibration, tmp_path / name) for name in ("one", "two"))
     assert [p.read_bytes() for p in one] == [p.read_bytes() for p in two]

@@ -272,7 +272,9 @@ def bench(sound, tmp_path):
         ("stale", 400, 300, 5, 2**28),
         pytest.param("anew", 1300, 500, 200, 2**28, marks=pytest.mark.study),
         pytest.param("absent", 1300, 500, 200, 2**28, marks=pytest.mark.study),
-        ("anew", 400, 150, 60, -1),  # FORCE and POSITION are left on disk
+        pytest.param(
+            "anew", 400, 150, 60, -1, marks=pytest.mark.study
+        ),  # FORCE and POSITION are left on disk
     ],
 )
 def test_a_mutated_file_is_refused_or_gives_the_right_result(

@@ -137,9 +137,16 @@ main()
 @pytest.mark.parametrize(
     ("module", "name", "words"),
     [
-        ("figures.writing", "write_drawn", ["modes", "DATA", "-o", "m.fits", "--figures", "f"]),
+        pytest.param(
+            "figures.writing",
+            "write_drawn",
+            ["modes", "DATA", "-o", "m.fits", "--figures", "f"],
+            marks=pytest.mark.study,
+        ),
         ("bench.simulated.truth", "write_truth", ["simulate", "ring8", "-o", "s", "--cycles", "1"]),
-        ("report.page.page", "write_report", ["demo", "-o", "d"]),
+        pytest.param(
+            "report.page.page", "write_report", ["demo", "-o", "d"], marks=pytest.mark.study
+        ),
         ("files.outputs", "to_disk", ["calibrate", "DATA", "-o", "a.fits"]),
     ],
     ids=["modes", "simulate", "demo", "calibrate"],

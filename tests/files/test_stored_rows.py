@@ -216,6 +216,7 @@ def peak_of_reading_twice(path):
     return peak
 
 
+@pytest.mark.study
 def test_memory_does_not_grow_with_repeats(tmp_path, left_on_disk, monkeypatch):
     for module in (stored_rows, repeats):
         monkeypatch.setattr(module, "BLOCK_BYTES", 2**16)

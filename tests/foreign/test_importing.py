@@ -160,7 +160,9 @@ def test_alpha_is_right_from_a_matrix_and_text_of_somebody_else(tmp_path):
     assert all(str(CASE.layout.id[b]) in text(made).split("do not fit")[1] for b in CASE.bad)
 
 
-@pytest.mark.parametrize("positions", ["coordinates", "rings"])
+@pytest.mark.parametrize(
+    "positions", ["coordinates", pytest.param("rings", marks=pytest.mark.study)]
+)
 def test_a_supervisors_folder(tmp_path, positions):
     rows = supervisor_folder(tmp_path / "meas", positions=positions)
     made = tn.stiffness_from(tmp_path / "meas", curvature=R if positions == "coordinates" else None)
@@ -231,6 +233,7 @@ def test_opticalibs_simulated_prototype(tmp_path):
     )
 
 
+@pytest.mark.study
 def test_opticalibs_configuration_folder(tmp_path):
     fits.PrimaryHDU(np.float32(-CASE.k)).writeto(tmp_path / "ff_matrix.fits")
     fits.PrimaryHDU(1e3 * XY.T).writeto(tmp_path / "ActuatorsCoordinates.fits")
@@ -318,6 +321,7 @@ def test_a_mat_file_of_version_73_has_its_axes_reversed(tmp_path):
     np.testing.assert_array_equal(made.matrix.stiffness, -CASE.k)
 
 
+@pytest.mark.study
 def test_a_few_bad_sensors_do_not_make_a_sound_matrix_look_transposed():
     sound = tn.stiffness_from(CASE.k, CASE.layout)
     assert "as it should be" in text(sound)

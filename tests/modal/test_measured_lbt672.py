@@ -53,6 +53,7 @@ def test_forces_residual_and_power_are_those_computed_elsewhere(matrix, seeing):
     assert cost.power[:, -1].sum() == pytest.approx(power, rel=0.1)
 
 
+@pytest.mark.study
 def test_alpha_and_a_turbulence_without_piston_save_a_third_of_the_power(matrix):
     layout = matrix.layout
     seen = seen_turbulence(layout, layout.enabled, Atmosphere(0.8), PUPIL)

@@ -98,6 +98,7 @@ def test_the_bias_magnets_stay_inside_and_the_coils_law_is_taken_out():
     assert piston == pytest.approx(-31.0, abs=3.0)
 
 
+@pytest.mark.study
 def test_the_stated_error_is_that_over_seeds():
     ratios, misfits = [], []
     for seed in range(15):
@@ -115,6 +116,7 @@ def test_the_stated_error_is_that_over_seeds():
     assert found.residual == pytest.approx(np.hypot(1e-4, of_position), rel=0.05)
 
 
+@pytest.mark.study
 def test_a_closed_loop_measures_it_as_well():
     bench = static_bench(p45(), 1)
     found = measured_stiffness(Campaign(tuple(run_cycles(bench, 2, loop_of(bench)))))
@@ -123,6 +125,7 @@ def test_a_closed_loop_measures_it_as_well():
     assert 0.7 < found.misfit < 1.4
 
 
+@pytest.mark.study
 def test_noise_of_the_sensors_does_not_soften():
     """3 nm a reading would soften it by 0.1 %, seven times what the mean of 40 seeds scatters."""
     bench = static_bench(p45(), 3)
@@ -577,6 +580,7 @@ def test_a_calibration_brings_the_modes_fifteen_times_nearer_to_the_truth():
         assert after.largest_angle.max() < 0.1 < 1.3 < before.largest_angle.max()
 
 
+@pytest.mark.study
 @needs_real_data
 def test_on_a_real_lbt672_alpha_and_statics_bring_the_soft_modes_to_those_of_the_model():
     """The model knows nothing of the measured matrix."""

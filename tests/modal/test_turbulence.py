@@ -240,7 +240,7 @@ def test_high_orders_keep_their_digits(n, m):
 # --- bases ---------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["p45", "lbt672"])
+@pytest.mark.parametrize("name", ["p45", pytest.param("lbt672", marks=pytest.mark.study)])
 def test_zernike_modes_span_the_actuators_in_order(name):
     x, y = points(name)
     n, modes = len(x), zernike_modes(x, y)
@@ -261,6 +261,7 @@ def test_a_zernike_that_adds_nothing_is_passed_over():
     assert modes[6, 6] == pytest.approx(0.0, abs=1e-14)
 
 
+@pytest.mark.study
 def test_zernike_modes_do_not_hang_on_rounding():
     x, y = points("lbt672")
     random = np.random.default_rng(7)

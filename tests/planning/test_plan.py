@@ -89,6 +89,7 @@ def test_against_little_noise_the_errors_are_the_bound_of_cramer_and_rao():
     assert found.diagnosis.warnings == ()
 
 
+@pytest.mark.study
 def test_what_is_stated_and_what_scatters_is_what_was_predicted():
     """At a noise so large that what it feigns counts, and the plain bound is too small."""
     bench = static_bench(
@@ -149,6 +150,7 @@ def test_of_reciprocity_the_bound_is_predicted(ready, sensors):
     assert relative == pytest.approx(bound, rel=0.03)
 
 
+@pytest.mark.study
 def test_reciprocity_states_and_scatters_as_was_predicted(ready):
     plan = replace(PLAN, force_noise=1e-3, sensors=AssumedSensors(offset=0.0))
     said = with_sensors(ready.changed(plan), [plan.cycles])

@@ -123,6 +123,7 @@ def test_a_change_stands_with_its_name_beyond_the_band():
     assert shown.get_clim() == pytest.approx((-3 * found.limit, 3 * found.limit))
 
 
+@pytest.mark.study
 def test_all_of_them_as_pdf_png_and_svg(p45, tmp_path):
     more = still_figures(p45)
     assert {"budget", "residuals", "singular-values", "balance", "temperatures", "map-e-stat",

@@ -304,6 +304,7 @@ def test_the_page_holds_all_it_needs(p45):
     assert "truenewton report p45 -o r.html" in text
 
 
+@pytest.mark.study
 @pytest.mark.skipif("TRUENEWTON_REAL_DATA" not in os.environ, reason="TRUENEWTON_REAL_DATA unset")
 def test_a_real_mirror_is_told_within_its_limit():
     path = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits"

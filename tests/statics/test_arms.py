@@ -62,7 +62,7 @@ def test_a_faulty_bench_is_in_balance(fault):
     """What goes wrong in `studies/faults.py` goes wrong as physics: nothing is left over."""
     day = faults.happening(fault, "p45", seed=1, noise=0.0, cycles=2)
     assert np.abs(day.imbalance).max() < 1e-12
-    if fault.happens.__module__ != "faulty.forces":
+    if fault.happens.__module__ != "studies.faulty.forces":
         weight = -2.920 - 0.289 * day.load
         total = (day.true_force + day.bias) @ day.bench.arms[0]
         assert total == pytest.approx(-weight, abs=1e-12)

@@ -34,6 +34,7 @@ def served(tmp_path_factory):
         yield server, folder, port, table
 
 
+@pytest.mark.study
 def test_a_campaign_goes_on_under_200_strangers_who_learn_nothing(served, tmp_path):
     server, folder, port, table = served
     loads = static_bench(p45(), 1).loads

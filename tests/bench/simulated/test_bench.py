@@ -111,6 +111,7 @@ def test_the_loop_behind_the_protocol_gives_the_rows_of_its_campaign(loop):
         assert reading.position == pytest.approx(cycle.position[row], abs=1e-16)
 
 
+@pytest.mark.study
 def test_a_closed_loop_campaign_fits_and_gives_alpha_within_its_errors():
     """Without the gradients POSITION tells them; without that too, something is said to be."""
     plan = static_bench(p45(), 2)

@@ -355,6 +355,7 @@ def test_the_same_is_named_as_by_whole_tests():
     assert passed >= 10
 
 
+@pytest.mark.study
 def test_one_clean_campaign_in_a_hundred_is_accused_at_most():
     said = sum(bool(calibrate(SmallBench([k, 6], SIGMA).campaign()).effects) for k in range(40))
     assert said <= 2

@@ -33,7 +33,7 @@ def put_on_again(seed, noise, scatter=0.3e-3):
     return Campaign(tuple(cycles)), bench.truth.alpha
 
 
-@pytest.mark.parametrize("noise", [1e-4, 1e-5])
+@pytest.mark.parametrize("noise", [1e-4, pytest.param(1e-5, marks=pytest.mark.study)])
 def test_alpha_is_as_good_as_with_one_mounting(noise):
     ratio, pull = [], []
     for seed in range(1, 5):

@@ -229,6 +229,7 @@ def test_with_a_model_of_the_glass_annuli_off_their_magnets_are_exact():
     assert motion_for(alike, layout).shape == (1, layout.n, layout.n)
 
 
+@pytest.mark.study
 def test_errors_hold_where_annuli_are_off_their_magnets_and_the_glass_is_known():
     glass, layout = p45_bench().glass, p45_bench().mirror.layout
     rows = []
@@ -408,6 +409,7 @@ def test_a_sensor_that_reads_a_mixture_is_left_free_and_its_actuator_stays():
     assert np.std(np.log(made.alpha / alpha)[others]) < 0.5 * np.std(alpha)
 
 
+@pytest.mark.study
 def test_of_sensors_that_read_mixtures_nearly_all_are_found():
     found = 0
     for seed in range(30):
@@ -523,7 +525,7 @@ def test_columns_exchanged_are_said_and_send_cycles_back_to_ml():
     made = calibrate(swapped, "auto")
     assert made.method == "ml"
     assert made.verdict.level == "not to be used"
-    assert "exchanged columns (actuators 4 and 5)" in made.verdict.faults[0].fault
+    assert "exchanged columns of FORCE (actuators 4 and 5)" in made.verdict.faults[0].fault
 
 
 @pytest.mark.parametrize("law", ["proportional", "equal", "by modes"])

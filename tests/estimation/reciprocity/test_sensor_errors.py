@@ -20,7 +20,7 @@ N, SEEDS = 36, 5
 
 
 @pytest.mark.parametrize("law", ["proportional", "equal", "by sensor"])
-@pytest.mark.parametrize("gains", [0.0, 0.004])
+@pytest.mark.parametrize("gains", [pytest.param(0.0, marks=pytest.mark.study), 0.004])
 def test_errors_of_sensors_hold_whatever_noise_of_elements_follows(law, gains):
     """By the fit's own covariance they were too small, and too large for equal noise."""
     mirror = ring(N)
