@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from reference.cases import CASES, FAST
+from reference.cases import CASES, FAST, TOLERANCES
 from reference.recorded import as_text, compare, compute, from_text, path_of
 
 
@@ -17,7 +17,7 @@ def test_a_result_is_as_it_was_recorded(name):
     if result is None:
         pytest.skip("TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set")
     recorded = from_text(path_of(name).read_text(encoding="utf-8"))
-    assert compare(recorded, from_text(as_text(result))) == []
+    assert compare(recorded, from_text(as_text(result)), TOLERANCES[name]) == []
 
 
 def test_every_recorded_file_has_a_case():

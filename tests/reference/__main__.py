@@ -5,7 +5,7 @@ Only the cases whose names contain one of the words are recorded, or all.
 
 import sys
 
-from reference.cases import CASES
+from reference.cases import CASES, TOLERANCES
 from reference.recorded import FOLDER, as_text, compare, compute, from_text, path_of
 
 
@@ -21,7 +21,9 @@ def main(words: list[str]) -> None:
         if not path.exists():
             said = ["new"]
         else:
-            said = compare(from_text(path.read_text(encoding="utf-8")), from_text(text))
+            said = compare(
+                from_text(path.read_text(encoding="utf-8")), from_text(text), TOLERANCES[name]
+            )
         print("\n    ".join([f"{name}: {'differs' if said else 'as recorded'}", *said]), flush=True)
         if said:
             path.write_text(text, encoding="utf-8")

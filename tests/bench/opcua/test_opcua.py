@@ -160,7 +160,9 @@ def test_serve_then_a_campaign_over_opc_ua_recovers_alpha(tmp_path):
         try:
             printed = [server.stdout.readline() for _ in range(10)]
             table = tomllib.loads("".join(printed[1:]))["bench"]
-            plan = tn.CampaignPlan("p45", bench.loads, cycles=2, bench=BenchChoice(**table))
+            plan = tn.CampaignPlan(
+                "p45", bench.loads, cycles=2, settling=0.0, bench=BenchChoice(**table)
+            )
             with chosen_bench(plan, tmp_path) as there:
                 tn.acquire(there, plan, tmp_path / "campaign", beside=tmp_path)
         finally:
