@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import argparse
 import os
-import resource
 import tempfile
+import time
 from pathlib import Path
 
 os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
@@ -24,16 +24,14 @@ import truenewton as tn
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import ring
 
-PEAK = 1024.0  # bytes in a unit of ru_maxrss (Linux)
-
 
 def used() -> tuple[float, float]:
     """Return processor time [s] and peak of memory [MB] of this process."""
     import truenewton.calibration.methods
     import truenewton.reading  # noqa: F401 - imported before the first figure is taken
 
-    own = resource.getrusage(resource.RUSAGE_SELF)
-    return own.ru_utime + own.ru_stime, PEAK * own.ru_maxrss / 1e6
+    status = Path("/proc/self/status").read_text(encoding="ascii")  # Linux
+    return time.process_time(), 1.024e-3 * int(status.partition("VmHWM:")[2].split()[0])
 
 
 def main() -> None:
