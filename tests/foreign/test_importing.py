@@ -24,6 +24,7 @@ from helpers.foreign_files import (
     numbers_of,
     supervisor_folder,
 )
+from studies.matrices import measured_or_made, noisy, true_stiffness, with_faults
 from truenewton.errors import (
     CampaignMismatch,
     FormatError,
@@ -32,6 +33,7 @@ from truenewton.errors import (
     UnreadableFile,
 )
 from truenewton.foreign.choice import places_in
+from truenewton.foreign.soundness import judge
 from truenewton.foreign.stored import read_stored
 from truenewton.foreign.supervisor import supervisor_order
 from truenewton.rounding import percent
@@ -654,3 +656,17 @@ def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
         tn.export_supervisor(tmp_path / "meas", wrong, tmp_path / "wrong")
     with pytest.raises(OutputExists):
         tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "new")
+
+
+def test_import_says_who_is_left_out_only_if_somebody_is():
+    """A matrix of which too much does not fit is kept whole, and `import` says so alone."""
+    made = measured_or_made("p45")
+    sound = noisy(made, true_stiffness(made), 5, "equal", 5e-4)[1]
+    random, k = np.random.default_rng(1), sound.stiffness.copy()
+    k[random.choice(45, 8, replace=False)] *= 1.0 + 0.3 * random.standard_normal((8, 45))
+    text = str(judge(replace(sound, stiffness=k)).lines)
+    assert "none is left out" in text
+    assert "calibrate leaves them out" not in text
+    one, bad = with_faults(sound, 5, 1, "sign")
+    text = str(judge(one).lines)
+    assert f"actuator {sound.layout.id[bad.pop()]}: wrong sign (calibrate leaves" in text

@@ -24,7 +24,7 @@ from truenewton.estimation.estimate import Estimate, with_warnings
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
-from truenewton.estimation.reciprocity.gate import doubts, instead
+from truenewton.estimation.reciprocity.gate import advising_ml, doubts, instead
 from truenewton.estimation.row_readers import RowReader
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
@@ -96,15 +96,18 @@ def _reciprocal(
 ) -> tuple[Estimate, Imbalances]:
     """Return the estimate of reciprocity; of `ml`, with the reason, only where that is allowed."""
     base = stiffness_svd.find(sifted, stiffness_ml.column_fit)
+    if not where_it_holds:
+        with advising_ml():
+            estimate, of_modes, against = reciprocity_of_matrix.find(
+                sifted.matrix, base, known.motion
+            )
+        return with_warnings(estimate, doubts(against)), of_modes
     try:
         estimate, of_modes, against = reciprocity_of_matrix.find(sifted.matrix, base, known.motion)
+        if not against:
+            return estimate, of_modes
     except (RankDeficient, NotConverged) as error:
-        if not where_it_holds:
-            raise
         against = (Fault(error.fault, error.remedy),)
-    else:
-        if not (against and where_it_holds):
-            return with_warnings(estimate, doubts(against)), of_modes
     base = with_warnings(base, instead(against))
     return _with_imbalances(sifted, stiffness_ml.column_fit, base)
 

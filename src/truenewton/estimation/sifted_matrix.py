@@ -59,6 +59,8 @@ class SiftedMatrix:
         torques in comparable units [N^2/m^2].
     warnings, effects
         Which were left out, and why.
+    unsure
+        Why all actuators are kept although some do not fit, if that is so.
     pushing
         Columns around one that is zero do not balance, as if it had pushed.
     """
@@ -68,6 +70,7 @@ class SiftedMatrix:
     disturbance: Array
     warnings: tuple[Fault, ...] = ()
     effects: tuple[Finding, ...] = ()
+    unsure: tuple[Fault, ...] = ()
     pushing: bool = False
 
 
@@ -147,6 +150,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
             *order_effects(sifted, named=False),
             *orientation_effects(sifted),
         ),
+        unsure,
         pushing,
     )
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
+from truenewton.estimation.findings.catalogue import Code
 from truenewton.estimation.matrix_order import (
     DOUBTFUL_ORDER,
     balance_effects,
@@ -19,6 +20,7 @@ from truenewton.estimation.matrix_order import (
 )
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import Layout
 
@@ -94,11 +96,12 @@ def judge(matrix: StiffnessMatrix) -> Judged:
         lines.append(
             ("off", f"{np.count_nonzero(gone)} with {zero}, {what}: {names(matrix.layout, gone)}")
         )
-    for warning in sifted.warnings:
-        if "zero in row or column" not in warning.fault or sifted.pushing:
-            named_ones = warning.fault.partition("fit the others: ")[2]
-            said = f"{named_ones} (calibrate leaves them out)" if named_ones else warning.fault
-            lines.append(("do not fit", said))
+    lines += [("do not fit", each.fault) for each in sifted.unsure]
+    left_out = [each for each in sifted.effects if each.code == Code.ACTUATOR_MISFIT]
+    for reason in dict.fromkeys(each.detail for each in left_out):
+        ids = [i for each in left_out if each.detail == reason for i in each.actuators]
+        which = named("actuator", ids, MOST_NAMES)
+        lines.append(("do not fit", f"{which}: {reason} (calibrate leaves them out)"))
     return Judged(tuple(lines), off, looks_transposed(k, a), bool(balanced))
 
 

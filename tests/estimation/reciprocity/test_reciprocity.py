@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import truenewton as tn
-from helpers.balanced import p45_bench, p45_campaign
+from helpers.balanced import START, p45_bench, p45_campaign
 from helpers.reciprocal import measured, random_stiffness, random_values, small_places
 from studies.joint_bound import BruteForce, shifted
 from studies.simulated_matrices import by_glass, by_plate, drawn
@@ -16,9 +16,15 @@ from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.calibration.words import summary_lines
-from truenewton.errors import CampaignMismatch, RankDeficient, TrueNewtonWarning, UnknownName
+from truenewton.errors import (
+    CampaignMismatch,
+    NotConverged,
+    RankDeficient,
+    TrueNewtonWarning,
+    UnknownName,
+)
 from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.reciprocity import cycles
+from truenewton.estimation.reciprocity import cycles, iteration
 from truenewton.estimation.reciprocity.binned_noise import shares
 from truenewton.estimation.reciprocity.condensation import (
     condensed_regression,
@@ -553,3 +559,17 @@ def test_errors_of_a_matrix_hold_whatever_its_noise_follows(law):
         inside.append(np.mean(np.abs(error) < 1.96 * np.sqrt(stated)))
     assert 0.3 < np.mean(squares) < 1.7
     assert np.mean(inside) > 0.91
+
+
+def test_ml_is_advised_only_where_it_was_not_taken(monkeypatch):
+    truth = p45_bench().truth
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1.0 + 1e-4 * np.random.default_rng(1).standard_normal(k.shape))
+    matrix = StiffnessMatrix("P45", START, truth.layout, k)
+    monkeypatch.setattr(iteration, "STEPS", 1)
+    with pytest.raises(NotConverged, match="or use ml"):
+        calibrate(matrix, "reciprocity")
+    made = calibrate(matrix)
+    assert made.method == "ml"
+    assert "reciprocity has not settled" in str(made.verdict.notes)
+    assert "use ml" not in str(made.verdict.notes)

@@ -35,7 +35,14 @@ from truenewton.estimation.reciprocity.condensation import (
     kept,
     kept_places,
 )
-from truenewton.estimation.reciprocity.gate import Evidence, doubts, instead, left_free, refusals
+from truenewton.estimation.reciprocity.gate import (
+    Evidence,
+    advising_ml,
+    doubts,
+    instead,
+    left_free,
+    refusals,
+)
 from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.known_noise import ONE_EACH, Regressed
 from truenewton.estimation.reciprocity.regression import regressed
@@ -69,7 +76,9 @@ def find(sifted: Sifted, motion: Array | None = None, asked: Asked = USUAL) -> E
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
-    estimate, against = _found(sifted, cycles_ml.find(sifted), motion, asked)
+    base = cycles_ml.find(sifted)
+    with advising_ml():
+        estimate, against = _found(sifted, base, motion, asked)
     return with_warnings(estimate, doubts(against))
 
 
@@ -112,7 +121,7 @@ def _found(
     if len(gradients) > 1:
         raise RankDeficient(
             "COILGRAD or BIASGRAD differs between cycle files, which reciprocity puts together",
-            remedy="use ml, or declare one pair for all",
+            remedy="declare one pair for all",
         )
     bias, coil = gradients.pop()
     with refusal_naming(lambda: sifted.frozen):

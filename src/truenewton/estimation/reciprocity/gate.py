@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
+from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.reciprocity.iteration import Fit
 from truenewton.estimation.reciprocity.unknowns import Kind
 from truenewton.records.fault import Fault
@@ -131,6 +133,15 @@ def doubts(against: Iterable[Fault]) -> tuple[Fault, ...]:
     return tuple(
         Fault(f"reciprocity is in doubt: {fault}", f"use ml; {remedy}") for fault, remedy in against
     )
+
+
+@contextmanager
+def advising_ml() -> Iterator[None]:
+    """Let a refusal of reciprocity advise `ml`: only where `ml` was not taken already."""
+    try:
+        yield
+    except (RankDeficient, NotConverged) as error:
+        raise error.changed(remedy=f"{error.remedy}; or use ml") from None
 
 
 def instead(against: Iterable[Fault]) -> tuple[Fault, ...]:

@@ -150,7 +150,7 @@ def fit(
             asked = _with_spreads(asked, values, covariance)
     raise NotConverged(
         f"reciprocity has not settled after {STEPS} steps",
-        remedy="use ml; the sensors or their positions may not be what they say",
+        remedy="check gains and positions of the sensors",
         got=float(np.sqrt(np.mean(move[:n] ** 2)) / error),
         want=SETTLED,
     )
@@ -168,7 +168,7 @@ def _inverse(gathered: Array, asked: Asked, n: int) -> Array:
     if fails:
         raise RankDeficient(
             "reciprocity does not hold all that is asked of it",
-            remedy="give the sensor gains, or use ml",
+            remedy="give the sensor gains",
         )
     inverse = mirrored(dpotri(factor, lower=True, overwrite_c=True)[0].T)
     inverse *= unit[:, None] * unit

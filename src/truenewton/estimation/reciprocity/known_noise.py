@@ -66,7 +66,7 @@ class Regressed:
         except np.linalg.LinAlgError:
             raise RankDeficient(
                 "the positions of too few shapes that balance differ",
-                remedy="use ml, whose warnings say what does not balance, or add shapes",
+                remedy="see the warnings of ml for what does not balance, or add shapes",
             ) from None
         basis, triangle = np.linalg.qr(
             scipy.linalg.solve_triangular(root, places.rigid_readings(values), lower=True),

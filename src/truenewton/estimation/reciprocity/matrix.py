@@ -238,7 +238,7 @@ def find(
     if asymmetry(matrix.used_stiffness) < SYMMETRIC:
         raise RankDeficient(
             "STIFFNESS was made symmetric, which leaves nothing by which reciprocity tells alpha",
-            remedy="give it as it was measured, or use ml",
+            remedy="give it as it was measured",
         )
     keep, odd = kept(matrix.used_stiffness)
     modes = modes_of(matrix, motion, keep)

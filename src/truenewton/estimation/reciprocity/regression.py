@@ -45,7 +45,7 @@ def regressed(
     if moments.displacement is None:
         raise RankDeficient(
             "reciprocity needs POSITION in every cycle file",
-            remedy="use ml, or record what the sensors read",
+            remedy="record what the sensors read",
         )
     weight, n = moments.weight, moments.mean.shape[1]
     of_load = moments.of_load * weight[:, None]
@@ -74,7 +74,7 @@ def refuse_unheld(square: Array) -> None:
     if missing:
         raise RankDeficient(
             f"no shape holds {missing} of {n} motions of the mirror",
-            remedy="take shapes that span all stiffness modes and the rigid motions, or use ml",
+            remedy="take shapes that span all stiffness modes and the rigid motions",
             got=n - missing,
             want=n,
         )
