@@ -72,7 +72,8 @@ def taken_again(one, other):
 # Killed
 
 
-@pytest.mark.parametrize("way", [pytest.param("random", marks=pytest.mark.study), "steps"])
+@pytest.mark.study
+@pytest.mark.parametrize("way", ["random", "steps"])
 def test_kill_9_costs_at_most_the_shape_under_way(tmp_path, way):
     # In memory where there is such a place: a kill then falls anywhere, not into a wait for a disk.
     memory = Path("/dev/shm")

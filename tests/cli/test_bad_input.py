@@ -59,6 +59,13 @@ def edit(path, *edits):
         hdus.writeto(path, overwrite=True, checksum=True)
 
 
+# Rows in memory, and rows left on disk: of these the refusals are the same, by the same code.
+MEMORY = [
+    pytest.param(2**28, id="in memory"),
+    pytest.param(-1, id="on disk", marks=pytest.mark.study),
+]
+
+
 def keyword(name, value):
     return lambda hdus: hdus[0].header.set(name, value, "")
 
@@ -252,7 +259,7 @@ FILE_FAULTS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("in_memory", [2**28, -1], ids=["in memory", "on disk"])
+@pytest.mark.parametrize("in_memory", MEMORY)
 @pytest.mark.parametrize(("fault", "words"), FILE_FAULTS.values(), ids=FILE_FAULTS)
 def test_a_cycle_file_with_a_fault_is_refused_by_name(
     folder, refused, monkeypatch, in_memory, fault, words
@@ -298,7 +305,7 @@ def lengths(whole):
     return sorted({n for n in (*range(0, whole, 613), *edges, whole - 1) if 0 <= n < whole})
 
 
-@pytest.mark.parametrize("in_memory", [2**28, -1], ids=["in memory", "on disk"])
+@pytest.mark.parametrize("in_memory", MEMORY)
 def test_a_truncated_file_is_refused_at_every_length(folder, refused, monkeypatch, in_memory):
     monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
     path = folder / "ring-001.fits"
@@ -334,7 +341,7 @@ def test_what_is_not_fits_is_refused(folder, refused, content):
     assert any(words in line for words in ("not a FITS file", "damaged", "truncated"))
 
 
-@pytest.mark.parametrize("in_memory", [2**28, -1], ids=["in memory", "on disk"])
+@pytest.mark.parametrize("in_memory", MEMORY)
 @pytest.mark.parametrize("place", ["keyword", "comment", "header padding", "data", "data padding"])
 def test_a_changed_byte_anywhere_breaks_the_checksum(
     folder, refused, monkeypatch, in_memory, place

@@ -149,6 +149,7 @@ def test_what_a_backend_sets_up_stays(calibration, monkeypatch):
         assert mpl.rcParams["interactive"]
 
 
+@pytest.mark.study
 def test_files_and_pages_leave_no_figure_open(calibration, tmp_path):
     findings = tn.investigate(calibration)
     tn.write_report(tmp_path / "report.html", findings)

@@ -273,6 +273,7 @@ def test_readings_cut_off_are_seen_beside_gradients_of_the_coils():
     assert "at 0.24 N" in effect.where
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["mN", "LOAD 'rign'", "two campaigns", "a frozen sensor",
                                   "POSITION of 11 and 12 exchanged"])  # fmt: skip
 def test_every_command_says_it_alike(inside, tmp_path, name):

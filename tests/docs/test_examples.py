@@ -47,6 +47,7 @@ def prepared(tmp_path_factory):
     return folder, names
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("name", PUBLIC)
 def test_the_example_of_a_public_name_gives_what_it_says(name, prepared, tmp_path, monkeypatch):
     folder, names = prepared

@@ -436,7 +436,8 @@ def elastic_information(truth, unknowns, noise=ELASTIC_NOISE):
     return total
 
 
-@pytest.mark.parametrize("repeats", [True, pytest.param(False, marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("repeats", [True, False])
 def test_a_stiffness_matrix_beside_cycles_adds_its_information(repeats):
     cycles = 3 if repeats else 1
     quiet, truth = campaign_of(19, 0.0, cycles=cycles, weight_error=0.0, loads=EXACT)
@@ -496,6 +497,7 @@ def declared_weights(quiet, random):
     return Campaign(tuple(replace(c, weight=weight, load=loads[c.load.key]) for c in quiet.cycles))
 
 
+@pytest.mark.study
 def test_scatter_is_at_the_bound_on_p45():
     """30 campaigns of 45 alphas at 1 mN, 4 cycles; the errors of the weights taken out."""
     bench = p45_bench()

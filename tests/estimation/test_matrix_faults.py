@@ -328,6 +328,7 @@ def test_the_order_of_rows_is_that_of_the_largest_product():
     assert np.array_equal(k[order][row_order(k[order])], k)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("change", [off, pytest.param(sign, marks=pytest.mark.study)])
 def test_modes_and_report_do_without_those_left_out(change):
     matrix, _ = measured(change)

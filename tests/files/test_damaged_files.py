@@ -319,6 +319,7 @@ def idle_bytes(raw, extents):
     return comments, padding
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("sealing", "verdict"), [("stale", "refused"), ("anew", "right")])
 def test_bytes_that_say_nothing_count_only_for_the_checksum(sound, bench, sealing, verdict):
     raw, extents = sound.sealed[1], sound.extents[1]

@@ -585,6 +585,7 @@ def test_the_command_says_what_it_found_and_writes_what_calibrate_reads(tmp_path
     np.testing.assert_array_equal(np.isfinite(alpha), np.isfinite(CASE.alpha))
 
 
+@pytest.mark.study
 def test_the_command_gives_no_answer_of_a_transposed_matrix(tmp_path):
     np.save(tmp_path / "k.npy", CASE.k.T)
     done = cli("import", tmp_path / "k.npy", positions_file(tmp_path, "csv"))
@@ -624,6 +625,7 @@ def test_a_slightly_wrong_numbering_is_doubted():
     assert "LOW, check numbering" in text(made)
 
 
+@pytest.mark.study
 def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     """What the supervisor reads: its checks, its singular vectors, and the forces are true."""
     rows = supervisor_folder(tmp_path / "meas", positions="rings")

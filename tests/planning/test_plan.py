@@ -216,6 +216,7 @@ def test_a_tilt_as_the_load(ready, tilt):
     assert np.hypot(*weights) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.study
 def test_forces_at_rest_are_those_of_the_bench_but_for_its_scatter(ready):
     mirror = p45()
     leaning = replace(PLAN, loads=(*LOADS, Load("leaning", tilt=30.0)))

@@ -29,6 +29,7 @@ def test_p45_proves_within_twenty_eps_cond(seed):
         assert p.passed
 
 
+@pytest.mark.study
 def test_lbt672_proves_within_twenty_eps_cond():
     for p in prove(lbt672(), seed=0):
         assert p.rank == p.unknowns == (672 if p.system == "C" else 677)

@@ -330,6 +330,7 @@ def test_the_user_may_write_nothing(recorder, keys_folder):
 # -- servers that go and come, faults ------------------------------------------------------------
 
 
+@pytest.mark.study
 def test_the_connection_comes_back_with_the_server(keys_folder):
     port, shape = free_port(), Shape(BARE, 1, 1, 1, np.zeros(5))
     with behind(RecordingBench(), keys_folder, port) as address:

@@ -151,7 +151,13 @@ def test_alpha_moves_as_told_if_an_effect_is_taken_out(name):
         assert moved / scale == pytest.approx(told, abs=2e-3 * np.abs(told).max() + 1e-3 * unit)
 
 
-@pytest.mark.parametrize(("name", "pooled"), [("gain by hour of each", False), ("positions", True)])
+@pytest.mark.parametrize(
+    ("name", "pooled"),
+    [
+        pytest.param("gain by hour of each", False, marks=pytest.mark.study),
+        ("positions", True),
+    ],
+)
 def test_noise_alone_feigns_as_much_of_an_effect_as_told(name, pooled):
     """D_te: how the score of an effect changes with alpha, at the truth, over drawn noises.
 
