@@ -101,11 +101,11 @@ class TooManyOutliers(TrueNewtonError, ValueError):
 
 
 class NotToBeUsed(TrueNewtonError, ValueError):
-    """A calibration whose verdict is 'not to be used', and that nobody forced."""
+    """A calibration whose verdict is 'rejected'."""
 
 
 class TrueNewtonWarning(UserWarning):
-    """A calibration that is not to be used, or whose data show what was not taken out of them."""
+    """A calibration whose verdict is 'doubtful' or 'rejected'."""
 
 
 class NotConverged(TrueNewtonError, ArithmeticError):

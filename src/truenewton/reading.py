@@ -74,7 +74,7 @@ def read(*paths: AnyPath | Iterable[AnyPath], client: Client | None = None) -> R
     Warns
     -----
     TrueNewtonWarning
-        A calibration is not to be used, or its data show what was not taken out of them.
+        The verdict on a calibration is 'doubtful' or 'rejected'.
 
     Examples
     --------

@@ -12,7 +12,7 @@ file           the calibration file (docs/files.md)
 written        a calibration as a file, in the form that its name ends in
 figures        alpha with errors (paper, fig. 5), and all figures of a calibration as files
 scale_faults   what is wrong with the common scale: unit, weights, their errors
-verdict        sound, limited, or not to be used: one verdict for all who ask
+verdict        sound, usable, doubtful or rejected: one verdict for all who ask
 words          a calibration in words and numbers: terminal, page, script
 survey         what data hold, before anything is calibrated
 """

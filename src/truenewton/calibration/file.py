@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,17 @@ from truenewton.estimation.diagnosis import (
     NoiseSource,
     ScaleError,
 )
-from truenewton.estimation.findings.catalogue import Code, read_name
-from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.catalogue import (
+    REPEATED,
+    Code,
+    Level,
+    read_name,
+    read_warning,
+)
+from truenewton.estimation.findings.finding import Finding, from_stored
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
-from truenewton.records.fault import Fault
 from truenewton.records.formats import ID, INSTRUMENT, NZ, SOURCES, X, Y
 
 ACTUATORS = TableFormat(
@@ -116,7 +122,13 @@ CALIBRATION = FileFormat(
         ),
         TableFormat(
             "WARNINGS",
-            (Column("FAULT", "fault", kind="str"), Column("REMEDY", "remedy", kind="str")),
+            (
+                Column("CODE", "code", kind="str", absent=""),
+                Column("LEVEL", "grade", kind="str", absent=""),
+                Column("FAULT", "fault", kind="str"),
+                Column("REMEDY", "remedy", kind="str"),
+                Column("VALUES", "stored", kind="str", absent=""),
+            ),
             of="diagnosis.warnings",
             optional=True,
         ),
@@ -192,10 +204,9 @@ def calibration_from(file: FitsFile) -> Calibration:
             remedy="calibrate again",
             path=file.path,
         ) from None
-    warnings = values.pop("diagnosis", {}).get("warnings", {"fault": (), "remedy": ()})
-    if warnings["fault"]:
-        faults = map(Fault, warnings["fault"], warnings["remedy"])
-        values["diagnosis"] = Diagnosis(warnings=tuple(faults))
+    warnings = values.pop("diagnosis", {}).get("warnings")
+    if warnings is not None:
+        values["diagnosis"] = Diagnosis(warnings=_warnings(warnings))
     return file.filled(Calibration, values)
 
 
@@ -244,6 +255,22 @@ def _finding(code: str, name: str, detail: str, where: str, ids: str, **values: 
         found, detail = Code.OTHER, name
     actuators = tuple(int(i) for i in ids.split())
     return Finding(code=found, detail=detail, where=where, actuators=actuators, **values)
+
+
+def _warnings(columns: dict[str, Any]) -> tuple[Finding, ...]:
+    """Return what is weak in a result; of files without codes, and of newer ones, by its text."""
+    rows = zip(
+        *(columns[name] for name in ("code", "grade", "fault", "remedy", "stored")), strict=True
+    )
+    return tuple(_warning(*row) for row in rows if row[0] or not str(row[2]).startswith(REPEATED))
+
+
+def _warning(code: str, level: str, fault: str, remedy: str, stored: str) -> Finding:
+    try:
+        return from_stored(code, remedy, json.loads(stored))
+    except (KeyError, ValueError, TypeError, AttributeError):
+        graded = Level.read(level) if level else read_warning(fault)
+        return Finding(code=Code.OTHER, detail=fault, graded=graded, remedy=remedy)
 
 
 def _scale_errors(columns: dict[str, Any] | None) -> tuple[ScaleError, ...]:

@@ -19,12 +19,13 @@ from truenewton.cluster import Client
 from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, UnknownName, located
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
-from truenewton.estimation.effects.words import effect_warnings
 from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding, distinct
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
-from truenewton.estimation.reciprocity.gate import advising_ml, doubts, instead
+from truenewton.estimation.reciprocity.gate import advising_ml, doubts, failed, instead
 from truenewton.estimation.row_readers import RowReader
 from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
@@ -36,7 +37,6 @@ from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted
 
 
 class Known(NamedTuple):
@@ -60,13 +60,9 @@ def _svd_of_cycles(sifted: Sifted, _: Known) -> Estimate:
     moments = campaign_moments(campaign) if sifted.rejected else sifted.moments
     found = cycles_svd.find(campaign, moments)
     effects = tuple(replace(effect, corrected=False) for effect in judged.effects)
-    of_effects = {*effect_warnings(judged.effects), *effect_warnings(effects)}
-    others = [fault for fault in judged.diagnosis.warnings if fault not in of_effects]
-    warnings = (*found.diagnosis.warnings, *effect_warnings(effects), *others)
+    warnings = distinct((*found.diagnosis.warnings, *judged.diagnosis.warnings))
     if judged.rejected:
-        out = counted(judged.rejected, "row")
-        rows = f"svd takes all rows, {out} among them that ml leaves out"
-        warnings += (Fault(rows, "use ml, or mark as not VALID those that do not belong"),)
+        warnings += (Finding.of(Code.SVD_USES_ALL_ROWS, count=len(judged.rejected)),)
     diagnosis = replace(found.diagnosis, warnings=warnings)
     fit = judged.goodness  # of `ml`: told where no alpha balances the data
     goodness = fit if fit is not None and fit.probability < FITS else None
@@ -87,8 +83,8 @@ def _with_imbalances(
     try:
         return estimate, stiffness_svd.imbalances(sifted, method, estimate.values)
     except (RankDeficient, NotConverged) as error:
-        fault = Fault(f"every second mode alone gives no alpha: {error.fault}", error.remedy)
-        return with_warnings(estimate, (fault,)), ()
+        alone = Finding.of(Code.HALVES_INSUFFICIENT, fault=error.fault, remedy=error.remedy)
+        return with_warnings(estimate, (alone,)), ()
 
 
 def _reciprocal(
@@ -107,7 +103,7 @@ def _reciprocal(
         if not against:
             return estimate, of_modes
     except (RankDeficient, NotConverged) as error:
-        against = (Fault(error.fault, error.remedy),)
+        against = (failed(error),)
     base = with_warnings(base, instead(against))
     return _with_imbalances(sifted, stiffness_ml.column_fit, base)
 
@@ -187,7 +183,7 @@ def calibrate(
     Warns
     -----
     TrueNewtonWarning
-        The verdict is 'not to be used', or the data show what was not taken out of them.
+        The verdict is 'rejected' or 'doubtful'.
 
     Examples
     --------
@@ -271,8 +267,8 @@ def refusals(error: TrueNewtonError, sifted: Sifted | None) -> tuple[Fault, ...]
     first = Fault(error.fault, error.remedy)
     if sifted is None or not isinstance(error, RankDeficient):
         return (first,)
-    others = [*diagnose(sifted.sound, sifted.moments).faults]
-    return first, *(fault for fault in others if fault.fault not in first.fault)
+    others = diagnose(sifted.sound, sifted.moments).faults
+    return first, *(Fault(x.fault, x.remedy) for x in others if x.fault != error.fault)
 
 
 def calibration_of(

@@ -191,15 +191,15 @@ class Calibration:
 
     @property
     def verdict(self) -> Verdict:
-        """Sound, limited or not to be used, with the faults; by what a file holds."""
+        """Whether the stated errors hold, with all findings; by what a file contains."""
         from truenewton.calibration.verdict import verdict_on
 
         return verdict_on(self)
 
     @property
-    def doubtful(self) -> bool:
-        """Whether its data show what was not taken out of them."""
-        return any(not effect.corrected for effect in self.effects)
+    def findings(self) -> tuple[Finding, ...]:
+        """All that was found, the worst first."""
+        return self.verdict.findings
 
     @property
     def error(self) -> Array:

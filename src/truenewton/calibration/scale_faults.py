@@ -10,10 +10,11 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import ErrorKind
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.fit_warnings import PLAUSIBLE
-from truenewton.estimation.identifiability import ALIKE, NO_LOAD_SEEN, alike_loads_fault
+from truenewton.estimation.identifiability import ALIKE, NO_LOAD_SEEN, similar_loads
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
-from truenewton.records.fault import Fault
 from truenewton.rounding import percent, significant
 from truenewton.statics.arms import effective_weight
 
@@ -58,17 +59,19 @@ MISTAKES = (
 )
 OTHER_UNIT = "FORCE looks as if in counts or volts of the electronics, or in another unit than N"
 NEAR_ONE = (0.6, 1.6)  # the typical alpha of mirrors, which a single mistake is to bring back
-UNTOLD = 1 / 3  # of alpha, its error from readings: beyond, it is not told from 0 by three sigma
+MAX_RELATIVE_ERROR = (
+    1 / 3
+)  # of alpha, its error from readings: beyond, it is not told from 0 by three sigma
 LIKE_OTHERS, MOST = 0.5, 0.9  # relative to the median, of how many: else it is no unit alone
 
 
-def unit_fault(c: Calibration) -> Fault | None:
+def unit_fault(c: Calibration) -> Finding | None:
     """Return that alpha is so far from 1 that a unit must be wrong, and which one it may be.
 
     Or that no load is seen: then alpha is large, but no more than noise.
     """
     median = float(np.nanmedian(c.alpha))
-    if c.scale == Scale.WEIGHTS and typical(c.reading_error, c.alpha) > UNTOLD:
+    if c.scale == Scale.WEIGHTS and typical(c.reading_error, c.alpha) > MAX_RELATIVE_ERROR:
         return NO_LOAD_SEEN if abs(median) > PLAUSIBLE[1] else None
     alike = np.abs(c.alpha[c.layout.enabled] / median - 1.0) < LIKE_OTHERS
     if PLAUSIBLE[0] < abs(median) < PLAUSIBLE[1] or np.mean(alike) < MOST:
@@ -80,9 +83,10 @@ def unit_fault(c: Calibration) -> Fault | None:
     ]
     looks = ", or ".join(each.said for each in fitting) or OTHER_UNIT
     remedy = "; or ".join(dict.fromkeys(each.remedy for each in fitting)) or FORCE_IN
-    other = ", and FORCE of the other sign" if median < 0.0 else ""
-    said = f"alpha is about {significant(median)}, near 1 where all is in N"
-    return Fault(f"{said}: {looks}{other}", remedy)
+    looks += ", and FORCE of the other sign" if median < 0.0 else ""
+    return Finding.of(
+        Code.ALPHA_FAR_FROM_ONE, alpha=significant(median), looks=looks, remedy=remedy
+    )
 
 
 def _added_with_weight(c: Calibration) -> Iterator[Mistake]:
@@ -97,26 +101,22 @@ def _added_with_weight(c: Calibration) -> Iterator[Mistake]:
         )
 
 
-def scale_faults(c: Calibration) -> Iterator[Fault]:
+def scale_faults(c: Calibration) -> Iterator[Finding]:
     """Yield that the weights limit the common scale, or are given without their errors."""
     if c.scale == Scale.MEAN_ONE:
         return
     weights, readings = typical(c.systematic_error, c.alpha), typical(c.reading_error, c.alpha)
     if c.scale == Scale.WEIGHTS:
-        alike = alike_loads_fault(weights_along_axis(c))
+        alike = similar_loads(weights_along_axis(c))
         if alike and typical(c.error, c.alpha) > ALIKE:
             yield alike
         exact = [f"'{load.name}'" for load in c.loads if load.added and not load.added_error]
         if exact or weights < NO_ERROR:
             which = f" (E_ADDED of {' and '.join(exact)} is 0)" if exact else ""
-            yield Fault(
-                f"the weights are given without errors{which}, so the common scale seems known"
-                " without any",
-                "give E_WEIGHT, E_ADDED and E_TILT, the standard uncertainties of the weighing",
-            )
+            yield Finding.of(Code.WEIGHTS_WITHOUT_ERRORS, which=which)
     if weights > 2.0 * readings:
-        fault, remedy = scale_limit(c) or (f"the common scale is known to {percent(weights)}", "")
-        yield Fault(fault, remedy or "better known weights would help, more cycles would not")
+        limit = scale_limit(c)
+        yield limit or Finding.of(Code.SCALE_BY_WEIGHTS, error=weights, share="")
 
 
 def weights_along_axis(c: Calibration) -> Array:
@@ -124,13 +124,12 @@ def weights_along_axis(c: Calibration) -> Array:
     return effective_weight(c.weight, [q.added for q in c.loads], [q.tilt for q in c.loads])
 
 
-def scale_limit(c: Calibration) -> Fault | None:
+def scale_limit(c: Calibration) -> Finding | None:
     """Return what limits the common scale and what would help; None where the weights do not."""
     if not c.scale_errors or c.scale_errors[0].source == READINGS:
         return None
     total, largest = scale_total(c.scale_errors), c.scale_errors[0]
     share = "nearly all of it" if largest.relative > 0.9 * total else "most of it"
-    fault = f"the common scale is known to {percent(total)}, {share} from the {largest.source}"
     remedies = []
     heaviest = max(c.loads, key=lambda load: load.added_error)
     if largest.source.kind in WEIGHED and heaviest.added_error:
@@ -141,4 +140,9 @@ def scale_limit(c: Calibration) -> Fault | None:
         tilted = tilt_as_load(c.weight, c.weight_error, 60.0, 0.1)
         if tilted < total:
             remedies.append(f"a 60 degree tilt known to 0.1 degree gives {percent(tilted)}")
-    return Fault(fault, "; ".join(remedies))
+    return Finding.of(
+        Code.SCALE_BY_WEIGHTS,
+        error=total,
+        share=f", {share} from the {largest.source}",
+        remedy="; ".join(remedies),
+    )

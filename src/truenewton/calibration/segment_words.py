@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.verdict import Level, Verdict
+from truenewton.calibration.verdict import no_alpha
 from truenewton.calibration.words import row, summary_values, verdict_lines
+from truenewton.estimation.findings.catalogue import Level
 from truenewton.estimation.weights import typical
 from truenewton.rounding import counted, percent, to_digits, with_error
 
@@ -69,7 +70,7 @@ def segmented_values(c: SegmentedCalibration) -> dict[str, Any]:
             if number in c.segments
             else {
                 "segment": number,
-                "verdict": Verdict(Level.NONE, c.refused[number]).values,
+                "verdict": no_alpha(c.refused[number]).values,
             }
             for number in c.numbers
         ],

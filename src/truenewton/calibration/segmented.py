@@ -70,27 +70,19 @@ class SegmentedCalibration(OfSegments[Calibration]):
 
         return verdict_on_segments(self)
 
-    @property
-    def doubtful(self) -> bool:
-        """Whether a segment gave no alpha, or none to be used, or has effects not taken out."""
-        from truenewton.calibration.verdict import Level
-
-        return bool(self.refused) or any(
-            one.doubtful or one.verdict.level == Level.UNUSABLE for one in self.segments.values()
-        )
-
     def without_unusable(self) -> SegmentedCalibration:
-        """Return it without the alpha of segments whose verdict is 'not to be used'.
+        """Return it without the alpha of segments whose verdict is 'rejected'.
 
         Itself where they all are.
         """
-        from truenewton.calibration.verdict import Level
+        from truenewton.estimation.findings.catalogue import Level
 
         judged = {number: one.verdict for number, one in self.segments.items()}
-        out = {n: v.faults for n, v in judged.items() if v.level == Level.UNUSABLE}
+        out = {n: v.faults for n, v in judged.items() if v.level <= Level.REJECTED}
         if not out or len(out) == len(judged):
             return self
-        named = {n: (Fault(f"{Level.UNUSABLE}: {f[0].fault}", f[0].remedy), *f[1:])
+        named = {n: (Fault(f"{Level.REJECTED}: {f[0].fault}", f[0].remedy),
+                     *(Fault(each.fault, each.remedy) for each in f[1:]))
                  for n, f in out.items()}  # fmt: skip
         kept = {number: one for number, one in self.segments.items() if number not in out}
         return replace(self, segments=kept, refused={**self.refused, **named})

@@ -20,9 +20,11 @@ from truenewton.calibration.verdict import warn_of
 from truenewton.calibration.workers import processors, side_by_side
 from truenewton.errors import RankDeficient, TrueNewtonError, UnreadableFile
 from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
-from truenewton.records.segmented import SegmentedData, coupling_faults
+from truenewton.records.segmented import SegmentedData, segment_couplings
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import Layout
 
@@ -83,8 +85,9 @@ def calibrate_segments(
     made, refused = sorted_out(data, of_each(data, solver, processes), "alpha")
     made = {number: frozen_again(one) for number, one in made.items()}
     if data.stiffness is not None:
-        for number, coupled in coupling_faults(data.stiffness).items():
+        for number, (size, own) in segment_couplings(data.stiffness).items():
             if number in made:
+                coupled = Finding.of(Code.SEGMENTS_COUPLED, size=size, own=own)
                 made[number] = _warned(made[number], coupled)
     whole = SegmentedCalibration(data.instrument, data.layout, made, refused)
     warn_of(whole, stacklevel=4)
@@ -215,6 +218,6 @@ def _attempt(solve: Callable[[Body], Found], body: Body) -> Found | Fault:
             )
 
 
-def _warned(calibration: Calibration, fault: Fault) -> Calibration:
+def _warned(calibration: Calibration, fault: Finding) -> Calibration:
     diagnosis = calibration.diagnosis or Diagnosis()
     return replace(calibration, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, fault)))

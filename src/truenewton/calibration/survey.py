@@ -16,7 +16,7 @@ from truenewton.calibration.methods import (
     refusals,
 )
 from truenewton.calibration.segments import Seen, seen_of, telling_of
-from truenewton.calibration.verdict import Level, Verdict
+from truenewton.calibration.verdict import Verdict, no_alpha
 from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
 from truenewton.errors import (
     FormatError,
@@ -26,6 +26,7 @@ from truenewton.errors import (
     TooManyOutliers,
 )
 from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.findings.catalogue import Level
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, elastic_count, modal_stiffness
@@ -68,18 +69,20 @@ def survey(
         "disabled": disabled,
         **facts,
         "separation": diagnosis.separation,
-        "faults": [fault._asdict() for fault in verdict.faults] if refused else [],
+        "faults": [{"fault": each.fault, "remedy": each.remedy} for each in verdict.faults]
+        if refused
+        else [],
         "verdict": verdict.values,
     }
     off = f" ({disabled} disabled)" if disabled else ""
     headline = f"a {what} of {data.instrument}: {counted(data.layout.n, 'actuator')}{off}{contents}"
     lines.insert(0, headline)
     if refused:
-        lines += [f"  not enough for alpha: {fault}; {remedy}" for fault, remedy in verdict.faults]
+        lines += [f"  not enough for alpha: {each.fault}; {each.remedy}" for each in verdict.faults]
     else:
         apart = diagnosis.separation
         enough = "enough for alpha" + (f", which stands apart by {apart:.3g}" if apart > 0 else "")
-        if verdict.level == Level.UNUSABLE:
+        if verdict.level == Level.REJECTED:
             enough = "not enough for alpha that is to be used"
         lines.append(f"  {enough}")
         lines += verdict_lines(verdict)
@@ -105,13 +108,13 @@ def survey_segments(
             body = data.segment(number)
             values, told = survey(body, method, population=population, motion=of_it)
         except (FormatError, GeometryError) as error:
-            verdict = Verdict(Level.NONE, (Fault(error.fault, error.remedy),))
+            verdict = no_alpha([Fault(error.fault, error.remedy)])
             values = {"verdict": verdict.values}
             told = [f"segment {number}", f"  not enough for alpha: {error.fault}; {error.remedy}"]
         levels.append(values["verdict"]["level"])
         parts.append({"segment": number, **values})
         lines += told
-    good = sum(level in (Level.SOUND, Level.LIMITED) for level in levels)
+    good = sum(Level.read(level) >= Level.DOUBTFUL for level in levels)
     lines[0] += f" of {counted(data.layout.n, 'actuator')}, {good} with enough for alpha"
     return {
         "holds": "segments",
@@ -129,7 +132,7 @@ def _survey_campaign(
     try:
         sifted = sift(campaign)
     except TooManyOutliers as error:  # what the files hold is told all the same
-        refusal = Verdict(Level.NONE, refusals(error, None))
+        refusal = no_alpha(refusals(error, None))
     shapes = len(np.unique(np.concatenate([c.shape[c.valid] for c in campaign.cycles])))
     noise, rejected = (sifted.moments.noise, sifted.rejected) if sifted else (np.nan, ())
     loads = []
@@ -178,7 +181,7 @@ def _survey_campaign(
         estimate = find_alpha(sifted, method, known)
         verdict = calibration_of(campaign, estimate).verdict
     except (RankDeficient, TooManyOutliers, NotConverged) as error:
-        verdict = Verdict(Level.NONE, refusals(error, sifted))
+        verdict = no_alpha(refusals(error, sifted))
     return values, lines, diagnosis, verdict
 
 
@@ -204,6 +207,6 @@ def _survey_stiffness(
     try:
         made = calibrate(matrix, method, **known._asdict())
     except (RankDeficient, NotConverged) as error:
-        refusal = Verdict(Level.NONE, refusals(error, None))
+        refusal = no_alpha(refusals(error, None))
         return values, lines, Diagnosis(), refusal
     return values, lines, made.diagnosis or Diagnosis(), made.verdict

@@ -13,6 +13,7 @@ from truenewton.calibration.scale_faults import scale_limit
 from truenewton.calibration.verdict import Verdict, rejected_sentence
 from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.weights import scale_budget, typical
 from truenewton.records.campaign import Campaign
@@ -34,8 +35,7 @@ def summary_lines(calibration: Calibration) -> Iterator[str]:
         yield row(name, value, note)
     limit = scale_limit(c)
     if limit is not None:
-        fault, remedy = limit
-        yield f"  {fault[0].upper()}{fault[1:]}{': ' if remedy else ''}{remedy}."
+        yield f"  {as_sentences(limit)}"
     yield from verdict_lines(c.verdict, but=limit)
 
 
@@ -44,17 +44,25 @@ def row(name: str, value: str, note: str = "") -> str:
     return f"  {name:<24}{value:<36}{note}".rstrip()
 
 
-def verdict_lines(verdict: Verdict, but: Fault | None = None) -> Iterator[str]:
-    """Yield the level of a verdict, its notes, and its faults but for one said already."""
-    yield row("verdict", f"{verdict.level}{', by the common scale' * (verdict.faults == (but,))}")
-    yield from (f"  {'; '.join(filter(None, note))}" for note in verdict.notes)
-    yield from warning_lines(fault for fault in verdict.faults if fault != but)
+def verdict_lines(verdict: Verdict, but: Finding | None = None) -> Iterator[str]:
+    """Yield the level of a verdict and its findings, but for one said already."""
+    only = ", by the common scale" if verdict.faults == (but,) else ""
+    yield row("verdict", f"{verdict.level}{only}")
+    yield from (f"  {as_sentences(note)}" for note in verdict.notes)
+    yield from warning_lines(each for each in verdict.faults if each != but)
 
 
-def warning_lines(warnings: Iterable[Fault]) -> Iterator[str]:
-    """Yield a line for each warning."""
-    for warning in warnings:
-        yield f"  WARNING: {'; '.join(filter(None, warning))}"
+def warning_lines(findings: Iterable[Finding | Fault]) -> Iterator[str]:
+    """Yield a line for each finding, with what it leaves of the result."""
+    for each in findings:
+        level = f"{each.level}: " if isinstance(each, Finding) else "WARNING: "
+        yield f"  {level}{as_sentences(each)}"
+
+
+def as_sentences(said: Finding | Fault) -> str:
+    """Return a fault and its remedy as sentences."""
+    both = filter(None, (said.fault, said.remedy))
+    return " ".join(f"{each[0].upper()}{each[1:].rstrip('.')}." for each in both)
 
 
 def rejected_lines(campaign: Campaign, rejected: Sequence[RejectedRow]) -> Iterator[str]:
@@ -92,7 +100,7 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
         "solved_condition": c.solved_condition,
         "rank": c.rank,
         "separation": c.diagnosis.separation if c.diagnosis else None,
-        "warnings": [fault for fault, _ in c.diagnosis.warnings] if c.diagnosis else [],
+        "warnings": [each.fault for each in c.diagnosis.warnings] if c.diagnosis else [],
         "bias_force": c.bias_force,
         "e_bias_force": c.bias_force_error,
         "loads": [
@@ -115,7 +123,7 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
         "scale_errors": [
             {"source": str(line.source), "relative": line.relative} for line in c.scale_errors
         ],
-        "effects": [effect.values for effect in c.effects],
+        "effects": [effect.as_values for effect in c.effects],
         "unseen": [asdict(error) for error in c.unseen],
         "sensors": [asdict(sensor) for sensor in c.sensors],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",

@@ -11,6 +11,7 @@ from truenewton.calibration.file import ACTUATORS, CALIBRATION
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_file import ALPHA, SEGMENTED, versions_of
 from truenewton.calibration.segmented import SegmentedCalibration
+from truenewton.calibration.words import as_sentences
 from truenewton.errors import OutputExists, OutputFailed
 from truenewton.files.fits import write_fits
 from truenewton.files.format import columns_of, header_of
@@ -98,5 +99,5 @@ def _write_table(calibration: AnyCalibration, path: Path, suffix: str) -> None:
         ):  # YAML knows plain types alone
             table.meta[name] = str(value) if isinstance(value, str) else np.asarray(value).item()
         faults = calibration.verdict.faults
-        table.meta["FAULTS"] = ["; ".join(filter(None, fault)) for fault in faults]
+        table.meta["FAULTS"] = [as_sentences(each) for each in faults]
     table.write(path, format=f"ascii{suffix}")

@@ -45,9 +45,9 @@ def run(
     quiet: bool = options.QUIET,
 ) -> None:
     """Make a stiffness file from a matrix and positions in other people's files."""
-    from truenewton.calibration.verdict import Level
     from truenewton.calibration.words import summary_values
     from truenewton.cli.terminal import busy, print_result
+    from truenewton.estimation.findings.catalogue import Level
     from truenewton.files.outputs import refuse_existing
     from truenewton.foreign.importing import stiffness_from
     from truenewton.mirrors.file import mirror_from
@@ -83,7 +83,7 @@ def run(
     if made.transposed:
         how = "without" if transpose else "with"
         lines.append(f"  next         the same command {how} --transpose")
-    elif not made.balanced and (calibration is None or calibration.verdict.level == Level.UNUSABLE):
+    elif not made.balanced and (calibration is None or calibration.verdict.level <= Level.REJECTED):
         lines.append("  next         mend what is said, then import again")
     elif not made.balanced and output is not None:
         lines.append(f"  next         truenewton calibrate {output} -o alpha.fits")
@@ -100,7 +100,7 @@ def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | 
     Reciprocity, which `calibrate` tries too, takes several times as long.
     """
     from truenewton.calibration.methods import calibrate
-    from truenewton.calibration.words import summary_rows
+    from truenewton.calibration.words import summary_rows, warning_lines
     from truenewton.cli.terminal import busy
     from truenewton.errors import TrueNewtonError
 
@@ -119,7 +119,5 @@ def _first_answer(made: Imported) -> tuple[list[tuple[str, str]], Calibration | 
         for what, (_, value, note) in zip(("alpha", "error", "scale"), rows, strict=False)
     ]
     lines.append(("method", "ml; calibrate tries reciprocity too, which takes longer"))
-    said = ["; ".join(filter(None, fault)) for fault in found.verdict.faults]
-    return [*lines, ("verdict", ": ".join([found.verdict.level, *said[:1]]))] + [
-        ("", each) for each in said[1:]
-    ], found
+    lines.append(("verdict", str(found.verdict.level)))
+    return [*lines, *(("", line.strip()) for line in warning_lines(found.verdict.faults))], found

@@ -28,11 +28,9 @@ POPULATION = typer.Option(
 GLASS = typer.Option(
     None, "--mirror", help="Its glass, known or a TOML file: what its sensors see."
 )
-ANYWAY = typer.Option(
-    False, "--anyway", help="Go on though the verdict on alpha is 'not to be used'."
-)
+ANYWAY = typer.Option(False, "--anyway", help="Go on although the verdict on alpha is 'rejected'.")
 FORCE = typer.Option(  # which is a number to `modes`
-    False, "--force", "--anyway", help="Go on though the verdict on alpha is 'not to be used'."
+    False, "--force", "--anyway", help="Go on although the verdict on alpha is 'rejected'."
 )
 SEGMENT = typer.Option(
     None, "--segment", help="Number of one segment, which is taken alone (mirrors in segments)."

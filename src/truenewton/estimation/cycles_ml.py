@@ -20,22 +20,22 @@ from truenewton.estimation.diagnosis import (
 )
 from truenewton.estimation.effects.examination import examined
 from truenewton.estimation.effects.examined import Examined, chi2_probability
+from truenewton.estimation.effects.misfit import misfit_findings, warmer_loads
 from truenewton.estimation.effects.unseen import unseen_errors, with_magnets_unsure
 from truenewton.estimation.effects.unsure_positions import (
     positions_are_unsure,
     with_positions_unsure,
 )
-from truenewton.estimation.effects.words import effect_warnings, misfit_warnings, warmer_loads
 from truenewton.estimation.estimate import Estimate, Scale
 from truenewton.estimation.fit_warnings import campaign_warnings, noise_warnings
 from truenewton.estimation.identifiability import (
-    alike_loads_fault,
     diagnose,
     in_words,
     leverage,
     refuse,
+    similar_loads,
     structural_faults,
-    unseen_load_fault,
+    unseen_load,
 )
 from truenewton.estimation.likelihood import chi2_at, gram_of_e
 from truenewton.estimation.minimum import Minimum, Prior
@@ -122,7 +122,7 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     clipped = () if belongs.all() and left.fits else sifted.clipped
     effects = (*suspects.named, *strange, *clipped, *sifted.frozen, *left.effects)
     effects += tuple(warmer_loads(sound, estimate.scale_errors))
-    warnings = (*estimate.diagnosis.warnings, *effect_warnings(effects), *misfit_warnings(left))
+    warnings = (*estimate.diagnosis.warnings, *misfit_findings(left))
     return replace(
         estimate,
         effects=effects,
@@ -205,8 +205,8 @@ def _fitted(
     except (RankDeficient, NotConverged, TooManyOutliers):
         diagnosis = diagnose(campaign, moments)  # which knows better what is missing
         if not diagnosis.undetermined or not tolerable(diagnosis, problem.n):
-            alike = alike_loads_fault(campaign.effective_weights)
-            unseen = unseen_load_fault(problem.a[0], campaign.effective_weights, moments)
+            alike = similar_loads(campaign.effective_weights)
+            unseen = unseen_load(problem.a[0], campaign.effective_weights, moments)
             refuse((unseen, *diagnosis.faults, alike), diagnosis.undetermined)
             raise
     for count in range(diagnosis.undetermined, 2 * diagnosis.undetermined + 2):
@@ -215,8 +215,8 @@ def _fitted(
             return *balancing_groups(with_patterns_held(problem, patterns), moments), patterns
         except (RankDeficient, NotConverged):
             continue
-    fault, remedy = diagnosis.faults[0]
-    raise RankDeficient(fault, remedy=remedy, got=diagnosis.undetermined, want=0)
+    first = diagnosis.faults[0]
+    raise RankDeficient(first.fault, remedy=first.remedy, got=diagnosis.undetermined, want=0)
 
 
 def estimate_of(

@@ -15,6 +15,8 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.estimate import Estimate, Scale
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import diagnose, refuse
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.repeats import row_groups
@@ -22,7 +24,6 @@ from truenewton.estimation.systems import system_e
 from truenewton.estimation.weights import WeightErrors, scale_errors, weight_errors
 from truenewton.linalg import singular_values_and_vectors
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
 
@@ -176,15 +177,11 @@ def bias(campaign: Campaign, solved: SingularSolution, variance: Array) -> Array
     return np.asarray(-solved.inverse[:, :n] @ (d * solved.solution[:n]))
 
 
-def _bias_warnings(biased: Array, scatter: Array) -> Iterator[Fault]:
+def _bias_warnings(biased: Array, scatter: Array) -> Iterator[Finding]:
     """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
-    size = np.sqrt(np.mean(biased**2))
-    if size > 0.2 * np.sqrt(np.mean(scatter**2)):
-        yield Fault(
-            f"svd is biased by {100 * size:.2g} % (RMS over actuators, to first order), which its"
-            " errors leave out",
-            "use ml",
-        )
+    size, stated = (float(np.sqrt(np.mean(each**2))) for each in (biased, scatter))
+    if size > 0.2 * stated:
+        yield Finding.of(Code.SVD_BIAS if size < stated else Code.SVD_BIAS_LARGE, bias=size)
 
 
 def find(campaign: Campaign, moments: Moments) -> Estimate:

@@ -7,6 +7,7 @@ from enum import Enum, StrEnum
 
 import numpy as np
 
+from truenewton.estimation.findings.finding import Finding
 from truenewton.records.fault import Fault
 
 
@@ -33,7 +34,7 @@ class Diagnosis:
     faults
         What is missing, each with its remedy; empty when alpha can be had.
     warnings
-        What is weak, each with its remedy.
+        What is weak.
     weakest
         The pattern of alpha that the data hold least, in words; its share of the variance E_STAT^2
         summed over actuators follows.
@@ -48,8 +49,8 @@ class Diagnosis:
 
     eigenvalues: tuple[float, ...] = ()
     undetermined: int = 0
-    faults: tuple[Fault, ...] = ()
-    warnings: tuple[Fault, ...] = ()
+    faults: tuple[Fault | Finding, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     weakest: str = ""
     weakest_share: float = float("nan")
     leverage: tuple[float, ...] = ()

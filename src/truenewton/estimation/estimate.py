@@ -15,7 +15,6 @@ from truenewton.estimation.diagnosis import (
     UnseenError,
 )
 from truenewton.estimation.findings.finding import Finding
-from truenewton.records.fault import Fault
 
 
 class Scale(StrEnum):
@@ -79,7 +78,7 @@ class Estimate:
     sensors: tuple[Sensor, ...] = ()
 
 
-def with_warnings(estimate: Estimate, more: tuple[Fault, ...]) -> Estimate:
+def with_warnings(estimate: Estimate, more: tuple[Finding, ...]) -> Estimate:
     """Return an estimate with more of what is weak in it."""
     diagnosis = estimate.diagnosis
     return replace(estimate, diagnosis=replace(diagnosis, warnings=(*diagnosis.warnings, *more)))

@@ -22,6 +22,8 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import Diagnosis
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.imbalance import imbalance_covariance
 from truenewton.estimation.moments import Moments
 from truenewton.records.campaign import Campaign
@@ -31,10 +33,7 @@ from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import Layout
 
 UNSEEN_LOAD = 0.1  # of what loads differ by, that commanded forces do
-NO_LOAD_SEEN = Fault(
-    "the forces are the same under all loads: none but the first seems to have been on",
-    "check that each load lay on the mirror in the files of its name; or ADDED, in N",
-)
+NO_LOAD_SEEN = Finding.of(Code.NO_LOAD_SEEN)
 
 
 def balance_spectrum(force: Array, a: Array, variance: Array) -> Array:
@@ -111,7 +110,7 @@ def diagnose(campaign: Campaign, moments: Moments) -> Diagnosis:
     return Diagnosis(tuple(eigenvalues.tolist()), free, faults, span=span)
 
 
-def structural_faults(campaign: Campaign, moments: Moments) -> tuple[Fault, ...]:
+def structural_faults(campaign: Campaign, moments: Moments) -> tuple[Fault | Finding, ...]:
     """Name what is missing whatever the noise: actuators, loads, the number of shapes."""
     a = enabled_arms(campaign.layout)
     n, distinct = a.shape[1], _distinct_shapes(moments)
@@ -220,30 +219,24 @@ def _all_on_a_conic(q: Array) -> bool:
     return int(np.count_nonzero(np.linalg.eigvalsh(k) < 0.0)) > 1
 
 
-def load_fault(campaign: Campaign) -> Fault | None:
+def load_fault(campaign: Campaign) -> Finding | None:
     """Judge the weights themselves: with noise, equal weights leave no trace in the rank."""
     weights = campaign.effective_weights
     if len(weights) == 1:
-        return Fault(
-            f"there is only one load, '{campaign.loads[0].name}', so the common scale is free",
-            "add cycles under a load of another known weight",
-        )
+        return Finding.of(Code.ONE_LOAD, load=campaign.loads[0].name)
     if np.ptp(weights) <= 1e-6 * np.abs(weights).max():
-        return Fault(
-            f"the {len(weights)} loads have the same weight, so the common scale is free",
-            "check ADDED and TILT, or add a load that differs",
-        )
+        return Finding.of(Code.EQUAL_LOADS, count=len(weights))
     return None
 
 
-def unseen_load_fault(nz: Array, weights: Array, moments: Moments) -> Fault | None:
+def unseen_load(nz: Array, weights: Array, moments: Moments) -> Finding | None:
     """Return that forces hardly differ between loads of (L,) weights [N]; (n,) cosines NZ."""
     share = moments.of_load * moments.weight[:, None]
     rest = (share.T @ moments.mean @ nz) / share.sum(axis=0)
     return NO_LOAD_SEEN if np.ptp(rest) < UNSEEN_LOAD * np.ptp(weights) else None
 
 
-def alike_loads_fault(weights: Array) -> Fault | None:
+def similar_loads(weights: Array) -> Finding | None:
     """Judge (L,) weights that differ, but hardly: noise of the readings then tells the scale."""
     largest, apart = (
         np.abs(weights).max(initial=0.0),
@@ -251,11 +244,7 @@ def alike_loads_fault(weights: Array) -> Fault | None:
     )
     if not 0.0 < apart < ALIKE * largest:
         return None
-    return Fault(
-        f"the loads differ by no more than {apart:.2g} N of {largest:.3g} N, which alone fixes the"
-        " common scale",
-        "take a load that differs by a tenth of the mirror's weight; more shapes do not help",
-    )
+    return Finding.of(Code.SIMILAR_LOADS, difference=apart, largest=largest)
 
 
 def _undetermined_fault(span: int, free: int, n: int) -> Fault:
@@ -267,10 +256,11 @@ def _undetermined_fault(span: int, free: int, n: int) -> Fault:
     )
 
 
-def refuse(faults: Iterable[Fault | None], undetermined: int = 0) -> None:
+def refuse(faults: Iterable[Fault | Finding | None], undetermined: int = 0) -> None:
     """Raise RankDeficient with the first fault, where there is one."""
-    for fault in filter(None, faults):
-        raise RankDeficient(fault.fault, remedy=fault.remedy, got=undetermined, want=0)
+    for fault in faults:
+        if fault is not None:
+            raise RankDeficient(fault.fault, remedy=fault.remedy, got=undetermined, want=0)
 
 
 def leverage(scaled_arms: Array, variance: Array) -> Array:

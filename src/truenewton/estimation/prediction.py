@@ -14,6 +14,8 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.estimation.cycles_ml import patterns_near_noise
 from truenewton.estimation.diagnosis import Diagnosis, ScaleError
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import in_words, load_fault, refuse, structural_faults
 from truenewton.estimation.likelihood import expected
 from truenewton.estimation.minimum import Minimum
@@ -25,7 +27,6 @@ from truenewton.estimation.undetermined import tolerable, with_patterns_held
 from truenewton.estimation.weights import scale_errors, typical
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 from truenewton.statics.layout import Layout
 
 
@@ -127,7 +128,7 @@ class Known:
 
     problem: Problem
     values: Array
-    free: Fault | None
+    free: Finding | None
 
 
 def known_beforehand(campaign: Campaign, moments: Moments, alpha: Array | None) -> Known:
@@ -152,7 +153,7 @@ def stated(known: Known, minimum: Minimum, undetermined: int = 0) -> Prediction:
     problem, n = known.problem, known.problem.n
     layout, alpha = problem.campaign.layout, known.values[:n]
     reading_covariance, changes = minimum.reading_covariance[:n, :n], minimum.changes[:n]
-    warnings = (known.free, _undetermined_warning(undetermined, n))
+    warnings = (known.free, _undetermined(undetermined, n))
     value, vector = largest_eigenvalue(reading_covariance)
     return Prediction(
         layout=layout,
@@ -190,12 +191,10 @@ def repeated(sums: ShapeSums, cycles: int) -> ShapeSums:
     return replace(sums, **{name: cycles * getattr(sums, name) for name in names})
 
 
-def _undetermined_warning(undetermined: int, n: int) -> Fault | None:
-    """Warn of patterns that noise will decide, and of a campaign that will be refused for it."""
+def _undetermined(undetermined: int, n: int) -> Finding | None:
+    """Return patterns that noise will decide; of a campaign that will be refused, that it will."""
     if not undetermined:
         return None
-    patterns = "pattern of alpha stands" if undetermined == 1 else "patterns of alpha stand"
-    fault = f"{undetermined} {patterns} hardly above the noise"
-    if not tolerable(Diagnosis(undetermined=undetermined, span=n), n):
-        fault += ", so many that the campaign will be refused"
-    return Fault(fault, "repeat more often, use larger forces, or add shapes")
+    usable = tolerable(Diagnosis(undetermined=undetermined, span=n), n)
+    code = Code.PLANNED_WEAK_PATTERNS if usable else Code.PLANNED_REFUSAL
+    return Finding.of(code, count=undetermined)

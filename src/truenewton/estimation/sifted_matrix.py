@@ -13,7 +13,7 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.bad_sensors import other_half
 from truenewton.estimation.couplings import pair_ratios, typical_spacing
 from truenewton.estimation.findings.catalogue import Code
-from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.finding import MAX_NAMES, Finding
 from truenewton.estimation.matrix_faults import (
     NO_FORCE,
     NO_SENSOR,
@@ -33,13 +33,13 @@ from truenewton.estimation.matrix_order import (
     refuse_no_stiffness,
 )
 from truenewton.estimation.seen_places import ELSEWHERE
-from truenewton.records.fault import Fault
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms, enabled_arms
 
-OFF = "row or column is zero"
+MAX_MISFIT_FRACTION = 0.1  # of the actuators may be left out: beyond, all are in doubt
+MIN_MANY_MISFITS = 3
 UNSEEN = 0.3  # of the own stiffness, in any column: so none tells what it was
 BALANCED = 5.0  # times what is typical: columns about an actuator that was off
 
@@ -68,9 +68,9 @@ class SiftedMatrix:
     matrix: StiffnessMatrix
     start: Array
     disturbance: Array
-    warnings: tuple[Fault, ...] = ()
+    warnings: tuple[Finding, ...] = ()
     effects: tuple[Finding, ...] = ()
-    unsure: tuple[Fault, ...] = ()
+    unsure: tuple[Finding, ...] = ()
     pushing: bool = False
 
 
@@ -100,7 +100,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         for i in some
     ]
     bad: tuple[BadActuator, ...] = ()
-    unsure: tuple[Fault, ...] = ()
+    unsure: tuple[Finding, ...] = ()
     measured = np.flatnonzero(~off)
     if len(measured) >= FEWEST:
         block = np.ix_(measured, measured)
@@ -139,14 +139,23 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     if doubt.any():
         disturbance = left_over(k, a, good, doubt)
     sifted = matrix if good.all() else freed(matrix, good, core)
-    out = [BadActuator(int(i), OFF, 0.0) for i in np.flatnonzero(off)]
+    few = max(MIN_MANY_MISFITS, MAX_MISFIT_FRACTION * len(k))
+    many = [ids[each.index] for each in bad] if len(bad) > few else []
+    warnings = [
+        Finding.of(code, count=len(some), n=len(k), actuators=some)
+        for code, some in (
+            (Code.OFF_BUT_PUSHING, ids[off] if pushing else []),
+            (Code.MANY_MISFITS, many),
+        )
+        if len(some)
+    ]
     return SiftedMatrix(
         sifted,
         start,
         disturbance,
-        (*unsure, *_warnings(ids, out, bad, pushing=pushing)),
+        (*unsure, *warnings),
         (
-            *(_effect(ids, each) for each in (*bad, *out)),
+            *_effects(ids, off, bad),
             *order_effects(sifted, named=False),
             *orientation_effects(sifted),
         ),
@@ -156,9 +165,9 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
 
 
 def _of_all(each: BadActuator, measured: NDArray[np.int64], length: float) -> BadActuator:
-    """Return a bad actuator by its index among all, with how far from its place it stands [m]."""
-    how_far = f", {each.size * length:.2g} m off" if each.reason == ELSEWHERE else ""
-    return BadActuator(int(measured[each.index]), each.reason + how_far, each.size)
+    """Return a bad actuator by its index among all; how far it is from its place is in metres."""
+    size = each.size * length if each.reason == ELSEWHERE else each.size
+    return BadActuator(int(measured[each.index]), each.reason, size)
 
 
 def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> StiffnessMatrix:
@@ -230,60 +239,36 @@ def _balanced_about(
     return bool(np.median(size[near]) < BALANCED * np.median(size[~near]))
 
 
-def _as_measured(error: FitsNoSymmetry) -> Fault:
+def _as_measured(error: FitsNoSymmetry) -> Finding:
     """Return what is said of a matrix of which all is kept, as too much does not fit."""
-    return Fault(
-        f"{error.fault}; none is left out",
-        f"{error.remedy}, and gains and places of the sensors; believe alpha no further than modes"
-        " that the fit has not seen balance",
-    )
+    return Finding.of(Code.MISFITS_KEPT, fault=error.fault, advice=error.remedy)
 
 
-def _warnings(
-    ids: NDArray[np.int64],
-    off: Sequence[BadActuator],
-    bad: Sequence[BadActuator],
-    *,
-    pushing: bool,
-) -> Iterator[Fault]:
-    if off:
-        yield Fault(
-            f"{_named(ids, off)}, disabled? Left out: zero in row or column of STIFFNESS"
-            + (", but the columns around do not balance, as if it pushed" if pushing else ""),
-            "measure the stiffness with it switched off"
-            if pushing
-            else "set ENABLED to F if it was off; its alpha is not calibrated",
+def _effects(
+    ids: NDArray[np.int64], off: NDArray[np.bool_], bad: Sequence[BadActuator]
+) -> Iterator[Finding]:
+    """Yield which actuators were left out: one finding for each reason, with how far it goes."""
+    for reason in dict.fromkeys(each.reason for each in bad):
+        some = [each for each in bad if each.reason == reason]
+        names = [int(ids[each.index]) for each in some]
+        far = max(each.size for each in some)
+        elsewhere = reason == ELSEWHERE
+        yield Finding(
+            code=Code.ACTUATOR_MISFIT,
+            detail=f"{reason}, up to {far:.2g} m off" if elsewhere else reason,
+            where=named("actuator", names, MAX_NAMES),
+            actuators=tuple(names),
+            size=far,
+            corrected=True,
+            remedy="correct X and Y of these rows of ACTUATORS, in m"
+            if elsewhere
+            else "look at coil, driver, cable, sensor and place; set ENABLED to F while it is off",
         )
-    misplaced = [each for each in bad if each.reason.startswith(ELSEWHERE)]
-    if misplaced:
-        yield Fault(
-            "left out: " + "; ".join(f"{_named(ids, [each])} {each.reason}" for each in misplaced),
-            "correct X and Y in that row of ACTUATORS, in m",
+    if off.any():
+        yield Finding(
+            code=Code.ACTUATOR_OFF,
+            where=named("actuator", ids[off].tolist(), MAX_NAMES),
+            actuators=tuple(ids[off].tolist()),
+            corrected=True,
+            remedy="set ENABLED to F if it was off; its alpha is not calibrated",
         )
-    bad = [each for each in bad if each not in misplaced]
-    if bad:
-        why = {
-            reason: [each for each in bad if each.reason == reason]
-            for reason in dict.fromkeys(each.reason for each in bad)
-        }
-        text = "; ".join(f"{_named(ids, some)}: {reason}" for reason, some in why.items())
-        yield Fault(
-            f"left out, as {'it does' if len(bad) == 1 else 'they do'} not fit the others: {text}",
-            "look at coil, driver, cable, sensor and place of each, and measure again",
-        )
-
-
-def _named(ids: NDArray[np.int64], some: Sequence[BadActuator]) -> str:
-    return named("actuator", [ids[each.index] for each in some], 20)
-
-
-def _effect(ids: NDArray[np.int64], each: BadActuator) -> Finding:
-    return Finding(
-        code=Code.ACTUATOR_OFF if each.reason == OFF else Code.ACTUATOR_MISFIT,
-        detail="" if each.reason == OFF else each.reason,
-        where=f"actuator {ids[each.index]}",
-        actuators=(int(ids[each.index]),),
-        size=each.size,
-        corrected=True,
-        remedy="look at coil, driver, cable, sensor and place; set ENABLED to F while it is off",
-    )

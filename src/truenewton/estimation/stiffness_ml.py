@@ -9,6 +9,8 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.column_terms import Columns
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Prior
 from truenewton.estimation.population import (
@@ -30,13 +32,7 @@ from truenewton.estimation.stiffness_svd import (
 )
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
-from truenewton.records.fault import Fault
 
-NOT_BY_COLUMNS = Fault(
-    "what the columns of STIFFNESS leave out of balance is no noise of single elements, so alpha is"
-    " that of the modes, each with the error that it shows",
-    "trust smooth patterns of alpha the least; cycles under known weights would hold them",
-)
 # Variance in terms of the information's, above which noise feigns what holds alpha.
 FEIGNED = 1.27
 
@@ -67,7 +63,7 @@ def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
         fit_of_modes = likeliest(
             elastic_modes_of(columns.stiffness), columns.a, population=population
         )
-        return replace(fit_of_modes, warnings=(NOT_BY_COLUMNS,))
+        return replace(fit_of_modes, warnings=(Finding.of(Code.COLUMN_NOISE_NOT_INDEPENDENT),))
     if fit.feigned > FEIGNED:
         raise RankDeficient(
             "noise decides some patterns of alpha: the matrix is too noisy for so many actuators",

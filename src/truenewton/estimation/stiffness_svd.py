@@ -26,7 +26,6 @@ from truenewton.estimation.matrix_order import looks_transposed
 from truenewton.estimation.sifted_matrix import SiftedMatrix
 from truenewton.estimation.systems import balance_rows
 from truenewton.linalg import singular_values_and_vectors
-from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
 from truenewton.statics.arms import comparable_arms, enabled_arms
@@ -73,7 +72,7 @@ class ElasticFit:
     covariance: Array
     singular_values: Array
     variance: float = float("nan")
-    warnings: tuple[Fault, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
 
 ElasticMethod = Callable[[Columns], ElasticFit]
@@ -261,27 +260,19 @@ def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[Finding]:
         )
 
 
-def _unit_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
+def _unit_warnings(matrix: StiffnessMatrix) -> Iterator[Finding]:
     """Warn of a matrix in another unit than N/m, which alpha does not ask."""
     own = float(np.median(np.abs(np.diag(matrix.used_stiffness))))
     if not SOFT < own < STIFF:
         power = round(np.log10(max(own, 1e-300) / USUAL) / 3.0)
         unit = UNITS.get(power, "counts, or no N/m at least")
-        yield Fault(
-            f"STIFFNESS looks like {unit}: {own:.2g} is typical of its diagonal, {USUAL:.0e} N/m of"
-            " mirrors",
-            "store it in N/m; relative alpha is the same, stiffness of modes is not",
-        )
+        yield Finding.of(Code.STIFFNESS_UNIT, unit=unit, own=own, usual=USUAL)
 
 
-def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Fault]:
+def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Finding]:
     """Warn of a transposed matrix: a rigid displacement must cost little force."""
     if looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout)):
-        yield Fault(
-            "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
-            " balance",
-            "store [i, j], the force of actuator i per displacement of sensor j",
-        )
+        yield Finding.of(Code.LOOKS_TRANSPOSED)
 
 
 def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:

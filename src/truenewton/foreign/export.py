@@ -78,7 +78,7 @@ def export_supervisor(
     output
         Folder to write.
     overwrite, force
-        Replace what stands there; go on though the verdict is 'not to be used'.
+        Replace what stands there; go on although the verdict is 'rejected'.
 
     Returns
     -------

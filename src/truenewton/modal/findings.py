@@ -12,9 +12,10 @@ import numpy as np
 from truenewton.arrays import Array, taking_units
 from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.verdict import Level, refuse_unusable
+from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import NotToBeUsed
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.catalogue import Code, Level
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.sifted_matrix import as_calibrated
@@ -104,9 +105,11 @@ class ModalFindings:
         return self.after.layout.n <= MOST_COMPARED
 
     @property
-    def warnings(self) -> tuple[Fault, ...]:
+    def warnings(self) -> tuple[Finding | Fault, ...]:
         """What is wrong with the stiffness, or with alpha for it, and what to do about it."""
-        warnings = list(self.measured.warnings) if self.measured is not None else []
+        warnings: list[Finding | Fault] = (
+            list(self.measured.warnings) if self.measured is not None else []
+        )
         if self.measured is not None and self.measured.misfit > MISFIT:
             warnings.append(
                 Fault(
@@ -175,7 +178,7 @@ def find_modes(
     reader
         What has read the cycles already, see `motion_reader`; they are read where None.
     force
-        Take alpha whose verdict is 'not to be used', too.
+        Take alpha whose verdict is 'rejected', too.
 
     Raises
     ------
@@ -290,7 +293,7 @@ def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:
     negative = int(np.count_nonzero(elastic < 0.0))
     if 2 * negative > elastic.size and not force:
         raise NotToBeUsed(
-            f"{Level.UNUSABLE}: {negative} of {elastic.size} elastic modes are negative",
+            f"{Level.REJECTED}: {negative} of {elastic.size} elastic modes are negative",
             remedy="reverse the sign of STIFFNESS, or of POSITION in cycles; --anyway, or"
             " force=True, takes it all the same",
         )

@@ -23,7 +23,7 @@ import numpy as np
 from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
 from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.effects.words import effect_warnings
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import Sifted, sift
 from truenewton.estimation.still_readings import frozen_sensors
@@ -32,7 +32,6 @@ from truenewton.files.stored_rows import Rows, StoredRows, largest_in_rows
 from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
-from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms_in_units_of_rms
 from truenewton.statics.layout import Layout
@@ -82,7 +81,7 @@ class MeasuredStiffness:
     relative_error: float
     rigid_assumed: int
     rejected: tuple[RejectedRow, ...]
-    warnings: tuple[Fault, ...] = ()
+    warnings: tuple[Finding, ...] = ()
 
     def __post_init__(self) -> None:
         freeze(self, "error")
@@ -217,7 +216,7 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
         relative_error=float(np.linalg.norm(error) / np.linalg.norm(k)),
         rigid_assumed=int((~held).sum()),
         rejected=reader.rejected,
-        warnings=tuple(effect_warnings(frozen)),
+        warnings=frozen,
     )
 
 

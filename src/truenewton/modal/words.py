@@ -247,7 +247,7 @@ def values(findings: ModalFindings, limits: Budget) -> dict[str, Any]:
         if findings.compares
         else None,
         "limits": asdict(limits),
-        "warnings": [list(warning) for warning in findings.warnings],
+        "warnings": [[each.fault, each.remedy] for each in findings.warnings],
         "bases": [
             {
                 "base": cost.base,

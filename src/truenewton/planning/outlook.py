@@ -16,6 +16,8 @@ from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient, TrueNewtonError, located
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.prediction import Prediction, predict
 from truenewton.estimation.reciprocity.prediction import informed, sensor_errors
@@ -35,7 +37,6 @@ from truenewton.planning.forces import (
 )
 from truenewton.planning.third_load import ThirdLoad, third_load
 from truenewton.records.campaign import Campaign
-from truenewton.records.fault import Fault
 
 
 def predicted(ready: Prepared) -> Prediction:
@@ -166,7 +167,7 @@ class Outlook:
     duration: float
     against_cycles: Curve
     against_weight: Curve
-    warnings: tuple[Fault, ...]
+    warnings: tuple[Finding, ...]
     orders: tuple[OrderCost, ...]
     third_load: ThirdLoad | None
     reciprocity: WithSensors
@@ -211,10 +212,11 @@ def outlook(ready: Prepared) -> Outlook:
     limit = ready.plan.limits.force
     if asked.force_at_worst > limit:
         warnings += (
-            Fault(
-                f"an actuator whose alpha is {min(ready.mirror.alpha_range):g} would take"
-                f" {asked.force_at_worst:.3g} N, beyond its limit of {limit:g}",
-                "plan a smaller shapes.force",
+            Finding.of(
+                Code.PLANNED_FORCE_TOO_LARGE,
+                alpha=min(ready.mirror.alpha_range),
+                force=asked.force_at_worst,
+                limit=limit,
             ),
         )
     cycles = _cycles_around(ready.plan.cycles)

@@ -249,7 +249,7 @@ def values(outlook: Outlook, target: float | None, ways: Sequence[Way]) -> dict[
             for name, curve in (("cycles", outlook.against_cycles),
                                 ("added_factor", outlook.against_weight))
         },
-        "warnings": [fault for fault, _ in outlook.warnings],
+        "warnings": [each.fault for each in outlook.warnings],
         "target": target,
         "ways": [{k: v for k, v in vars(way).items() if k != "plan"} for way in ways],
     }  # fmt: skip

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.verdict import Level, warn_of
+from truenewton.calibration.verdict import warn_of
 from truenewton.chance import chi2_sf, t_sf
 from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
 from truenewton.estimation.diagnosis import Diagnosis, RejectedRow, ScaleError
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.catalogue import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.minimum import Minimum
@@ -50,7 +50,6 @@ from truenewton.recalibration.short_run import (
     run_from,
 )
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent
 from truenewton.statics.arms import enabled_arms
 from truenewton.tracking.days import OTHER_UNIT, SAME_TEMPERATURE
@@ -114,7 +113,7 @@ def recalibrate(
     actuators
         IDs of the actuators replaced; if none are named, who changed is found out.
     force
-        Take what is known whose verdict is 'not to be used', too.
+        Take what is known whose verdict is 'rejected', too.
 
     Raises
     ------
@@ -229,15 +228,16 @@ def _with_faults(
 ) -> Calibration:
     """Return the calibration with what cannot be said, and with the faults of the earlier one.
 
-    Else a calibration that is not to be used could be used after a short run.
+    Otherwise a rejected calibration could be used after a short run.
     """
     diagnosis = calibration.diagnosis or Diagnosis()
-    warnings = diagnosis.warnings + tuple(Fault(limit, "") for limit in limits)
-    warnings += tuple(
-        Fault(f"the earlier calibration: {fault}", remedy) for fault, remedy in known.verdict.faults
+    warnings = (
+        *diagnosis.warnings,
+        *(Finding.of(Code.RECALIBRATION_LIMIT, limit=limit) for limit in limits),
+        *(Finding.of(Code.EARLIER_FINDING, cause=each) for each in known.verdict.faults),
     )
     effects = calibration.effects
-    if known.verdict.level == Level.UNUSABLE:
+    if known.verdict.level <= Level.REJECTED:
         effects += (
             Finding(
                 code=Code.UNUSABLE_CALIBRATION,

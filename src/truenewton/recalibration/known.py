@@ -13,16 +13,17 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_file import any_calibration_from
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import InSegments
-from truenewton.calibration.verdict import Level, Verdict, refuse_unusable
+from truenewton.calibration.verdict import Verdict, judged, refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.weights import MAGNETS, WeightErrors, added_source, weight_errors
 from truenewton.files.fits import read_fits
 from truenewton.linalg import factor_of, inverse_of_positive
 from truenewton.reading import part_of
 from truenewton.records.campaign import Campaign, mean_temperature
-from truenewton.records.fault import Fault
 from truenewton.records.source import Source
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
@@ -88,7 +89,7 @@ def known_from(
     campaign
         The new run.
     force
-        Take what is not to be used, too.
+        Take what was rejected, too.
 
     Raises
     ------
@@ -183,20 +184,19 @@ def read_known(path: str | os.PathLike[str]) -> Known | KnownOfSegments:
 
 
 def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
-    """Return the verdict on a law; refuse one that rests on what is not to be used, unless forced.
+    """Return the verdict on a law; refuse one that rests on a rejected day, unless forced.
 
     Raises
     ------
     NotToBeUsed
     """
-    days = [day.name for day in tracking.days if day.verdict == Level.UNUSABLE]
-    if not days:
-        return Verdict(Level.SOUND)
-    fault = Fault(f"it rests on {days[0]}, which is not to be used", "track the other days")
-    if not force:
+    days = [day.name for day in tracking.days if day.rejected]
+    verdict = judged([Finding.of(Code.LAW_OF_REJECTED_DAY, day=day) for day in days[:1]])
+    if days and not force:
+        fault = verdict.faults[0]
         remedy = f"{fault.remedy}; --anyway, or force=True, takes it all the same"
-        raise NotToBeUsed(f"{Level.UNUSABLE}: {fault.fault}", remedy=remedy, path=path)
-    return Verdict(Level.UNUSABLE, (fault,))
+        raise NotToBeUsed(f"{verdict.level}: {fault.fault}", remedy=remedy, path=path)
+    return verdict
 
 
 def _refuse_singular(covariance: Array, path: str) -> None:

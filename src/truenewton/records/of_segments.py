@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,9 +15,6 @@ from truenewton.records.fault import Fault
 from truenewton.records.segment import require_segment
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
-
-# By which the same fault of several differs; whole numbers may be names of actuators.
-FIGURE = re.compile(r"\d+\.\d+(e[+-]?\d+)?|\d+(?= %)")
 
 
 class Body(Protocol):
@@ -43,21 +39,6 @@ def together(said: Iterable[tuple[int, Said]]) -> list[tuple[tuple[int, ...], Sa
     for number, what in said:
         of.setdefault(what, []).append(number)
     return [(tuple(sorted(set(numbers))), what) for what, numbers in of.items()]
-
-
-def alike(said: Iterable[tuple[int, Fault]]) -> list[tuple[tuple[int, ...], Fault]]:
-    """Return the same of faults, once also where their figures differ: those are of the first."""
-    groups: dict[Fault, list[tuple[int, Fault]]] = {}
-    for number, one in said:
-        but_for_figures = Fault(*(FIGURE.sub("", part) for part in one))
-        groups.setdefault(but_for_figures, []).append((number, one))
-    found = []
-    for group in groups.values():
-        first, (fault, remedy) = group[0]
-        as_said = f" (as of segment {first})" if len({each for _, each in group}) > 1 else ""
-        numbers = tuple(sorted({number for number, _ in group}))
-        found.append((numbers, Fault(f"{fault}{as_said}", remedy)))
-    return found
 
 
 class Refusal(NamedTuple):

@@ -13,10 +13,9 @@ from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch, FormatError
 from truenewton.records.campaign import Campaign, ordered_cycles, refuse_foreign
 from truenewton.records.cycle import Cycle
-from truenewton.records.fault import Fault
 from truenewton.records.segment import require_segment
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.rounding import counted, significant
+from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
 # Of what stands between segments: standard deviations by which it is reciprocal, as noise is not;
@@ -221,15 +220,17 @@ def refuse_segments(matrix: StiffnessMatrix) -> None:
         )
 
 
-def coupling_faults(matrix: StiffnessMatrix) -> dict[int, Fault]:
-    """Return, by segment, that it is coupled to others by more than noise; else nothing.
+def segment_couplings(matrix: StiffnessMatrix) -> dict[int, tuple[float, float]]:
+    """Return, of each segment that is coupled to others by more than noise, by how much.
+
+    The rms of the elements to others, and of its own [N/m].
 
     Segments do not touch, so all that may stand between them is noise: a force that answers a
     displacement the other way round too (Maxwell-Betti), or one as large as those of a segment
     itself, is none.
     """
     on, segment = matrix.layout.enabled, np.asarray(matrix.layout.segment)
-    faults = {}
+    couplings = {}
     for number in matrix.layout.segments:
         own, others = on & (segment == number), on & (segment != number)
         if not (own.any() and others.any()):
@@ -242,13 +243,8 @@ def coupling_faults(matrix: StiffnessMatrix) -> dict[int, Fault]:
             continue
         alike = float(np.mean(there * back)) / max(_rms(there) * _rms(back), 1e-300)
         if alike * np.sqrt(there.size) > RECIPROCAL or size > LARGE * usual:
-            faults[number] = Fault(
-                f"it is coupled to other segments by {significant(size)} N/m rms, where elements of"
-                f" its own are {significant(usual)} N/m rms",
-                "correct SEGMENT, or the order of STIFFNESS; what joins two bodies leaves neither a"
-                " balance of its own",
-            )
-    return faults
+            couplings[number] = size, usual
+    return couplings
 
 
 def _rms(values: Array) -> float:

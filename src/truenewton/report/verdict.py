@@ -9,13 +9,24 @@ import numpy as np
 
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.verdict import Level, Verdict
+from truenewton.calibration.verdict import Verdict, no_alpha
+from truenewton.calibration.words import as_sentences
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.findings.catalogue import Level
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.weights import scale_total, typical
 from truenewton.records.fault import Fault
 from truenewton.report.change import Change
 from truenewton.report.investigate import Findings
 from truenewton.rounding import counted, named, percent, significant, to_digits, with_error
+
+MEANINGS = {
+    Level.USABLE: " The stated errors hold and include what was found."
+    " A better result is possible.",
+    Level.DOUBTFUL: " The stated errors may not hold. Do not load it into electronics before the"
+    " checks below.",
+    Level.REJECTED: " Do not use it.",
+}
 
 
 @dataclass(frozen=True)
@@ -39,15 +50,15 @@ class Headline:
     title: str
     sentence: str
     numbers: tuple[tuple[str, str, str], ...]
-    advice: tuple[Fault, ...]
+    advice: tuple[Finding | Fault, ...]
 
     def lines(self) -> Iterator[str]:
         """Yield the verdict as plain text."""
         yield f"{self.title}. {self.sentence}"
         for name, value, note in self.numbers:
             yield f"{name}: {value} ({note})"
-        for fault, remedy in self.advice:
-            yield f"- {_sentence(fault)} {_sentence(remedy)}"
+        for each in self.advice:
+            yield f"- {as_sentences(each)}"
         if not self.advice:
             yield "Nothing needs to be done."
 
@@ -57,13 +68,13 @@ def verdict(findings: Findings) -> Headline:
     c = findings.calibration
     if c is None:
         sentence = f"These data of {findings.data.instrument} cannot give alpha."
-        return _headline(Verdict(Level.NONE, findings.faults), sentence, ())
+        return _headline(no_alpha(findings.faults), sentence, ())
     known = "Alpha" if c.scale != Scale.MEAN_ONE else "Relative alpha"
     sentence = (
         f"{known} of {_actuators(c)} is known, typically to {percent(typical(c.error, c.alpha))}."
     )
     for note in c.verdict.notes:
-        sentence += f" {_sentence(note.fault)} {_sentence(note.remedy)}"
+        sentence += f" {as_sentences(note)}"
     return _headline(c.verdict, sentence, _numbers(c))
 
 
@@ -106,9 +117,9 @@ def verdict_on_whole(c: SegmentedCalibration) -> Headline:
 def _headline(
     verdict: Verdict, sentence: str, numbers: tuple[tuple[str, str, str], ...]
 ) -> Headline:
-    if verdict.level == Level.LIMITED:
-        sentence += " It can be used; what limits it stands below."
-    return Headline(verdict.level, verdict.level.capitalize(), sentence, numbers, verdict.faults)
+    sentence += MEANINGS.get(verdict.level, "")
+    title = str(verdict.level).capitalize()
+    return Headline(verdict.level, title, sentence, numbers, verdict.faults)
 
 
 def verdict_on_change(change: Change) -> Headline:
@@ -119,7 +130,7 @@ def verdict_on_change(change: Change) -> Headline:
     level, title, sentence = Level.SOUND, "No change", f"None {words}: the calibrations agree."
     advice: list[Fault] = []
     if changed.size:
-        level, title = Level.LIMITED, "Changed"
+        level, title = Level.DOUBTFUL, "Changed"
         sentence = f"{changed.size} {words}, where chance alone makes one in a hundred comparisons."
         advice.append(
             Fault(
@@ -185,9 +196,3 @@ def _numbers(c: Calibration) -> tuple[tuple[str, str, str], ...]:
          f"one sigma; {readings} from the readings"),
         scale,
     )  # fmt: skip
-
-
-def _sentence(text: str) -> str:
-    """Return a fault or remedy as a sentence of its own."""
-    text = text[:1].upper() + text[1:]
-    return text if text.endswith(".") else f"{text}."

@@ -50,7 +50,7 @@ def track(*given: Given, force: bool = False, segment: int | None = None) -> Tra
         order. Cycles of one campaign whose temperatures differ by more than 1 K are calibrated
         apart.
     force
-        Take calibrations whose verdict is 'not to be used', too.
+        Take calibrations whose verdict is 'rejected', too.
     segment
         Number of the segment that is tracked, of files of a mirror in several.
 

@@ -13,6 +13,7 @@ from truenewton.arrays import Array, freeze, taking_units
 from truenewton.calibration.result import LARGEST_ALPHA
 from truenewton.chance import chi2_sf
 from truenewton.errors import FormatError, RankDeficient
+from truenewton.estimation.findings.catalogue import Level
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
 from truenewton.records.notebook import html_table
@@ -39,7 +40,7 @@ class DayRecord:
     alpha, error
         (n,) and E_STAT.
     verdict
-        Its level: 'sound', 'limited', 'not to be used'; '' in older files.
+        Its level: 'sound', 'usable', 'doubtful', 'rejected'; 'limited', 'not to be used' or '' in older files.
     """
 
     name: str
@@ -48,6 +49,11 @@ class DayRecord:
     alpha: Array
     error: Array
     verdict: str = ""
+
+    @property
+    def rejected(self) -> bool:
+        """Whether its calibration was rejected, in the words of this or an earlier version."""
+        return bool(self.verdict) and Level.read(self.verdict) <= Level.REJECTED
 
 
 @dataclass(frozen=True)

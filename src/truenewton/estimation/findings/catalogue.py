@@ -7,7 +7,7 @@ can be reworded and nothing else changes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum, StrEnum
+from enum import Enum, IntEnum, StrEnum
 
 
 class Code(StrEnum):
@@ -74,8 +74,108 @@ class Code(StrEnum):
     TRANSPOSED_STIFFNESS = "transposed-stiffness"
     CLEANED_STIFFNESS = "cleaned-stiffness"
     TRUE_STIFFNESS = "true-stiffness"
+    # What the data of a campaign constrain.
+    WEAK_PATTERNS = "weak-patterns"
+    CONSTRAINED_PATTERNS = "constrained-patterns"
+    NO_LOAD_SEEN = "no-load-seen"
+    ONE_LOAD = "one-load"
+    EQUAL_LOADS = "equal-loads"
+    SIMILAR_LOADS = "similar-loads"
+    NO_OTHER_LOAD = "no-other-load"
+    ERROR_TOO_LARGE = "error-too-large"
+    ERROR_TOO_LARGE_BY_WEIGHTS = "error-too-large-by-weights"
+    # Numbers beside the readings.
+    DATES_APART = "dates-apart"
+    TEMPERATURE_IMPLAUSIBLE = "temperature-implausible"
+    WEIGHT_ABOVE_FORCES = "weight-above-forces"
+    WEIGHT_BELOW_BIAS = "weight-below-bias"
+    WEIGHTS_DISAGREE = "weights-disagree"
+    WEIGHTS_WITHOUT_ERRORS = "weights-without-errors"
+    SCALE_BY_WEIGHTS = "scale-by-weights"
+    ALPHA_FAR_FROM_ONE = "alpha-far-from-one"
+    # The noise, and how well the model fits.
+    NOISE_ABOVE_DECLARED = "noise-above-declared"
+    FORCE_STEPS = "force-steps"
+    ZEROS_RESET = "zeros-reset"
+    MISFIT = "misfit"
+    MISFIT_EXPLAINED = "misfit-explained"
+    MISFIT_OF_SVD = "misfit-of-svd"
+    MISFIT_SENSELESS = "misfit-senseless"
+    FIT_TOO_GOOD = "fit-too-good"
+    ROWS_REJECTED = "rows-rejected"
+    MANY_ROWS_REJECTED = "many-rows-rejected"
+    SVD_USES_ALL_ROWS = "svd-uses-all-rows"
+    SVD_BIAS = "svd-bias"
+    SVD_BIAS_LARGE = "svd-bias-large"
+    # Single values of alpha.
+    MANY_SILENT = "many-silent"
+    MANY_NEGATIVE = "many-negative"
+    ALL_NEGATIVE = "all-negative"
+    ALPHA_ZERO = "alpha-zero"
+    ALPHA_OUTLIER = "alpha-outlier"
+    # A stiffness matrix and its elastic modes.
+    STIFFNESS_UNIT = "stiffness-unit"
+    LOOKS_TRANSPOSED = "looks-transposed"
+    COLUMN_NOISE_NOT_INDEPENDENT = "column-noise-not-independent"
+    HALVES_INSUFFICIENT = "halves-insufficient"
+    HELD_OUT_IMBALANCE = "held-out-imbalance"
+    HARMFUL_ALPHA = "harmful-alpha"
+    MISFITS_KEPT = "misfits-kept"
+    MANY_MISFITS = "many-misfits"
+    OFF_BUT_PUSHING = "off-but-pushing"
+    NEGATIVE_MODES = "negative-modes"
+    SYMMETRY_NOT_IMPROVED = "symmetry-not-improved"
+    SEGMENTS_COUPLED = "segments-coupled"
+    # Reciprocity: used, or why it was not.
+    RECIPROCITY_NOT_USED = "reciprocity-not-used"
+    RECIPROCITY_DOUBTFUL = "reciprocity-doubtful"
+    RECIPROCITY_EXCLUDED = "reciprocity-excluded"
+    RECIPROCITY_INFLATED = "reciprocity-inflated"
+    BALANCE_CONTRADICTS_SYMMETRY = "balance-contradicts-symmetry"
+    EFFECT_PRESENT = "effect-present"
+    ESTIMATE_FAILED = "estimate-failed"
+    MISFIT_ACTUATORS = "misfit-actuators"
+    TRANSPOSED = "transposed"
+    SHARED_NOISE = "shared-noise"
+    UNTESTED_SIZE = "untested-size"
+    EQUATIONS_MISFIT = "equations-misfit"
+    HELD_OUT_WORSE = "held-out-worse"
+    ESTIMATES_APART = "estimates-apart"
+    ERRORS_LARGER = "errors-larger"
+    SENSORS_FAR = "sensors-far"
+    # A plan.
+    PLANNED_WEAK_PATTERNS = "planned-weak-patterns"
+    PLANNED_REFUSAL = "planned-refusal"
+    PLANNED_FORCE_TOO_LARGE = "planned-force-too-large"
+    # An earlier calibration.
+    EARLIER_FINDING = "earlier-finding"
+    RECALIBRATION_LIMIT = "recalibration-limit"
+    LAW_OF_REJECTED_DAY = "law-of-rejected-day"
+    # Several segments; no alpha at all.
+    OF_SEGMENTS = "of-segments"
+    NO_ALPHA = "no-alpha"
     # Found by another version, and kept as it was written.
     OTHER = "other"
+
+
+class Level(IntEnum):
+    """Whether the stated errors of a result are valid: the grades, the worst first."""
+
+    NONE = 0
+    REJECTED = 1
+    DOUBTFUL = 2
+    USABLE = 3
+    SOUND = 4
+
+    def __str__(self) -> str:
+        return "no alpha" if self is Level.NONE else self.name.lower()
+
+    @classmethod
+    def read(cls, word: str) -> Level:
+        """Return the level that a file names, also one of an earlier version."""
+        earlier = {"limited": cls.USABLE, "not to be used": cls.REJECTED}
+        words = {str(level): level for level in cls} | earlier
+        return words[word]
 
 
 class Concern(Enum):
@@ -91,12 +191,15 @@ class Concern(Enum):
         Labels of rows: if the rest fits, the rows that disagreed were left out.
     SILENT
         An actuator that does not respond.
+    RESULT
+        The result itself: what the data constrain, how well they fit.
     """
 
     BENCH = "bench"
     FILES = "files"
     ROWS = "rows"
     SILENT = "silent"
+    RESULT = "result"
 
 
 @dataclass(frozen=True)
@@ -109,11 +212,35 @@ class Entry:
         How it reads. The detail of a finding takes the place of '{}', or follows a colon.
     concern
         What it is about.
+    level
+        What it leaves of a result, unless it was corrected; None if its cause decides.
+    sentence
+        What is printed, with the values of a finding in braces (`finding.Words`); if empty, the
+        name with where it was found and how large it is.
+    remedy
+        What to do about it, in the same way.
     """
 
     name: str
     concern: Concern = Concern.BENCH
+    level: Level | None = Level.DOUBTFUL
+    sentence: str = ""
+    remedy: str = ""
 
+
+def _fact(level: Level | None, sentence: str, remedy: str = "") -> Entry:
+    """Return the entry of what is not an effect of a bench."""
+    return Entry("", Concern.RESULT, level, sentence, remedy)
+
+
+_MORE_SIGNAL = "repeat more often, use larger forces, or add shapes"
+_GIVE_MIRROR = (
+    "give the mirror (--mirror) if not given, and check positions and order of the sensors"
+)
+_CHECK_WEIGHT = (
+    "check WEIGHT and its unit, N (kilograms times -9.81), and those of FORCE; B is wrong by as"
+    " much, and alpha too where a load is tilted"
+)
 
 ENTRIES: dict[Code, Entry] = {
     Code.GAIN_BY_HOUR: Entry("gain by hour"),
@@ -138,52 +265,411 @@ ENTRIES: dict[Code, Entry] = {
     Code.POSITIONS: Entry("positions"),
     Code.UNKNOWN_FORCE: Entry("unknown force"),
     Code.CORRELATED_NOISE: Entry("correlated noise"),
-    Code.TEMPERATURE_BETWEEN_LOADS: Entry("temperature between the loads"),
-    Code.DEAD_NO_FORCE: Entry("dead actuator, no force is commanded", Concern.SILENT),
-    Code.DEAD_ALPHA_ZERO: Entry("dead actuator, alpha is 0", Concern.SILENT),
-    Code.STUCK_READING: Entry("stuck reading", Concern.SILENT),
-    Code.NEGATIVE_ALPHA: Entry("alpha is negative, the poles are exchanged"),
-    Code.FROZEN_SENSOR: Entry("frozen sensor"),
+    Code.TEMPERATURE_BETWEEN_LOADS: Entry("temperature between the loads", level=Level.USABLE),
+    Code.DEAD_NO_FORCE: Entry("dead actuator, no force is commanded", Concern.SILENT, Level.USABLE),
+    Code.DEAD_ALPHA_ZERO: Entry("dead actuator, alpha is 0", Concern.SILENT, Level.USABLE),
+    Code.STUCK_READING: Entry("stuck reading", Concern.SILENT, Level.USABLE),
+    Code.NEGATIVE_ALPHA: Entry("alpha is negative, the poles are exchanged", level=Level.USABLE),
+    Code.FROZEN_SENSOR: Entry("frozen sensor", level=Level.USABLE),
     Code.ACTUATOR_OFF: Entry("actuator is off"),
     Code.ACTUATOR_MISFIT: Entry("actuator does not fit"),
-    Code.COPIED_FILE: Entry("copy of another file", Concern.FILES),
-    Code.OTHER_UNIT: Entry("{} in another unit", Concern.FILES),
-    Code.OTHER_SIGN: Entry("{} of the other sign", Concern.FILES),
-    Code.OTHER_LOAD: Entry("the file's load is another", Concern.FILES),
-    Code.LOAD_OF_TWO_NAMES: Entry("one load under two names"),
-    Code.EXCHANGED_COLUMNS: Entry("exchanged columns of {}", Concern.FILES),
-    Code.OTHER_ORDER: Entry("another order of {}", Concern.FILES),
-    Code.ORDER_OF_POSITION: Entry("order of FORCE is not that of POSITION", Concern.FILES),
-    Code.MISPLACED_ACTUATOR: Entry("actuator stands elsewhere than at its X and Y", Concern.FILES),
-    Code.TWO_MIRRORS: Entry("files of two mirrors, campaigns or lists of shapes", Concern.FILES),
-    Code.CONSTANT_POSITION: Entry("POSITION is the same in all rows", Concern.FILES),
-    Code.UNUSABLE_CALIBRATION: Entry("earlier calibration that is not to be used", Concern.FILES),
+    Code.COPIED_FILE: Entry("copy of another file", Concern.FILES, Level.REJECTED),
+    Code.OTHER_UNIT: Entry("{} in another unit", Concern.FILES, Level.REJECTED),
+    Code.OTHER_SIGN: Entry("{} of the other sign", Concern.FILES, Level.REJECTED),
+    Code.OTHER_LOAD: Entry("the file's load is another", Concern.FILES, Level.REJECTED),
+    Code.LOAD_OF_TWO_NAMES: Entry("one load under two names", level=Level.USABLE),
+    Code.EXCHANGED_COLUMNS: Entry("exchanged columns of {}", Concern.FILES, Level.REJECTED),
+    Code.OTHER_ORDER: Entry("another order of {}", Concern.FILES, Level.REJECTED),
+    Code.ORDER_OF_POSITION: Entry(
+        "order of FORCE is not that of POSITION", Concern.FILES, Level.REJECTED
+    ),
+    Code.MISPLACED_ACTUATOR: Entry(
+        "actuator stands elsewhere than at its X and Y", Concern.FILES, Level.REJECTED
+    ),
+    Code.TWO_MIRRORS: Entry(
+        "files of two mirrors, campaigns or lists of shapes", Concern.FILES, Level.REJECTED
+    ),
+    Code.CONSTANT_POSITION: Entry(
+        "POSITION is the same in all rows", Concern.FILES, Level.REJECTED
+    ),
+    Code.UNUSABLE_CALIBRATION: Entry(
+        "earlier calibration that was rejected", Concern.FILES, Level.REJECTED
+    ),
     Code.SIGN_REVERSED: Entry("SIGN reversed", Concern.ROWS),
     Code.SHAPE_OFFSET: Entry("SHAPE counted from another one", Concern.ROWS),
     Code.OTHER_LABELS: Entry("SHAPE and SIGN label other rows", Concern.ROWS),
     Code.FROZEN_READING: Entry("frozen reading", Concern.ROWS),
     Code.FROZEN_READINGS: Entry("frozen readings", Concern.ROWS),
     Code.CLIPPED_READINGS: Entry("readings cut off at a limit", Concern.ROWS),
-    Code.ASYMMETRIC_STIFFNESS: Entry("asymmetric stiffness", Concern.FILES),
-    Code.NEGATIVE_STIFFNESS: Entry("stiffness of the other sign"),
-    Code.DISORDERED_STIFFNESS: Entry("coordinates in another order than STIFFNESS", Concern.FILES),
-    Code.INCOMPLETE_STIFFNESS: Entry("forces missing in STIFFNESS", Concern.FILES),
-    Code.SYMMETRISED_STIFFNESS: Entry("STIFFNESS made symmetric", Concern.FILES),
-    Code.TRANSPOSED_STIFFNESS: Entry("transposed stiffness", Concern.FILES),
+    Code.ASYMMETRIC_STIFFNESS: Entry("asymmetric stiffness", Concern.FILES, Level.REJECTED),
+    Code.NEGATIVE_STIFFNESS: Entry("stiffness of the other sign", level=Level.USABLE),
+    Code.DISORDERED_STIFFNESS: Entry(
+        "coordinates in another order than STIFFNESS", Concern.FILES, Level.REJECTED
+    ),
+    Code.INCOMPLETE_STIFFNESS: Entry("forces missing in STIFFNESS", Concern.FILES, Level.REJECTED),
+    Code.SYMMETRISED_STIFFNESS: Entry("STIFFNESS made symmetric", Concern.FILES, Level.REJECTED),
+    Code.TRANSPOSED_STIFFNESS: Entry("transposed stiffness", Concern.FILES, Level.REJECTED),
     Code.CLEANED_STIFFNESS: Entry(
         "STIFFNESS already balanced as commanded: alpha is gone (cleaned of rigid motions?)",
         Concern.FILES,
+        Level.REJECTED,
     ),
     Code.TRUE_STIFFNESS: Entry(
         "STIFFNESS symmetric and balanced as commanded: a true one, or alpha is gone (cleaned of"
         " rigid motions?)",
         Concern.FILES,
+        Level.REJECTED,
     ),
+    Code.WEAK_PATTERNS: _fact(
+        Level.USABLE,
+        "{count:count pattern} of alpha hardly above the noise, the weakest {weakest}",
+        "repeat more often, use larger forces, or add a stiffness matrix",
+    ),
+    Code.CONSTRAINED_PATTERNS: _fact(
+        Level.USABLE,
+        "{count:count pattern} of alpha below the noise: assumed to be even over the mirror, each"
+        " with an rms uncertainty of {error:percent} of alpha",
+        "use E_ALPHA, and COVARIANCE for differences along other patterns",
+    ),
+    Code.NO_LOAD_SEEN: _fact(
+        Level.REJECTED,
+        "the forces are the same under all loads: no added weight is seen in them",
+        "check that each load lay on the mirror in the files of its name, and ADDED, in N",
+    ),
+    Code.ONE_LOAD: _fact(
+        Level.NONE,
+        "there is only one load, '{load}', so the common scale is free",
+        "add cycles under a load of another known weight",
+    ),
+    Code.EQUAL_LOADS: _fact(
+        Level.NONE,
+        "the {count} loads have the same weight, so the common scale is free",
+        "check ADDED and TILT, or add a load that differs",
+    ),
+    Code.SIMILAR_LOADS: _fact(
+        Level.USABLE,
+        "the loads differ by no more than {difference:.2g} N of {largest:.3g} N, which alone fixes"
+        " the common scale",
+        "take a load that differs by a tenth of the mirror's weight; more shapes do not help",
+    ),
+    Code.NO_OTHER_LOAD: _fact(
+        Level.REJECTED,
+        "no load differs from another, so nothing fixes the common scale",
+        "add cycles under a load of another known weight",
+    ),
+    Code.ERROR_TOO_LARGE: _fact(
+        Level.REJECTED,
+        "the typical error of alpha is {error:percent}, so alpha cannot be distinguished from 0",
+        "add shapes and cycles, use larger forces, or loads that differ more in weight",
+    ),
+    Code.ERROR_TOO_LARGE_BY_WEIGHTS: _fact(
+        Level.REJECTED,
+        "the typical error of alpha is {error:percent}, so alpha cannot be distinguished from 0",
+        "check E_WEIGHT, E_ADDED and E_TILT, standard uncertainties in N and deg; or take loads"
+        " that differ more in weight",
+    ),
+    Code.DATES_APART: _fact(
+        Level.USABLE,
+        "by DATE-OBS {days:.0f} days lie between {files:list} and the other files",
+        "correct DATE-OBS, by which drifts are found; or calibrate what was taken together",
+    ),
+    Code.TEMPERATURE_IMPLAUSIBLE: _fact(
+        Level.USABLE,
+        "the mean TEMPERATURE is {temperature:.3g} deg C",
+        "check its unit: 68 is 20 deg C in Fahrenheit",
+    ),
+    Code.WEIGHT_ABOVE_FORCES: _fact(
+        Level.DOUBTFUL,
+        "WEIGHT is {weight:.3g} N, {each:.2g} N for each actuator, but no actuator exerted more"
+        " than {largest:.2g} N: B comes to {bias:.3g} N",
+        _CHECK_WEIGHT,
+    ),
+    Code.WEIGHT_BELOW_BIAS: _fact(
+        Level.DOUBTFUL,
+        "WEIGHT is {weight:.3g} N, several times less than the bias magnets hold: B comes to"
+        " {bias:.3g} N",
+        _CHECK_WEIGHT,
+    ),
+    Code.WEIGHTS_DISAGREE: _fact(
+        Level.DOUBTFUL,
+        "the weights of the {loads} loads disagree by {sigmas:.1f} sigma",
+        "check ADDED, TILT and their errors",
+    ),
+    Code.WEIGHTS_WITHOUT_ERRORS: _fact(
+        Level.USABLE,
+        "the weights are given without errors{which}, so E_SYST does not include their uncertainty",
+        "give E_WEIGHT, E_ADDED and E_TILT, the standard uncertainties of the weighing",
+    ),
+    Code.SCALE_BY_WEIGHTS: _fact(
+        Level.USABLE,
+        "the common scale is known to {error:percent}{share}",
+        "better known weights would help, more cycles would not",
+    ),
+    Code.ALPHA_FAR_FROM_ONE: _fact(
+        Level.REJECTED, "alpha is about {alpha}, but near 1 if all is in N: {looks}"
+    ),
+    Code.NOISE_ABOVE_DECLARED: _fact(
+        Level.USABLE,
+        "repeated shapes scatter by {noise:.2g} mN, {ratio:.3g} times FORCERR",
+        "look for what moves the mirror or the readings between repeats, and correct FORCERR",
+    ),
+    Code.FORCE_STEPS: _fact(
+        Level.USABLE,
+        "FORCE comes in steps of {step:.3g} mN, which is most of its noise: E_STAT includes"
+        " {noise:.2g} mN, step / root 12",
+        "record FORCE in finer steps, or means of several readings, if that is not good enough",
+    ),
+    Code.ZEROS_RESET: _fact(
+        Level.USABLE,
+        "the zeros of {sensors:count sensor} were reset between files: these count from each file's"
+        " own mean, and E_STAT does not include motion between files",
+        "keep the zeros of the sensors through a campaign",
+    ),
+    Code.MISFIT: _fact(
+        Level.DOUBTFUL,
+        "the model does not fit the data: E_STAT was multiplied by {factor:.2g} for it",
+        "look for what differs between files: a drift, a label, contact with the glass"
+        " (docs/effects.md)",
+    ),
+    Code.MISFIT_EXPLAINED: _fact(
+        Level.DOUBTFUL,
+        "the model fits the data only with the effects that were found: E_STAT includes how far"
+        " alpha would move by them",
+        "find out which of them is real (docs/effects.md)",
+    ),
+    Code.MISFIT_OF_SVD: _fact(
+        Level.DOUBTFUL,
+        "the shapes are out of balance by {factor:.2g} times what their noise explains",
+        "take method ml, which looks for effects of the bench",
+    ),
+    Code.MISFIT_SENSELESS: _fact(
+        Level.REJECTED,
+        "the remaining imbalance is {factor:.2g} times the noise",
+        "look for copies among the files, and for a wrong LOAD, SHAPE, SIGN or order of FORCE",
+    ),
+    Code.FIT_TOO_GOOD: _fact(
+        Level.DOUBTFUL,
+        "the shapes balance better than the scatter of their repeats predicts",
+        "look for what differs between files: a label, a drift, zeros that move",
+    ),
+    Code.ROWS_REJECTED: _fact(
+        Level.USABLE,
+        "{count:count row} did not fit and {was} left out{farthest}",
+        "look at the residuals, and at an actuator that is named repeatedly",
+    ),
+    Code.MANY_ROWS_REJECTED: _fact(
+        Level.DOUBTFUL,
+        "{share:percent} of the rows do not fit",
+        "find out what happened during the run",
+    ),
+    Code.SVD_USES_ALL_ROWS: _fact(
+        Level.DOUBTFUL,
+        "svd uses all rows, also {count:count row} that ml leaves out",
+        "use ml, or mark as not VALID those that do not belong",
+    ),
+    Code.SVD_BIAS: _fact(
+        Level.USABLE,
+        "svd is biased by {bias:percent} (rms over actuators, to first order), which its errors do"
+        " not include",
+        "use ml",
+    ),
+    Code.SVD_BIAS_LARGE: _fact(
+        Level.DOUBTFUL,
+        "svd is biased by {bias:percent} (rms over actuators, to first order), more than its stated"
+        " errors",
+        "use ml",
+    ),
+    Code.MANY_SILENT: _fact(
+        Level.REJECTED,
+        "{count} of {n} actuators are dead, or their readings stuck",
+        "look at what drives and reads them; set ENABLED to F where there is no force",
+    ),
+    Code.MANY_NEGATIVE: _fact(
+        Level.REJECTED,
+        "alpha is negative for {count} of {n} actuators",
+        "check the signs and the order of FORCE: z points up",
+    ),
+    Code.ALL_NEGATIVE: _fact(
+        Level.REJECTED,
+        "alpha is negative for all {n} actuators",
+        "reverse the sign of FORCE, which is positive upwards; or correct ADDED, which may belong"
+        " to the other load",
+    ),
+    Code.ALPHA_ZERO: _fact(
+        Level.USABLE,
+        "{actuators:names actuator}: dead, alpha is {alpha}",
+        "look at its coil and magnet; set ENABLED to F if it exerts no force",
+    ),
+    Code.ALPHA_OUTLIER: _fact(
+        Level.USABLE,
+        "{actuators:names actuator}: outlier, alpha is {alpha}",
+        "look at its coil, magnet and wiring",
+    ),
+    Code.STIFFNESS_UNIT: _fact(
+        Level.USABLE,
+        "STIFFNESS looks like {unit}: {own:.2g} is typical of its diagonal, {usual:.0e} N/m of"
+        " mirrors",
+        "store it in N/m; relative alpha is the same, stiffness of modes is not",
+    ),
+    Code.LOOKS_TRANSPOSED: _fact(
+        Level.DOUBTFUL,
+        "STIFFNESS looks transposed: rigid displacements cost more than their forces are out of"
+        " balance",
+        "store [i, j], the force of actuator i per displacement of sensor j",
+    ),
+    Code.COLUMN_NOISE_NOT_INDEPENDENT: _fact(
+        Level.USABLE,
+        "the imbalance of the columns of STIFFNESS is not independent noise of their elements, so"
+        " alpha is that of the elastic modes, each with the error that it shows",
+        "expect larger errors along smooth patterns of alpha; cycles under known weights would"
+        " constrain them",
+    ),
+    Code.HALVES_INSUFFICIENT: _fact(
+        Level.DOUBTFUL,
+        "cross-validation is not possible, half of the modes do not constrain alpha: {fault}",
+    ),
+    Code.HELD_OUT_IMBALANCE: _fact(
+        Level.DOUBTFUL,
+        "held-out modes are unbalanced by up to {held_out:percent} of their force, fitted modes by"
+        " {fitted:percent}",
+        "expect larger errors along smooth patterns of alpha; cycles under known weights would"
+        " constrain them",
+    ),
+    Code.HARMFUL_ALPHA: _fact(
+        Level.REJECTED,
+        "held-out modes balance worse with alpha ({after:percent} of their force) than with alpha ="
+        " 1 ({before:percent})",
+        "measure the stiffness with less noise, or calibrate with cycles under weights",
+    ),
+    Code.MISFITS_KEPT: _fact(
+        Level.DOUBTFUL,
+        "{fault}; no actuator was left out",
+        "{advice}, and gains and positions of the sensors; compare the balance of held-out modes",
+    ),
+    Code.MANY_MISFITS: _fact(
+        Level.DOUBTFUL,
+        "{count} of {n} actuators do not fit the others: {actuators:names actuator}",
+        "look at coil, driver, cable, sensor and position of each, and measure again",
+    ),
+    Code.OFF_BUT_PUSHING: _fact(
+        Level.DOUBTFUL,
+        "{actuators:names actuator}: row or column of STIFFNESS is zero, but the columns around do"
+        " not balance, as if the actuator had pushed",
+        "measure the stiffness with it switched off",
+    ),
+    Code.NEGATIVE_MODES: _fact(
+        Level.DOUBTFUL,
+        "{count:count elastic mode} of the matrix {verb} negative stiffness, down to {lowest:.3g}"
+        " N/m",
+        "check order, sign and completeness of the matrix, and measure again with less noise",
+    ),
+    Code.SYMMETRY_NOT_IMPROVED: _fact(
+        Level.DOUBTFUL,
+        "alpha does not make the matrix more symmetric: asymmetry {before:percent} before,"
+        " {after:percent} after",
+        "check positions and order of the sensors; compare with a second measurement",
+    ),
+    Code.SEGMENTS_COUPLED: _fact(
+        Level.DOUBTFUL,
+        "it is coupled to other segments by {size:.2g} N/m rms, where elements of its own are"
+        " {own:.2g} N/m rms",
+        "correct SEGMENT, or the order of STIFFNESS; what joins two bodies leaves neither a balance"
+        " of its own",
+    ),
+    Code.RECIPROCITY_NOT_USED: _fact(
+        Level.SOUND, "alpha is by ml, not by reciprocity: {cause}", "{advice}"
+    ),
+    Code.RECIPROCITY_DOUBTFUL: _fact(
+        Level.DOUBTFUL, "reciprocity is doubtful: {cause}", "use ml; {advice}"
+    ),
+    Code.RECIPROCITY_EXCLUDED: _fact(
+        Level.USABLE,
+        "reciprocity does not hold for {actuators:names actuator}: alpha there is that of ml",
+        "look at their sensors, wiring and positions",
+    ),
+    Code.RECIPROCITY_INFLATED: _fact(
+        Level.DOUBTFUL, "reciprocity fits badly: E_STAT was multiplied by {factor:.2g} for it"
+    ),
+    Code.BALANCE_CONTRADICTS_SYMMETRY: _fact(
+        Level.DOUBTFUL,
+        "balance and reciprocity contradict each other: the errors of reciprocity are"
+        " {error:percent} typically, those of ml {of_balance:percent}",
+        "find out how the matrix was processed, and give it as it was measured",
+    ),
+    Code.EFFECT_PRESENT: _fact(Level.DOUBTFUL, "the data show {effect}", "correct that first"),
+    Code.ESTIMATE_FAILED: _fact(Level.DOUBTFUL, "{fault}"),
+    Code.MISFIT_ACTUATORS: _fact(
+        Level.DOUBTFUL, "it does not hold for {count:count actuator} or more", _GIVE_MIRROR
+    ),
+    Code.TRANSPOSED: _fact(
+        Level.DOUBTFUL,
+        "STIFFNESS looks transposed, and then it takes alpha for sensor gains",
+        "store [i, j], the force of actuator i per displacement of sensor j",
+    ),
+    Code.SHARED_NOISE: _fact(
+        Level.DOUBTFUL,
+        "the readings of many actuators have common noise, and it assumes independent noise",
+        "look for what pushes the mirror",
+    ),
+    Code.UNTESTED_SIZE: _fact(
+        Level.DOUBTFUL,
+        "its errors were never compared with a truth of {count:count actuator}: noise in forces may"
+        " make them too small",
+        "compare two campaigns",
+    ),
+    Code.EQUATIONS_MISFIT: _fact(
+        Level.DOUBTFUL, "its fit leaves {factor:.2g} times the noise of {block}", _GIVE_MIRROR
+    ),
+    Code.HELD_OUT_WORSE: _fact(
+        Level.DOUBTFUL,
+        "held-out modes are unbalanced by {held_out:percent} of their force, by balance alone by"
+        " {by_balance:percent}",
+        _GIVE_MIRROR,
+    ),
+    Code.ESTIMATES_APART: _fact(
+        Level.DOUBTFUL,
+        "alpha by balance and alpha by reciprocity differ by {factor:.2g} times their errors",
+        _GIVE_MIRROR,
+    ),
+    Code.ERRORS_LARGER: _fact(
+        Level.DOUBTFUL,
+        "its errors are {error:percent} typically, those of ml {of_balance:percent}",
+        _GIVE_MIRROR,
+    ),
+    Code.SENSORS_FAR: _fact(
+        Level.DOUBTFUL,
+        "the sensors would have to be {offset:.2g} mm off their magnets",
+        _GIVE_MIRROR,
+    ),
+    Code.PLANNED_WEAK_PATTERNS: _fact(
+        Level.USABLE, "{count:count pattern} of alpha hardly above the noise", _MORE_SIGNAL
+    ),
+    Code.PLANNED_REFUSAL: _fact(
+        Level.NONE,
+        "{count:count pattern} of alpha hardly above the noise, so many that the campaign will be"
+        " refused",
+        _MORE_SIGNAL,
+    ),
+    Code.PLANNED_FORCE_TOO_LARGE: _fact(
+        Level.REJECTED,
+        "an actuator whose alpha is {alpha:g} would exert {force:.3g} N, more than its limit of"
+        " {limit:g} N",
+        "plan a smaller shapes.force",
+    ),
+    Code.EARLIER_FINDING: _fact(None, "the earlier calibration: {cause}", "{advice}"),
+    Code.RECALIBRATION_LIMIT: _fact(Level.USABLE, "{limit}"),
+    Code.LAW_OF_REJECTED_DAY: _fact(
+        Level.REJECTED, "it rests on {day}, whose calibration is rejected", "track the other days"
+    ),
+    Code.OF_SEGMENTS: _fact(None, "{segments:numbers segment}: {cause}{as_of}", "{advice}"),
+    Code.NO_ALPHA: _fact(Level.NONE, "{fault}"),
     Code.OTHER: Entry("{}"),
 }
 
 
-_PLAIN = {entry.name: code for code, entry in ENTRIES.items() if "{}" not in entry.name}
+_PLAIN = {
+    entry.name: code for code, entry in ENTRIES.items() if entry.name and "{}" not in entry.name
+}
 _EARLIER = {"exchanged columns": (Code.EXCHANGED_COLUMNS, "FORCE")}
 
 
@@ -199,3 +685,20 @@ def read_name(name: str) -> tuple[Code, str]:
         if detailed and name.startswith(before) and name.endswith(after):
             return code, name[len(before) : len(name) - len(after)]
     return Code.OTHER, name
+
+
+# What warnings began with in files without codes, and what they leave of a result.
+_EARLIER_WARNINGS = {
+    "alpha is by ml, not by reciprocity": Level.SOUND,
+    "the model does not fit the data": Level.DOUBTFUL,
+    "reciprocity is in doubt": Level.DOUBTFUL,
+    "balance and reciprocity contradict": Level.DOUBTFUL,
+    "the weights of the": Level.DOUBTFUL,
+}
+REPEATED = "the data show: "  # what table EFFECTS has, too
+
+
+def read_warning(text: str) -> Level:
+    """Return what a warning of a file that was written without codes leaves of a result."""
+    found = (level for start, level in _EARLIER_WARNINGS.items() if text.startswith(start))
+    return next(found, Level.USABLE)

@@ -1,23 +1,57 @@
-"""One finding: what a bench, a file or an actuator did beside the model."""
+"""One finding: what a bench, a file, an actuator or a fit did beside the model."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+import json
+import string
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
-from truenewton.estimation.findings.catalogue import ENTRIES, Code, Concern
+from truenewton.estimation.findings.catalogue import ENTRIES, Code, Concern, Level
+from truenewton.rounding import counted, listed, named, numbered, percent
+
+OF_EFFECTS = ("name", "detail", "where", "probability", "size", "unit", "corrected")
+MAX_NAMES = 10  # of actuators or files in a sentence
+
+
+class Words(string.Formatter):
+    """Formats the values of a finding: numbers as Python does, and some formats more.
+
+    'percent', 'count NOUN' (1 row, 2 rows), 'names NOUN' (actuators 3, 5 and 2 more), 'numbers
+    NOUN' (segments 1 to 3), 'list'.
+    """
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a value as its format says."""
+        kind, _, noun = format_spec.partition(" ")
+        if kind == "percent":
+            return percent(value)
+        if kind == "count":
+            return counted(value, noun)
+        if kind == "names":
+            return named(noun, value, MAX_NAMES)
+        if kind == "numbers":
+            return numbered(noun, value)
+        if kind == "list":
+            return listed(value, MAX_NAMES)
+        return str(super().format_field(value, format_spec))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """What was found in data beside the model (docs/effects.md).
+    """What was found in data or a result beside the model (docs/effects.md, docs/verdict.md).
 
-    What only the user can settle has no probability, and is never corrected.
+    What only the user can decide has no probability, and is never corrected.
 
     Attributes
     ----------
     code
-        What it is.
+        What it is; what follows from it stands in `catalogue.ENTRIES`.
+    values
+        Numbers and names that its sentence contains.
+    cause
+        The finding that it is about, if it is about one.
     detail
         What its name leaves open: which column, which reason.
     where
@@ -30,11 +64,15 @@ class Finding:
         Of its largest parameter.
     corrected
         Whether it was taken out of the data.
+    graded
+        Its level, if other than that of the catalogue.
     remedy
-        What to do about it.
+        What to do about it; that of the catalogue unless given.
     """
 
     code: Code
+    values: Mapping[str, Any] = field(default_factory=dict)
+    cause: Finding | None = None
     detail: str = ""
     where: str = ""
     actuators: tuple[int, ...] = ()
@@ -42,15 +80,89 @@ class Finding:
     size: float = 0.0
     unit: str = ""
     corrected: bool = False
-    remedy: str
+    graded: Level | None = None
+    remedy: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.remedy and (self.values or self.cause or not self._entry.name):
+            object.__setattr__(self, "remedy", self._filled(self._entry.remedy))
+
+    @classmethod
+    def of(
+        cls,
+        code: Code,
+        *,
+        actuators: Iterable[int] = (),
+        cause: Finding | None = None,
+        remedy: str = "",
+        **values: Any,
+    ) -> Finding:
+        """Return a finding with the values that its sentence contains, as Python's own numbers."""
+        own = {name: _own(value) for name, value in values.items()}
+        ids = tuple(int(i) for i in actuators)
+        return cls(code=code, values=own, actuators=ids, cause=cause, remedy=remedy)
+
+    @property
+    def _entry(self) -> Any:
+        return ENTRIES[self.code]
+
+    def _filled(self, text: str) -> str:
+        known: dict[str, Any] = {"actuators": self.actuators, **self.values}
+        if self.cause is not None:
+            known |= {"cause": self.cause.fault, "advice": self.cause.remedy}
+        return Words().vformat(text, (), known).rstrip("; ")
 
     @property
     def name(self) -> str:
         """How it reads, without where it is."""
-        name = ENTRIES[self.code].name
+        name: str = self._entry.name
+        if not name:
+            return self.fault
         if "{}" in name:
             return name.format(self.detail)
         return f"{name}: {self.detail}" if self.detail else name
+
+    @property
+    def fault(self) -> str:
+        """What is wrong, a clause without a full stop."""
+        if self._entry.sentence:
+            return self._filled(self._entry.sentence)
+        if self.code is Code.OTHER:
+            return self.name
+        return f"found: {self.named}, {'corrected' if self.corrected else 'not corrected'}"
+
+    @property
+    def named(self) -> str:
+        """Its name with where it is largest, and its size if that is one of readings."""
+        size = ""
+        if self.size and (self.corrected or self.unit == "K"):
+            per_cent = self.unit in ("", "1/h")
+            value = 100 * self.size if per_cent else self.size
+            unit = self.unit.replace("1", "%") or "%" if per_cent else self.unit
+            size = f"{value:.2g} {unit}"
+        inside = "; ".join(filter(None, (self.where, size)))
+        return f"{self.name} ({inside})" if inside else self.name
+
+    @property
+    def level(self) -> Level:
+        """What it leaves of a result."""
+        if self.graded is not None:
+            return self.graded
+        if self._entry.level is None:
+            return self.cause.level if self.cause is not None else Level.USABLE
+        level: Level = self._entry.level
+        return max(level, Level.USABLE) if self.corrected else level
+
+    @property
+    def grade(self) -> str:
+        """Its level as a word."""
+        return str(self.level)
+
+    @property
+    def concern(self) -> Concern:
+        """What it is about, and so what it means for the result."""
+        concern: Concern = self._entry.concern
+        return concern
 
     @property
     def ids(self) -> str:
@@ -58,11 +170,57 @@ class Finding:
         return " ".join(map(str, self.actuators))
 
     @property
-    def values(self) -> dict[str, Any]:
+    def as_values(self) -> dict[str, Any]:
         """The same for a script."""
-        return {"code": self.code, "name": self.name} | asdict(self)
+        return {
+            "code": str(self.code),
+            "level": str(self.level),
+            "fault": self.fault,
+            "remedy": self.remedy,
+            "actuators": list(self.actuators),
+            "values": dict(self.values),
+            **{name: getattr(self, name) for name in OF_EFFECTS},
+        }
 
     @property
-    def concern(self) -> Concern:
-        """What it is about, and so what it means for the result."""
-        return ENTRIES[self.code].concern
+    def stored(self) -> str:
+        """Its values, actuators and cause as JSON, as table WARNINGS has them."""
+        parts = {"values": dict(self.values), "actuators": list(self.actuators)}
+        if self.cause is not None:
+            cause = {"code": str(self.cause.code), "remedy": self.cause.remedy}
+            parts["cause"] = cause | json.loads(self.cause.stored)
+        return json.dumps(parts)
+
+
+def from_stored(code: str, remedy: str, parts: Mapping[str, Any]) -> Finding:
+    """Return a finding from its code, remedy, and what `Finding.stored` has of it.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError, AttributeError
+        It is not of this version, or damaged.
+    """
+    cause = parts.get("cause")
+    return Finding(
+        code=Code(code),
+        values=dict(parts["values"]),
+        actuators=tuple(int(i) for i in parts["actuators"]),
+        cause=None if cause is None else from_stored(cause["code"], cause["remedy"], cause),
+        remedy=remedy,
+    )
+
+
+def distinct(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return findings in their order, each once."""
+    kept: list[Finding] = []
+    for each in findings:
+        if each not in kept:
+            kept.append(each)
+    return tuple(kept)
+
+
+def _own(value: Any) -> Any:
+    """Return a value of numpy as one of Python."""
+    if isinstance(value, (list, tuple)):
+        return [_own(each) for each in value]
+    return value.item() if hasattr(value, "item") else value

@@ -18,8 +18,9 @@ from truenewton.chance import f_sf
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.diagnosis import Goodness, NoiseSource
-from truenewton.estimation.effects.words import effect_warnings
 from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.moments import Moments, chosen_groups
@@ -39,8 +40,8 @@ from truenewton.estimation.reciprocity.gate import (
     Evidence,
     advising_ml,
     doubts,
+    failed,
     instead,
-    left_free,
     refusals,
 )
 from truenewton.estimation.reciprocity.iteration import Fit, fit
@@ -53,7 +54,6 @@ from truenewton.estimation.shape_sums import shape_sums
 from truenewton.estimation.sifted import Sifted
 from truenewton.estimation.suspects import refusal_naming
 from truenewton.estimation.weights import temperature_errors, weight_errors
-from truenewton.records.fault import Fault
 
 METHOD = "reciprocity"
 SMALLEST = 0.05  # alpha of `ml` with which an iteration begins
@@ -101,19 +101,19 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
         return base
     if base.effects:
         first = next((effect for effect in base.effects if effect.corrected), base.effects[0])
-        alone = ", which ml alone takes out" if first.corrected else ""
-        untried = f"the data show {first.name}{alone}"
-        return with_warnings(base, instead([Fault(untried, "mend that first")]))
+        alone = ", which only ml corrects" if first.corrected else ""
+        untried = Finding.of(Code.EFFECT_PRESENT, effect=f"{first.name}{alone}")
+        return with_warnings(base, instead([untried]))
     try:
         estimate, against = _found(sifted, base, motion, USUAL)
     except (RankDeficient, NotConverged) as error:
-        against = (Fault(error.fault, str(error.remedy)),)
+        against = (failed(error),)
     return with_warnings(base, instead(against)) if against else estimate
 
 
 def _found(
     sifted: Sifted, base: Estimate, motion: Array | None, asked: Asked
-) -> tuple[Estimate, tuple[Fault, ...]]:
+) -> tuple[Estimate, tuple[Finding, ...]]:
     """Return the estimate, and what speaks against it; ``base`` is that of `ml`."""
     campaign, moments = sifted.sound, _balancing(sifted, base)
     layout, noise = campaign.layout, reading_noise(campaign, moments)
@@ -139,13 +139,13 @@ def _found(
     minimum = _with_weights(problem, moments, (fitted, keep), base, excess)
     estimate = cycles_ml.estimate_of(METHOD, problem, moments, minimum, base.rejected, 0)
     effects = tuple(replace(effect, corrected=False) for effect in base.effects)  # by `ml` alone
-    said = (*estimate.diagnosis.warnings, *effect_warnings(effects))
+    said = estimate.diagnosis.warnings
     if excess > 1.0:
         remedy = "give the mirror, so that what its sensors see is known" if motion is None else ""
-        fault = f"reciprocity fits badly: E_STAT is {np.sqrt(excess):.2g} times larger for it"
-        said += (Fault(fault, remedy),)
+        said += (Finding.of(Code.RECIPROCITY_INFLATED, factor=np.sqrt(excess), remedy=remedy),)
     ids = layout.id[layout.enabled]
-    said += tuple(left_free(ids[~keep]))
+    if not keep.all():
+        said += (Finding.of(Code.RECIPROCITY_EXCLUDED, actuators=ids[~keep]),)
     estimate = replace(
         estimate,
         goodness=goodness,

@@ -1,21 +1,21 @@
-"""Whether reciprocity holds: what speaks against it, in words."""
+"""Whether reciprocity holds: what speaks against it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.errors import NotConverged, RankDeficient
+from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.reciprocity.iteration import Fit
 from truenewton.estimation.reciprocity.unknowns import Kind
-from truenewton.records.fault import Fault
-from truenewton.rounding import counted, percent
 
 # Of simulated stiffnesses of P45 these keep those whose alpha is better with reciprocity than by
 # balance alone (docs/reciprocity.md).
@@ -23,9 +23,6 @@ WORSE = 1.15  # held-out imbalance in terms of that of balance alone
 APART = 6.0  # chi2 per degree of freedom between balance alone and reciprocity alone
 BLOCK = 1.5  # chi2 per degree of freedom of a block, where the noise is known
 FARTHEST = 1.2e-3  # rms offset of the sensors along an axis [m]
-REMEDY = "give the mirror (--mirror) if not given, and check places and order of the sensors"
-BY_ML = "alpha is by ml, not by reciprocity"
-CONTRADICTED = "balance and reciprocity contradict each other"
 SENSELESS, SURE = 0.1, 0.03  # error of reciprocity on no mirror; that of ml in terms of it
 BLOCKS = ("balance", "rigid motions", "reciprocity")
 
@@ -73,66 +70,43 @@ class Evidence:
     offset_spread: float = float("nan")
 
 
-def refusals(evidence: Evidence) -> Iterator[Fault]:
+def refusals(evidence: Evidence) -> Iterator[Finding]:
     """Yield why reciprocity is not to be believed."""
     if evidence.odd:
-        many = counted(len(evidence.odd), "actuator")
-        yield Fault(f"it does not hold for {many} or more", REMEDY)
+        yield Finding.of(Code.MISFIT_ACTUATORS, count=len(evidence.odd))
     if evidence.transposed:
-        yield Fault(
-            "STIFFNESS looks transposed, and then it takes alpha for sensor gains",
-            "store [i, j], the force of actuator i per displacement of sensor j",
-        )
+        yield Finding.of(Code.TRANSPOSED)
     if evidence.disturbed:
-        yield Fault(
-            "noise of the readings is common to many actuators, and it takes that of each for"
-            " independent",
-            "look for what pushes the mirror",
-        )
+        yield Finding.of(Code.SHARED_NOISE)
     if evidence.untried:
-        yield Fault(
-            f"its errors were never held against a truth of"
-            f" {counted(evidence.untried, 'actuator')}: noise in forces may make them too small",
-            "compare two campaigns",
-        )
+        yield Finding.of(Code.UNTESTED_SIZE, count=evidence.untried)
     for name, size in zip(BLOCKS, evidence.blocks, strict=False):
         if size > BLOCK:
-            yield Fault(f"its fit leaves {np.sqrt(size):.2g} times the noise of {name}", REMEDY)
+            yield Finding.of(Code.EQUATIONS_MISFIT, factor=np.sqrt(size), block=name)
     if evidence.held_out > WORSE * evidence.by_balance:
-        yield Fault(
-            f"modes that its fit has not seen are out of balance by"
-            f" {percent(evidence.held_out)} of their force, by balance alone by"
-            f" {percent(evidence.by_balance)}",
-            REMEDY,
+        yield Finding.of(
+            Code.HELD_OUT_WORSE, held_out=evidence.held_out, by_balance=evidence.by_balance
         )
     if evidence.apart > APART:
-        yield Fault(
-            f"alpha by balance and alpha by reciprocity are {np.sqrt(evidence.apart):.2g} times"
-            " as far apart as their errors let expect",
-            REMEDY,
-        )
+        yield Finding.of(Code.ESTIMATES_APART, factor=np.sqrt(evidence.apart))
     if evidence.as_stated > APART and evidence.error > evidence.error_by_balance:
-        sizes = (
-            f"errors are {percent(evidence.error)} typically, those of ml"
-            f" {percent(evidence.error_by_balance)}"
-        )
+        sizes: dict[str, Any] = {"error": evidence.error, "of_balance": evidence.error_by_balance}
         if evidence.error > SENSELESS and evidence.error_by_balance < SURE * evidence.error:
-            remedy = "find out what was done to the matrix, and give it as it was measured"
-            yield Fault(f"{CONTRADICTED}: of reciprocity {sizes}", remedy)
+            yield Finding.of(Code.BALANCE_CONTRADICTS_SYMMETRY, **sizes)
         else:
-            yield Fault(f"its {sizes}", REMEDY)
+            yield Finding.of(Code.ERRORS_LARGER, **sizes)
     if evidence.offset_spread > FARTHEST:
-        yield Fault(
-            f"the sensors would have to be {1e3 * evidence.offset_spread:.2g} mm off their magnets",
-            REMEDY,
-        )
+        yield Finding.of(Code.SENSORS_FAR, offset=1e3 * evidence.offset_spread)
 
 
-def doubts(against: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Say of an answer by reciprocity what speaks against it."""
-    return tuple(
-        Fault(f"reciprocity is in doubt: {fault}", f"use ml; {remedy}") for fault, remedy in against
-    )
+def failed(error: TrueNewtonError) -> Finding:
+    """Return that an estimate ended in an error."""
+    return Finding.of(Code.ESTIMATE_FAILED, fault=error.fault, remedy=error.remedy)
+
+
+def doubts(against: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return of an answer by reciprocity what speaks against it."""
+    return tuple(Finding.of(Code.RECIPROCITY_DOUBTFUL, cause=each) for each in against)
 
 
 @contextmanager
@@ -144,24 +118,14 @@ def advising_ml() -> Iterator[None]:
         raise error.changed(remedy=f"{error.remedy}; or use ml") from None
 
 
-def instead(against: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Say of an answer by `ml` why it is not by reciprocity, and what speaks against both."""
+def instead(against: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return of an answer by `ml` why it is not by reciprocity, and what speaks against both."""
     return tuple(
         each
-        if each.fault.startswith(CONTRADICTED)
-        else Fault(f"{BY_ML}: {each.fault}", each.remedy)
+        if each.code is Code.BALANCE_CONTRADICTS_SYMMETRY
+        else Finding.of(Code.RECIPROCITY_NOT_USED, cause=each)
         for each in against
     )
-
-
-def left_free(ids: NDArray[np.int64]) -> Iterator[Fault]:
-    """Say of which actuators, by their (n,) IDs, alpha is that of the balance."""
-    if ids.size:
-        which = ", ".join(map(str, ids.tolist()))
-        yield Fault(
-            f"actuators or sensors that do not obey reciprocity were left out of it: {which}",
-            "look at their sensors, wiring and places; their alpha is that of ml",
-        )
 
 
 def disagreement(one: Fit, other: Fit) -> float:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.matrix_order import SYMMETRIC, balance_effects, looks_transposed
 from truenewton.estimation.reciprocity.binned_noise import BinnedNoise
@@ -18,7 +20,6 @@ from truenewton.estimation.reciprocity.gate import (
     Evidence,
     apart,
     disagreement,
-    left_free,
     refusals,
 )
 from truenewton.estimation.reciprocity.iteration import Fit, fit
@@ -26,7 +27,6 @@ from truenewton.estimation.reciprocity.response import beyond_noise, noise_of, s
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
-from truenewton.estimation.stiffness_ml import NOT_BY_COLUMNS
 from truenewton.estimation.stiffness_svd import (
     EVEN,
     ODD,
@@ -35,7 +35,6 @@ from truenewton.estimation.stiffness_svd import (
     imbalances_of,
 )
 from truenewton.linalg import asymmetry, singular_values_and_vectors
-from truenewton.records.fault import Fault
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
@@ -213,7 +212,7 @@ def _unseen(imbalances: tuple[Imbalance, ...]) -> float:
 
 def find(
     matrix: StiffnessMatrix, base: Estimate, motion: Array | None = None
-) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Fault, ...]]:
+) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Finding, ...]]:
     """Find relative alpha and the sensors; return what speaks against them, too.
 
     The stated error is that of noise (`response`), enlarged where halves of the modes, or balance
@@ -262,8 +261,10 @@ def find(
         reading_covariance=covariance,
         sensors=sensors_of(joint, found.sensor_errors, ids, keep),
     )
-    said = [fault for fault in base.diagnosis.warnings if fault != NOT_BY_COLUMNS]
-    said += left_free(ids[~keep])
+    of_columns = Code.COLUMN_NOISE_NOT_INDEPENDENT
+    said = [each for each in base.diagnosis.warnings if each.code is not of_columns]
+    if not keep.all():
+        said.append(Finding.of(Code.RECIPROCITY_EXCLUDED, actuators=ids[~keep]))
     diagnosis = replace(base.diagnosis, warnings=tuple(said))
     estimate = replace(estimate, diagnosis=diagnosis)
     transposed = looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout))

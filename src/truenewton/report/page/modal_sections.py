@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from truenewton.calibration.words import as_sentences
 from truenewton.modal.figures import chosen_modes
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
@@ -53,7 +54,7 @@ def _modes(modes: ModalFindings) -> Section:
         words.append(f"Measured stiffness: {'; '.join(texts)}.")
     if gains := sensor_gains_text(modes.after):
         words.append(f"Gains of the sensors: {gains}.")
-    words += [f"Warning: {fault}; {remedy}." for fault, remedy in modes.warnings]
+    words += [f"Warning: {as_sentences(each)}" for each in modes.warnings]
     rows = (
         ("asymmetry", *map(percent, modes.asymmetry)),
         ("out of balance", *map(percent, modes.imbalance)),

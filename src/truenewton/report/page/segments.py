@@ -7,10 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from truenewton.calibration.segmented import SegmentedCalibration
-from truenewton.calibration.verdict import Level
-from truenewton.calibration.words import headline, summary_rows
+from truenewton.calibration.words import as_sentences, headline, summary_rows
+from truenewton.estimation.findings.catalogue import Level
 from truenewton.estimation.weights import typical
-from truenewton.records.fault import Fault
 from truenewton.report.change import Change
 from truenewton.report.page.section import Section, TextTable
 from truenewton.rounding import counted, percent, significant, with_error
@@ -34,20 +33,15 @@ def segment_sections(c: SegmentedCalibration) -> Iterator[Section]:
     for number in c.numbers:
         key, title = f"segment-{number}", f"Segment {number}"
         if number in c.refused:
-            yield Section(key, title, ("No alpha.", *map(_sentence, c.refused[number])))
+            yield Section(key, title, ("No alpha.", *map(as_sentences, c.refused[number])))
             continue
         one = c.segments[number]
-        faults = map(_sentence, one.verdict.faults)
+        faults = map(as_sentences, one.verdict.faults)
         numbers = TextTable(
             "All figures", ("figure", "value", "note"), tuple(summary_rows(one)), wraps=True
         )
         said = f"{headline(one)}. The verdict: {one.verdict.level}."
         yield Section(key, title, (said, *faults), tables=(numbers,))
-
-
-def _sentence(said: Fault) -> str:
-    fault, remedy = said
-    return f"{fault[:1].upper()}{fault[1:]}: {remedy}."
 
 
 def changed_segments(change: Change) -> TextTable:
