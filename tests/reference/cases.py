@@ -94,11 +94,27 @@ def result_of(made: Any) -> Result:
 
 
 def verdict_lines(verdict: Any) -> tuple[str, ...]:
-    return (
-        f"verdict: {verdict.level}",
-        *(f"fault: {'; '.join(filter(None, each))}" for each in verdict.faults),
-        *(f"note: {'; '.join(filter(None, each))}" for each in verdict.notes),
-    )
+    return f"verdict: {verdict.level}", *map(finding_line, verdict.findings)
+
+
+def finding_line(finding: Any) -> str:
+    """Return a finding as data: a sentence may be reworded, and nothing else changes."""
+    codes, one, numbers = [], finding, []
+    while one is not None:
+        codes.append(str(one.code))
+        numbers += [f"{name}={_short(value)}" for name, value in one.values.items()]
+        one = one.cause
+    if finding.size:
+        numbers.append(f"size={finding.size:.3g}{finding.unit and ' '}{finding.unit}")
+    done = " corrected" if finding.corrected else ""
+    about = " ".join(map(str, finding.actuators))
+    parts = (f"{finding.level} {' of '.join(codes)}{done}", finding.detail, about, finding.where,
+             ", ".join(numbers))  # fmt: skip
+    return f"finding: {' | '.join(filter(None, parts))}"
+
+
+def _short(value: Any) -> str:
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def calibration_result(c: tn.Calibration) -> Result:
@@ -106,12 +122,6 @@ def calibration_result(c: tn.Calibration) -> Result:
     sentences = (
         f"method: {c.method}",
         *verdict_lines(c.verdict),
-        *(
-            f"finding: {e.code} {' '.join(map(str, e.actuators))} | {e.name} | {e.where} |"
-            f" {e.size:.3g} {e.unit} | corrected {e.corrected}"
-            for e in c.effects
-        ),
-        *(f"warning: {'; '.join(each)}" for each in (c.diagnosis.warnings if c.diagnosis else ())),
         f"rejected rows: {c.rejected}",
     )
     columns = {
@@ -277,6 +287,6 @@ def modal_base() -> Result:
     campaign = p45_cycles(2e-5)
     found = find_modes(campaign, tn.calibrate(campaign))
     stiffness = found.after.modes.stiffness
-    sentences = tuple(f"warning: {'; '.join(each)}" for each in found.warnings)
+    sentences = tuple(f"warning: {each.fault}; {each.remedy}" for each in found.warnings)
     columns = {"STIFFNESS": stiffness, "SIZE": stiffness}  # its own size is the scale
     return Result(sentences, tuple(range(1, len(stiffness) + 1)), columns)

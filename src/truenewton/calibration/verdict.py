@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 MAX_SPREADS = 5.0  # robust standard deviations of an actuator from the others
 MAX_BAD_FRACTION = 0.03  # of the actuators, and two at least, may be silent or negative
 MIN_FIT_PROBABILITY = 1e-3  # of a misfit at least this large by chance
-MAX_REJECTED_FRACTION = 0.02  # of the rows
+MAX_REJECTED_FRACTION = 0.1  # of the rows
 # Of chi2/DOF. E_STAT grows with its root, as if what is left were noise; if that is a hundred times
 # the noise, the data are not what they claim: with a mN of noise, 0.1 N per reading.
 MAX_REDUCED_CHI2 = 1e4

@@ -40,7 +40,7 @@ class DayRecord:
     alpha, error
         (n,) and E_STAT.
     verdict
-        Its level: 'sound', 'usable', 'doubtful', 'rejected'; 'limited', 'not to be used' or '' in older files.
+        Its level; 'limited', 'not to be used' or '' in older files.
     """
 
     name: str

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import string
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from truenewton.estimation.findings.catalogue import ENTRIES, Code, Concern, Level
@@ -211,10 +211,10 @@ def from_stored(code: str, remedy: str, parts: Mapping[str, Any]) -> Finding:
 
 
 def distinct(findings: Iterable[Finding]) -> tuple[Finding, ...]:
-    """Return findings in their order, each once."""
+    """Return findings in their order, each once: with the level of the first."""
     kept: list[Finding] = []
     for each in findings:
-        if each not in kept:
+        if not any(replace(each, graded=one.graded) == one for one in kept):
             kept.append(each)
     return tuple(kept)
 
