@@ -40,6 +40,10 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.methods import calibrate as calibrate
     from truenewton.calibration.result import Calibration as Calibration
     from truenewton.calibration.segmented import SegmentedCalibration as SegmentedCalibration
+    from truenewton.calibration.verdict import Verdict as Verdict
+    from truenewton.estimation.findings.catalogue import Code as Code
+    from truenewton.estimation.findings.catalogue import Level as Level
+    from truenewton.estimation.findings.finding import Finding as Finding
     from truenewton.foreign.export import export_supervisor as export_supervisor
     from truenewton.foreign.importing import stiffness_from as stiffness_from
     from truenewton.mirrors.sight import motion_for as motion_for
@@ -105,6 +109,9 @@ _NAMES = {
     "calibration.methods": ["calibrate"],
     "calibration.result": ["Calibration"],
     "calibration.segmented": ["SegmentedCalibration"],
+    "calibration.verdict": ["Verdict"],
+    "estimation.findings.catalogue": ["Code", "Level"],
+    "estimation.findings.finding": ["Finding"],
     "foreign.export": ["export_supervisor"],
     "foreign.importing": ["stiffness_from"],
     "mirrors.sight": ["motion_for"],

@@ -25,6 +25,7 @@ from truenewton.estimation.findings.catalogue import (
     read_warning,
 )
 from truenewton.estimation.findings.finding import Finding, from_stored
+from truenewton.estimation.matrix_facts import MatrixFacts
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
@@ -41,6 +42,7 @@ ACTUATORS = TableFormat(
         Column("E_STAT", "reading_error"),
         Column("E_SYST", "systematic_error"),
         Column("E_CYCLE", "cycle_error"),
+        Column("HALVES", "halves", absent=None),
         NZ,
     ),
 )
@@ -70,6 +72,13 @@ CALIBRATION = FileFormat(
         Keyword("FITCHI2", "goodness.chi2", "of the balance against FITNOISE", absent=np.nan),
         Keyword("FITNOISE", "goodness.against", "source of the noise", kind="str", absent=""),
         Keyword("FITPROB", "goodness.probability", "of a larger FITCHI2", absent=np.nan),
+        Keyword("ASYM", "matrix_facts.asymmetry", "asymmetry as commanded", absent=np.nan),
+        Keyword(
+            "ASYMALPH", "matrix_facts.asymmetry_with_alpha", "asymmetry with ALPHA", absent=np.nan
+        ),
+        Keyword(
+            "ASYMGAIN", "matrix_facts.asymmetry_with_gains", "and with sensor gains", absent=np.nan
+        ),
         Keyword("VERDICT", lambda c: str(c.verdict.level), "of all in this file", kind="str"),
     ),
     (
@@ -204,6 +213,8 @@ def calibration_from(file: FitsFile) -> Calibration:
             remedy="calibrate again",
             path=file.path,
         ) from None
+    facts = MatrixFacts(**values.pop("matrix_facts"))
+    values["matrix_facts"] = facts if np.isfinite(facts.asymmetry) else None
     warnings = values.pop("diagnosis", {}).get("warnings")
     if warnings is not None:
         values["diagnosis"] = Diagnosis(warnings=_warnings(warnings))

@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.arrays import spread, spread_covariance
+from truenewton.arrays import Array, spread, spread_covariance
 from truenewton.calibration.result import Calibration
 from truenewton.estimation import stiffness_svd
-from truenewton.estimation.estimate import Estimate
+from truenewton.estimation.coherent_imbalance import doubts_of_balance
+from truenewton.estimation.estimate import Estimate, with_warnings
+from truenewton.estimation.matrix_facts import doubts_of, matrix_facts
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
 
 Imbalances = tuple[stiffness_svd.Imbalance, ...]
 
@@ -29,6 +32,19 @@ def from_stiffness(
         np.pad(covariance, (0, 1), constant_values=np.nan)
         for covariance in (estimate.reading_covariance, estimate.systematic_covariance)
     )
+    n = int(on.sum())
+    alpha, gain = estimate.values[:n], None
+    if estimate.sensors:
+        gain = np.array([each.gain if each.state == "fitted" else 1.0 for each in estimate.sensors])
+    facts = matrix_facts(matrix.used_stiffness, alpha, gain)
+    covariance = estimate.reading_covariance[:n, :n]
+    doubts = (
+        *doubts_of(matrix.used_stiffness, alpha, facts),
+        *doubts_of_balance(
+            matrix.used_stiffness, comparable_arms(matrix.layout), alpha, covariance
+        ),
+    )
+    estimate = with_warnings(estimate, doubts)
     estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
     return Calibration(
         instrument=matrix.instrument,
@@ -49,8 +65,19 @@ def from_stiffness(
         sources=matrix_source(matrix),
         effects=estimate.effects,
         imbalances=imbalances,
+        matrix_facts=facts,
+        halves=spread(_halves(imbalances, n), on),
         **common(estimate, on),
     )
+
+
+def _halves(imbalances: Imbalances, n: int) -> Array:
+    """Return (n,) how far alpha of one half of the modes is above that of the other, relative."""
+    fitted = [line.alpha for line in imbalances[1:] if line.alpha is not None]
+    if len(fitted) != 2:
+        return np.full(n, np.nan)
+    one, other = (each / each.mean() for each in fitted)
+    return np.asarray(one - other)
 
 
 def matrix_source(matrix: StiffnessMatrix | None) -> tuple[Source, ...]:

@@ -21,6 +21,7 @@ from truenewton.estimation.diagnosis import (
 )
 from truenewton.estimation.estimate import Scale
 from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.matrix_facts import MatrixFacts
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.files.format import quantities
@@ -95,13 +96,18 @@ class Calibration:
         Of elastic modes, fitted and held out; empty but for a stiffness file.
     sensors
         Gains and places of the sensors by reciprocity; empty by other methods.
+    matrix_facts
+        Symmetry of a stiffness matrix; None of campaigns, and in older files.
+    halves
+        (n,) relative alpha fitted on the even modes less that fitted on the odd: cross-validation
+        of a matrix; None or NaN where there is none.
 
     Examples
     --------
     >>> calibration.alpha.shape
     (45,)
     >>> print(calibration.verdict.level)
-    limited
+    usable
     >>> worst = np.argmax(calibration.error / calibration.alpha)
     >>> f"{calibration.error[worst] / calibration.alpha[worst]:.1%}"
     '1.7%'
@@ -144,6 +150,8 @@ class Calibration:
     unseen: tuple[UnseenError, ...] = ()
     imbalances: tuple[Imbalance, ...] = ()
     sensors: tuple[Sensor, ...] = ()
+    matrix_facts: MatrixFacts | None = None
+    halves: Array | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "alpha", "reading_error", "systematic_error", "cycle_error", "covariance",

@@ -42,7 +42,7 @@ MAX_REJECTED_FRACTION = 0.1  # of the rows
 # Of chi2/DOF. E_STAT grows with its root, as if what is left were noise; if that is a hundred times
 # the noise, the data are not what they claim: with a mN of noise, 0.1 N per reading.
 MAX_REDUCED_CHI2 = 1e4
-MAX_HELD_OUT_RATIO = 2.0  # imbalance of held-out modes in terms of that of fitted ones
+MAX_HELD_OUT_RATIO = 2.5  # imbalance of held-out modes in terms of that of fitted ones
 ZERO_SIGMAS = 3.0  # within which alpha is 0
 
 

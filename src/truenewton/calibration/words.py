@@ -127,7 +127,12 @@ def summary_values(calibration: Calibration) -> dict[str, Any]:
         "unseen": [asdict(error) for error in c.unseen],
         "sensors": [asdict(sensor) for sensor in c.sensors],
         "weakest": c.diagnosis.weakest if c.diagnosis else "",
-        "imbalance": [asdict(line) for line in c.imbalances],
+        "imbalance": [
+            {"modes": line.modes, "before": line.before, "after": line.after}
+            for line in c.imbalances
+        ],
+        "matrix": asdict(c.matrix_facts) if c.matrix_facts else None,
+        "halves": c.halves,
     }
 
 
@@ -158,6 +163,7 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
     yield "typical error of alpha", percent(relative), "E_ALPHA, one sigma"
     if c.scale == Scale.MEAN_ONE:
         yield "common scale", "free", "mean alpha set to 1; weights would fix it"
+        yield from _symmetry(c)
     else:
         yield from _budget(c)
         yield "bias magnets B", f"{with_error(c.bias_force, c.bias_force_error)} N", ""
@@ -196,6 +202,23 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         yield "condition", f"{c.condition:.3g}", note
     if np.isfinite(c.solved_condition):
         yield "  as svd solves it", f"{c.solved_condition:.3g}", "of E, torques in N m"
+
+
+def _symmetry(c: Calibration) -> Iterator[tuple[str, str, str]]:
+    """Yield the symmetry of a matrix, and how far its two halves agree."""
+    facts = c.matrix_facts
+    if facts is not None:
+        values = [facts.asymmetry, facts.asymmetry_with_alpha]
+        note = "as commanded, with alpha"
+        if np.isfinite(facts.asymmetry_with_gains):
+            values.append(facts.asymmetry_with_gains)
+            note += ", with gains of the sensors"
+        yield "asymmetry", ", ".join(map(percent, values)), note
+    if c.halves is not None and np.isfinite(c.halves).any():
+        rms = float(np.sqrt(np.nanmean(c.halves**2)))
+        far = np.argsort(-np.abs(np.nan_to_num(c.halves)))[:3]
+        names = ", ".join(f"{c.layout.id[k]} ({percent(float(c.halves[k]))})" for k in far)
+        yield "halves of the modes", f"alpha differs by {percent(rms)} rms", f"most at {names}"
 
 
 def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:

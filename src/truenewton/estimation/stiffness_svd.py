@@ -8,7 +8,7 @@ smallest singular vector of the stacked A diag(u), its mean set to 1.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
@@ -47,6 +47,7 @@ class Imbalance:
     modes: str
     before: float
     after: float
+    alpha: Array | None = field(default=None, compare=False, repr=False)  # (n,) as fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -317,7 +318,7 @@ def imbalances_of(
     def of(name: str, some: slice, fitted: Array) -> Imbalance:
         modes = forces[:, some].T
         before, after = (rms_imbalance(modes, x / x.mean(), a) for x in (ones, fitted))
-        return Imbalance(name, before, after)
+        return Imbalance(name, before, after, fitted)
 
     return (
         of("all modes, fitted", slice(None), alpha),

@@ -125,6 +125,9 @@ class Code(StrEnum):
     OFF_BUT_PUSHING = "off-but-pushing"
     NEGATIVE_MODES = "negative-modes"
     SYMMETRY_NOT_IMPROVED = "symmetry-not-improved"
+    COHERENT_IMBALANCE = "coherent-imbalance"
+    GAINS_FOLLOW_ALPHA = "gains-follow-alpha"
+    GAINS_HAVE_GRADIENT = "gains-have-gradient"
     SEGMENTS_COUPLED = "segments-coupled"
     # Reciprocity: used, or why it was not.
     RECIPROCITY_NOT_USED = "reciprocity-not-used"
@@ -559,8 +562,7 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.NEGATIVE_MODES: _fact(
         Level.DOUBTFUL,
-        "{count:count elastic mode} of the matrix {verb} negative stiffness, down to {lowest:.3g}"
-        " N/m",
+        "negative stiffness of {count:count elastic mode} of the matrix, down to {lowest:.3g} N/m",
         "check order, sign and completeness of the matrix, and measure again with less noise",
     ),
     Code.SYMMETRY_NOT_IMPROVED: _fact(
@@ -568,6 +570,25 @@ ENTRIES: dict[Code, Entry] = {
         "alpha does not make the matrix more symmetric: asymmetry {before:percent} before,"
         " {after:percent} after",
         "check positions and order of the sensors; compare with a second measurement",
+    ),
+    Code.COHERENT_IMBALANCE: _fact(
+        Level.DOUBTFUL,
+        "{share:percent} of the imbalance of the columns is no noise, but the pattern of a mistake"
+        " in {pattern}. If it is fitted as well, alpha moves by {shift:percent} rms, {ratio:.2g}"
+        " times its error",
+        "check X and Y of the actuators, and how the matrix was processed",
+    ),
+    Code.GAINS_HAVE_GRADIENT: _fact(
+        Level.DOUBTFUL,
+        "the sensor gains that symmetry implies have a gradient across the mirror ({sigmas:.2g}"
+        " sigma), as if the positions were stretched to one side",
+        "check X and Y of the actuators; a campaign with known weights would constrain it",
+    ),
+    Code.GAINS_FOLLOW_ALPHA: _fact(
+        Level.DOUBTFUL,
+        "the sensor gains that symmetry implies follow alpha (correlation {correlation:.2f}), as if"
+        " a part of the rigid motions had been removed from the matrix, or its transpose mixed in",
+        "find out how the matrix was processed, and give it as it was measured",
     ),
     Code.SEGMENTS_COUPLED: _fact(
         Level.DOUBTFUL,

@@ -40,13 +40,19 @@ def modal_sections(findings: Findings) -> Iterator[Section]:
 def _modes(modes: ModalFindings) -> Section:
     values = modes.after.modes.stiffness
     elastic = values[3:]
-    softest, stiffest = (elastic[k] for k in (np.abs(elastic).argmin(), np.abs(elastic).argmax()))
+    negative = elastic[elastic < 0.0]
+    softest, stiffest = elastic[elastic > 0.0].min(initial=np.inf), elastic.max()
     rigid = ", ".join(stiffness_text(value) for value in values[:3])
     words = [
         f"Of {counted(values, 'mode')} the softest elastic one has {stiffness_text(softest)}, the"
         f" stiffest {stiffness_text(stiffest)}. Piston and tilts bend nothing; bias magnets and"
         f" errors leave them {rigid}.",
     ]
+    if negative.size:
+        words.append(
+            f"{counted(negative, 'elastic mode')} with negative stiffness, down to"
+            f" {stiffness_text(float(negative.min()))}: no elastic body has any."
+        )
     if compared := comparison_text(modes):
         words.append(f"Modes found with alpha = 1 lie {compared}.")
     if modes.measured is not None:
