@@ -80,7 +80,7 @@ def named(calibration: tn.Calibration) -> tuple[Word, ...]:
     if hasattr(calibration, "effects"):
         return tuple(Word(e.name, e.where, e.corrected) for e in calibration.effects)
     faults = calibration.verdict.faults
-    return tuple(Word(fault) for fault, _ in faults if not WEAK.search(fault))
+    return tuple(Word(each.fault) for each in faults if not WEAK.search(each.fault))
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ def trial(day: Day, method: str = "ml") -> Trial:
         probability=answer.goodness.probability,
         rejected=answer.rejected / (answer.rejected + answer.shapes_used),
         reciprocal=answer.method == "reciprocity",
-        sound=all("without errors" in fault for fault, _ in answer.verdict.faults),
+        sound=all(each.code is tn.Code.WEIGHTS_WITHOUT_ERRORS for each in answer.verdict.faults),
     )
 
 

@@ -109,7 +109,7 @@ def judged(name, matrix, truth, method):
             found = tn.calibrate(matrix, method)
         except TrueNewtonError as error:
             print(f"{name:62s} refused: {error.fault[:60]}", flush=True)
-            return 0, 0.0
+            return tn.Level.NONE, 0.0
     on = np.isfinite(found.alpha)
     alpha, error = found.alpha[on], found.reading_error[on]
     size = np.nan
@@ -129,7 +129,7 @@ def judged(name, matrix, truth, method):
         f"  {found.verdict.level!s:9s} {pattern.names[0]}",
         flush=True,
     )
-    return int(found.verdict.level), size
+    return found.verdict.level, size
 
 
 def main():

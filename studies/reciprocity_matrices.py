@@ -134,7 +134,7 @@ def fate(matrix, method, truth):
     error, stated = np.log(made.alpha) - truth, made.reading_error / made.alpha
     some = np.isfinite(error) & (stated > 0.0)
     error = error - np.mean(error[some])
-    said = [fault for fault, _ in (*made.verdict.notes, *made.verdict.faults)]
+    said = [each.fault for each in made.verdict.findings]
     return (
         f"{made.method}, {made.verdict.level}",
         next((f for f in said if any(word in f for word in OF_THE_GATE)), "".join(said[:1])),

@@ -41,8 +41,8 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.calibration.result import Calibration as Calibration
     from truenewton.calibration.segmented import SegmentedCalibration as SegmentedCalibration
     from truenewton.calibration.verdict import Verdict as Verdict
-    from truenewton.estimation.findings.catalogue import Code as Code
-    from truenewton.estimation.findings.catalogue import Level as Level
+    from truenewton.estimation.findings.code import Code as Code
+    from truenewton.estimation.findings.code import Level as Level
     from truenewton.estimation.findings.finding import Finding as Finding
     from truenewton.foreign.export import export_supervisor as export_supervisor
     from truenewton.foreign.importing import stiffness_from as stiffness_from
@@ -110,7 +110,7 @@ _NAMES = {
     "calibration.result": ["Calibration"],
     "calibration.segmented": ["SegmentedCalibration"],
     "calibration.verdict": ["Verdict"],
-    "estimation.findings.catalogue": ["Code", "Level"],
+    "estimation.findings.code": ["Code", "Level"],
     "estimation.findings.finding": ["Finding"],
     "foreign.export": ["export_supervisor"],
     "foreign.importing": ["stiffness_from"],

@@ -28,7 +28,7 @@ from truenewton.modal.segments import modes_of_segments
 from truenewton.reading import read_one
 from truenewton.records.fault import Fault
 from truenewton.records.file import write_campaign
-from truenewton.records.segmented import coupling_faults
+from truenewton.records.segmented import segment_couplings
 from truenewton.report.verdict import headline_of
 from truenewton.rounding import numbered
 from truenewton.statics.arms import enabled_arms
@@ -122,7 +122,7 @@ def test_a_segment_that_is_refused_takes_no_other_down(data, alone):
         made = tn.calibrate(wild)
     same(made.segments[1], alone[0])
     same(made.segments[3], alone[2])
-    assert made.verdict.level == Level.LIMITED
+    assert made.verdict.level == Level.USABLE
     assert made.verdict.faults[0].fault.startswith("segment 2, ")
     kept = made.without_unusable()
     assert set(kept.segments) == {1, 3}
@@ -298,9 +298,11 @@ def test_what_couples_segments_is_told_from_noise(two):
     joined[18:, :18] += link.T
     swapped = np.roll(noisy, 18, axis=0)
     for k, count in ((noisy, 0), (joined, 2), (swapped + noisy, 2)):
-        assert len(coupling_faults(replace(matrix, stiffness=k))) == count
+        assert len(segment_couplings(replace(matrix, stiffness=k))) == count
     made = tn.calibrate(tn.SegmentedData(stiffness=replace(matrix, stiffness=joined)), "svd")
-    told = [fault for fault, _ in made.verdict.faults if "it is coupled to other" in fault]
+    told = [
+        each.fault for each in made.verdict.faults if each.cause.code is tn.Code.SEGMENTS_COUPLED
+    ]
     assert [fault[:9] for fault in told] == ["segment 1", "segment 2"]
 
 
@@ -338,14 +340,14 @@ def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path
     code, said, wrong = inside(*words)
     assert (code, wrong) == (0, "")
     (line,) = [line for line in said.splitlines() if "no modes" in line]
-    negative = "not to be used: alpha is negative for 18 of 18 actuators; turn the sign of FORCE"
+    negative = "rejected: alpha is negative for 18 of 18 actuators; turn the sign of FORCE"
     assert line.startswith(f"segment 2: no modes: {bad} gives no alpha: {negative}")
     assert line.endswith("; --anyway takes it all the same")
     assert "no modes" not in inside(*words, "--anyway")[1]
     replace(made, segments=turned).write(bad, overwrite=True)
     code, _, wrong = inside(*words)
     assert code == 2
-    assert wrong.startswith(f"truenewton: {bad}: not to be used: segments 1, 2")
+    assert wrong.startswith(f"truenewton: {bad}: rejected: segments 1, 2")
 
 
 def test_commands_take_segments(folder, inside, tmp_path):
@@ -394,7 +396,7 @@ def test_the_report_counts_no_segment_that_is_not_to_be_used(whole):
     assert one.sentence.startswith("Alpha of 2 of 3 segments")
     assert [value.startswith("-") for _, value, _ in one.numbers] == [False] * 3
     every = headline_of(replace(whole, segments=turned))
-    assert every.level == Level.UNUSABLE
+    assert every.level == Level.REJECTED
     assert every.numbers[0][1].startswith("-")
 
 
@@ -413,10 +415,10 @@ def test_what_is_said_of_several_segments_is_said_once(data):
 
     made = tn.calibrate(data)
     one = replace(made, segments={2: made.segments[2]}, refused=said("known to {}.5 %", 1, 3))
-    faults = [fault for fault, _ in one.verdict.faults]
+    faults = [each.fault for each in one.verdict.faults]
     assert faults[0] == "segments 1, 3, no alpha: known to 1.5 % (as of segment 1)"
     other = replace(made, segments={3: made.segments[3]}, refused=said("actuator {} is dead", 1, 2))
-    assert [fault for fault, _ in other.verdict.faults][:2] == [
+    assert [each.fault for each in other.verdict.faults][:2] == [
         "segment 1, no alpha: actuator 1 is dead", "segment 2, no alpha: actuator 2 is dead",
     ]  # fmt: skip
     assert numbered("segment", [1, 2, 3, 5, 7, 8]) == "segments 1 to 3, 5, 7, 8"

@@ -57,15 +57,15 @@ FAULTS = {
             p45(),
             lambda k, f: stuck(7)(k, f) + 1e-3 * np.random.default_rng(k).normal(size=f.shape),
         ),
-        "not to be used", "stuck reading (actuator 8)", "have its electronics looked at",
+        "rejected", "stuck reading (actuator 8)", "have its electronics looked at",
     ),
     "frozen in one file": (
         lambda: with_forces(p45(), stuck(7, (1,))),
-        "limited", "frozen reading (actuator 8 in bare 2)", "leave the file out, or mark the rows",
+        "doubtful", "frozen reading (actuator 8 in bare 2)", "leave the file out, or mark the rows",
     ),
     "frozen for half of a file": (
         lambda: with_forces(p45(), stuck(7, (1,), slice(45, 90))),
-        "limited", "frozen reading (actuator 8 in bare 2)", "leave the file out, or mark the rows",
+        "doubtful", "frozen reading (actuator 8 in bare 2)", "leave the file out, or mark the rows",
     ),
     "a recorder that hung": (
         lambda: with_forces(p45(), hung),
@@ -77,27 +77,27 @@ FAULTS = {
     ),
     "cut off": (
         lambda: with_forces(p45(), lambda _, f: np.clip(f, -0.36, 0.36)),
-        "not to be used", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
+        "rejected", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
     ),
     "cut off by much": (
         lambda: with_forces(p45(1e-5), lambda _, f: np.clip(f, -0.24, 0.24)),
-        "not to be used", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
+        "rejected", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
     ),
     "quadratic coils": (
-        lambda: bent(2, 0.01), "limited", "quadratic coil", "at half of which it is half",
+        lambda: bent(2, 0.01), "usable", "quadratic coil", "at half of which it is half",
     ),
     "each quadratic": (
         lambda: bent(2, 0.05, each=True),
-        "limited", "quadratic coil of each", "at half of which it is half",
+        "usable", "quadratic coil of each", "at half of which it is half",
     ),
     "cubic coils": (
-        lambda: bent(3, 0.05), "limited", "cubic coil", "at half of which it is a quarter",
+        lambda: bent(3, 0.05), "usable", "cubic coil", "at half of which it is a quarter",
     ),
     "loads alike": (
         lambda: campaign_of(
             5, 1e-3, loads=(Load("bare"), Load("ring", 1e-3 * WEIGHT, 5e-5)), cycles=4
         )[0].cycles,
-        "limited", "the loads differ by no more than 0.0029 N of 2.9 N", "more shapes do not help",
+        "usable", "the loads differ by no more than 0.0029 N of 2.9 N", "more shapes do not help",
     ),
     "loads as good as the same": (
         lambda: campaign_of(5, 1e-3, loads=(Load("bare"), Load("ring", 1e-4 * WEIGHT, 5e-5)))[
@@ -107,23 +107,23 @@ FAULTS = {
     ),
     "WEIGHT ten times too large": (
         lambda: p45(weight=-29.2),
-        "limited", "WEIGHT is -29.2 N, 0.65 N for each actuator", "check WEIGHT and its unit",
+        "doubtful", "WEIGHT is -29.2 N, 0.65 N for each actuator", "check WEIGHT and its unit",
     ),
     "WEIGHT ten times too small": (
         lambda: p45(weight=-0.292),
-        "limited", "WEIGHT is -0.292 N, several times less", "check WEIGHT and its unit",
+        "doubtful", "WEIGHT is -0.292 N, several times less", "check WEIGHT and its unit",
     ),
     "E_ADDED is 0": (
         lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
-        "limited", "the weights are given without errors (E_ADDED of 'ring' is 0)", "give E_WEIGHT",
+        "usable", "the weights are given without errors (E_ADDED of 'ring' is 0)", "give E_WEIGHT",
     ),
     "all of the other sign": (
         lambda: with_forces(p45(), lambda _, f: -f),
-        "not to be used", "alpha is negative for 45 of 45", "turn the sign of FORCE",
+        "rejected", "alpha is negative for all 45", "reverse the sign of FORCE",
     ),
     "in mN": (
         lambda: with_forces(p45(1e-4), lambda _, f: 1e3 * f),
-        "not to be used", "FORCE looks as if in mN", "the unit that the column FORCE declares",
+        "rejected", "FORCE looks as if in mN", "the unit that the column FORCE declares",
     ),
 }  # fmt: skip
 
@@ -153,10 +153,10 @@ def test_an_order_that_balances_as_well_is_told_by_position(tmp_path):
     turned = np.abs(place[:, None] * np.exp(2j * np.pi / 3) - place).argmin(axis=1)
     assert sorted(turned) == list(range(45))
     made = Campaign(tuple(with_forces(p45(), lambda _, force: force[:, turned])))
-    with pytest.warns(TrueNewtonWarning, match="not to be used"):
+    with pytest.warns(TrueNewtonWarning, match="rejected"):
         found = tn.calibrate(made)
     assert found.goodness.probability > 1e-3  # nothing is wrong with the balance
-    assert found.verdict.level == "not to be used"
+    assert found.verdict.level == "rejected"
     assert "order of FORCE is not that of POSITION" in found.verdict.faults[0].fault
     found.write(tmp_path / "alpha.fits")
     with pytest.warns(TrueNewtonWarning, match="order of FORCE"):
@@ -175,8 +175,8 @@ def test_an_alpha_of_0_within_its_error_is_dead_by_name(method, noise):
     bench = SmallBench(4, noise)
     bench.arms[:, 5] = 0.0  # whatever it is commanded, it does nothing
     verdict = tn.calibrate(bench.campaign(), method).verdict
-    assert verdict.level == "limited"
-    dead = [fault for fault, _ in verdict.faults if "actuator 6" in fault]
+    assert verdict.level == "usable"
+    dead = [each.fault for each in verdict.faults if 6 in each.actuators]
     assert dead
     assert "dead" in dead[0]
 
@@ -228,16 +228,16 @@ def test_rounding_is_noise_and_no_outlier(noise, count):
     off = off / off.mean() - 1.0  # the weights are not what they say
     z = off / (found.reading_error / found.alpha)
     assert np.sqrt(np.mean(z**2)) < 1.6
-    text = " | ".join(fault for fault, _ in found.verdict.faults)
+    text = " | ".join(each.fault for each in found.verdict.faults)
     assert "repeated shapes scatter" not in text
     if count > 1:
         assert "FORCE comes in steps of 0.0416 mN" in text
-        assert "0.012 mN, step / root 12, is in E_STAT" in text
+        assert "E_STAT includes 0.012 mN, step / root 12" in text
 
 
 def test_rounding_that_hardly_adds_is_not_said():
     found = tn.calibrate(Campaign(tuple(rounded(p45(1e-4)))))
-    assert not any("steps" in fault for fault, _ in found.verdict.faults)
+    assert not any("steps" in each.fault for each in found.verdict.faults)
 
 
 def test_who_declares_less_than_rounding_has_not_declared_it():
@@ -333,13 +333,13 @@ def test_the_page_says_the_same(inside, tmp_path):
     code, out, _ = inside("report", tmp_path / "c", "-o", tmp_path / "page.html")
     assert code == 0
     assert out.startswith(verdict["level"].capitalize())
-    assert verdict["faults"][0]["fault"][1:] in out
-    assert verdict["faults"][0]["remedy"][1:] in out
+    assert verdict["findings"][0]["fault"][1:] in out
+    assert verdict["findings"][0]["remedy"][1:] in out
 
 
 def test_svd_says_that_it_takes_rows_that_do_not_fit():
     found = tn.calibrate(Campaign(tuple(spiked())), "svd")
-    assert any("rows among them that ml leaves out" in fault for fault, _ in found.verdict.faults)
+    assert any(each.code is tn.Code.SVD_USES_ALL_ROWS for each in found.verdict.faults)
 
 
 def test_alpha_that_does_harm_is_said_before_what_it_comes_from():
@@ -350,9 +350,11 @@ def test_alpha_that_does_harm_is_said_before_what_it_comes_from():
     unseen = (replace(line, before=0.02, after=0.03),) * 2
     doubtful = replace(made, imbalances=(line, *unseen), reading_error=np.ones(45))
     verdict = doubtful.verdict
-    assert verdict.level == "not to be used"
-    assert "balance worse with alpha (3.0 % of their force)" in verdict.faults[0].fault
-    assert "known to" in verdict.faults[1].fault
+    assert verdict.level == "rejected"
+    assert [each.code for each in verdict.faults[:2]] == [
+        tn.Code.HARMFUL_ALPHA,
+        tn.Code.ERROR_TOO_LARGE,
+    ]
 
 
 def test_positions_beyond_the_gap_are_in_another_unit():

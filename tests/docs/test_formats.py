@@ -8,12 +8,14 @@ import pytest
 from truenewton.bench.simulated.truth import TRUTH
 from truenewton.calibration.file import CALIBRATION
 from truenewton.calibration.segment_file import SEGMENTED
+from truenewton.estimation.findings import thresholds
 from truenewton.files.format import REQUIRED, FileFormat, ImageFormat
 from truenewton.modal.file import MODES, PLAIN
 from truenewton.records.formats import CYCLE, SEGMENTS, STIFFNESS
 from truenewton.tracking.file import SEGMENTED_TRACKING, TRACKING
 
 DOCS = Path(__file__).parents[2] / "docs" / "files.md"
+VERDICT = DOCS.with_name("verdict.md")
 KINDS = {
     "str": "text",
     "date": "date",
@@ -95,3 +97,10 @@ def test_every_keyword_column_and_unit_is_declared_and_documented(title):
 def test_every_section_with_a_table_is_checked():
     assert {title for title, rows in sections().items() if rows} == set(FORMATS)
     assert all(declared(form) == declared(PLAIN["ff_matrix"]) for form in PLAIN.values())
+
+
+def test_the_page_of_the_verdict_has_all_thresholds():
+    page = VERDICT.read_text(encoding="utf-8")
+    table = [f"| {' | '.join(row)} |" for row in thresholds.rows()]
+    assert len(table) > 15
+    assert [row for row in table if row not in page] == []

@@ -9,6 +9,7 @@ from helpers.balanced import BIAS, LAYOUT, arms_of, gradients
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.displaced_rows import balanced_rows, common_reference
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.records.campaign import Campaign
 from truenewton.report.investigate import investigate
@@ -75,9 +76,8 @@ def test_zeros_set_anew_with_each_file_are_taken_out(size):
     assert np.isnan(common_reference(campaign)).all()
     found = calibrate(campaign)
     assert found.alpha == pytest.approx(alpha, abs=1e-9)
-    [(fault, remedy)] = found.diagnosis.warnings
-    assert fault.startswith("the zeros of 14 sensors were set anew between files")
-    assert remedy == "keep the zeros of the sensors through a campaign"
+    [warning] = found.diagnosis.warnings
+    assert (warning.code, warning.values) == (Code.ZEROS_RESET, {"sensors": 14})
     restless, _ = gradients(seed=9, noise=1e-5, offset=0.0, moved=MOVED, zeros=size)
     centred = shifted(restless, [-c.rest_position for c in restless.cycles])
     assert calibrate(restless).alpha == pytest.approx(calibrate(centred).alpha, abs=1e-11)
@@ -92,7 +92,7 @@ def test_a_sensor_set_anew_leaves_the_others_alone():
     found = calibrate(one)
     assert np.abs(np.delete(found.alpha - alpha, 3)).max() < 1e-5
     assert abs(found.alpha[3] - alpha[3]) < 600 * 3 * MOVED
-    assert "the zeros of 1 sensor were" in found.diagnosis.warnings[0][0]
+    assert found.diagnosis.warnings[0].values == {"sensors": 1}
 
 
 @pytest.mark.parametrize("anew", [0.0, 1e-5])
@@ -106,7 +106,7 @@ def test_a_sensor_that_does_not_move_is_none_set_anew(anew):
         cycles.append(replace(cycle, position=position))
     with pytest.warns(TrueNewtonWarning, match=r"frozen sensor \(POSITION of actuator 4 is"):
         found = calibrate(Campaign(tuple(cycles)))
-    assert not any("zeros of" in fault for fault, _ in found.diagnosis.warnings)
+    assert not any(each.code is Code.ZEROS_RESET for each in found.diagnosis.warnings)
     assert np.abs(found.alpha - alpha).max() < 600 * MOVED
 
 
@@ -141,7 +141,7 @@ def test_without_gradients_nothing_counts():
     for left_out in ({"position": None}, {"coil_gradient": None, "bias_gradient": None}):
         bare = Campaign(tuple(replace(c, **left_out) for c in campaign.cycles))
         assert np.isnan(common_reference(bare)).all()
-        faults = [fault for fault, _ in calibrate(bare).diagnosis.warnings]
+        faults = [each.fault for each in calibrate(bare).diagnosis.warnings]
         assert not any("zeros of" in fault for fault in faults)
 
 

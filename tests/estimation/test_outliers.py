@@ -217,7 +217,7 @@ def check_not_used(campaign, alpha):
 def test_a_cycle_of_the_wrong_sign_without_others_to_tell_is_warned_of():
     campaign, _ = small(11, cycles=1)
     flipped = Campaign(tuple(replace(c, force=-c.force) for c in campaign.cycles))
-    faults = [fault for fault, _ in calibrate(flipped).verdict.faults]
+    faults = [each.fault for each in calibrate(flipped).verdict.faults]
     assert any("alpha is negative" in fault for fault in faults)
 
 

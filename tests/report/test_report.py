@@ -89,7 +89,7 @@ def test_a_fit_worse_than_its_noise_is_used_with_care():
     bent = Campaign(tuple(replace(c, force=c.force + wrong) for c in campaign.cycles))
     judged = verdict(investigate(bent))
     assert judged.title == "Limited"
-    assert any("the model does not fit" in fault for fault, _ in judged.advice)
+    assert any("the model does not fit" in each.fault for each in judged.advice)
     # As uncertain as four repeats of that noise would be.
     sound, found = investigate(campaign).calibration, investigate(bent).calibration
     assert np.mean(found.reading_error / sound.reading_error) > 10

@@ -241,7 +241,7 @@ def test_a_verdict_of_a_short_run_tells_that_the_others_changed(inside, tmp_path
     assert json.loads(out)["others"]["scatter"] == pytest.approx(1e-3, rel=0.3)
     verdict = tn.read(tmp_path / "new.fits").verdict
     assert verdict.level == "limited"
-    assert any("the others have changed by" in fault for fault, _ in verdict.faults)
+    assert any("the others have changed by" in each.fault for each in verdict.faults)
 
 
 def test_one_that_moved_by_1_percent_is_named_beside_others_that_drifted():

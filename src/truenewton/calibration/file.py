@@ -17,13 +17,8 @@ from truenewton.estimation.diagnosis import (
     NoiseSource,
     ScaleError,
 )
-from truenewton.estimation.findings.catalogue import (
-    REPEATED,
-    Code,
-    Level,
-    read_name,
-    read_warning,
-)
+from truenewton.estimation.findings.catalogue import REPEATED, read_name, read_warning
+from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding, from_stored
 from truenewton.estimation.matrix_facts import MatrixFacts
 from truenewton.estimation.unknowns import Unknowns

@@ -20,7 +20,7 @@ from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError, Unkn
 from truenewton.estimation import cycles_ml, cycles_svd, stiffness_ml, stiffness_svd
 from truenewton.estimation.cycle_errors import CycleErrors
 from truenewton.estimation.estimate import Estimate, with_warnings
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding, distinct
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.reciprocity import cycles as reciprocity_of_cycles

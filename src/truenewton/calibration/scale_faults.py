@@ -10,9 +10,9 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.estimation.diagnosis import ErrorKind
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.fit_warnings import PLAUSIBLE
+from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.identifiability import ALIKE, NO_LOAD_SEEN, similar_loads
 from truenewton.estimation.weights import READINGS, scale_total, tilt_as_load, typical
 from truenewton.rounding import percent, significant
@@ -59,9 +59,6 @@ MISTAKES = (
 )
 OTHER_UNIT = "FORCE looks as if in counts or volts of the electronics, or in another unit than N"
 NEAR_ONE = (0.6, 1.6)  # the typical alpha of mirrors, which a single mistake is to bring back
-MAX_RELATIVE_ERROR = (
-    1 / 3
-)  # of alpha, its error from readings: beyond, it is not told from 0 by three sigma
 LIKE_OTHERS, MOST = 0.5, 0.9  # relative to the median, of how many: else it is no unit alone
 
 
@@ -71,10 +68,10 @@ def unit_fault(c: Calibration) -> Finding | None:
     Or that no load is seen: then alpha is large, but no more than noise.
     """
     median = float(np.nanmedian(c.alpha))
-    if c.scale == Scale.WEIGHTS and typical(c.reading_error, c.alpha) > MAX_RELATIVE_ERROR:
-        return NO_LOAD_SEEN if abs(median) > PLAUSIBLE[1] else None
+    if c.scale == Scale.WEIGHTS and typical(c.reading_error, c.alpha) > LIMITS.relative_error:
+        return NO_LOAD_SEEN if abs(median) > LIMITS.highest_alpha else None
     alike = np.abs(c.alpha[c.layout.enabled] / median - 1.0) < LIKE_OTHERS
-    if PLAUSIBLE[0] < abs(median) < PLAUSIBLE[1] or np.mean(alike) < MOST:
+    if LIMITS.lowest_alpha < abs(median) < LIMITS.highest_alpha or np.mean(alike) < MOST:
         return None
     fitting = [
         each
@@ -114,7 +111,7 @@ def scale_faults(c: Calibration) -> Iterator[Finding]:
         if exact or weights < NO_ERROR:
             which = f" (E_ADDED of {' and '.join(exact)} is 0)" if exact else ""
             yield Finding.of(Code.WEIGHTS_WITHOUT_ERRORS, which=which)
-    if weights > 2.0 * readings:
+    if weights > LIMITS.scale_share * readings:
         limit = scale_limit(c)
         yield limit or Finding.of(Code.SCALE_BY_WEIGHTS, error=weights, share="")
 

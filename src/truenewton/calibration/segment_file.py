@@ -15,7 +15,7 @@ from truenewton.calibration.file import CALIBRATION, calibration_from
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.errors import FormatError, TrueNewtonError, located
-from truenewton.estimation.findings.catalogue import Level
+from truenewton.estimation.findings.code import Level
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, Keyword, TableFormat
 from truenewton.records.fault import Fault

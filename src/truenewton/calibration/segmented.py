@@ -75,7 +75,7 @@ class SegmentedCalibration(OfSegments[Calibration]):
 
         Itself where they all are.
         """
-        from truenewton.estimation.findings.catalogue import Level
+        from truenewton.estimation.findings.code import Level
 
         judged = {number: one.verdict for number, one in self.segments.items()}
         out = {n: v.faults for n, v in judged.items() if v.level <= Level.REJECTED}

@@ -20,7 +20,7 @@ from truenewton.calibration.verdict import warn_of
 from truenewton.calibration.workers import processors, side_by_side
 from truenewton.errors import RankDeficient, TrueNewtonError, UnreadableFile
 from truenewton.estimation.diagnosis import Diagnosis
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault

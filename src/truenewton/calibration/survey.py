@@ -26,7 +26,7 @@ from truenewton.errors import (
     TooManyOutliers,
 )
 from truenewton.estimation.diagnosis import Diagnosis
-from truenewton.estimation.findings.catalogue import Level
+from truenewton.estimation.findings.code import Level
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, elastic_count, modal_stiffness

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.calibration.scale_faults import (
-    MAX_RELATIVE_ERROR,
     scale_faults,
     unit_fault,
     weights_along_axis,
@@ -24,8 +23,9 @@ from truenewton.calibration.scale_faults import (
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
 from truenewton.estimation.diagnosis import RejectedRow
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.findings.catalogue import Code, Concern, Level
+from truenewton.estimation.findings.code import Code, Concern, Level
 from truenewton.estimation.findings.finding import Finding, distinct
+from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.identifiability import similar_loads
 from truenewton.estimation.weights import typical
 from truenewton.records.fault import Fault
@@ -35,14 +35,6 @@ if TYPE_CHECKING:
     from truenewton.calibration.result import Calibration
     from truenewton.calibration.segmented import SegmentedCalibration
 
-MAX_SPREADS = 5.0  # robust standard deviations of an actuator from the others
-MAX_BAD_FRACTION = 0.03  # of the actuators, and two at least, may be silent or negative
-MIN_FIT_PROBABILITY = 1e-3  # of a misfit at least this large by chance
-MAX_REJECTED_FRACTION = 0.1  # of the rows
-# Of chi2/DOF. E_STAT grows with its root, as if what is left were noise; if that is a hundred times
-# the noise, the data are not what they claim: with a mN of noise, 0.1 N per reading.
-MAX_REDUCED_CHI2 = 1e4
-MAX_HELD_OUT_RATIO = 2.5  # imbalance of held-out modes in terms of that of fitted ones
 ZERO_SIGMAS = 3.0  # within which alpha is 0
 
 
@@ -172,7 +164,7 @@ def warn_of(calibration: Calibration | SegmentedCalibration, stacklevel: int = 3
 
 def _rejecting(c: Calibration) -> Iterator[Finding]:
     """Yield why a calibration is rejected, causes before what they do."""
-    fits = c.goodness is None or not c.goodness.probability < MIN_FIT_PROBABILITY
+    fits = c.goodness is None or not c.goodness.probability < LIMITS.fit_probability
     unit = unit_fault(c)
     grave = {Concern.FILES}
     if not fits:  # else the rows that disagreed were left out
@@ -184,9 +176,9 @@ def _rejecting(c: Calibration) -> Iterator[Finding]:
         yield unit
     yield from _harm(c)
     alpha = c.alpha[c.layout.enabled]
-    few = max(2, MAX_BAD_FRACTION * alpha.size)
+    few = max(2, LIMITS.bad_fraction * alpha.size)
     negative = int(np.count_nonzero(alpha <= 0))
-    silent = sum(len(each.actuators) for each in _uncorrected(c, {Concern.SILENT}))
+    silent = sum(max(len(each.actuators), 1) for each in _uncorrected(c, {Concern.SILENT}))
     if silent > few:
         yield Finding.of(Code.MANY_SILENT, count=silent, n=alpha.size)
     senseless = list(_senseless(c))
@@ -203,15 +195,13 @@ def _senseless(c: Calibration) -> Iterator[Finding]:
     weighed = c.scale == Scale.WEIGHTS
     if weighed and (not c.loads or np.ptp(weights_along_axis(c)) == 0.0):
         yield Finding.of(Code.NO_OTHER_LOAD)
-    error = typical(c.error, c.alpha)
-    if error > MAX_RELATIVE_ERROR:
+    error = typical(c.reading_error, c.alpha)  # a scale that is known badly is known to be so
+    if error > LIMITS.relative_error:
         similar = similar_loads(weights_along_axis(c)) if weighed else None
         if similar:
             yield replace(similar, graded=Level.REJECTED)
-        by_weights = typical(c.systematic_error, c.alpha) > typical(c.reading_error, c.alpha)
-        code = Code.ERROR_TOO_LARGE_BY_WEIGHTS if by_weights else Code.ERROR_TOO_LARGE
-        yield Finding.of(code, error=error)
-    if c.goodness is not None and c.goodness.reduced > MAX_REDUCED_CHI2:
+        yield Finding.of(Code.ERROR_TOO_LARGE, error=error)
+    if c.goodness is not None and c.goodness.reduced > LIMITS.reduced_chi2:
         yield Finding.of(Code.MISFIT_SENSELESS, factor=np.sqrt(c.goodness.reduced))
 
 
@@ -241,18 +231,18 @@ def _of_result(c: Calibration) -> Iterator[Finding]:
     """Yield what the numbers of the result show."""
     if c.imbalances:
         fitted, *held_out = (line.after for line in c.imbalances)
-        if max(held_out) > MAX_HELD_OUT_RATIO * fitted:
+        if max(held_out) > LIMITS.held_out_ratio * fitted:
             yield Finding.of(Code.HELD_OUT_IMBALANCE, held_out=max(held_out), fitted=fitted)
     fit, known = c.goodness, {each.code for each in (c.diagnosis.warnings if c.diagnosis else ())}
     if (
         fit is not None
-        and fit.probability < MIN_FIT_PROBABILITY
+        and fit.probability < LIMITS.fit_probability
         and not known & {Code.MISFIT, Code.MISFIT_EXPLAINED}
     ):
         code = Code.MISFIT_OF_SVD if c.method == "svd" else Code.MISFIT
         yield Finding.of(code, factor=np.sqrt(fit.reduced))
     rows = c.rejected + c.shapes_used
-    if c.rejected > MAX_REJECTED_FRACTION * rows:
+    if c.rejected > LIMITS.rejected_fraction * rows:
         yield Finding.of(Code.MANY_ROWS_REJECTED, share=c.rejected / rows)
     yield from scale_faults(c)
     if c.rejected:
@@ -292,7 +282,7 @@ def _outliers(c: Calibration) -> NDArray[np.int64]:
     """Return the indices of actuators far from the others, in terms of their spread and error."""
     middle = np.nanmedian(c.alpha)
     spread = 1.4826 * np.nanmedian(np.abs(c.alpha - middle))
-    far = np.abs(c.alpha - middle) > MAX_SPREADS * np.hypot(spread, c.reading_error)
+    far = np.abs(c.alpha - middle) > LIMITS.outlier_spreads * np.hypot(spread, c.reading_error)
     return np.flatnonzero(far)
 
 

@@ -47,7 +47,7 @@ def run(
     """Make a stiffness file from a matrix and positions in other people's files."""
     from truenewton.calibration.words import summary_values
     from truenewton.cli.terminal import busy, print_result
-    from truenewton.estimation.findings.catalogue import Level
+    from truenewton.estimation.findings.code import Level
     from truenewton.files.outputs import refuse_existing
     from truenewton.foreign.importing import stiffness_from
     from truenewton.mirrors.file import mirror_from

@@ -48,7 +48,7 @@ files, in the order in which data pass through them:
     column_order     whether FORCE and POSITION stand in one order
     odd_actuators    readings that are stuck, coils without force, poles exchanged
     suspects         files, columns and actuators that may not be what they say
-    fit_warnings     what is weak in a campaign and its fit, in words
+    fit_warnings     what is weak in a campaign and its fit
     cycles_ml        `ml` on a campaign
     reciprocity      alpha, sensor gains and offsets from a stiffness that must be symmetric
     stiffness_svd    relative alpha from a stiffness matrix, by its singular vectors
@@ -61,10 +61,12 @@ files, in the order in which data pass through them:
     matrix_order     whether it is a stiffness, lies the right way round, in the order of places
     matrix_faults    actuators of a matrix that do not fit, found and set free
     sifted_matrix    a matrix without them
+    matrix_facts     symmetry and negative modes of a matrix
+    coherent_imbalance  whether the imbalance of its columns is noise, or the pattern of a mistake
     population       what is not smooth in log alpha, as samples of one population
     undetermined     patterns of alpha that noise decides
     identifiability  what the data can and cannot fix
-    findings         what was found beside the model: codes and sentences, the record of a finding
+    findings         what was found: codes and levels, sentences, the record of a finding
     diagnosis        how well alpha is determined and how well the data fit, in records
     estimate         what every method hands over
     prediction       errors of a campaign before a reading is taken

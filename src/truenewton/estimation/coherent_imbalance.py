@@ -36,8 +36,9 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.estimation.couplings import pair_ratios, relative_couplings
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.thresholds import LIMITS
 
 MIN_ACTUATORS = 12
 NOISE_STEPS = 10
@@ -46,11 +47,7 @@ SMOOTH_DEGREE = 3  # of fields of wrong positions
 MIN_RING_GAP = 0.03  # of the largest radius, between two rings
 MAX_RINGS = 20
 DISTANCE_BINS = (0.0, 0.03, 0.1, 0.25, 0.5, 1.0)  # quantiles of the distances of pairs
-MIN_SHARE = 0.4  # of the imbalance; 0.28 is the largest of sound matrices (studies.matrix_grades)
-MIN_SHIFT = 1.0  # of alpha if the pattern is fitted, in terms of its stated error
 ALTERNATIVES = 0.8  # of the largest share: patterns that explain as much are named as well
-MIN_CORRELATION, CORRELATION_SIGMAS = 0.3, 3.0  # of gains with alpha; 1 / root n each
-MAX_GRADIENT_SIGMAS = 5.0
 MIN_SPREAD = 3.0  # of log alpha in terms of its error
 
 
@@ -165,9 +162,9 @@ def doubts_of_balance(
     """Yield which mistakes the balance of a matrix shows; (n,) alpha and its (n, n) covariance."""
     found = coherent_imbalance(commanded, arms, alpha)
     stated = float(np.sqrt(np.mean(np.diag(covariance) / alpha**2)))
-    if found is not None and found.share > MIN_SHARE:
+    if found is not None and found.share > LIMITS.pattern_share:
         moved = float(np.sqrt(np.mean(found.shift**2)))
-        if moved > MIN_SHIFT * stated:
+        if moved > LIMITS.pattern_shift * stated:
             yield Finding.of(
                 Code.COHERENT_IMBALANCE,
                 pattern=" or ".join(found.names[:3]),
@@ -175,11 +172,11 @@ def doubts_of_balance(
                 shift=moved,
                 ratio=moved / stated,
             )
-    least = max(MIN_CORRELATION, CORRELATION_SIGMAS / np.sqrt(len(alpha)))
+    least = max(LIMITS.gain_correlation, LIMITS.gain_sigmas / np.sqrt(len(alpha)))
     with_alpha, gradient_sigmas = gain_correlations(commanded, arms, alpha, covariance)
     if abs(with_alpha) > least:
         yield Finding.of(Code.GAINS_FOLLOW_ALPHA, correlation=with_alpha)
-    elif gradient_sigmas > MAX_GRADIENT_SIGMAS:
+    elif gradient_sigmas > LIMITS.gradient_sigmas:
         yield Finding.of(Code.GAINS_HAVE_GRADIENT, sigmas=gradient_sigmas)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import combinations
 
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.row_prints import RowPrints
 from truenewton.records.campaign import Campaign

@@ -15,8 +15,9 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.estimate import Estimate, Scale
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.identifiability import diagnose, refuse
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.repeats import row_groups
@@ -181,7 +182,9 @@ def _bias_warnings(biased: Array, scatter: Array) -> Iterator[Finding]:
     """Warn where the bias is more than a fifth of the scatter, RMS over actuators."""
     size, stated = (float(np.sqrt(np.mean(each**2))) for each in (biased, scatter))
     if size > 0.2 * stated:
-        yield Finding.of(Code.SVD_BIAS if size < stated else Code.SVD_BIAS_LARGE, bias=size)
+        yield Finding.of(
+            Code.SVD_BIAS if size < LIMITS.svd_bias * stated else Code.SVD_BIAS_LARGE, bias=size
+        )
 
 
 def find(campaign: Campaign, moments: Moments) -> Estimate:

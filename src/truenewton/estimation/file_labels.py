@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.row_prints import RowPrints

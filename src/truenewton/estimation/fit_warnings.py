@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from truenewton.chance import chi2_sf
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.displaced_rows import is_displaced
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.problem import Problem
@@ -22,7 +23,6 @@ from truenewton.estimation.still_readings import still_sensors
 from truenewton.records.campaign import mean_temperature
 
 LOUDER = 1.5  # times FORCERR: a scatter of the repeats that is said
-PLAUSIBLE = (0.5, 2.0)  # alpha in the median: beyond, a unit or a weight is wrong
 LONG_AFTER = 30.0  # days without a file, in one campaign
 WARM = 50.0  # [deg C]
 FARTHER = 3.0  # times the weight: bias magnets that hold so much hold another weight
@@ -87,7 +87,8 @@ def _warm_warnings(problem: Problem) -> Iterator[Finding]:
 
 def _is_in_newton(problem: Problem, minimum: Minimum) -> bool:
     """Tell whether alpha is near 1; else a unit is wrong, and the verdict says so."""
-    return PLAUSIBLE[0] < float(np.median(minimum.values[: problem.n])) < PLAUSIBLE[1]
+    median = float(np.median(minimum.values[: problem.n]))
+    return LIMITS.lowest_alpha < median < LIMITS.highest_alpha
 
 
 def _weight_warnings(problem: Problem, moments: Moments, minimum: Minimum) -> Iterator[Finding]:

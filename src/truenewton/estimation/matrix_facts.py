@@ -14,15 +14,12 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.findings.thresholds import LIMITS
 
 RIGID_MODES = 3  # piston and two tilts: about 0, of either sign
-# A symmetric matrix of noise with standard deviation s has no mode beyond 2 s root n (Wigner); one
-# whose elements differ in noise has some beyond.
-MIN_NEGATIVE_EDGES = 1.5
 MIN_ASYMMETRY = 0.005  # below which symmetry is not judged
-MAX_ASYMMETRY_RATIO = 0.95  # after alpha in terms of before
 
 
 @dataclass(frozen=True)
@@ -57,10 +54,11 @@ def matrix_facts(commanded: Array, alpha: Array, gain: Array | None = None) -> M
 def negative_modes(commanded: Array, alpha: Array) -> Array:
     """Return the stiffness of elastic modes that are negative beyond noise [N/m], ascending."""
     k = alpha[:, None] * commanded
+    # A symmetric matrix of noise with standard deviation s has no mode beyond 2 s root n (Wigner).
     s = float(np.sqrt(np.mean((k - k.T) ** 2))) / 2.0  # of the noise in the symmetric part
     values = np.sign(np.trace(k)) * scipy.linalg.eigvalsh(0.5 * (k + k.T))
     elastic = values[np.argsort(np.abs(values))[RIGID_MODES:]]
-    return np.sort(elastic[elastic < -MIN_NEGATIVE_EDGES * 2.0 * s * np.sqrt(len(k))])
+    return np.sort(elastic[elastic < -LIMITS.negative_edges * 2.0 * s * np.sqrt(len(k))])
 
 
 def doubts_of(commanded: Array, alpha: Array, facts: MatrixFacts) -> Iterator[Finding]:
@@ -74,5 +72,5 @@ def doubts_of(commanded: Array, alpha: Array, facts: MatrixFacts) -> Iterator[Fi
             stiffness=negative.tolist(),
         )
     before, after = facts.asymmetry, facts.asymmetry_with_alpha
-    if before > MIN_ASYMMETRY and after > MAX_ASYMMETRY_RATIO * before:
+    if before > MIN_ASYMMETRY and after > LIMITS.asymmetry_ratio * before:
         yield Finding.of(Code.SYMMETRY_NOT_IMPROVED, before=before, after=after)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.couplings import NEAR, relative_couplings, typical_spacing
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.rounding_steps import rounding_steps
 from truenewton.linalg import assignment, asymmetry

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.chance import f_isf, normal_sf
 from truenewton.estimation.diagnosis import NoiseSource
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.multiple_tests import FALSE_ALARM

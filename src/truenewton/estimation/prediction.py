@@ -14,7 +14,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.estimation.cycles_ml import patterns_near_noise
 from truenewton.estimation.diagnosis import Diagnosis, ScaleError
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import in_words, load_fault, refuse, structural_faults
 from truenewton.estimation.likelihood import expected

@@ -12,8 +12,9 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.bad_sensors import other_half
 from truenewton.estimation.couplings import pair_ratios, typical_spacing
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import MAX_NAMES, Finding
+from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.matrix_faults import (
     NO_FORCE,
     NO_SENSOR,
@@ -38,7 +39,6 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms, enabled_arms
 
-MAX_MISFIT_FRACTION = 0.1  # of the actuators may be left out: beyond, all are in doubt
 MIN_MANY_MISFITS = 3
 UNSEEN = 0.3  # of the own stiffness, in any column: so none tells what it was
 BALANCED = 5.0  # times what is typical: columns about an actuator that was off
@@ -139,21 +139,11 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     if doubt.any():
         disturbance = left_over(k, a, good, doubt)
     sifted = matrix if good.all() else freed(matrix, good, core)
-    few = max(MIN_MANY_MISFITS, MAX_MISFIT_FRACTION * len(k))
-    many = [ids[each.index] for each in bad] if len(bad) > few else []
-    warnings = [
-        Finding.of(code, count=len(some), n=len(k), actuators=some)
-        for code, some in (
-            (Code.OFF_BUT_PUSHING, ids[off] if pushing else []),
-            (Code.MANY_MISFITS, many),
-        )
-        if len(some)
-    ]
     return SiftedMatrix(
         sifted,
         start,
         disturbance,
-        (*unsure, *warnings),
+        (*unsure, *_warnings(ids, off, bad, pushing=pushing)),
         (
             *_effects(ids, off, bad),
             *order_effects(sifted, named=False),
@@ -242,6 +232,17 @@ def _balanced_about(
 def _as_measured(error: FitsNoSymmetry) -> Finding:
     """Return what is said of a matrix of which all is kept, as too much does not fit."""
     return Finding.of(Code.MISFITS_KEPT, fault=error.fault, advice=error.remedy)
+
+
+def _warnings(
+    ids: NDArray[np.int64], off: NDArray[np.bool_], bad: Sequence[BadActuator], *, pushing: bool
+) -> Iterator[Finding]:
+    """Yield that some were off and pushed all the same, or that many do not fit."""
+    if pushing:
+        yield Finding.of(Code.OFF_BUT_PUSHING, actuators=ids[off])
+    if len(bad) > max(MIN_MANY_MISFITS, LIMITS.misfit_fraction * len(ids)):
+        names = [ids[each.index] for each in bad]
+        yield Finding.of(Code.MANY_MISFITS, count=len(bad), n=len(ids), actuators=names)
 
 
 def _effects(

@@ -19,7 +19,7 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.column_terms import Columns
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.estimate import Estimate, Scale
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.matrix_order import looks_transposed

@@ -14,7 +14,7 @@ from truenewton.calibration.methods import asked, calibrate, calibration_of, fin
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import refuse_unusable
 from truenewton.errors import NotToBeUsed
-from truenewton.estimation.findings.catalogue import Code, Level
+from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift

@@ -16,7 +16,7 @@ from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient, TrueNewtonError, located
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.moments import Moments
 from truenewton.estimation.prediction import Prediction, predict

@@ -23,7 +23,7 @@ from truenewton.errors import RankDeficient, UnknownName
 from truenewton.estimation.cycles_ml import estimate_of
 from truenewton.estimation.diagnosis import Diagnosis, RejectedRow, ScaleError
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.findings.catalogue import Code, Level
+from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import geometry_fault, refuse
 from truenewton.estimation.minimum import Minimum

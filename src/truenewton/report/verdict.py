@@ -12,7 +12,7 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import Verdict, no_alpha
 from truenewton.calibration.words import as_sentences
 from truenewton.estimation.estimate import Scale
-from truenewton.estimation.findings.catalogue import Level
+from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.weights import scale_total, typical
 from truenewton.records.fault import Fault

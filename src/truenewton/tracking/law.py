@@ -13,7 +13,7 @@ from truenewton.arrays import Array, freeze, taking_units
 from truenewton.calibration.result import LARGEST_ALPHA
 from truenewton.chance import chi2_sf
 from truenewton.errors import FormatError, RankDeficient
-from truenewton.estimation.findings.catalogue import Level
+from truenewton.estimation.findings.code import Level
 from truenewton.files.fits import write_fits
 from truenewton.files.format import quantities
 from truenewton.records.notebook import html_table

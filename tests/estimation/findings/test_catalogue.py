@@ -9,18 +9,23 @@ import pytest
 from astropy.io import fits
 
 import truenewton as tn
-from truenewton.estimation.findings.catalogue import ENTRIES, Code, Concern, read_name
+from truenewton.estimation.findings.catalogue import ENTRIES, read_name
+from truenewton.estimation.findings.code import Code, Concern
 from truenewton.estimation.findings.finding import Finding
 
 SOURCE = Path(tn.__file__).parent
 
 
-def test_every_code_has_one_entry_and_a_name_of_its_own():
+EFFECTS = [code for code in Code if ENTRIES[code].name]
+
+
+def test_every_code_has_one_entry_and_a_name_or_a_sentence():
     assert set(ENTRIES) == set(Code)
-    assert len({entry.name for entry in ENTRIES.values()}) == len(Code)
+    assert len({entry.name for entry in ENTRIES.values() if entry.name}) == len(EFFECTS)
+    assert all(entry.name or entry.sentence for entry in ENTRIES.values())
 
 
-@pytest.mark.parametrize("code", Code)
+@pytest.mark.parametrize("code", EFFECTS)
 def test_a_name_without_code_is_read_as_the_code_that_wrote_it(code):
     detail = "FORCE" if "{}" in ENTRIES[code].name else ""
     assert read_name(Finding(code=code, detail=detail, remedy="").name) == (code, detail)
@@ -94,6 +99,47 @@ def test_a_code_of_a_newer_version_is_kept_by_its_name(p45_calibration, found, t
         hdus.writeto(path, overwrite=True, checksum=True)
     (newer, *_) = tn.read(path).effects
     assert (newer.code, newer.name) == (Code.OTHER, found[0].name)
+
+
+def test_levels_are_ordered_and_read_from_earlier_files():
+    assert sorted(tn.Level) == list(tn.Level)
+    assert tn.Level.DOUBTFUL < tn.Level.USABLE <= tn.Level.SOUND > "rejected"
+    assert tn.Level.read("limited") is tn.Level.USABLE
+    assert tn.Level.read("not to be used") is tn.Level.REJECTED
+
+
+def test_a_corrected_effect_is_usable_and_the_same_one_left_in_is_not():
+    left_in = Finding(code=Code.GAIN_BY_HOUR, remedy="let it warm up")
+    assert left_in.level is tn.Level.DOUBTFUL
+    assert replace(left_in, corrected=True).level is tn.Level.USABLE
+
+
+WARNINGS = (
+    Finding.of(Code.WEIGHTS_DISAGREE, loads=np.int64(3), sigmas=np.float64(4.2)),
+    Finding.of(Code.RECIPROCITY_EXCLUDED, actuators=[3, 17]),
+    Finding.of(Code.RECIPROCITY_NOT_USED,
+               cause=Finding.of(Code.ERRORS_LARGER, error=0.025, of_balance=0.001)),
+    Finding.of(Code.MISFIT_EXPLAINED),
+)  # fmt: skip
+
+
+def test_a_file_keeps_warnings_with_their_values_and_cause(p45_calibration, tmp_path):
+    path, earlier = tmp_path / "alpha.fits", tmp_path / "earlier.fits"
+    diagnosis = replace(p45_calibration.diagnosis, warnings=WARNINGS)
+    replace(p45_calibration, diagnosis=diagnosis).write(path)
+    read = tn.read(path).diagnosis.warnings
+    assert read == WARNINGS
+    assert [each.level for each in read] == ["doubtful", "usable", "sound", "doubtful"]
+    with fits.open(path) as hdus:  # as versions without codes wrote it
+        columns = [c for c in hdus["WARNINGS"].columns if c.name in ("FAULT", "REMEDY")]
+        hdus["WARNINGS"] = fits.BinTableHDU.from_columns(columns, name="WARNINGS")
+        hdus["WARNINGS"].data["FAULT"][3] = "the data show: gain by hour, not taken out of them"
+        hdus.writeto(earlier, checksum=True)
+    read = tn.read(earlier).diagnosis.warnings
+    assert [(each.code, each.fault) for each in read] == [
+        (Code.OTHER, each.fault) for each in WARNINGS[:3]
+    ]
+    assert [each.level for each in read] == ["doubtful", "usable", "sound"]
 
 
 def test_what_the_user_alone_can_settle_is_of_concern_as_files():

@@ -14,5 +14,5 @@ examination       a fit examined: what is named, and what is taken out
 examined          what is left of it then, and how well that fits
 unsure_positions  magnets whose positions have a declared uncertainty
 unseen            what two loads cannot show, and what it would do to the common scale
-words             the same in words
+misfit            what is left unexplained, and what differs between loads
 """

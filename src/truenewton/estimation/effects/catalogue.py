@@ -28,7 +28,8 @@ from truenewton.estimation.effects.readings import (
     on_readings,
     row_functions,
 )
-from truenewton.estimation.findings.catalogue import ENTRIES, Code
+from truenewton.estimation.findings.catalogue import ENTRIES
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.moments import Moments, WithinGroups
 from truenewton.estimation.problem import Problem
 

@@ -23,7 +23,7 @@ from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, named
 from truenewton.estimation.effects.shared_noise import beside_shared_noise
 from truenewton.estimation.effects.unknown_force import UnknownForce, disturbed, unknown_force
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.moments import Moments

@@ -23,7 +23,7 @@ from truenewton.arrays import Array
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.diagnosis import NoiseSource
 from truenewton.estimation.effects.examined import chi2_probability
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.identifiability import centred_means
 from truenewton.estimation.moments import Moments

@@ -8,7 +8,7 @@ import numpy as np
 
 from truenewton.estimation.diagnosis import ErrorKind, ScaleError
 from truenewton.estimation.effects.examined import Examined
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.records.campaign import Campaign, load_temperatures
 

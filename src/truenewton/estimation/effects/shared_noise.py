@@ -21,7 +21,7 @@ from truenewton.arrays import Array
 from truenewton.chance import f_logsf
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.score_test import EffectTest, log_chance, there
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.structure import independent_readings
 
 

@@ -32,7 +32,7 @@ from truenewton.estimation.effects.readings import (
     of_each,
     on_readings,
 )
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.minimum import Minimum
 from truenewton.estimation.weights import MAGNETS, NEGLIGIBLE
 from truenewton.records.campaign import load_temperatures

@@ -8,7 +8,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from truenewton.estimation.findings.catalogue import ENTRIES, Code, Concern, Level
+from truenewton.estimation.findings.catalogue import ENTRIES
+from truenewton.estimation.findings.code import Code, Concern, Level
 from truenewton.rounding import counted, listed, named, numbered, percent
 
 OF_EFFECTS = ("name", "detail", "where", "probability", "size", "unit", "corrected")

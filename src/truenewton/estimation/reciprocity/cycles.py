@@ -19,7 +19,7 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.diagnosis import Goodness, NoiseSource
 from truenewton.estimation.estimate import Estimate, with_warnings
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.likelihood import minimise
 from truenewton.estimation.minimum import DataSet, Minimum, Prior

@@ -12,7 +12,7 @@ import scipy.linalg
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TrueNewtonError
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.reciprocity.iteration import Fit
 from truenewton.estimation.reciprocity.unknowns import Kind

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.estimate import Estimate
-from truenewton.estimation.findings.catalogue import Code
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.matrix_order import SYMMETRIC, balance_effects, looks_transposed

@@ -1,0 +1,217 @@
+"""The codes of findings, what each is about, and the grades of a result."""
+
+from __future__ import annotations
+
+from enum import Enum, StrEnum
+
+
+class Code(StrEnum):
+    """What was found; the value is written to files, and never changes."""
+
+    # What a bench does beside the model.
+    GAIN_BY_HOUR = "gain-by-hour"
+    GAIN_BY_HOUR_OF_EACH = "gain-by-hour-of-each"
+    GAIN_BY_FILE = "gain-by-file"
+    GAIN_BY_FILE_OF_SINGLE = "gain-by-file-of-single"
+    GAIN_BY_LOAD = "gain-by-load"
+    WEIGHT_OF_LOAD = "weight-of-load"
+    ZERO_BY_HOUR = "zero-by-hour"
+    ZERO_BY_HOUR_OF_EACH = "zero-by-hour-of-each"
+    ZERO_BY_FILE = "zero-by-file"
+    ZERO_BY_FILE_OF_EACH = "zero-by-file-of-each"
+    LOAD_REPOSITIONED = "load-repositioned"
+    QUADRATIC_COIL = "quadratic-coil"
+    QUADRATIC_COIL_OF_EACH = "quadratic-coil-of-each"
+    CUBIC_COIL = "cubic-coil"
+    CUBIC_COIL_OF_EACH = "cubic-coil-of-each"
+    COIL_GRADIENT = "coil-gradient"
+    BIAS_GRADIENT = "bias-gradient"
+    CONTACT_IN_ONE_SIGN = "contact-in-one-sign"
+    CONTACT_IN_ONE_SIGN_BY_LOAD = "contact-in-one-sign-by-load"
+    POSITIONS = "positions"
+    UNKNOWN_FORCE = "unknown-force"
+    CORRELATED_NOISE = "correlated-noise"
+    TEMPERATURE_BETWEEN_LOADS = "temperature-between-loads"
+    # Single actuators and sensors.
+    DEAD_NO_FORCE = "dead-no-force"
+    DEAD_ALPHA_ZERO = "dead-alpha-zero"
+    STUCK_READING = "stuck-reading"
+    NEGATIVE_ALPHA = "negative-alpha"
+    FROZEN_SENSOR = "frozen-sensor"
+    ACTUATOR_OFF = "actuator-off"
+    ACTUATOR_MISFIT = "actuator-misfit"
+    # Files that are not what they say.
+    COPIED_FILE = "copied-file"
+    OTHER_UNIT = "other-unit"
+    OTHER_SIGN = "other-sign"
+    OTHER_LOAD = "other-load"
+    LOAD_OF_TWO_NAMES = "load-of-two-names"
+    EXCHANGED_COLUMNS = "exchanged-columns"
+    OTHER_ORDER = "other-order"
+    ORDER_OF_POSITION = "order-of-position"
+    MISPLACED_ACTUATOR = "misplaced-actuator"
+    TWO_MIRRORS = "two-mirrors"
+    CONSTANT_POSITION = "constant-position"
+    UNUSABLE_CALIBRATION = "unusable-calibration"
+    # Rows that are not what their labels say.
+    SIGN_REVERSED = "sign-reversed"
+    SHAPE_OFFSET = "shape-offset"
+    OTHER_LABELS = "other-labels"
+    FROZEN_READING = "frozen-reading"
+    FROZEN_READINGS = "frozen-readings"
+    CLIPPED_READINGS = "clipped-readings"
+    # A stiffness matrix as a whole.
+    ASYMMETRIC_STIFFNESS = "asymmetric-stiffness"
+    NEGATIVE_STIFFNESS = "negative-stiffness"
+    DISORDERED_STIFFNESS = "disordered-stiffness"
+    INCOMPLETE_STIFFNESS = "incomplete-stiffness"
+    SYMMETRISED_STIFFNESS = "symmetrised-stiffness"
+    TRANSPOSED_STIFFNESS = "transposed-stiffness"
+    CLEANED_STIFFNESS = "cleaned-stiffness"
+    TRUE_STIFFNESS = "true-stiffness"
+    # What the data of a campaign constrain.
+    WEAK_PATTERNS = "weak-patterns"
+    CONSTRAINED_PATTERNS = "constrained-patterns"
+    NO_LOAD_SEEN = "no-load-seen"
+    ONE_LOAD = "one-load"
+    EQUAL_LOADS = "equal-loads"
+    SIMILAR_LOADS = "similar-loads"
+    NO_OTHER_LOAD = "no-other-load"
+    ERROR_TOO_LARGE = "error-too-large"
+    # Numbers beside the readings.
+    DATES_APART = "dates-apart"
+    TEMPERATURE_IMPLAUSIBLE = "temperature-implausible"
+    WEIGHT_ABOVE_FORCES = "weight-above-forces"
+    WEIGHT_BELOW_BIAS = "weight-below-bias"
+    WEIGHTS_DISAGREE = "weights-disagree"
+    WEIGHTS_WITHOUT_ERRORS = "weights-without-errors"
+    SCALE_BY_WEIGHTS = "scale-by-weights"
+    ALPHA_FAR_FROM_ONE = "alpha-far-from-one"
+    # The noise, and how well the model fits.
+    NOISE_ABOVE_DECLARED = "noise-above-declared"
+    FORCE_STEPS = "force-steps"
+    ZEROS_RESET = "zeros-reset"
+    MISFIT = "misfit"
+    MISFIT_EXPLAINED = "misfit-explained"
+    MISFIT_OF_SVD = "misfit-of-svd"
+    MISFIT_SENSELESS = "misfit-senseless"
+    FIT_TOO_GOOD = "fit-too-good"
+    ROWS_REJECTED = "rows-rejected"
+    MANY_ROWS_REJECTED = "many-rows-rejected"
+    SVD_USES_ALL_ROWS = "svd-uses-all-rows"
+    SVD_BIAS = "svd-bias"
+    SVD_BIAS_LARGE = "svd-bias-large"
+    # Single values of alpha.
+    MANY_SILENT = "many-silent"
+    MANY_NEGATIVE = "many-negative"
+    ALL_NEGATIVE = "all-negative"
+    ALPHA_ZERO = "alpha-zero"
+    ALPHA_OUTLIER = "alpha-outlier"
+    # A stiffness matrix and its elastic modes.
+    STIFFNESS_UNIT = "stiffness-unit"
+    LOOKS_TRANSPOSED = "looks-transposed"
+    COLUMN_NOISE_NOT_INDEPENDENT = "column-noise-not-independent"
+    HALVES_INSUFFICIENT = "halves-insufficient"
+    HELD_OUT_IMBALANCE = "held-out-imbalance"
+    HARMFUL_ALPHA = "harmful-alpha"
+    MISFITS_KEPT = "misfits-kept"
+    MANY_MISFITS = "many-misfits"
+    OFF_BUT_PUSHING = "off-but-pushing"
+    NEGATIVE_MODES = "negative-modes"
+    SYMMETRY_NOT_IMPROVED = "symmetry-not-improved"
+    COHERENT_IMBALANCE = "coherent-imbalance"
+    GAINS_FOLLOW_ALPHA = "gains-follow-alpha"
+    GAINS_HAVE_GRADIENT = "gains-have-gradient"
+    SEGMENTS_COUPLED = "segments-coupled"
+    # Reciprocity: used, or why it was not.
+    RECIPROCITY_NOT_USED = "reciprocity-not-used"
+    RECIPROCITY_DOUBTFUL = "reciprocity-doubtful"
+    RECIPROCITY_EXCLUDED = "reciprocity-excluded"
+    RECIPROCITY_INFLATED = "reciprocity-inflated"
+    BALANCE_CONTRADICTS_SYMMETRY = "balance-contradicts-symmetry"
+    EFFECT_PRESENT = "effect-present"
+    ESTIMATE_FAILED = "estimate-failed"
+    MISFIT_ACTUATORS = "misfit-actuators"
+    TRANSPOSED = "transposed"
+    SHARED_NOISE = "shared-noise"
+    UNTESTED_SIZE = "untested-size"
+    EQUATIONS_MISFIT = "equations-misfit"
+    HELD_OUT_WORSE = "held-out-worse"
+    ESTIMATES_APART = "estimates-apart"
+    ERRORS_LARGER = "errors-larger"
+    SENSORS_FAR = "sensors-far"
+    # A plan.
+    PLANNED_WEAK_PATTERNS = "planned-weak-patterns"
+    PLANNED_REFUSAL = "planned-refusal"
+    PLANNED_FORCE_TOO_LARGE = "planned-force-too-large"
+    # An earlier calibration.
+    EARLIER_FINDING = "earlier-finding"
+    RECALIBRATION_LIMIT = "recalibration-limit"
+    LAW_OF_REJECTED_DAY = "law-of-rejected-day"
+    # Several segments; no alpha at all.
+    OF_SEGMENTS = "of-segments"
+    NO_ALPHA = "no-alpha"
+    # Found by another version, and kept as it was written.
+    OTHER = "other"
+
+
+class Level(StrEnum):
+    """Whether the stated errors of a result are valid: the grades, ordered from the worst.
+
+    Examples
+    --------
+    >>> tn.Level.DOUBTFUL < tn.Level.USABLE <= tn.Level.SOUND
+    True
+    """
+
+    NONE = "no alpha"
+    REJECTED = "rejected"
+    DOUBTFUL = "doubtful"
+    USABLE = "usable"
+    SOUND = "sound"
+
+    @classmethod
+    def read(cls, word: str) -> Level:
+        """Return the level that a file names, also one of an earlier version."""
+        return {"limited": cls.USABLE, "not to be used": cls.REJECTED}.get(word) or cls(word)
+
+    @property
+    def rank(self) -> int:
+        """Its place from the worst, 0."""
+        return list(Level).index(self)
+
+    def __lt__(self, other: str) -> bool:
+        return self.rank < Level(other).rank
+
+    def __le__(self, other: str) -> bool:
+        return self.rank <= Level(other).rank
+
+    def __gt__(self, other: str) -> bool:
+        return self.rank > Level(other).rank
+
+    def __ge__(self, other: str) -> bool:
+        return self.rank >= Level(other).rank
+
+
+class Concern(Enum):
+    """What a finding is about, and so what it means for the result.
+
+    Attributes
+    ----------
+    BENCH
+        The bench, beside the model.
+    FILES
+        Files that are not what they say: the user alone can settle them.
+    ROWS
+        Labels of rows: if the rest fits, the rows that disagreed were left out.
+    SILENT
+        An actuator that does not respond.
+    RESULT
+        The result itself: what the data constrain, how well they fit.
+    """
+
+    BENCH = "bench"
+    FILES = "files"
+    ROWS = "rows"
+    SILENT = "silent"
+    RESULT = "result"
