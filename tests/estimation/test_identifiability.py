@@ -1,14 +1,13 @@
 """What makes data insufficient is named, with noise as without: noise fills null spaces."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
 
-from helpers.balanced import LAYOUT, RING, WEIGHT, campaign_of, p45_bench, ungraded
-from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.calibration import methods
+from helpers.balanced import LAYOUT, RING, WEIGHT, campaign_of, p45_bench, p45_shapes, ungraded
+from truenewton.bench.simulated.static import static_bench
+from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient
 from truenewton.estimation.cycles_svd import solve
 from truenewton.estimation.identifiability import diagnose, geometry_fault
@@ -21,28 +20,26 @@ from truenewton.statics.layout import layout
 from truenewton.statics.load import Load
 
 NOISES = [0.0, 1e-4, 1e-3]
-calibrate = partial(methods.calibrate, method="svd")
 
 
 def judged(campaign):
     return diagnose(campaign, campaign_moments(campaign))
 
 
-def campaign_with_shapes(shapes, noise, cycles=2):
-    """Return a P45 campaign that applies only the given displacements."""
-    bench = replace(p45_bench(), shapes=shapes, force_noise=noise)
-    return Campaign(tuple(run_cycles(bench, cycles)))
-
-
 def refusal(campaign):
-    with pytest.raises(RankDeficient) as refused:
-        calibrate(campaign)
-    return str(refused.value)
+    """Return the fault of which both methods refuse a campaign."""
+    faults = set()
+    for method in ("svd", "ml"):
+        with pytest.raises(RankDeficient) as refused:
+            calibrate(campaign, method)
+        faults.add(refused.value.fault)
+    [fault] = faults
+    return fault
 
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_a_sound_campaign_is_sound(noise):
-    diagnosis = judged(campaign_with_shapes(p45_bench().shapes, noise))
+    diagnosis = judged(p45_shapes(p45_bench().shapes, noise))
     assert diagnosis.faults == ()
     assert diagnosis.undetermined == 0
     assert diagnosis.separation > 4
@@ -50,12 +47,9 @@ def test_a_sound_campaign_is_sound(noise):
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_one_load_leaves_the_scale_free(noise):
-    both = campaign_with_shapes(p45_bench().shapes, noise)
+    both = p45_shapes(p45_bench().shapes, noise)
     one = Campaign(tuple(c for c in both.cycles if c.load.name == "bare"))
-    assert refusal(one) == (
-        "there is only one load, 'bare', so the common scale is free; "
-        "add cycles under a load of another known weight"
-    )
+    assert "only one load, 'bare'" in refusal(one)
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
@@ -77,16 +71,14 @@ def test_a_ring_that_a_tilt_cancels_is_an_equal_weight():
 @pytest.mark.parametrize("noise", NOISES)
 def test_ten_modes_of_forty_five_are_too_few(noise):
     shapes = p45_bench().shapes[3:13]
-    assert refusal(campaign_with_shapes(shapes, noise)) == (
-        "there are too few shapes: 10 for 45 actuators; apply 45 independent shapes, both signs"
-    )
+    assert "too few shapes: 10 for 45 actuators" in refusal(p45_shapes(shapes, noise))
 
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_forty_five_shapes_out_of_ten_modes_are_dependent(noise):
     mixture = np.random.default_rng(0).standard_normal((45, 10)) / 5
     shapes = mixture @ p45_bench().shapes[3:13]
-    said = refusal(campaign_with_shapes(shapes, noise))
+    said = refusal(p45_shapes(shapes, noise))
     assert "stand above the noise in 10 of the 42 elastic directions" in said
     assert "patterns of alpha left to noise" in said
 
@@ -94,9 +86,9 @@ def test_forty_five_shapes_out_of_ten_modes_are_dependent(noise):
 def test_two_thirds_of_the_modes_suffice_and_alpha_is_right():
     """Three equations a shape: n / 3 patterns can do, and thirty of forty-two do."""
     bench = ungraded(static_bench(p45(), seed=1, force_noise=0.0))
-    campaign = campaign_with_shapes(bench.shapes[3:33], 0.0)
+    campaign = p45_shapes(bench.shapes[3:33], 0.0)
     scale = bench.loads[1].added / bench.truth.added[1]
-    assert calibrate(campaign).alpha == pytest.approx(scale * bench.truth.alpha, rel=1e-7)
+    assert calibrate(campaign, "svd").alpha == pytest.approx(scale * bench.truth.alpha, rel=1e-7)
 
 
 @pytest.mark.parametrize("noise", NOISES)
@@ -121,5 +113,5 @@ def test_a_line_and_one_beside_it_are_a_conic_that_leaves_alpha_free():
 
 
 def test_shapes_that_drown_in_noise_are_said_to():
-    campaign = campaign_with_shapes(0.01 * p45_bench().shapes, noise=1e-3)
+    campaign = p45_shapes(0.01 * p45_bench().shapes, noise=1e-3)
     assert "left to noise" in refusal(campaign)

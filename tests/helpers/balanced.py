@@ -178,6 +178,12 @@ def rms_z(found, alpha):
     return np.sqrt(np.mean(((found.alpha - alpha) / found.error) ** 2))
 
 
+def p45_shapes(shapes, noise, cycles=2):
+    """Return a campaign of P45 that applies only the given displacements."""
+    bench = replace(p45_bench(), shapes=shapes, force_noise=noise)
+    return Campaign(tuple(run_cycles(bench, cycles)))
+
+
 def noisy(quiet, sigma, seed):
     """Return a campaign with noise of (n,) standard deviations, or of one for each cycle."""
     random = np.random.default_rng(seed)
