@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.balanced import BIAS, LAYOUT, arms_of, gradients
+from helpers.balanced import BIAS, LAYOUT, arms_of, changed, gradients
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.displaced_rows import balanced_rows, common_reference
@@ -20,20 +20,14 @@ MOVED = 3e-8  # between cycles [m], by 600 /m 2e-5 of alpha
 def shifted(campaign, zeros):
     """Return the campaign with (cycles, n) or (n,) other zeros of its sensors."""
     zeros = np.broadcast_to(zeros, (len(campaign.cycles), 14))
-    return Campaign(
-        tuple(
-            replace(c, position=c.position + zero)
-            for c, zero in zip(campaign.cycles, zeros, strict=True)
-        )
-    )
+    return changed(campaign, position=lambda k, c: c.position + zeros[k])
 
 
 def test_rest_and_stroke_are_mean_and_deviation():
     campaign, _ = gradients(seed=1, noise=0.0, offset=1.0)
     cycle = replace(campaign.cycles[0], valid=np.arange(28) != 5)  # shape 6 has lost its opposite
-    assert np.abs(
-        cycle.rest_position - np.delete(cycle.position, [5, 19], 0).mean(axis=0)
-    ).max() < (1e-15)
+    rest = np.delete(cycle.position, [5, 19], 0).mean(axis=0)
+    assert cycle.rest_position == pytest.approx(rest, abs=1e-15)
     apart = np.delete(cycle.position, 5, 0) - cycle.rest_position
     assert cycle.stroke == pytest.approx(np.sqrt(np.mean(apart**2, axis=0)), rel=1e-9)
     assert cycle.knows_rest
@@ -99,13 +93,10 @@ def test_a_sensor_set_anew_leaves_the_others_alone():
 def test_a_sensor_that_does_not_move_is_none_set_anew(anew):
     """Wherever it stands in each file; its own alpha is wrong by 600 z, that of the others not."""
     campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
-    cycles = []
-    for k, cycle in enumerate(campaign.cycles):
-        position = cycle.position.copy()
-        position[:, 3] = anew * k
-        cycles.append(replace(cycle, position=position))
+    third = np.arange(14) == 3
+    stuck = changed(campaign, position=lambda k, c: np.where(third, anew * k, c.position))
     with pytest.warns(TrueNewtonWarning, match=r"frozen sensor \(POSITION of actuator 4 is"):
-        found = calibrate(Campaign(tuple(cycles)))
+        found = calibrate(stuck)
     assert not any("zeros of" in fault for fault, _ in found.diagnosis.warnings)
     assert np.abs(found.alpha - alpha).max() < 600 * MOVED
 
@@ -132,14 +123,14 @@ def test_a_spike_of_position_is_no_new_zero():
     campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5)
     position = campaign.cycles[0].position.copy()
     position[3, 5] += 1e-4
-    spiked = replace(campaign.cycles[0], position=position)
-    assert not np.isnan(common_reference(Campaign((spiked, *campaign.cycles[1:])))).any()
+    spiked = changed(campaign, position=lambda k, c: c.position if k else position)
+    assert not np.isnan(common_reference(spiked)).any()
 
 
 def test_without_gradients_nothing_counts():
     campaign, _ = gradients(seed=9, noise=1e-4, offset=1e-5, zeros=1e-5)
     for left_out in ({"position": None}, {"coil_gradient": None, "bias_gradient": None}):
-        bare = Campaign(tuple(replace(c, **left_out) for c in campaign.cycles))
+        bare = changed(campaign, **left_out)
         assert np.isnan(common_reference(bare)).all()
         faults = [fault for fault, _ in calibrate(bare).diagnosis.warnings]
         assert not any("zeros of" in fault for fault in faults)

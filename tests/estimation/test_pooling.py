@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 import scipy.stats
 
+from helpers.balanced import changed
 from helpers.small_bench import SmallBench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.moments import chosen_groups
@@ -15,7 +16,6 @@ from truenewton.estimation.pooling import each_by_itself, over_loads_and_signs
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.estimation.structure import independent_readings, structure_of
-from truenewton.records.campaign import Campaign
 
 
 def made_up(kind, random):
@@ -103,8 +103,7 @@ def noiseless(kind):
             return (cycle.sign < 0) & (cycle.load.name != "bare")
         return np.zeros(28, dtype=bool)
 
-    cycles = [replace(c, valid=~lost(c)) for c in campaign.cycles]
-    return Campaign(tuple(cycles)), bench
+    return changed(campaign, valid=lambda _, c: ~lost(c)), bench
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
@@ -122,9 +121,8 @@ def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
 @pytest.mark.parametrize("pooled", [False, True])
 def test_sums_are_those_of_the_rows(pooled):
     bench = SmallBench(4, 1e-3, order=(0, 0, 0, 1, 2))
-    campaign = bench.campaign()
-    cycles = [replace(c, bias_gradient=31.0) for c in campaign.cycles]
-    moments = replace(campaign_moments(Campaign(tuple(cycles))), pooled=pooled)
+    campaign = changed(bench.campaign(), bias_gradient=31.0)
+    moments = replace(campaign_moments(campaign), pooled=pooled)
     chosen = np.random.default_rng(5).random(len(moments.rows)) > 0.1
     moments = chosen_groups(moments, chosen)
     u, r = moments.pooling.basis.toarray(), moments.weight
@@ -160,11 +158,12 @@ def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kin
     z, ratio = [], []
     for seed in range(30):
         bench = SmallBench([seed, 7], 1e-2, order=(0, 0, 0, 1) if kind == "unbalanced" else (0, 1))
-        campaign = bench.campaign()
-        cycles = [replace(c, force_error=1e-2) for c in campaign.cycles]
-        if kind == "one sign under a load":
-            cycles[1] = replace(cycles[1], valid=cycles[1].sign > 0)
-        campaign = Campaign(tuple(cycles))
+        lost = 1 if kind == "one sign under a load" else None
+        campaign = changed(
+            bench.campaign(),
+            force_error=1e-2,
+            valid=lambda k, c, lost=lost: c.sign > 0 if k == lost else c.valid,
+        )
         alone = campaign_moments(campaign)
         problem = problem_of(campaign, reading_noise(campaign, alone))
         one, other = (problem.fitted(replace(alone, pooled=pooled)) for pooled in (True, False))
@@ -190,17 +189,17 @@ def test_sizes_of_shapes_come_from_the_displacements():
     # Sensors count from zeros of their own, which the mean over the shapes takes out.
     far = SmallBench(8, 1e-4)
     far.size = bench.size
-    cycles = [replace(c, position=c.position + 1e-5 * np.arange(14)) for c in far.campaign().cycles]
-    assert sift(Campaign(tuple(cycles))).moments.sizes[0] == pytest.approx([1.0, 1.03], abs=1e-9)
+    zeros = changed(far.campaign(), position=lambda _, c: c.position + 1e-5 * np.arange(14))
+    assert sift(zeros).moments.sizes[0] == pytest.approx([1.0, 1.03], abs=1e-9)
 
 
 def test_displacements_that_differ_by_chance_only_leave_the_size_at_one():
     bench = SmallBench(9, 1e-3)
-    cycles = [
-        replace(c, position=c.position + 1e-7 * bench.random.standard_normal(c.position.shape))
-        for c in bench.campaign().cycles
-    ]
-    size, variance = sift(Campaign(tuple(cycles))).moments.sizes
+    campaign = changed(
+        bench.campaign(),
+        position=lambda _, c: c.position + 1e-7 * bench.random.standard_normal(c.position.shape),
+    )
+    size, variance = sift(campaign).moments.sizes
     assert np.array_equal(size, [1.0, 1.0])
     assert variance[1] > 0
 
