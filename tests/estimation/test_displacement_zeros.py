@@ -46,13 +46,18 @@ def test_a_glass_that_rests_elsewhere_under_each_load_costs_nothing():
     assert np.abs(own.alpha - alpha).max() > 1e-6  # were each cycle taken by itself
 
 
-def test_alpha_is_that_of_the_mean_place():
-    """alpha (1 + 600 z) there; to second order, 600 z times 600 times a stroke."""
+@pytest.mark.parametrize("which", [slice(0, 4), slice(2, 6)])
+def test_alpha_and_bias_are_those_of_the_mean_place(which):
+    """alpha (1 + 600 z) there; to second order, 600 z times 600 times a stroke. B + 31 N/m z."""
     campaign, alpha = gradients(seed=9, noise=0.0, offset=0.0, moved=MOVED)
-    some = Campaign(campaign.cycles[:4])  # three cycles of one load, one of the other
+    some = Campaign(campaign.cycles[which])  # three cycles of one load, one of the other
     z = np.mean([c.rest_position for c in some.cycles], axis=0)
+    more = 31.0 * arms_of(LAYOUT)[0] @ z
     assert np.abs(600 * z).max() > 1e-5
-    assert calibrate(some).alpha == pytest.approx(alpha * (1 + 600 * z), abs=1e-7)
+    assert abs(more) > 1e-7
+    found = calibrate(some)
+    assert found.alpha == pytest.approx(alpha * (1 + 600 * z), abs=1e-7)
+    assert found.bias_force == pytest.approx(BIAS + more, abs=0.1 * abs(more))
 
 
 @pytest.mark.parametrize("size", [1e-5, 1e-2, 1.0])
@@ -152,13 +157,3 @@ def test_repeats_and_residuals_count_from_the_same():
     lines = {line.what: line for line in evidence.balance}
     assert lines["force, ring"].before > 10.0  # mN
     assert lines["force, ring"].after < 1e-5
-
-
-def test_the_bias_of_the_mean_place_goes_into_b():
-    """B there is B + 31 N/m times the sum of the displacements."""
-    campaign, _ = gradients(seed=9, noise=0.0, offset=0.0, moved=MOVED)
-    some = Campaign(campaign.cycles[2:])
-    z = np.mean([c.rest_position for c in some.cycles], axis=0)
-    more = 31.0 * arms_of(LAYOUT)[0] @ z
-    assert abs(more) > 1e-7
-    assert calibrate(some).bias_force == pytest.approx(BIAS + more, abs=0.1 * abs(more))
