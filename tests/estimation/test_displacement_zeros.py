@@ -36,12 +36,13 @@ def test_rest_and_stroke_are_mean_and_deviation():
     assert alone.rest_position == pytest.approx(alone.position[:14].mean(axis=0), abs=1e-15)
 
 
-def test_a_glass_that_rests_elsewhere_under_each_load_costs_nothing():
+def test_a_glass_that_rests_elsewhere_under_each_load_leaves_alpha_exact():
     """The equations of the file contract make the forces; the mean place of the cycles is z = 0."""
     campaign, alpha = gradients(seed=10, noise=0.0, offset=1e-4, moved=MOVED)
     found = calibrate(campaign)
     assert found.alpha == pytest.approx(alpha, abs=1e-9)
     assert found.bias_force == pytest.approx(BIAS, abs=1e-8)
+    assert np.abs(calibrate(changed(campaign, position=None)).alpha - alpha).max() > 1e-5
     own = calibrate(shifted(campaign, [-c.rest_position for c in campaign.cycles]))
     assert np.abs(own.alpha - alpha).max() > 1e-6  # were each cycle taken by itself
 
@@ -132,7 +133,7 @@ def test_a_spike_of_position_is_no_new_zero():
     assert not np.isnan(common_reference(spiked)).any()
 
 
-def test_without_gradients_nothing_counts():
+def test_without_gradients_there_is_no_common_reference():
     campaign, _ = gradients(seed=9, noise=1e-4, offset=1e-5, zeros=1e-5)
     for left_out in ({"position": None}, {"coil_gradient": None, "bias_gradient": None}):
         bare = changed(campaign, **left_out)

@@ -75,10 +75,11 @@ def test_ten_modes_of_forty_five_are_too_few(noise):
 
 
 @pytest.mark.parametrize("noise", NOISES)
-def test_forty_five_shapes_out_of_ten_modes_are_dependent(noise):
+@pytest.mark.parametrize("cycles", [1, 2])
+def test_forty_five_shapes_out_of_ten_modes_are_dependent(noise, cycles):
     mixture = np.random.default_rng(0).standard_normal((45, 10)) / 5
     shapes = mixture @ p45_bench().shapes[3:13]
-    said = refusal(p45_shapes(shapes, noise))
+    said = refusal(p45_shapes(shapes, noise, cycles))
     assert "stand above the noise in 10 of the 42 elastic directions" in said
     assert "patterns of alpha left to noise" in said
 
@@ -112,6 +113,6 @@ def test_a_line_and_one_beside_it_are_a_conic_that_leaves_alpha_free():
     assert geometry_fault(np.array([np.ones(14), LAYOUT.x, LAYOUT.y])) is None
 
 
-def test_shapes_that_drown_in_noise_are_said_to():
+def test_shapes_far_below_the_noise_are_refused():
     campaign = p45_shapes(0.01 * p45_bench().shapes, noise=1e-3)
     assert "left to noise" in refusal(campaign)

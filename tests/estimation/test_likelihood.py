@@ -485,20 +485,6 @@ def test_quiet_readings_have_errors_that_hold(noise):
 # What cannot be known.
 
 
-@pytest.mark.parametrize("noise", [0.0, 1e-4, SIGMA])
-@pytest.mark.parametrize("cycles", [1, 2])
-def test_forty_five_shapes_out_of_ten_modes_are_refused_or_warned_of(noise, cycles):
-    for seed in range(3):
-        mixture = np.random.default_rng(seed).standard_normal((45, 10)) / 5
-        campaign = p45_shapes(mixture @ p45_bench().shapes[3:13], noise, cycles)
-        try:
-            calibration = calibrate(campaign)
-        except (RankDeficient, NotConverged):
-            continue
-        assert calibration.diagnosis.undetermined > 0
-        assert calibration.diagnosis.warnings
-
-
 def test_shapes_in_noise_are_refused_or_warned_of_and_loud_ones_are_not():
     shapes = p45_bench().shapes
     for size in (0.1, 0.03, 0.01, 0.003):
@@ -511,7 +497,7 @@ def test_shapes_in_noise_are_refused_or_warned_of_and_loud_ones_are_not():
     assert calibrate(p45_shapes(shapes, SIGMA)).diagnosis.warnings == ()
 
 
-def test_thirty_modes_of_forty_two_hold_all_of_alpha():
+def test_thirty_modes_of_forty_two_determine_all_of_alpha():
     bench = static_bench(p45(), seed=1, force_noise=1e-4)
     calibration = calibrate(p45_shapes(bench.shapes[3:33], 1e-4))
     assert calibration.diagnosis.undetermined == 0

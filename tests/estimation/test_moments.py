@@ -35,20 +35,24 @@ def with_noises(campaign, errors):
     return changed(campaign, force_error=lambda k, _: errors[k % len(errors)])
 
 
-def two_passes(campaign, weights):
-    """Return labels, rows, weight, mean and scatter by loops over groups."""
+def grouped(campaign, weights):
+    """Return {(load, shape, sign): [(weight, force)]} by a loop over the rows."""
     groups = {}
     for cycle, place, w in zip(campaign.cycles, campaign.load_index, weights, strict=True):
         for row in np.flatnonzero(cycle.valid):
             label = (place, int(cycle.shape[row]), int(cycle.sign[row]))
-            force = cycle.force[row][cycle.layout.enabled]
-            groups.setdefault(label, []).append((w, force))
-    mean, scatter = [], 0.0
-    for label in sorted(groups):
+            groups.setdefault(label, []).append((w, cycle.force[row][cycle.layout.enabled]))
+    return groups
+
+
+def two_passes(campaign, weights):
+    """Return labels, rows, weight, mean and scatter by loops over groups."""
+    groups, mean, scatter = grouped(campaign, weights), [], 0.0
+    labels = sorted(groups)
+    for label in labels:
         w, force = (np.array(v) for v in zip(*groups[label], strict=True))
         mean.append(w @ force / w.sum())
         scatter = scatter + w @ (force - mean[-1]) ** 2
-    labels = sorted(groups)
     rows = [len(groups[k]) for k in labels]
     weight = [sum(w for w, _ in groups[k]) for k in labels]
     return labels, rows, weight, np.array(mean), scatter
@@ -89,13 +93,9 @@ def test_rows_may_stand_in_any_order():
 def test_the_furthest_row_is_seen_from_the_others_of_its_group(errors):
     """In terms of the noise of the difference between a row and the mean of the others."""
     campaign = with_noises(with_repeats_in_a_cycle(), errors)
-    furthest, groups = np.zeros(13), {}
-    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
-        w = (1e-3 / cycle.force_error) ** 2 if cycle.force_error else 1.0
-        for row in np.flatnonzero(cycle.valid):
-            label = (place, int(cycle.shape[row]), int(cycle.sign[row]))
-            groups.setdefault(label, []).append((w, cycle.force[row][cycle.layout.enabled]))
-    for rows in groups.values():
+    weights = [(1e-3 / c.force_error) ** 2 if c.force_error else 1.0 for c in campaign.cycles]
+    furthest = np.zeros(13)
+    for rows in grouped(campaign, weights).values():
         for k, (w, force) in enumerate(rows):
             others = rows[:k] + rows[k + 1 :]
             weights = np.array([v for v, _ in others])
@@ -180,7 +180,7 @@ def test_noise_of_each_actuator_comes_from_repeats():
     assert moments.noise == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.06)
 
 
-def test_nothing_repeats_in_one_cycle():
+def test_one_cycle_has_no_repeats():
     moments = campaign_moments(campaign_of(seed=7, noise=1e-3, cycles=1)[0])
     assert moments.repeats == 0
     assert np.isnan(moments.noise)
@@ -200,26 +200,6 @@ def test_groups_of_rows_and_choices_of_groups():
     assert some.groups == some.sums.shapes == np.count_nonzero(chosen)
     assert some.repeats == 2 * some.groups
     assert some.sums.square == pytest.approx(3 * moments.mean[chosen].T @ moments.mean[chosen])
-
-
-@pytest.mark.parametrize("offset", [0.0, 1e-4])
-def test_gradients_of_coils_and_bias_magnets_are_taken_out(offset):
-    campaign, alpha = gradients(seed=9, noise=0.0, offset=offset, cycles=1)
-    assert calibrate(campaign).alpha == pytest.approx(alpha, abs=1e-9)
-    ignored = calibrate(changed(campaign, position=None))
-    assert np.abs(ignored.alpha - alpha).max() > 1e-5
-
-
-@pytest.mark.parametrize("left_out", ["coil_gradient", "bias_gradient"])
-def test_a_gradient_that_is_left_out_is_found_from_the_positions(left_out):
-    campaign, alpha = gradients(seed=9, noise=1e-6, offset=0.0, cycles=4)
-    found = calibrate(changed(campaign, **{left_out: None}))
-    (effect,) = found.effects
-    declared = getattr(campaign.cycles[0], left_out)
-    assert effect.corrected
-    assert effect.name == left_out.replace("_", " ")
-    assert effect.size == pytest.approx(declared, rel=0.02)
-    assert np.mean(np.abs(found.alpha - alpha) < 1.96 * found.error) > 0.7
 
 
 def test_rows_that_are_not_valid_do_not_move_the_zero_of_a_sensor():

@@ -20,7 +20,7 @@ from helpers.balanced import (
 )
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
-from truenewton.estimation import cycles_ml
+from truenewton.estimation import cycles_ml, repeats
 from truenewton.estimation.imbalance import squared_distances, standing_out
 from truenewton.estimation.sifted import sift
 from truenewton.statics.load import Load
@@ -188,19 +188,22 @@ def test_too_many_bad_rows_are_refused_with_their_number():
     assert f"of {8 * 28} rows" in refused.value.fault
 
 
-def test_rows_that_are_left_out_leave_the_rest_as_it_was():
-    campaign, _ = small(14, cycles=3)
-    bad, places = spiked(campaign, 0.04, 15)
-    sifted = sift(bad)
-    moments, sound, rejected = sifted.moments, sifted.sound, sifted.rejected
-    assert {(row.cycle, row.row) for row in rejected} == set(places)
-    for k, (one, other) in enumerate(zip(campaign.cycles, sound.cycles, strict=True)):
-        lost = [row for cycle, row in places if cycle == k]
+def test_rows_that_are_left_out_leave_sums_as_of_the_rest(monkeypatch):
+    """Whether their blocks alone are summed again, or all."""
+    monkeypatch.setattr(repeats, "ROWS_AT_ONCE", 5)
+    campaign, _ = small(4, cycles=5)
+    for k in range(10):  # from lost in noise to what swells every sum
+        campaign = with_spike(campaign, k, 3 * k, k, 10.0 ** (k - 4))
+    sifted, made = sift(campaign), calibrate(campaign)
+    assert len(sifted.rejected) == made.rejected >= 6
+    for k, (one, other) in enumerate(zip(campaign.cycles, sifted.sound.cycles, strict=True)):
+        lost = [row.row for row in sifted.rejected if row.cycle == k]
         assert np.flatnonzero(one.valid & ~other.valid).tolist() == sorted(lost)
-    assert moments.rows.sum() == 6 * 28 - len(places)
-    by_hand = calibrate(sound)
-    assert calibrate(bad).alpha == pytest.approx(by_hand.alpha, rel=1e-9)
-    assert by_hand.invalid == len(places)
+    assert sifted.moments.rows.sum() == 10 * 28 - made.rejected
+    rest = calibrate(sifted.sound)
+    assert made.alpha == pytest.approx(rest.alpha, rel=1e-12)
+    assert made.reading_error == pytest.approx(rest.reading_error, rel=1e-10)
+    assert (rest.rejected, rest.invalid) == (0, made.rejected)
 
 
 def test_distances_and_the_actuator_that_stands_out():

@@ -41,7 +41,7 @@ def test_a_file_under_another_name_is_named(noise, cycles, at):
 
 
 @pytest.mark.parametrize("noise", NOISE)
-def test_nothing_is_said_of_sound_files_or_of_warm_coils(noise):
+def test_sound_files_and_warm_coils_are_no_suspects(noise):
     k = np.arange(8)
     for gains in (np.ones(8), 1.0 + 0.002 * k, 1.0 + 0.0022 * (k > 3)):
         files = with_forces(p45(noise, 4), lambda k, f, gains=gains: gains[k] * f)
