@@ -251,14 +251,8 @@ def information(quiet, truth, sigma, weights=None):
     """Return the Fisher information of alpha, B and torques, from noiseless readings.
 
     Brute force: the mean reading of a shape is a function of the unknowns and of n - 3 coordinates
-    of its own (all forces that balance); these coordinates are eliminated, shape by shape.
-
-    Parameters
-    ----------
-    sigma
-        (n,) of one reading.
-    weights
-        What each cycle counts for; 1 each unless told.
+    of its own (all forces that balance); these coordinates are eliminated, shape by shape. `sigma`
+    is (n,) of one reading, `weights` what each cycle counts for.
     """
     a = arms_of(quiet.layout)[:, quiet.layout.enabled]
     n, loads = a.shape[1], len(quiet.loads)
