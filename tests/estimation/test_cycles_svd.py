@@ -155,11 +155,12 @@ def test_an_unknown_method_is_named():
 )
 def test_an_alpha_that_only_a_slip_explains_is_warned_of(factor, said, what_to_do):
     campaign, _ = campaign_of(seed=20, noise=0.0)
-    assert said not in str(calibrate(campaign).verdict.faults)
     slipped = changed(campaign, force=lambda _, c: factor * c.force)
-    fault, remedy = calibrate(slipped).verdict.faults[0]
-    assert fault.startswith(said)
-    assert what_to_do in remedy
+    for method in ("svd", "ml"):
+        assert said not in str(methods.calibrate(campaign, method).verdict.faults)
+        fault, remedy = methods.calibrate(slipped, method).verdict.faults[0]
+        assert fault.startswith(said)
+        assert what_to_do in remedy
 
 
 def test_the_bias_to_first_order_is_the_bias():

@@ -168,13 +168,6 @@ def check_not_used(campaign, alpha):
     assert rms_z(found, alpha) < 3
 
 
-def test_a_cycle_of_the_wrong_sign_without_others_to_tell_is_warned_of():
-    campaign, _ = small(11, cycles=1)
-    flipped = changed(campaign, force=lambda _, c: -c.force)
-    faults = [fault for fault, _ in calibrate(flipped).verdict.faults]
-    assert any("alpha is negative" in fault for fault in faults)
-
-
 def test_too_many_bad_rows_are_refused_with_their_number():
     campaign, _ = small(12, cycles=4)
     bad, _ = spiked(campaign, 0.4, 13, low=0.05, high=0.2)

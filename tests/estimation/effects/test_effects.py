@@ -243,7 +243,7 @@ def test_an_effect_is_taken_out_of_rows_as_of_their_moments(name):
 # ------------------------------------------------------------------------------ score and chance
 
 
-def scores_of_clean(count, noise, order, error=None):
+def scores_of_clean(count, noise, order, error):
     """Return of each effect the probabilities, and of those of one parameter the z."""
     p, z = {name: [] for name in NAMES}, {}
     for seed in range(count):
@@ -750,9 +750,9 @@ def test_a_drift_is_taken_out_although_its_rows_share_it(noise, size):
 
 
 @cache
-def p45_with_gradients(seed, noise=1e-5):
+def p45_with_gradients(seed):
     """Return four cycles a load of P45, whose gradients nobody declares, and its alpha."""
-    bench = static_bench(p45(), seed, force_noise=noise)
+    bench = static_bench(p45(), seed, force_noise=1e-5)
     campaign = changed(exact_weights(bench), coil_gradient=None, bias_gradient=None)
     return campaign, bench.truth.alpha
 
