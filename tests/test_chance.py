@@ -36,7 +36,7 @@ def logsf_of_f(x, above, below):
     ],
     ids=["chi2 sf", "cdf", "isf", "ppf", "F sf", "logsf", "normal sf", "isf", "t sf", "isf"],
 )
-def test_they_are_those_of_scipy_stats(ours, theirs):
+def test_chances_and_limits_are_those_of_scipy_stats(ours, theirs):
     assert np.allclose(ours, theirs, rtol=1e-13, atol=0.0, equal_nan=True)
 
 

@@ -1,13 +1,17 @@
-"""Extreme eigenvalues, step by step, against full decompositions."""
+"""Eigenvalues against full decompositions, least squares against certified answers of NIST."""
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from helpers.nist import SETS
+from truenewton.errors import RankDeficient
 from truenewton.linalg import (
     CLOSE,
     MOST_STEPS,
     largest_eigenvalue,
+    least_squares,
+    mirrored,
     one_thread,
     smallest_eigenvalue,
 )
@@ -31,31 +35,30 @@ def test_both_ends_of_a_spectrum(n):
     assert largest_eigenvalue(matrix)[0] == pytest.approx(values.max(), rel=CLOSE)
 
 
+def counted(matrix):
+    """Return a function that multiplies by a matrix, and the list of what it was called with."""
+    calls = []
+
+    def times(x):
+        calls.append(x)
+        return matrix @ x
+
+    return times, calls
+
+
 def test_a_solution_nearby_saves_most_steps():
     """As CONDITIO has it: a spectrum over nine decades, and an inverse that is off by a third."""
     matrix, vectors = symmetric(np.logspace(0, 9, 300), 1)
     off = np.random.default_rng(2).uniform(0.7, 1.3, 300)
     inverse = (vectors * (7.0 * off / np.logspace(0, 9, 300))) @ vectors.T
-    calls = []
-
-    def times(x):
-        calls.append(x)
-        return matrix @ x
-
-    assert smallest_eigenvalue(times, 300, lambda x: inverse @ x)[0] == pytest.approx(
-        1.0, rel=CLOSE
-    )
+    times, calls = counted(matrix)
+    found = smallest_eigenvalue(times, 300, lambda x: inverse @ x)[0]
+    assert found == pytest.approx(1.0, rel=CLOSE)
     assert len(calls) < MOST_STEPS // 2
 
 
 def test_what_takes_too_many_steps_is_decomposed():
-    matrix, _ = symmetric(np.logspace(0, 8, 300), 3)
-    calls = []
-
-    def times(x):
-        calls.append(x)
-        return matrix @ x
-
+    times, calls = counted(symmetric(np.logspace(0, 8, 300), 3)[0])
     assert smallest_eigenvalue(times, 300)[0] == pytest.approx(1.0, rel=1e-6)
     assert len(calls) == MOST_STEPS + 1
 
@@ -75,3 +78,42 @@ def test_small_products_keep_to_one_thread_and_others_get_theirs_back():
         with one_thread():
             assert threads() == {1}
         assert threads() == {2}
+
+
+@pytest.mark.parametrize("n", [1, 5, 128, 300])
+def test_a_triangle_is_mirrored(n):
+    upper = np.triu(np.random.default_rng(n).standard_normal((n, n)))
+    assert (mirrored(upper.copy()) == upper + np.triu(upper, 1).T).all()
+
+
+def digits(found, certified):
+    off = np.abs(found - certified) / np.where(certified == 0, 1.0, np.abs(certified))
+    return -np.log10(max(np.max(off), 1e-17))
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_least_squares_reach_the_certified_answers_of_nist(name):
+    certified = SETS[name]
+    found = least_squares(certified.matrix, certified.response)
+    size = np.sqrt(found.chi2 / (len(certified.matrix) - certified.matrix.shape[1]))
+    errors = size * np.sqrt(np.sum(found.root**2, axis=1))
+    assert digits(found.values, certified.estimate) >= certified.digits[0]
+    assert digits(errors, certified.deviation) >= certified.digits[1]
+    assert digits(size, np.array(certified.residual)) >= certified.digits[2]
+
+
+def test_the_leading_block_is_the_covariance_where_the_others_are_known():
+    random = np.random.default_rng(3)
+    matrix, right = random.standard_normal((9, 4)), random.standard_normal(9)
+    root = least_squares(matrix, right).root
+    known = np.linalg.inv(matrix[:, :2].T @ matrix[:, :2])
+    assert root[:2, :2] @ root[:2, :2].T == pytest.approx(known, rel=1e-10)
+    assert root @ root.T == pytest.approx(np.linalg.inv(matrix.T @ matrix), rel=1e-10)
+
+
+def test_a_column_that_depends_on_others_is_refused():
+    matrix = np.ones((5, 2))
+    with pytest.raises(RankDeficient):
+        least_squares(matrix, np.arange(5.0))
+    with pytest.raises(RankDeficient):
+        least_squares(matrix * [1.0, 0.0], np.arange(5.0))

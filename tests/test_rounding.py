@@ -69,7 +69,7 @@ def test_json_has_null_for_what_is_not_finite(capsys):
     assert json.loads(capsys.readouterr().out) == {"schema": "truenewton.any/1", **plain}
 
 
-def test_a_table_stands_in_columns():
+def test_a_table_is_aligned_in_columns():
     lines = table_lines("title", ("name", "x"), ("a", "1.0"), ("long", "10.0"))
     assert list(lines) == ["title", "  name     x", "  a      1.0", "  long  10.0"]
 

@@ -123,7 +123,7 @@ def test_a_segment_that_is_refused_takes_no_other_down(data, alone):
     same(made.segments[1], alone[0])
     same(made.segments[3], alone[2])
     assert made.verdict.level == Level.USABLE
-    assert made.verdict.faults[0].fault.startswith("segment 2, ")
+    assert made.verdict.faults[0].values["segments"] == [2]
     kept = made.without_unusable()
     assert set(kept.segments) == {1, 3}
     assert np.isnan(kept.alpha[data.layout.segment == 2]).all()
@@ -340,7 +340,7 @@ def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path
     code, said, wrong = inside(*words)
     assert (code, wrong) == (0, "")
     (line,) = [line for line in said.splitlines() if "no modes" in line]
-    negative = "rejected: alpha is negative for 18 of 18 actuators; turn the sign of FORCE"
+    negative = "rejected: alpha is negative for all 18 actuators; reverse the sign of FORCE"
     assert line.startswith(f"segment 2: no modes: {bad} gives no alpha: {negative}")
     assert line.endswith("; --anyway takes it all the same")
     assert "no modes" not in inside(*words, "--anyway")[1]
@@ -408,18 +408,18 @@ def test_figures_show_all_segments(whole, inside, tmp_path):
 
 
 def test_what_is_said_of_several_segments_is_said_once(data):
-    """With the figures of the first; what else differs, as names of actuators, stays apart."""
-
-    def said(fault, *numbers):
-        return {number: (Fault(fault.format(number), "do"),) for number in numbers}
-
+    """With the numbers of the first; what else differs, as names of actuators, stays apart."""
     made = tn.calibrate(data)
-    one = replace(made, segments={2: made.segments[2]}, refused=said("known to {}.5 %", 1, 3))
-    faults = [each.fault for each in one.verdict.faults]
-    assert faults[0] == "segments 1, 3, no alpha: known to 1.5 % (as of segment 1)"
-    other = replace(made, segments={3: made.segments[3]}, refused=said("actuator {} is dead", 1, 2))
+    same = {k: replace(one, systematic_error=0.3 * k * one.alpha, scale_errors=())
+            for k, one in made.segments.items()}  # fmt: skip
+    [one] = [each for each in replace(made, segments=same).verdict.faults
+             if each.cause.code is tn.Code.SCALE_BY_WEIGHTS]  # fmt: skip
+    assert one.fault.startswith("segments 1 to 3: the common scale is known to 30 %")
+    assert one.fault.endswith("(numbers of segment 1)")
+    refused = {k: (Fault(f"actuator {k} is dead", "do"),) for k in (1, 2)}
+    other = replace(made, segments={3: made.segments[3]}, refused=refused)
     assert [each.fault for each in other.verdict.faults][:2] == [
-        "segment 1, no alpha: actuator 1 is dead", "segment 2, no alpha: actuator 2 is dead",
+        "segment 1: actuator 1 is dead", "segment 2: actuator 2 is dead",
     ]  # fmt: skip
     assert numbered("segment", [1, 2, 3, 5, 7, 8]) == "segments 1 to 3, 5, 7, 8"
 

@@ -175,7 +175,7 @@ def test_an_alpha_of_0_within_its_error_is_dead_by_name(method, noise):
     bench = SmallBench(4, noise)
     bench.arms[:, 5] = 0.0  # whatever it is commanded, it does nothing
     verdict = tn.calibrate(bench.campaign(), method).verdict
-    assert verdict.level == "usable"
+    assert verdict.level >= (tn.Level.USABLE if method == "ml" else tn.Level.DOUBTFUL)
     dead = [each.fault for each in verdict.faults if 6 in each.actuators]
     assert dead
     assert "dead" in dead[0]

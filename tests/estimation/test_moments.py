@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers.balanced import RING, campaign_of, gradients
+from helpers import balanced
+from helpers.balanced import RING, campaign_of, changed, gradients
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.displaced_rows import common_reference
 from truenewton.estimation.moments import chosen_groups, merge
 from truenewton.estimation.repeats import RepeatSums, row_groups
 from truenewton.estimation.sifted import campaign_moments
-from truenewton.linalg import mirrored
 from truenewton.records.campaign import Campaign
 
 
@@ -25,36 +25,34 @@ def noisy():
     return campaign_of(seed=1, noise=1e-3, cycles=3, disabled=(4,), invalid=(3, 20))[0]
 
 
-def with_repeats_in_a_cycle(campaign):
+def with_repeats_in_a_cycle():
     """Return a campaign in which shape 1 stands for shape 2 too: four rows of it in each cycle."""
-    return Campaign(
-        tuple(replace(c, shape=np.where(c.shape == 2, 1, c.shape)) for c in campaign.cycles)
-    )
+    return changed(noisy(), shape=lambda _, c: np.where(c.shape == 2, 1, c.shape))
 
 
 def with_noises(campaign, errors):
     """Return a campaign whose cycles declare these FORCERR in turn."""
-    return Campaign(
-        tuple(
-            replace(c, force_error=errors[k % len(errors)]) for k, c in enumerate(campaign.cycles)
-        )
-    )
+    return changed(campaign, force_error=lambda k, _: errors[k % len(errors)])
 
 
-def two_passes(campaign, weights):
-    """Return labels, rows, weight, mean and scatter by loops over groups."""
+def grouped(campaign, weights):
+    """Return {(load, shape, sign): [(weight, force)]} by a loop over the rows."""
     groups = {}
     for cycle, place, w in zip(campaign.cycles, campaign.load_index, weights, strict=True):
         for row in np.flatnonzero(cycle.valid):
             label = (place, int(cycle.shape[row]), int(cycle.sign[row]))
-            force = cycle.force[row][cycle.layout.enabled]
-            groups.setdefault(label, []).append((w, force))
-    mean, scatter = [], 0.0
-    for label in sorted(groups):
+            groups.setdefault(label, []).append((w, cycle.force[row][cycle.layout.enabled]))
+    return groups
+
+
+def two_passes(campaign, weights):
+    """Return labels, rows, weight, mean and scatter by loops over groups."""
+    groups, mean, scatter = grouped(campaign, weights), [], 0.0
+    labels = sorted(groups)
+    for label in labels:
         w, force = (np.array(v) for v in zip(*groups[label], strict=True))
         mean.append(w @ force / w.sum())
         scatter = scatter + w @ (force - mean[-1]) ** 2
-    labels = sorted(groups)
     rows = [len(groups[k]) for k in labels]
     weight = [sum(w for w, _ in groups[k]) for k in labels]
     return labels, rows, weight, np.array(mean), scatter
@@ -70,7 +68,7 @@ def check(moments, labels, rows, weight, mean, scatter):
 
 @pytest.mark.parametrize("repeated", [False, True])
 def test_moments_are_those_of_two_passes(repeated):
-    campaign = with_repeats_in_a_cycle(noisy()) if repeated else noisy()
+    campaign = with_repeats_in_a_cycle() if repeated else noisy()
     moments = campaign_moments(campaign)
     check(moments, *two_passes(campaign, [1.0] * 6))
     assert moments.mean.shape[1] == 13
@@ -80,27 +78,24 @@ def test_moments_are_those_of_two_passes(repeated):
 
 def test_rows_may_stand_in_any_order():
     """Another one in each cycle, and not every shape in each."""
-    random, shuffled = np.random.default_rng(2), []
-    for cycle in noisy().cycles:
-        order = random.permutation(len(cycle.shape))[: len(cycle.shape) - 3]
-        names = ("time", "shape", "sign", "force", "valid")
+    random, names = np.random.default_rng(2), ("shape", "sign", "force", "valid")
+
+    def shuffled(cycle):
+        order = random.permutation(len(cycle.shape))[:-3]
         rows = {name: getattr(cycle, name)[order] for name in names}
-        shuffled.append(replace(cycle, **rows | {"time": cycle.time[: len(order)]}))
-    campaign = Campaign(tuple(shuffled))
+        return replace(cycle, **rows, time=cycle.time[:-3])
+
+    campaign = Campaign(tuple(map(shuffled, noisy().cycles)))
     check(campaign_moments(campaign), *two_passes(campaign, [1.0] * 6))
 
 
 @pytest.mark.parametrize("errors", [[None], [1e-3], [1e-3, 2e-3, 5e-4]])
 def test_the_furthest_row_is_seen_from_the_others_of_its_group(errors):
     """In terms of the noise of the difference between a row and the mean of the others."""
-    campaign = with_noises(with_repeats_in_a_cycle(noisy()), errors)
-    furthest, groups = np.zeros(13), {}
-    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
-        w = (1e-3 / cycle.force_error) ** 2 if cycle.force_error else 1.0
-        for row in np.flatnonzero(cycle.valid):
-            label = (place, int(cycle.shape[row]), int(cycle.sign[row]))
-            groups.setdefault(label, []).append((w, cycle.force[row][cycle.layout.enabled]))
-    for rows in groups.values():
+    campaign = with_noises(with_repeats_in_a_cycle(), errors)
+    weights = [(1e-3 / c.force_error) ** 2 if c.force_error else 1.0 for c in campaign.cycles]
+    furthest = np.zeros(13)
+    for rows in grouped(campaign, weights).values():
         for k, (w, force) in enumerate(rows):
             others = rows[:k] + rows[k + 1 :]
             weights = np.array([v for v, _ in others])
@@ -115,22 +110,40 @@ def test_cycles_weigh_by_their_declared_noise():
     check(campaign_moments(campaign), *two_passes(campaign, [1.0, 0.25, 4.0] * 2))
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@cache
+def with_positions():
+    return gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)[0]
+
+
+WHOLE = {
+    "plain": noisy,
+    "repeated": with_repeats_in_a_cycle,
+    "of unequal noise": lambda: with_noises(noisy(), [1e-3, 2e-3, 5e-4]),
+    "with positions": with_positions,
+}
+
+
+@pytest.mark.parametrize("kind", WHOLE)
+@settings(max_examples=15, deadline=None, derandomize=True)
 @given(
-    st.lists(st.integers(0, 3), min_size=6 * 28, max_size=6 * 28),
-    st.permutations(range(4)),
-    st.booleans(),
-    st.booleans(),
+    owner=st.lists(st.integers(0, 3), min_size=6 * 28, max_size=6 * 28),
+    by_cycle=st.booleans(),
+    order=st.permutations(range(4)),
+    tree=st.booleans(),
 )
-def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(owner, order, repeated, tree):
-    whole = with_repeats_in_a_cycle(noisy()) if repeated else noisy()
-    owner = np.reshape(owner, (6, 28))
+def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(
+    kind, owner, by_cycle, order, tree
+):
+    """Even where a part has but one sign of a shape: its own mean would be no rest."""
+    whole = WHOLE[kind]()
+    owner, rest = np.reshape(owner, (6, 28)), common_reference(whole)
+    owner = owner[:, :1] if by_cycle else owner
     parts = []
     for part in order:
         mine = [c.valid & (owner[k] == part) for k, c in enumerate(whole.cycles)]
         cycles = [replace(c, valid=v) for c, v in zip(whole.cycles, mine, strict=True) if v.any()]
         if cycles:
-            parts.append(campaign_moments(Campaign(tuple(cycles))))
+            parts.append(campaign_moments(Campaign(tuple(cycles)), rest))
     if tree and len(parts) > 2:
         parts = [merge(parts[0], parts[1]), reduce(merge, parts[2:])]
     merged, expected = reduce(merge, parts), campaign_moments(whole)
@@ -139,43 +152,14 @@ def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(owner, orde
         expected.scatter,
     )  # fmt: skip
     assert [load.name for load in merged.loads] == ["bare", "ring"]
-    assert merged.known == pytest.approx(expected.known, abs=1e-18)
-
-
-@settings(max_examples=20, deadline=None, derandomize=True)
-@given(st.permutations(range(6)))
-def test_cycles_with_positions_merge_in_any_order(order):
-    campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
-    expected, rest = campaign_moments(campaign), common_reference(campaign)
-    parts = [campaign_moments(Campaign((campaign.cycles[k],)), rest) for k in order]
-    merged = reduce(merge, parts)
-    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
     assert merged.known == pytest.approx(expected.known, rel=1e-9, abs=1e-15)
-    assert np.abs(expected.known).max() > 1e-6  # there is something to merge
-
-
-@settings(max_examples=20, deadline=None, derandomize=True)
-@given(st.lists(st.integers(0, 2), min_size=6 * 28, max_size=6 * 28), st.permutations(range(3)))
-def test_rows_with_positions_split_in_any_way_give_the_same(owner, order):
-    """Even where a part has but one sign of a shape: its own mean would be no rest."""
-    whole, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
-    rest, owner, parts = common_reference(whole), np.reshape(owner, (6, 28)), []
-    for part in order:
-        mine = [(c, c.valid & (owner[k] == part)) for k, c in enumerate(whole.cycles)]
-        cycles = tuple(replace(c, valid=valid) for c, valid in mine if valid.any())
-        if cycles:
-            parts.append(campaign_moments(Campaign(cycles), rest))
-    merged, expected = reduce(merge, parts), campaign_moments(whole)
-    check(
-        merged, expected.labels.tolist(), expected.rows, expected.weight, expected.mean,
-        expected.scatter,
-    )  # fmt: skip
-    assert merged.known == pytest.approx(expected.known, rel=1e-9, abs=1e-15)
-    assert (merged.reference == rest).all()
+    if kind == "with positions":
+        assert (merged.reference == rest).all()
+        assert np.abs(expected.known).max() > 1e-6  # there is something to merge
 
 
 def test_parts_that_count_from_different_readings_are_not_merged():
-    campaign, _ = gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)
+    campaign = with_positions()
     bare, ring = (Campaign(campaign.cycles[k : k + 3]) for k in (0, 3))
     with pytest.raises(CampaignMismatch, match=r"different readings; give .* the common_reference"):
         merge(campaign_moments(bare), campaign_moments(ring))
@@ -185,25 +169,10 @@ def test_parts_that_count_from_different_readings_are_not_merged():
     assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
 
 
-def test_parts_whose_files_declare_other_noises_merge_to_the_same():
-    campaign = with_noises(noisy(), [1e-3, 2e-3, 5e-4])
-    parts = [campaign_moments(Campaign((c,))) for c in campaign.cycles]
-    merged, expected = reduce(merge, parts), campaign_moments(campaign)
-    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
-
-
 def test_noise_of_each_actuator_comes_from_repeats():
     sigma = np.linspace(0.5e-3, 1.5e-3, 14)
     quiet, _ = campaign_of(seed=5, noise=0.0, cycles=4)
-    random = np.random.default_rng(6)
-    moments = campaign_moments(
-        Campaign(
-            tuple(
-                replace(c, force=c.force + sigma * random.standard_normal(c.force.shape))
-                for c in quiet.cycles
-            )
-        )
-    )
+    moments = campaign_moments(balanced.noisy(quiet, sigma, 6))
     assert moments.repeats == 2 * 28 * 3
     found = np.sqrt(moments.scatter / moments.repeats)
     # Each known to 1 / root(2 * 168) = 5.5 %: four sigma.
@@ -211,7 +180,7 @@ def test_noise_of_each_actuator_comes_from_repeats():
     assert moments.noise == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.06)
 
 
-def test_nothing_repeats_in_one_cycle():
+def test_one_cycle_has_no_repeats():
     moments = campaign_moments(campaign_of(seed=7, noise=1e-3, cycles=1)[0])
     assert moments.repeats == 0
     assert np.isnan(moments.noise)
@@ -233,63 +202,11 @@ def test_groups_of_rows_and_choices_of_groups():
     assert some.sums.square == pytest.approx(3 * moments.mean[chosen].T @ moments.mean[chosen])
 
 
-def test_sums_are_sums_over_shapes():
-    campaign, _ = gradients(seed=8, noise=1e-3, offset=0.0)
-    moments = campaign_moments(campaign)
-    r, c, q = moments.weight * np.linspace(1, 2, len(moments.weight)), moments.mean, moments.known
-    for weight in (r, np.full_like(r, 3.0)):
-        sums = replace(moments, weight=weight).sums
-        assert sums.shapes == len(c)
-        for found, one, two in (
-            (sums.square, c, c),
-            (sums.known_force, q, c),
-            (sums.known_square, q, q),
-        ):
-            looped = sum(w * np.outer(u, v) for w, u, v in zip(weight, one, two, strict=True))
-            assert found == pytest.approx(looped, rel=1e-10, abs=1e-13 * np.abs(looped).max())
-        for place in range(2):
-            at = moments.labels[:, 0] == place
-            assert sums.weight[place] == pytest.approx(weight[at].sum())
-            assert sums.force[place] == pytest.approx(weight[at] @ c[at])
-            assert sums.known[place] == pytest.approx(weight[at] @ q[at], rel=1e-10, abs=1e-18)
-
-
-@pytest.mark.parametrize("n", [1, 5, 128, 300])
-def test_a_triangle_is_mirrored(n):
-    upper = np.triu(np.random.default_rng(n).standard_normal((n, n)))
-    assert (mirrored(upper.copy()) == upper + np.triu(upper, 1).T).all()
-
-
-@pytest.mark.parametrize("offset", [0.0, 1e-4])
-def test_gradients_of_coils_and_bias_magnets_are_taken_out(offset):
-    campaign, alpha = gradients(seed=9, noise=0.0, offset=offset, cycles=1)
-    assert calibrate(campaign).alpha == pytest.approx(alpha, abs=1e-9)
-
-
-def test_positions_that_are_left_out_are_an_error():
-    campaign, alpha = gradients(seed=9, noise=0.0, offset=0.0, cycles=1)
-    ignored = Campaign(tuple(replace(c, position=None) for c in campaign.cycles))
-    assert np.abs(calibrate(ignored).alpha - alpha).max() > 1e-5
-
-
-@pytest.mark.parametrize("left_out", ["coil_gradient", "bias_gradient"])
-def test_a_gradient_that_is_left_out_is_found_from_the_positions(left_out):
-    campaign, alpha = gradients(seed=9, noise=1e-6, offset=0.0, cycles=4)
-    ignored = Campaign(tuple(replace(c, **{left_out: None}) for c in campaign.cycles))
-    found = calibrate(ignored)
-    (effect,) = found.effects
-    declared = getattr(campaign.cycles[0], left_out)
-    assert effect.corrected
-    assert effect.name == left_out.replace("_", " ")
-    assert effect.size == pytest.approx(declared, rel=0.02)
-    assert np.mean(np.abs(found.alpha - alpha) < 1.96 * found.error) > 0.7
-
-
 def test_rows_that_are_not_valid_do_not_move_the_zero_of_a_sensor():
     """Without some rows of one sign the mean reading of a cycle is no longer the zero."""
     campaign, alpha = gradients(seed=10, noise=0.0, offset=1e-4, cycles=1)
-    cycles = [
-        replace(c, valid=c.valid & ((c.sign > 0) | (c.shape > 7) | (c.load.name != RING.name)))
-        for c in campaign.cycles
-    ]
-    assert calibrate(Campaign(tuple(cycles))).alpha == pytest.approx(alpha, abs=1e-9)
+    some = changed(
+        campaign,
+        valid=lambda _, c: c.valid & ((c.sign > 0) | (c.shape > 7) | (c.load.name != RING.name)),
+    )
+    assert calibrate(some).alpha == pytest.approx(alpha, abs=1e-9)

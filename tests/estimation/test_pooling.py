@@ -7,6 +7,7 @@ import pytest
 import scipy.linalg
 import scipy.stats
 
+from helpers.balanced import changed
 from helpers.small_bench import SmallBench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.moments import chosen_groups
@@ -15,35 +16,32 @@ from truenewton.estimation.pooling import each_by_itself, over_loads_and_signs
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.estimation.structure import independent_readings, structure_of
-from truenewton.records.campaign import Campaign
-
-
-def made_up(kind, random):
-    """Return labels, weights and sizes of groups."""
-    shapes, loads = 6, 2
-    size = np.ones(loads)
-    if kind == "three loads":
-        loads, size = 3, np.ones(3)
-    labels = [(k, s, d) for k in range(loads) for s in range(1, shapes + 1) for d in (-1, 1)]
-    if kind == "one sign":
-        labels = [label for label in labels if label[2] > 0]
-    elif kind == "missing":
-        labels = [label for index, label in enumerate(labels) if index not in (0, 5, 13, 20)]
-    elif kind == "unbalanced":
-        labels = [label for label in labels if label[0] == 0 or label[1] <= 2]
-    elif kind == "one sign under a load":
-        labels = [label for label in labels if label[0] == 0 or label[2] > 0]
-    labels = np.array(labels, dtype=np.int64)
-    weight = random.uniform(1.0, 5.0, len(labels))
-    if kind == "left out":
-        weight[[2, 9, 17]] = 0.0
-    if kind == "sizes":
-        size = np.array([1.0, 1.04])
-    return labels, weight, size
-
 
 KINDS = ["plain", "three loads", "one sign", "missing", "unbalanced", "one sign under a load",
          "left out", "sizes"]  # fmt: skip
+
+
+def noiseless(kind):
+    """Return a small campaign without noise of a kind, and its bench."""
+    bench = SmallBench(3, 0.0, order=(0, 0, 1, 1, 2, 2) if kind == "three loads" else (0, 0, 1, 1))
+    if kind == "sizes":
+        bench.size = np.where(bench.load == 1, 1.04, 1.0)
+    lost = {
+        "one sign": lambda c: c.sign < 0,
+        "missing": lambda c: (c.shape % 4 == 1) & (c.load.name == "bare"),
+        "unbalanced": lambda c: (c.shape > 2) & (c.load.name != "bare"),
+        "one sign under a load": lambda c: (c.sign < 0) & (c.load.name != "bare"),
+    }.get(kind, lambda c: c.shape < 0)
+    return changed(bench.campaign(), valid=lambda _, c: ~lost(c)), bench
+
+
+def groups_of(kind, random):
+    """Return labels, uneven weights and sizes of the groups of such a campaign."""
+    moments = campaign_moments(noiseless(kind)[0])
+    weight = random.uniform(1.0, 5.0, moments.groups)
+    if kind == "left out":
+        weight[[2, 9, 17]] = 0.0
+    return moments.labels, weight, moments.sizes[0]
 
 
 def columns(labels, size):
@@ -60,7 +58,7 @@ def columns(labels, size):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kind):
     random = np.random.default_rng([KINDS.index(kind), 1])
-    labels, weight, size = made_up(kind, random)
+    labels, weight, size = groups_of(kind, random)
     pooling = over_loads_and_signs(labels, weight, size)
     u, on = pooling.basis.toarray(), weight > 0
     x = columns(labels, size) * on[:, None]
@@ -86,27 +84,6 @@ def test_groups_by_themselves_are_rows_of_their_own():
     assert pooling.groups(pooling.rows(mean))[[0, 2, 3]] == pytest.approx(mean[[0, 2, 3]])
 
 
-def noiseless(kind):
-    """Return a small campaign without noise of a kind, and its bench."""
-    order = {"three loads": (0, 0, 1, 1, 2, 2), "unbalanced": (0, 0, 0, 1)}
-    bench = SmallBench(3, 0.0, order=order.get(kind, (0, 0, 1, 1)))
-    if kind == "sizes":
-        bench.size = np.where(bench.load == 1, 1.04, 1.0)
-    campaign = bench.campaign()
-
-    def lost(cycle):
-        if kind == "one sign":
-            return cycle.sign < 0
-        if kind == "missing":
-            return (cycle.shape % 4 == 1) & (cycle.load.name == "bare")
-        if kind == "one sign under a load":
-            return (cycle.sign < 0) & (cycle.load.name != "bare")
-        return np.zeros(28, dtype=bool)
-
-    cycles = [replace(c, valid=~lost(c)) for c in campaign.cycles]
-    return Campaign(tuple(cycles)), bench
-
-
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
 def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
     campaign, bench = noiseless(kind)
@@ -122,9 +99,8 @@ def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
 @pytest.mark.parametrize("pooled", [False, True])
 def test_sums_are_those_of_the_rows(pooled):
     bench = SmallBench(4, 1e-3, order=(0, 0, 0, 1, 2))
-    campaign = bench.campaign()
-    cycles = [replace(c, bias_gradient=31.0) for c in campaign.cycles]
-    moments = replace(campaign_moments(Campaign(tuple(cycles))), pooled=pooled)
+    campaign = changed(bench.campaign(), bias_gradient=31.0)
+    moments = replace(campaign_moments(campaign), pooled=pooled)
     chosen = np.random.default_rng(5).random(len(moments.rows)) > 0.1
     moments = chosen_groups(moments, chosen)
     u, r = moments.pooling.basis.toarray(), moments.weight
@@ -143,28 +119,18 @@ def test_sums_are_those_of_the_rows(pooled):
     assert sums.known_square == pytest.approx(q.T @ q, rel=1e-9, abs=1e-20)
 
 
-def test_pooled_rows_have_the_noise_of_one_reading():
-    """Each is a combination of means whose noise has the variance of a row, whatever the design."""
-    random = np.random.default_rng(6)
-    labels, weight, size = made_up("unbalanced", random)
-    pooling = over_loads_and_signs(labels, weight, size)
-    noise = random.standard_normal((len(labels), 4000)) / np.sqrt(weight)[:, None]
-    rows = pooling.rows(noise)
-    covariance = rows @ rows.T / 4000
-    assert covariance == pytest.approx(np.eye(pooling.count), abs=0.1)
-
-
 @pytest.mark.parametrize("kind", ["plain", "one sign under a load", "unbalanced"])
 def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kind):
     """Of 14 shapes the groups of two signs and two loads say four times the same."""
     z, ratio = [], []
     for seed in range(30):
         bench = SmallBench([seed, 7], 1e-2, order=(0, 0, 0, 1) if kind == "unbalanced" else (0, 1))
-        campaign = bench.campaign()
-        cycles = [replace(c, force_error=1e-2) for c in campaign.cycles]
-        if kind == "one sign under a load":
-            cycles[1] = replace(cycles[1], valid=cycles[1].sign > 0)
-        campaign = Campaign(tuple(cycles))
+        lost = 1 if kind == "one sign under a load" else None
+        campaign = changed(
+            bench.campaign(),
+            force_error=1e-2,
+            valid=lambda k, c, lost=lost: c.sign > 0 if k == lost else c.valid,
+        )
         alone = campaign_moments(campaign)
         problem = problem_of(campaign, reading_noise(campaign, alone))
         one, other = (problem.fitted(replace(alone, pooled=pooled)) for pooled in (True, False))
@@ -176,39 +142,43 @@ def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kin
     assert max(ratio) < 1.02
 
 
-def test_sizes_of_shapes_come_from_the_displacements():
+def resized(has_position):
+    """Return a bench whose shapes are 3 % larger under the load."""
     bench = SmallBench(8, 1e-4)
     bench.size = np.where(bench.load == 1, 1.03, 1.0)
-    moments = sift(bench.campaign()).moments
-    assert moments.pooled
-    size, variance = moments.sizes
-    assert size == pytest.approx([1.0, 1.03], abs=1e-9)
-    assert variance[1] < 1e-12
-    calibration = calibrate(bench.campaign())
+    bench.has_position = has_position
+    return bench
+
+
+def test_sizes_of_shapes_come_from_the_displacements():
+    bench = resized(has_position=True)
+    campaign = bench.campaign()
+    # Sensors count from zeros of their own, which the mean over the shapes takes out.
+    zeros = changed(campaign, position=lambda _, c: c.position + 1e-5 * np.arange(14))
+    for data in (campaign, zeros):
+        moments = sift(data).moments
+        assert moments.pooled
+        size, variance = moments.sizes
+        assert size == pytest.approx([1.0, 1.03], abs=1e-9)
+        assert variance[1] < 1e-12
+    calibration = calibrate(campaign)
     assert not calibration.effects
     assert np.mean(np.abs(calibration.alpha - bench.alpha) < 2.5 * calibration.error) > 0.9
-    # Sensors count from zeros of their own, which the mean over the shapes takes out.
-    far = SmallBench(8, 1e-4)
-    far.size = bench.size
-    cycles = [replace(c, position=c.position + 1e-5 * np.arange(14)) for c in far.campaign().cycles]
-    assert sift(Campaign(tuple(cycles))).moments.sizes[0] == pytest.approx([1.0, 1.03], abs=1e-9)
 
 
 def test_displacements_that_differ_by_chance_only_leave_the_size_at_one():
     bench = SmallBench(9, 1e-3)
-    cycles = [
-        replace(c, position=c.position + 1e-7 * bench.random.standard_normal(c.position.shape))
-        for c in bench.campaign().cycles
-    ]
-    size, variance = sift(Campaign(tuple(cycles))).moments.sizes
+    campaign = changed(
+        bench.campaign(),
+        position=lambda _, c: c.position + 1e-7 * bench.random.standard_normal(c.position.shape),
+    )
+    size, variance = sift(campaign).moments.sizes
     assert np.array_equal(size, [1.0, 1.0])
     assert variance[1] > 0
 
 
 def test_without_displacements_shapes_of_another_size_are_not_pooled():
-    bench = SmallBench(8, 1e-4)
-    bench.size = np.where(bench.load == 1, 1.03, 1.0)
-    bench.has_position = False
+    bench = resized(has_position=False)
     sifted = sift(bench.campaign())
     assert not sifted.moments.pooled
     assert sifted.structure.probability < 1e-10
@@ -221,22 +191,18 @@ def test_without_displacements_shapes_of_another_size_are_not_pooled():
     assert np.mean(error < 1.96) > 0.9
 
 
-def structures(count, order=(0, 0, 1, 1)):
-    """Return the structure tests of clean campaigns."""
-    return [sift(SmallBench([k, 9], 1e-3, order=order).campaign()).structure for k in range(count)]
-
-
-def test_shapes_that_repeat_fit_as_often_as_chance_says():
-    p = np.array([one.probability for one in structures(60)])
-    assert 0.35 < p.mean() < 0.65  # 3.8 sigma
-    assert np.mean(p < 0.05) < 0.16
-
-
-@pytest.mark.study
-def test_the_structure_is_uniform_on_clean_campaigns():
-    for order in ((0, 0, 1, 1), (0, 1, 0, 1, 2, 2, 0)):
-        p = [one.probability for one in structures(400, order)]
-        assert scipy.stats.kstest(p, "uniform").pvalue > 1e-3
+@pytest.mark.parametrize(
+    ("count", "order"),
+    [
+        (60, (0, 0, 1, 1)),
+        pytest.param(400, (0, 0, 1, 1), marks=pytest.mark.study),
+        pytest.param(400, (0, 1, 0, 1, 2, 2, 0), marks=pytest.mark.study),
+    ],
+)
+def test_shapes_that_repeat_fit_as_often_as_chance_says(count, order):
+    campaigns = (SmallBench([k, 9], 1e-3, order=order).campaign() for k in range(count))
+    p = [sift(campaign).structure.probability for campaign in campaigns]
+    assert scipy.stats.kstest(p, "uniform").pvalue > 1e-3
 
 
 def test_the_structure_is_the_sum_of_what_is_left():

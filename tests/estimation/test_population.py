@@ -38,7 +38,7 @@ def test_the_spread_is_found_beside_any_smooth_pattern():
 
 
 @pytest.mark.parametrize("n", [45, 400])
-def test_nothing_pulls_a_smooth_alpha(n):
+def test_a_population_leaves_a_smooth_alpha_alone(n):
     """Neither its scale nor a factor that is smooth: quadratic, on many actuators of degree 4."""
     a = places(n)
     rise = 0.3 * (a[1] ** 2 + a[2]) + (0.2 * a[1] ** 3 * a[2] if n > 100 else 0.0)

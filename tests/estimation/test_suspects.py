@@ -1,26 +1,18 @@
 """What only the user can settle: labels, copies, cables, actuators that are not what they say."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
 
 import truenewton as tn
-from helpers.balanced import p45_bench
-from truenewton.bench.simulated.static import run_cycles
+from helpers.changed import p45, with_forces
 from truenewton.errors import RankDeficient, TrueNewtonError
 from truenewton.estimation.column_order import likeliest_order
 from truenewton.estimation.file_labels import clusters
 from truenewton.records.campaign import Campaign
 
 NOISE = (1e-3, 5e-5)
-
-
-@cache
-def cycles_of(noise, cycles=4):
-    """Return the cycles of P45 under two loads."""
-    return tuple(run_cycles(replace(p45_bench(), force_noise=noise), cycles))
 
 
 def said(cycles):
@@ -38,36 +30,28 @@ def named(cycles, *words):
     assert any(all(word in text for word in words) for text in texts), texts
 
 
-def with_force(cycle, change):
-    force = np.array(cycle.force)
-    return replace(cycle, force=change(force))
-
-
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("cycles", [2, 4])
 @pytest.mark.parametrize("at", [1, -1])
 def test_a_file_under_another_name_is_named(noise, cycles, at):
-    files = list(cycles_of(noise, cycles))
+    files = p45(noise, cycles)
     files[at] = replace(files[at], load=files[-1 - at].load, number=9)
     named(files, "load is another", f"{files[at].load.name} 9")
 
 
 @pytest.mark.parametrize("noise", NOISE)
-def test_nothing_is_said_of_sound_files_or_of_warm_coils(noise):
+def test_sound_files_and_warm_coils_are_no_suspects(noise):
     k = np.arange(8)
     for gains in (np.ones(8), 1.0 + 0.002 * k, 1.0 + 0.0022 * (k > 3)):
-        files = [
-            with_force(c, lambda f, gain=gain: f * gain)
-            for c, gain in zip(cycles_of(noise), gains, strict=True)
-        ]
-        words = " ".join(said(files)[0])
+        files = with_forces(p45(noise, 4), lambda k, f, gains=gains: gains[k] * f)
+        words = " ".join(said(files))
         for word in ("load", "copy", "exchanged", "order", "stuck", "dead", "negative", "SIGN"):
             assert word not in words.replace("gain by load", "")
 
 
 @pytest.mark.parametrize("noise", NOISE)
 def test_a_copy_is_named_in_whole_or_in_part(noise):
-    files = list(cycles_of(noise))
+    files = p45(noise, 4)
     whole = replace(files[1], force=files[0].force)
     named([files[0], whole, *files[2:]], "copy", files[1].name)
     force = np.array(files[1].force)
@@ -76,13 +60,13 @@ def test_a_copy_is_named_in_whole_or_in_part(noise):
 
 
 def test_files_without_noise_are_no_copies():
-    assert not any("copy" in text for text in said(cycles_of(0.0))[0])
+    assert not any("copy" in text for text in said(p45(0.0, 4)))
 
 
 @pytest.mark.parametrize("noise", NOISE)
 @pytest.mark.parametrize("cycles", [2, 4])
 def test_labels_of_rows_are_named(noise, cycles):
-    files = list(cycles_of(noise, cycles))
+    files = p45(noise, cycles)
     reversed_signs = replace(files[1], sign=-files[1].sign)
     named([files[0], reversed_signs, *files[2:]], "SIGN reversed", files[1].name)
     last = int(files[1].shape.max())
@@ -91,9 +75,7 @@ def test_labels_of_rows_are_named(noise, cycles):
 
 
 def test_a_reading_that_is_stuck_is_named_in_the_refusal():
-    files = [
-        with_force(c, lambda f: np.where(np.arange(45) == 16, 0.1, f)) for c in cycles_of(1e-3)
-    ]
+    files = with_forces(p45(1e-3, 4), lambda _, f: np.where(np.arange(45) == 16, 0.1, f))
     with pytest.raises(RankDeficient, match="actuator 17 is stuck"):
         tn.calibrate(Campaign(tuple(files)))
 
@@ -101,14 +83,14 @@ def test_a_reading_that_is_stuck_is_named_in_the_refusal():
 def test_a_dead_actuator_and_exchanged_poles_are_named():
     random = np.random.default_rng(1)
 
-    def silent(force):
+    def silent(_, force):
         force[:, 16] = 1e-3 * random.standard_normal(len(force))
         return force
 
-    named([with_force(c, silent) for c in cycles_of(1e-3)], "dead", "actuator 17")
+    named(with_forces(p45(1e-3, 4), silent), "dead", "actuator 17")
     poles = np.where(np.arange(45) == 20, -1.0, 1.0)
-    files = [with_force(c, lambda f: f * poles) for c in cycles_of(1e-3)]
-    assert "alpha is negative, the poles are exchanged: actuator 21" in said(files)[0]
+    files = with_forces(p45(1e-3, 4), lambda _, f: f * poles)
+    assert "alpha is negative, the poles are exchanged: actuator 21" in said(files)
 
 
 @pytest.mark.parametrize("noise", NOISE)
@@ -117,18 +99,15 @@ def test_a_dead_actuator_and_exchanged_poles_are_named():
 def test_exchanged_cables_are_named(noise, pair, position):
     order = np.arange(45)
     order[list(pair)] = pair[::-1]
-    files = [with_force(c, lambda f: f[:, order]) for c in cycles_of(noise)]
-    if not position:
-        files = [replace(c, position=None) for c in files]
+    files = p45(noise, 4) if position else p45(noise, 4, position=None)
+    files = with_forces(files, lambda _, f: f[:, order])
     named(files, "exchanged columns", str(pair[0] + 1), str(pair[1] + 1))
 
 
 @pytest.mark.parametrize("position", [True, False])
 def test_another_order_of_force_is_named(position):
-    files = [with_force(c, lambda f: np.roll(f, 1, axis=1)) for c in cycles_of(1e-3)]
-    if not position:
-        files = [replace(c, position=None) for c in files]
-    named(files, "order")
+    files = p45(1e-3, 4) if position else p45(1e-3, 4, position=None)
+    named(with_forces(files, lambda _, f: np.roll(f, 1, axis=1)), "order")
 
 
 def test_no_order_is_likelier_than_that_of_a_stiffness_whatever_the_gains():

@@ -144,14 +144,50 @@ def p45_campaign(cycles=4):
     return Campaign(tuple(run_cycles(p45_bench(), cycles)))
 
 
+def changed(campaign, **fields):
+    """Return a campaign with fields of its cycles changed, to values or functions of (k, cycle)."""
+    return Campaign(
+        tuple(
+            replace(c, **{name: v(k, c) if callable(v) else v for name, v in fields.items()})
+            for k, c in enumerate(campaign.cycles)
+        ),
+        campaign.stiffness,
+    )
+
+
+def with_spike(campaign, cycle, row, actuator, size):
+    """Return the campaign with one force off by so much."""
+    force = campaign.cycles[cycle].force.copy()
+    force[row, actuator] += size
+    return changed(campaign, force=lambda k, c: force if k == cycle else c.force)
+
+
+def exact_weights(bench, cycles=4):
+    """Return a campaign on a bench whose weights are declared as they are, without error."""
+    true = bench.truth
+    return changed(
+        Campaign(tuple(run_cycles(bench, cycles))),
+        weight=true.weight,
+        weight_error=0.0,
+        load=lambda k, c: replace(c.load, added=true.added[k // cycles], added_error=0.0),
+    )
+
+
+def rms_z(found, alpha):
+    """Return the RMS of the errors of alpha in units of what is stated of them."""
+    return np.sqrt(np.mean(((found.alpha - alpha) / found.error) ** 2))
+
+
+def p45_shapes(shapes, noise, cycles=2):
+    """Return a campaign of P45 that applies only the given displacements."""
+    bench = replace(p45_bench(), shapes=shapes, force_noise=noise)
+    return Campaign(tuple(run_cycles(bench, cycles)))
+
+
 def noisy(quiet, sigma, seed):
     """Return a campaign with noise of (n,) standard deviations, or of one for each cycle."""
     random = np.random.default_rng(seed)
     sigma = np.broadcast_to(sigma, (len(quiet.cycles), quiet.layout.n))
-    return Campaign(
-        tuple(
-            replace(c, force=c.force + s * random.standard_normal(c.force.shape))
-            for c, s in zip(quiet.cycles, sigma, strict=True)
-        ),
-        quiet.stiffness,
+    return changed(
+        quiet, force=lambda k, c: c.force + sigma[k] * random.standard_normal(c.force.shape)
     )

@@ -2,7 +2,8 @@
 
 Works of the United States government, in the public domain. Each set: matrix of the model,
 response, certified estimates, their certified standard deviations, certified residual standard
-deviation.
+deviation; and how many digits double precision reaches: of the worst estimate, of the worst
+standard deviation, of the residual's (0 for the exact sets, which is held to as many decimals).
 """
 
 from typing import NamedTuple
@@ -16,6 +17,7 @@ class Certified(NamedTuple):
     estimate: np.ndarray
     deviation: np.ndarray
     residual: float
+    digits: tuple[int, int, int]
 
 
 def numbers(text):
@@ -92,17 +94,17 @@ ONES = np.ones(6)
 SETS = {
     "Norris": Certified(
         powers(NORRIS_X, 1), NORRIS_Y, numbers("-0.262323073774029 1.00211681802045"),
-        numbers("0.232818234301152 0.429796848199937E-03"), 0.884796396144373,
+        numbers("0.232818234301152 0.429796848199937E-03"), 0.884796396144373, (12, 13, 13),
     ),
     "Pontius": Certified(
         powers(np.tile(np.arange(150e3, 3.1e6, 150e3), 2), 2), PONTIUS_Y,
         numbers("0.673565789473684E-03 0.732059160401003E-06 -0.316081871345029E-14"),
         numbers("0.107938612033077E-03 0.157817399981659E-09 0.486652849992036E-16"),
-        0.205177424076185e-3,
+        0.205177424076185e-3, (11, 13, 13),
     ),
     "NoInt1": Certified(
         np.arange(60.0, 71.0)[:, None], np.arange(130.0, 141.0), numbers("2.07438016528926"),
-        numbers("0.165289256198347E-01"), 3.56753034006338,
+        numbers("0.165289256198347E-01"), 3.56753034006338, (14, 14, 14),
     ),
     "Longley": Certified(
         np.column_stack([np.ones(16), LONGLEY_X]), LONGLEY_Y,
@@ -110,16 +112,22 @@ SETS = {
             -1.03322686717359 -0.511041056535807E-01 1829.15146461355"""),
         numbers("""890420.383607373 84.9149257747669 0.334910077722432E-01 0.488399681651699
             0.214274163161675 0.226073200069370 455.478499142212"""),
-        304.854073561965,
+        304.854073561965, (10, 12, 12),
     ),
-    "Wampler1": Certified(WAMPLER_X, WAMPLER_X @ ONES, ONES, 0 * ONES, 0.0),
+    "Wampler1": Certified(WAMPLER_X, WAMPLER_X @ ONES, ONES, 0 * ONES, 0.0, (9, 9, 9)),
     "Wampler2": Certified(
         WAMPLER_X, np.round(WAMPLER_X @ 10.0 ** -np.arange(6), 5), 10.0 ** -np.arange(6), 0 * ONES,
-        0.0,
+        0.0, (12, 14, 14),
     ),
-    "Wampler3": Certified(WAMPLER_X, WAMPLER_3, ONES, WAMPLER_DEVIATION, 2360.14502379268),
-    "Wampler4": Certified(WAMPLER_X, WAMPLER_4, ONES, 1e2 * WAMPLER_DEVIATION, 236014.502379268),
-    "Wampler5": Certified(WAMPLER_X, WAMPLER_5, ONES, 1e4 * WAMPLER_DEVIATION, 23601450.2379268),
+    "Wampler3": Certified(
+        WAMPLER_X, WAMPLER_3, ONES, WAMPLER_DEVIATION, 2360.14502379268, (9, 13, 14),
+    ),
+    "Wampler4": Certified(
+        WAMPLER_X, WAMPLER_4, ONES, 1e2 * WAMPLER_DEVIATION, 236014.502379268, (7, 13, 14),
+    ),
+    "Wampler5": Certified(
+        WAMPLER_X, WAMPLER_5, ONES, 1e4 * WAMPLER_DEVIATION, 23601450.2379268, (5, 13, 14),
+    ),
     "Filip": Certified(
         powers(FILIP[:, 1], 10), FILIP[:, 0],
         numbers("""-1467.48961422980 -2772.17959193342 -2316.37108160893 -1127.97394098372
@@ -128,6 +136,6 @@ SETS = {
         numbers("""298.084530995537 559.779865474950 466.477572127796 227.204274477751
             71.6478660875927 15.2897178747400 2.23691159816033 0.221624321934227
             0.142363763154724E-01 0.535617408889821E-03 0.896632837373868E-05"""),
-        0.334801051324544e-2,
+        0.334801051324544e-2, (7, 7, 7),
     ),
 }  # fmt: skip

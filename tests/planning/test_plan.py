@@ -480,7 +480,7 @@ def test_a_free_scale_is_a_warning(inside, file):
     code, out, _ = inside("plan", file, "--target", "0.01")
     assert code == 0
     assert "common scale            free" in out
-    assert "WARNING: the 2 loads have the same weight, so the common scale is free" in out
+    assert "The 2 loads have the same weight, so the common scale is free" in out
     assert "leaves the scale free" in out
     values = json.loads(inside("plan", file, "--json")[1])
     assert values["typical_error"] is None

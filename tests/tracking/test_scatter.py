@@ -240,7 +240,7 @@ def test_a_verdict_of_a_short_run_tells_that_the_others_changed(inside, tmp_path
     assert (code, err) == (0, "")
     assert json.loads(out)["others"]["scatter"] == pytest.approx(1e-3, rel=0.3)
     verdict = tn.read(tmp_path / "new.fits").verdict
-    assert verdict.level == "limited"
+    assert verdict.level == "usable"
     assert any("the others have changed by" in each.fault for each in verdict.faults)
 
 

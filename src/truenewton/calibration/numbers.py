@@ -74,7 +74,7 @@ def from_stiffness(
 def _halves(imbalances: Imbalances, n: int) -> Array:
     """Return (n,) how far alpha of one half of the modes is above that of the other, relative."""
     fitted = [line.alpha for line in imbalances[1:] if line.alpha is not None]
-    if len(fitted) != 2:
+    if [each.size for each in fitted] != [n, n]:
         return np.full(n, np.nan)
     one, other = (each / each.mean() for each in fitted)
     return np.asarray(one - other)

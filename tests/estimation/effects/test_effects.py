@@ -9,9 +9,9 @@ import pytest
 import scipy.signal
 import scipy.stats
 
-from helpers.balanced import BIAS, campaign_of
+from helpers.balanced import BIAS, campaign_of, changed, exact_weights, rms_z, with_spike
 from helpers.small_bench import SmallBench
-from truenewton.bench.simulated.static import run_cycles, static_bench
+from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.effects import score_test
 from truenewton.estimation.effects.catalogue import CATALOGUE
@@ -25,7 +25,7 @@ from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.sifted import campaign_moments, sift
-from truenewton.estimation.structure import FITS, structure_of
+from truenewton.estimation.structure import FITS
 from truenewton.linalg import mirrored
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign
@@ -40,13 +40,13 @@ SINGLE = {"gain of single actuators by file"}
 STRUCK = np.array([3, 9])
 
 
-def fit_of(campaign, *, pooled=None, independent=True):
+def fit_of(campaign, *, pooled=None):
     """Return the fit of a campaign without effects."""
     moments = sift(campaign).moments
     if pooled is not None:
         moments = replace(moments, pooled=pooled)
     problem = problem_of(campaign, reading_noise(campaign, moments))
-    return FittedRows(problem, moments, problem.fitted(moments), independent)
+    return FittedRows(problem, moments, problem.fitted(moments), independent=True)
 
 
 # ----------------------------------------------------------------------------------- derivatives
@@ -61,15 +61,13 @@ def uneven(pooled):
     bench = SmallBench(1, SIGMA, order=THREE)
     bench.gain = 1 + 2e-3 * bench.hours[:, None]
     bench.zero = 1e-3 * bench.random.standard_normal((7, 14))[bench.file]
-    errors = (1e-3, 1e-3, 2e-3, 1e-3, 1e-3, 1e-3, 1e-3)
-    cycles = [
-        replace(c, force_error=error) for c, error in zip(bench.campaign().cycles, errors,
-                                                          strict=True)
-    ]  # fmt: skip
-    valid = cycles[3].valid.copy()
-    valid[[2, 9, 10]] = False
-    cycles[3] = replace(cycles[3], valid=valid)
-    return fit_of(Campaign(tuple(cycles)), pooled=pooled)
+    missing = np.isin(np.arange(28), [2, 9, 10])
+    campaign = changed(
+        bench.campaign(),
+        force_error=lambda k, _: 2e-3 if k == 2 else 1e-3,
+        valid=lambda k, c: c.valid & ~(missing & (k == 3)),
+    )
+    return fit_of(campaign, pooled=pooled)
 
 
 def struck(fit, name):
@@ -158,7 +156,7 @@ def test_alpha_moves_as_told_if_an_effect_is_taken_out(name):
         ("positions", True),
     ],
 )
-def test_noise_alone_feigns_as_much_of_an_effect_as_told(name, pooled):
+def test_the_score_that_noise_alone_makes_is_as_computed(name, pooled):
     """D_te: how the score of an effect changes with alpha, at the truth, over drawn noises.
 
     Its mean is M_te - D_te; of M_te alone it would be off by many standard errors.
@@ -195,16 +193,6 @@ def test_noise_alone_feigns_as_much_of_an_effect_as_told(name, pooled):
     assert abs(np.mean(along)) < 3 * error
 
 
-def rows_by_hand(campaign):
-    """Return label, file, hour, weight and force of every row."""
-    first = min(cycle.date for cycle in campaign.cycles)
-    hours = [((c.date - first).total_seconds() + c.time[c.valid]) / 3600 for c in campaign.cycles]
-    mean = np.mean([h.mean() for h in hours])
-    for k, (c, load) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
-        for row, hour in zip(np.flatnonzero(c.valid), hours[k] - mean, strict=True):
-            yield (int(load), int(c.shape[row]), int(c.sign[row])), k, hour, c.force[row]
-
-
 @pytest.mark.parametrize("name", [name for name in NAMES if "hour" in name or "file" in name])
 def test_an_effect_is_taken_out_of_rows_as_of_their_moments(name):
     """Mean and scatter of every group, and what is left within it, by loops over the rows."""
@@ -212,41 +200,41 @@ def test_an_effect_is_taken_out_of_rows_as_of_their_moments(name):
     bench.gain = 1 + 1e-3 * bench.hours[:, None]
     campaign = bench.campaign()
     fit = struck(fit_of(campaign), name)
-    derivative = OF[name].derivative(fit)
+    derivative, gain, by_hour = OF[name].derivative(fit), "gain" in name, "hour" in name
     count = len(scored(fit, derivative).score)
     theta = 1e-3 * np.random.default_rng(4).standard_normal(count)
-    whose = STRUCK if name in SINGLE else np.arange(14)
     of_all = "each" not in name and name not in SINGLE
+    whose = STRUCK if name in SINGLE else np.arange(14)
     of_row = np.zeros((count if of_all else count // len(whose), 14))
     of_row[:, whose] = theta[:, None] if of_all else theta.reshape(-1, len(whose))
-    if "gain" in name and "file" in name:
+    if gain and not by_hour:
         of_row -= of_row.mean(axis=0)  # alpha is that of the whole campaign
+    first = min(cycle.date for cycle in campaign.cycles)
+    hours = np.array([((c.date - first).total_seconds() + c.time) / 3600 for c in campaign.cycles])
+    hours -= hours.mean()
     labels = [tuple(label) for label in fit.moments.labels.tolist()]
-    gain = "gain" in name
-    total, square, after = np.zeros((56, 14)), np.zeros((56, 14)), []
-    made = list(rows_by_hand(campaign))
-    hour_of_group = np.zeros((56, len(of_row)))
-    number = np.zeros(56)
-    of_h = [np.eye(4)[k] if "file" in name else np.array([hour]) for _, k, hour, _ in made]
-    for (label, *_), h in zip(made, of_h, strict=True):
-        hour_of_group[labels.index(label)] += h
-        number[labels.index(label)] += 1
-    for (label, k, hour, force), h in zip(made, of_h, strict=True):
-        g = labels.index(label)
-        mean_h = hour_of_group[g] / number[g]
+    rows = [[] for _ in labels]  # of each group: cycle, hour, force
+    for k, (c, load) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
+        for label, hour, force in zip(
+            zip([int(load)] * 28, c.shape.tolist(), c.sign.tolist(), strict=True),
+            hours[k], c.force, strict=True,
+        ):  # fmt: skip
+            rows[labels.index(label)].append((k, hour, force))
+    mean, square, left = np.zeros((56, 14)), np.zeros(14), np.zeros((2, 5, 14))
+    for g, of_group in enumerate(rows):
+        times = np.array([[hour] if by_hour else np.eye(4)[k] for k, hour, _ in of_group])
         between, within = (-fit.fitted()[g], -fit.moments.mean[g]) if gain else (1.0, 1.0)
-        less = (mean_h @ of_row) * between + ((h - mean_h) @ of_row) * within
-        total[g] += force - less
-        after.append((g, k, hour, force - less))
-    mean = total / number[:, None]
-    left = np.zeros((2, 5, 14))
-    for g, k, hour, force in after:
-        square[g] += (force - mean[g]) ** 2
-        for index, times in ((k, 1.0), (4, hour)):
-            left[:, index] += times * (force - mean[g]) * [np.ones(14), fit.moments.mean[g]]
+        average = times.mean(axis=0)
+        less = (average @ of_row) * between + ((times - average) @ of_row) * within
+        after = np.array([force for *_, force in of_group]) - less
+        mean[g] = after.mean(axis=0)
+        square += ((after - mean[g]) ** 2).sum(axis=0)
+        for (k, hour, _), apart in zip(of_group, after - mean[g], strict=True):
+            left[:, k] += apart * [np.ones(14), fit.moments.mean[g]]
+            left[:, 4] += hour * apart * [np.ones(14), fit.moments.mean[g]]
     _, moments = derivative.remove(fit.problem, fit.moments, theta)
     assert moments.mean == pytest.approx(mean, abs=1e-13)
-    assert moments.scatter == pytest.approx(square.sum(axis=0), rel=1e-9)
+    assert moments.scatter == pytest.approx(square, rel=1e-9)
     assert moments.within.zero == pytest.approx(left[0], abs=1e-12)
     assert moments.within.gain == pytest.approx(left[1], abs=1e-12)
     assert np.abs(moments.mean - fit.moments.mean).max() > 1e-5
@@ -255,13 +243,12 @@ def test_an_effect_is_taken_out_of_rows_as_of_their_moments(name):
 # ------------------------------------------------------------------------------ score and chance
 
 
-def scores_of_clean(count, noise, order, error=None):
+def scores_of_clean(count, noise, order, error):
     """Return of each effect the probabilities, and of those of one parameter the z."""
     p, z = {name: [] for name in NAMES}, {}
     for seed in range(count):
         campaign = SmallBench([seed, 5], noise, order=order).campaign()
-        cycles = tuple(replace(c, force_error=error) for c in campaign.cycles)
-        fit = fit_of(Campaign(cycles), pooled=True)
+        fit = fit_of(changed(campaign, force_error=error), pooled=True)
         for test in score_test.tests(fit):
             p[test.effect.name].append(np.exp(test.log_probability))
             if len(np.atleast_1d(test.derivative.score)) == 1:
@@ -273,33 +260,44 @@ def scores_of_clean(count, noise, order, error=None):
     return p, z
 
 
-@pytest.mark.study
-@pytest.mark.parametrize(("noise", "order", "error"),
-                         [(1e-3, (0, 0, 0, 0, 1, 1, 1, 1), None), (1e-3, THREE, None),
-                          (3e-2, (0, 0, 0, 0, 1, 1, 1, 1), None), (2e-2, (0, 1), 2e-2)],
-                         ids=["1 mN", "three loads", "loud", "one cycle, loud"])  # fmt: skip
-def test_clean_campaigns_score_as_chance_says(noise, order, error):
-    """Of 200: z standard normal, p uniform, within four standard errors."""
-    p, z = scores_of_clean(200, noise, order, error)
+IN_BLOCKS = (0, 0, 0, 0, 1, 1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("count", "noise", "order", "error"),
+    [
+        pytest.param(24, 1e-3, THREE, None, id="few"),
+        *(
+            pytest.param(200, *case, marks=pytest.mark.study, id=name)
+            for name, *case in (
+                ("1 mN", 1e-3, IN_BLOCKS, None),
+                ("three loads", 1e-3, THREE, None),
+                ("loud", 3e-2, IN_BLOCKS, None),
+                ("one cycle, loud", 2e-2, (0, 1), 2e-2),
+            )
+        ),
+    ],
+)
+def test_clean_campaigns_score_as_chance_says(count, noise, order, error):
+    """z standard normal, p uniform, within four standard errors."""
+    p, z = scores_of_clean(count, noise, order, error)
     for name, found in p.items():
         if not found:
             assert name in SINGLE or len(order) == 2 or max(order) == 1
             continue
-        assert np.mean(found) == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / 200)), name
-        assert 0.005 <= np.mean(np.less(found, 0.05)) <= 0.05 + 4 * np.sqrt(0.05 * 0.95 / 200), name
-        assert np.mean(np.less(found, 0.001)) <= 0.01, name
-    assert len(z) >= 5
-    for name, found in z.items():
-        assert np.mean(found) == pytest.approx(0.0, abs=4 / np.sqrt(200)), name
-        assert np.std(found) == pytest.approx(1.0, abs=4 / np.sqrt(2 * 200)), name
-
-
-def test_clean_campaigns_score_as_chance_says_nearly():
-    p, z = scores_of_clean(24, SIGMA, THREE)
+        assert np.mean(found) == pytest.approx(0.5, abs=4 * np.sqrt(1 / 12 / count)), name
+        share = np.mean(np.less(found, 0.05))
+        assert share <= 0.05 + 4 * np.sqrt(0.05 * 0.95 / count), name
+        if count >= 200:
+            assert share >= 0.005, name
+            assert np.mean(np.less(found, 0.001)) <= 0.01, name
     every = np.concatenate(list(p.values()))
-    assert len(every) == 24 * (len(CATALOGUE) - len(SINGLE))
     assert np.mean(every) == pytest.approx(0.5, abs=0.06)
     assert 0.02 < np.mean(every < 0.05) < 0.09
+    assert len(z) >= 5
+    for name, found in z.items():
+        assert np.mean(found) == pytest.approx(0.0, abs=4 / np.sqrt(count)), name
+        assert np.std(found) == pytest.approx(1.0, abs=4 / np.sqrt(2 * count)), name
     assert np.std(np.concatenate(list(z.values()))) == pytest.approx(1.0, abs=0.15)
 
 
@@ -343,11 +341,12 @@ def test_the_same_is_named_as_by_whole_tests():
     for seed, drift in ((1, 0.0), (2, 0.0), (3, 2e-2), (4, 1e-3)):
         campaign, _ = campaign_of(seed, 1e-3, layout=rings([0.05, 0.1, 0.15], [8, 13, 19]))
         each = 1 + np.outer(np.arange(4.0), drift * np.random.default_rng(seed).standard_normal(40))
-        cycles = [
-            replace(c, force=c.force * gain, date=c.date + datetime.timedelta(hours=k))
-            for k, (c, gain) in enumerate(zip(campaign.cycles, each, strict=True))
-        ]
-        fit = fit_of(Campaign(tuple(cycles)), pooled=True)
+        drifting = changed(
+            campaign,
+            force=lambda k, c, each=each: c.force * each[k],
+            date=lambda k, c: c.date + datetime.timedelta(hours=k),
+        )
+        fit = fit_of(drifting, pooled=True)
         found = score_test.tests(fit)
         limit = np.log(1.0 - (1.0 - OF_EACH_KIND) ** (1.0 / len(found)))
         expected = [(t.effect.name, t.log_probability) for t in found if t.log_probability < limit]
@@ -388,28 +387,23 @@ def middle(bench):
     return bench.hours - bench.hours.mean()
 
 
-def gain_by_hour(bench):
-    bench.gain = 1 + 3e-3 * middle(bench)[:, None]
-    return [3e-3]
+def drawn(bench, size):
+    return size * bench.random.standard_normal(14)
 
 
-def gain_by_hour_of_each(bench):
-    each = 5e-3 * bench.random.standard_normal(14)
-    bench.gain = 1 + np.outer(middle(bench), each)
-    return each
+def drift(bench, what, size):
+    """Let gains or zeros drift, all alike or each by its own (n,) size an hour."""
+    setattr(bench, what, (what == "gain") + np.outer(middle(bench), size))
+    return np.atleast_1d(size)
 
 
-def gain_by_file(bench):
-    files = balanced_files(bench, 4e-3)
-    bench.gain = 1 + files[bench.file, None]
-    return in_order(bench, files)
-
-
-def gain_of_one_by_file(bench):
-    files = balanced_files(bench, 3e-3)
-    bench.gain = np.ones_like(bench.error)
-    bench.gain[:, 5] += files[bench.file]
-    return in_order(bench, files)
+def differ(bench, what, spread, whose):
+    """Let gains or zeros differ by file: of all alike, or of each actuator in a list."""
+    files = np.array([balanced_files(bench, spread) for _ in whose or [0]]).T
+    changes = np.zeros((len(files), 14))
+    changes[:, whose or slice(None)] = files
+    setattr(bench, what, (what == "gain") + changes[bench.file])
+    return in_order(bench, files).ravel()
 
 
 def gain_by_load(bench):
@@ -422,49 +416,9 @@ def weight_of_load(bench):
     return  # of three weights none but one direction
 
 
-def zero_by_hour(bench):
-    bench.zero = 0.4 * bench.noise * middle(bench)[:, None]
-    return [0.4 * bench.noise]
-
-
-def zero_by_hour_of_each(bench):
-    each = 0.4 * bench.noise * bench.random.standard_normal(14)
-    bench.zero = np.outer(middle(bench), each)
-    return each
-
-
-def zero_by_file(bench):
-    files = balanced_files(bench, 0.6 * bench.noise)
-    bench.zero = files[bench.file, None]
-    return in_order(bench, files)
-
-
-def zero_by_file_of_each(bench):
-    files = np.array([balanced_files(bench, 0.8 * bench.noise) for _ in range(14)]).T
-    bench.zero = files[bench.file]
-    return in_order(bench, files).ravel()
-
-
-def quadratic_coil(bench):
-    bench.law = lambda c: 1 + 0.01 * c
-    return [0.01]
-
-
-def quadratic_coil_of_each(bench):
-    each = 0.02 * bench.random.standard_normal(14)
-    bench.law = lambda c: 1 + each * c
-    return each
-
-
-def cubic_coil(bench):
-    bench.law = lambda c: 1 + 0.01 * c**2
-    return [0.01]
-
-
-def cubic_coil_of_each(bench):
-    each = 0.02 * bench.random.standard_normal(14)
-    bench.law = lambda c: 1 + each * c**2
-    return each
+def coil_law(bench, power, size):
+    bench.law = lambda c: 1 + size * c**power
+    return np.atleast_1d(size)
 
 
 def coil_gradient(bench):
@@ -498,21 +452,22 @@ def positions(bench):
 
 
 IN_TURN = (0, 1, 0, 1, 0, 1, 0, 1)
+EACH = list(range(14))
 CASES = {
-    "gain by hour": gain_by_hour,
-    "gain by hour of each": gain_by_hour_of_each,
-    "gain by file": gain_by_file,
-    "gain of single actuators by file": gain_of_one_by_file,
+    "gain by hour": lambda bench: drift(bench, "gain", 3e-3),
+    "gain by hour of each": lambda bench: drift(bench, "gain", drawn(bench, 5e-3)),
+    "gain by file": lambda bench: differ(bench, "gain", 4e-3, None),
+    "gain of single actuators by file": lambda bench: differ(bench, "gain", 3e-3, [5]),
     "gain by load": gain_by_load,
     "weight of a load": weight_of_load,
-    "zero by hour": zero_by_hour,
-    "zero by hour of each": zero_by_hour_of_each,
-    "zero by file": zero_by_file,
-    "zero by file of each": zero_by_file_of_each,
-    "quadratic coil": quadratic_coil,
-    "quadratic coil of each": quadratic_coil_of_each,
-    "cubic coil": cubic_coil,
-    "cubic coil of each": cubic_coil_of_each,
+    "zero by hour": lambda bench: drift(bench, "zero", 0.4 * bench.noise),
+    "zero by hour of each": lambda bench: drift(bench, "zero", drawn(bench, 0.4 * bench.noise)),
+    "zero by file": lambda bench: differ(bench, "zero", 0.6 * bench.noise, None),
+    "zero by file of each": lambda bench: differ(bench, "zero", 0.8 * bench.noise, EACH),
+    "quadratic coil": lambda bench: coil_law(bench, 1, 0.01),
+    "quadratic coil of each": lambda bench: coil_law(bench, 1, drawn(bench, 0.02)),
+    "cubic coil": lambda bench: coil_law(bench, 2, 0.01),
+    "cubic coil of each": lambda bench: coil_law(bench, 2, drawn(bench, 0.02)),
     "coil gradient": coil_gradient,
     "bias gradient": bias_gradient,
     "contact in one sign": contact,
@@ -541,48 +496,49 @@ def truth_of(bench):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_an_effect_is_named_and_alpha_right_after_it(name):
-    z, before = [], []
+    z = []
     for seed in range(3):
         bench, _ = bench_with(name, SEEDS.get(name, 0) + seed)
         found = calibrate(bench.campaign())
-        assert found.effects[0].name == name
-        assert found.effects[0].unit == OF[name].unit
+        assert (found.effects[0].name, found.effects[0].unit) == (name, OF[name].unit)
         assert found.effects[0].probability < 1e-4
         assert all(effect.corrected == (name not in UNTOLD) for effect in found.effects)
         assert found.rejected == 0
         z.append((found.alpha - truth_of(bench)) / found.error)
-        fit = fit_of(bench.campaign(), pooled=True)
-        chi2 = fit.minimum.chi2
-        sifted = sift(bench.campaign())
-        left = structure_of(fit.moments, fit.problem.noise, sifted.samples).probability
-        freedom = fit.problem.degrees_of_freedom(fit.moments)
-        before.append(min(left, chi2_probability(chi2, freedom, fit.problem.noise)))
     assert np.mean(np.abs(z) < 2.58) > 0.9
     assert np.sqrt(np.mean(np.square(z))) < 1.6
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in UNTOLD])
 def test_an_effect_is_estimated_within_its_error(name):
     z = []
     for seed in range(3):
         bench, theta = bench_with(name, seed)
         corrected = correction(fit_of(bench.campaign(), pooled=True), OF[name])
-        assert corrected is not None
-        if theta is None:
-            continue
         apart = corrected.theta - np.array(theta)
         z.append(apart @ np.linalg.solve(corrected.covariance, apart) / len(apart))
         assert np.linalg.norm(apart) < (0.9 if name == "positions" else 0.5) * np.linalg.norm(theta)
-    if z:
-        assert 0.05 < np.mean(z) < 2.5
+    assert 0.05 < np.mean(z) < 2.5
 
 
-def test_where_an_effect_is_largest_stands_beside_its_name():
-    bench, each = bench_with("gain by hour of each", 1, noise=1e-4)
-    worst = int(np.abs(each).argmax())
+@pytest.mark.parametrize(
+    ("name", "where"),
+    [
+        ("gain by hour of each", lambda bench, worst: f"actuator {bench.layout.id[worst]}"),
+        ("gain by file", lambda bench, worst: bench.campaign().cycles[worst].name),
+        ("gain of single actuators by file", lambda bench, _: f"actuator {bench.layout.id[5]}"),
+        ("contact in one sign by load", lambda *_: "load 1"),
+    ],
+)
+def test_where_an_effect_is_largest_stands_beside_its_name(name, where):
+    bench, theta = bench_with(name, 1, noise=2e-4)
     effect = calibrate(bench.campaign()).effects[0]
-    assert effect.where == f"actuator {bench.layout.id[worst]}"
-    assert effect.size == pytest.approx(each[worst], rel=0.2)
+    assert effect.where == where(bench, int(np.abs(theta).argmax()))
+    if "gain" in name:
+        assert abs(effect.size) == pytest.approx(np.abs(theta).max(), rel=0.3)
+
+
+def test_the_actuator_whose_position_is_most_wrong_stands_beside_positions():
     bench = SmallBench([1, 8], 1e-3)
     bench.arms = bench.arms.copy()
     bench.arms[2] += 0.1e-3 * bench.random.standard_normal(14)
@@ -590,16 +546,6 @@ def test_where_an_effect_is_largest_stands_beside_its_name():
     effect = calibrate(bench.campaign()).effects[0]
     assert (effect.name, effect.where) == ("positions", f"actuator {bench.layout.id[6]}")
     assert 0.8e-3 < effect.size < 2.2e-3  # its prior pulls towards the others
-    bench, files = bench_with("gain by file", 1)
-    effect = calibrate(bench.campaign()).effects[0]
-    worst = int(np.abs(files).argmax())
-    assert effect.where == bench.campaign().cycles[worst].name
-    bench, files = bench_with("gain of single actuators by file", 1)
-    effect = calibrate(bench.campaign()).effects[0]
-    assert effect.where == f"actuator {bench.layout.id[5]}"
-    assert abs(effect.size) == pytest.approx(np.abs(files).max(), rel=0.3)
-    bench, _ = bench_with("contact in one sign by load", 1)
-    assert calibrate(bench.campaign()).effects[0].where == "load 1"
 
 
 def test_the_second_effect_of_two_is_found_as_well():
@@ -609,8 +555,7 @@ def test_the_second_effect_of_two_is_found_as_well():
         found = calibrate(bench.campaign())
         assert {effect.name for effect in found.effects} == {"gain by hour", "contact in one sign"}
         assert all(effect.corrected for effect in found.effects)
-        z = (found.alpha - truth_of(bench)) / found.error
-        assert np.sqrt(np.mean(z**2)) < 2.5
+        assert rms_z(found, truth_of(bench)) < 2.5
 
 
 def test_an_effect_that_the_data_are_blind_to_is_not_tested():
@@ -619,7 +564,7 @@ def test_an_effect_that_the_data_are_blind_to_is_not_tested():
     bench.has_position = False
     tested = {test.effect.name for test in score_test.tests(fit_of(bench.campaign()))}
     assert tested == set(NAMES) - SINGLE - {"coil gradient", "bias gradient", "weight of a load"}
-    one = Campaign(tuple(replace(c, valid=c.sign > 0) for c in bench.campaign().cycles))
+    one = changed(bench.campaign(), valid=lambda _, c: c.sign > 0)
     tested = {test.effect.name for test in score_test.tests(fit_of(one))}
     assert not any("contact" in name for name in tested)
 
@@ -640,7 +585,7 @@ def scales_under(change):
     return np.array(moved), told
 
 
-def test_what_bears_a_part_of_a_load_moves_the_scale_as_told():
+def test_an_external_support_moves_the_scale_as_stated():
     def bear(bench):
         bench.external = bench.external + np.outer(bench.load == 1, [5e-3, 0.0, 0.0])
 
@@ -649,7 +594,7 @@ def test_what_bears_a_part_of_a_load_moves_the_scale_as_told():
     assert np.abs(moved) == pytest.approx(line, rel=0.05)
 
 
-def test_elastic_gains_of_their_own_move_the_scale_as_told():
+def test_other_gains_of_elastic_forces_move_the_scale_as_stated():
     def other_gains(bench):
         """The shapes' own forces alone, which the bench keeps apart from those at rest."""
         each = 1 + 0.01 * bench.random.standard_normal(14)
@@ -670,7 +615,7 @@ def warmer(bench, kelvins=1.0):
     bench.external = bench.external - np.outer(bench.load == 1, [2.2e-3 * kelvins * BIAS, 0, 0])
 
 
-def test_magnets_warmer_under_a_load_move_the_scale_as_told():
+def test_magnets_warmer_under_a_load_move_the_scale_as_stated():
     bench, alike = SmallBench([1, 13], 1e-4), SmallBench([1, 13], 1e-4)
     warmer(bench)
     found, truth = calibrate(bench.campaign()), truth_of(bench)
@@ -682,12 +627,9 @@ def test_magnets_warmer_under_a_load_move_the_scale_as_told():
     assert found.error / truth == pytest.approx(abs(off), rel=0.1)
 
 
-def test_magnets_whose_warmth_is_recorded_are_no_matter_of_what_is_unseen():
+def test_with_temperatures_recorded_warm_magnets_are_not_among_the_unseen():
     bench = SmallBench([1, 13], 1e-4)
-    rows = [np.full(len(c.force), 20.0) for c in bench.campaign().cycles]
-    recorded = Campaign(
-        tuple(replace(c, temperature=t) for c, t in zip(bench.campaign().cycles, rows, strict=True))
-    )
+    recorded = changed(bench.campaign(), temperature=np.full(28, 20.0))
     names = {error.name for error in calibrate(recorded).unseen}
     assert WARM not in names
     assert len(names) == 3
@@ -712,8 +654,7 @@ def test_a_force_that_comes_and_goes_is_named_with_its_actuator(seed):
     assert not force.corrected
     # At one row of weight 1: that of a shape is the mean of 16 rows.
     assert force.size == pytest.approx(5e-3 * np.sqrt(16), rel=0.5)
-    z = (found.alpha - bench.alpha) / found.error
-    assert np.sqrt(np.mean(z**2)) < 2
+    assert rms_z(found, bench.alpha) < 2
     assert found.error.mean() > calibrate(SmallBench([seed, 10], SIGMA).campaign()).error.mean()
 
 
@@ -735,40 +676,37 @@ def test_positions_do_not_cure_a_friction():
         assert not any(effect.corrected for effect in calibrate(bench.campaign()).effects)
 
 
-def correlated(seed):
-    """Return a bench whose noise is a first-order autoregression over the rows of each file."""
-    bench = SmallBench([seed, 12], SIGMA)
+def correlated(bench):
+    """Make the noise a first-order autoregression over the rows of each file."""
     for file in range(8):
         rows = bench.file == file
         bench.error[rows] = scipy.signal.lfilter(
             [np.sqrt(1 - 0.9**2)], [1.0, -0.9], bench.error[rows], axis=0
         )
-    return bench
 
 
-def test_noise_that_hangs_together_is_named_and_covered():
-    """Shapes balance too well; some of these campaigns seem to share noise within a row besides."""
+def shared_in_rows(bench):
+    bench.error += 0.5 * SIGMA * bench.random.standard_normal((len(bench.file), 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [(correlated, {"correlated noise", "zero by file of each"}), (shared_in_rows, set())],
+)
+def test_noise_that_is_not_independent_is_covered(change, expected):
+    """If rows hang together, shapes balance too well: named, some as noise shared within a row.
+
+    What all readings of a row share is no effect: of a file it leaves a zero that is common, but no
+    larger than that noise makes.
+    """
     z = []
     for seed in range(10):
-        bench = correlated(seed)
+        bench = SmallBench([seed, 12 if expected else 13], SIGMA)
+        change(bench)
         found = calibrate(bench.campaign())
         names = {effect.name for effect in found.effects}
-        assert names & {"correlated noise", "zero by file of each"}, seed
+        assert bool(names & expected) == bool(names) == bool(expected), seed
         z.append((found.alpha - bench.alpha) / found.error)
-    assert np.mean(np.abs(z) < 1.96) > 0.85
-    assert np.sqrt(np.mean(np.square(z))) < 1.5
-
-
-def test_noise_that_all_readings_of_a_row_share_is_no_effect():
-    """Of a file it leaves a zero that is common, but no larger than that noise makes."""
-    z, names = [], []
-    for seed in range(9):
-        bench = SmallBench([seed, 13], SIGMA)
-        bench.error += 0.5 * SIGMA * bench.random.standard_normal((len(bench.file), 1))
-        found = calibrate(bench.campaign())
-        names += [effect.name for effect in found.effects]
-        z.append((found.alpha - bench.alpha) / found.error)
-    assert not names
     assert np.mean(np.abs(z) < 1.96) > 0.85
     assert np.sqrt(np.mean(np.square(z))) < 1.5
 
@@ -784,7 +722,7 @@ def test_an_effect_that_does_not_quite_cure_makes_the_errors_larger():
     assert np.abs((found.alpha - bench.alpha) / found.error).max() < 2
 
 
-def test_what_is_named_and_left_in_costs_its_shift_and_no_more():
+def test_an_effect_named_but_not_corrected_adds_its_shift_to_the_error():
     """A weight that is wrong, under three loads: E_STAT is no hundred times what alpha is off."""
     bench, _ = bench_with("weight of a load", 1, noise=1e-4)
     found = calibrate(bench.campaign())
@@ -795,107 +733,68 @@ def test_what_is_named_and_left_in_costs_its_shift_and_no_more():
     assert [each.code for each in found.diagnosis.warnings] == ["misfit-explained"]
 
 
-def test_a_drift_is_taken_out_although_its_rows_share_it():
-    """What the hours do to all readings alike looks like noise that they share."""
+@pytest.mark.parametrize(("noise", "size"), [(1e-4, 3e-3), (5e-5, 1e-2)])
+def test_a_drift_is_taken_out_although_its_rows_share_it(noise, size):
+    """What the hours do to all readings alike looks like noise that they share, or outliers."""
     for seed in range(3):
-        bench = SmallBench([seed, 15], 1e-4)
-        gain_by_hour(bench)
+        bench = SmallBench([seed, 15], noise)
+        drift(bench, "gain", size)
         found = calibrate(bench.campaign())
-        assert [(e.name, e.corrected) for e in found.effects] == [("gain by hour", True)]
-        assert found.effects[0].size == pytest.approx(3e-3, rel=0.03)
+        assert all(effect.corrected for effect in found.effects)
+        assert found.effects[0].name == "gain by hour"
+        assert found.effects[0].size == pytest.approx(size, rel=0.03)
+        assert found.rejected == 0
 
 
 # ------------------------------------------------------------------------------------- rejection
 
 
 @cache
-def p45_with_gradients(seed, noise=1e-5):
+def p45_with_gradients(seed):
     """Return four cycles a load of P45, whose gradients nobody declares, and its alpha."""
-    bench = static_bench(p45(), seed, force_noise=noise)
-    cycles = [
-        replace(c, coil_gradient=None, bias_gradient=None, weight=bench.truth.weight,
-                load=replace(c.load, added=bench.truth.added[k // 4]))
-        for k, c in enumerate(run_cycles(bench, 4))
-    ]  # fmt: skip
-    return Campaign(tuple(cycles)), bench.truth.alpha
+    bench = static_bench(p45(), seed, force_noise=1e-5)
+    campaign = changed(exact_weights(bench), coil_gradient=None, bias_gradient=None)
+    return campaign, bench.truth.alpha
 
 
 def rms_error(found, alpha):
     return float(np.sqrt(np.mean((found.alpha / alpha - 1) ** 2)))
 
 
-def test_gradients_that_nobody_declares_cost_less_than_a_fiftieth_of_a_per_cent():
-    campaign, alpha = p45_with_gradients(1)
-    found = calibrate(campaign)
+@pytest.mark.parametrize(("seed", "position"), [(1, True), (1, False), (2, False)])
+def test_undeclared_gradients_lose_no_rows_and_less_than_a_fiftieth_of_a_per_cent(seed, position):
+    """Without POSITION nothing tells what is wrong: yet shapes that agree are no outliers."""
+    campaign, alpha = p45_with_gradients(seed)
+    found = calibrate(campaign if position else changed(campaign, position=None))
     assert found.rejected == 0
     assert rms_error(found, alpha) < 2e-4
     for name, size in (("coil gradient", 600), ("bias gradient", 31)):
-        told = sum(effect.size for effect in found.effects if effect.name == name)
-        assert told == pytest.approx(size, rel=0.05)
+        told = sum(e.size for e in found.effects if e.name == name and e.corrected)
+        assert told == pytest.approx(size * position, rel=0.05)
+    assert position or not any(effect.corrected for effect in found.effects)
     assert np.mean(np.abs(found.alpha - alpha) < 1.96 * found.reading_error) > 0.85
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_shapes_that_agree_with_each_other_are_no_outliers(seed):
-    """Without POSITION nothing tells what is wrong: yet no soft shape goes for it."""
-    campaign, alpha = p45_with_gradients(seed)
-    unseen = Campaign(tuple(replace(c, position=None) for c in campaign.cycles))
-    found = calibrate(unseen)
-    assert found.rejected == 0
-    assert rms_error(found, alpha) < 2e-4
-    assert not any(effect.corrected for effect in found.effects)
-    z = (found.alpha - alpha) / found.reading_error
-    assert np.mean(np.abs(z) < 1.96) > 0.85
-
-
-def with_spikes(campaign, seed, count, size):
-    """Return the campaign with spikes in some rows, and where."""
-    random = np.random.default_rng(seed)
-    cycles, places = list(campaign.cycles), set()
-    for _ in range(count):
-        k = int(random.integers(len(cycles)))
-        row = int(random.integers(len(cycles[k].time)))
-        force = cycles[k].force.copy()
-        force[row, random.integers(force.shape[1])] += size
-        cycles[k] = replace(cycles[k], force=force)
-        places.add((k, row))
-    return Campaign(tuple(cycles)), places
 
 
 def test_spikes_are_outliers_still_where_gradients_disturb():
     campaign, alpha = p45_with_gradients(1)
-    bad, places = with_spikes(campaign, 3, 20, 5e-3)
-    found = calibrate(bad)
+    random, places = np.random.default_rng(3), set()
+    for _ in range(20):
+        k, row, actuator = random.integers([8, 90, 45]).tolist()
+        campaign = with_spike(campaign, k, row, actuator, 5e-3)
+        places.add((k, row))
+    found = calibrate(campaign)
     assert {(row.cycle, row.row) for row in found.rejected_rows} == places
     assert rms_error(found, alpha) < 2e-4
 
 
-def test_spikes_are_outliers_still_without_repeats():
-    bench = SmallBench(16, 1e-4, order=(0, 1))
-    campaign = Campaign(tuple(replace(c, force_error=1e-4) for c in bench.campaign().cycles))
-    bad, places = with_spikes(campaign, 4, 4, 0.05)
-    found = calibrate(bad)
-    assert {(row.cycle, row.row) for row in found.rejected_rows} == places
-    assert {row.against for row in found.rejected_rows} == {"balance"}
-    assert np.sqrt(np.mean(((found.alpha - bench.alpha) / found.error) ** 2)) < 2
-
-
-def test_long_tails_are_no_accidents():
+def test_noise_with_long_tails_loses_few_rows():
     """Readings by a Student of three degrees: few rows go, not one in each group."""
     bench = SmallBench(17, SIGMA)
     tails = scipy.stats.t.rvs(3, size=bench.error.shape, random_state=bench.random)
     bench.error = SIGMA * tails / np.sqrt(3)
     found = calibrate(bench.campaign())
     assert found.rejected <= 0.1 * len(bench.file)
-    assert np.sqrt(np.mean(((found.alpha - bench.alpha) / found.error) ** 2)) < 2
-
-
-def test_a_drift_within_files_loses_no_rows():
-    bench = SmallBench(18, 5e-5)
-    bench.gain = 1 + 1e-2 * middle(bench)[:, None]
-    found = calibrate(bench.campaign())
-    assert found.rejected == 0
-    assert found.effects[0].name == "gain by hour"
+    assert rms_z(found, bench.alpha) < 2
 
 
 # --------------------------------------------------------------------------------- less than usual
@@ -929,19 +828,18 @@ def test_a_campaign_of_one_cycle_names_effects_where_its_noise_is_declared():
     campaign = bench.campaign()
     unknown = calibrate(campaign)  # whose noise is that of the fit: nothing is to be tested
     assert unknown.effects == ()
-    declared = Campaign(tuple(replace(c, force_error=SIGMA) for c in campaign.cycles))
-    found = calibrate(declared)
+    found = calibrate(changed(campaign, force_error=SIGMA))
     assert found.effects[0].name.startswith("contact in one sign")
-    assert np.sqrt(np.mean(((found.alpha - bench.alpha) / found.error) ** 2)) < 2
+    assert rms_z(found, bench.alpha) < 2
 
 
 def test_files_of_the_same_time_have_hours_all_the_same():
     """DATE-OBS may be that of the folder: rows of a file still come one after the other."""
     bench = SmallBench(20, SIGMA)
     date = datetime.datetime(2026, 1, 1, tzinfo=datetime.UTC)
-    campaign = Campaign(tuple(replace(c, date=date) for c in bench.campaign().cycles))
+    campaign = changed(bench.campaign(), date=date)
     assert not calibrate(campaign).effects
-    still = Campaign(tuple(replace(c, time=np.zeros(28)) for c in campaign.cycles))
+    still = changed(campaign, time=np.zeros(28))
     tested = {test.effect.name for test in score_test.tests(fit_of(still))}
     assert not any("hour" in name for name in tested)
     assert not calibrate(still).effects

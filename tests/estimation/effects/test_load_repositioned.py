@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import truenewton as tn
+from helpers.balanced import changed
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.shell.held_glass import forces_under, weight_on
@@ -25,12 +26,12 @@ def put_on_again(seed, noise, scatter=0.3e-3):
         forces_under(bench.glass, weight_on(MIRROR, 0.0, -0.289, off_centre=centre))
         for centre in (np.zeros(2), random.normal(0.0, scatter, 2))
     )
-    cycles = [
-        replace(cycle, force=cycle.force + (there - here) / bench.truth.alpha)
-        if cycle.load.added and cycle.number == 4 else cycle
-        for cycle in run_cycles(bench, 4)
-    ]  # fmt: skip
-    return Campaign(tuple(cycles)), bench.truth.alpha
+    moved = (there - here) / bench.truth.alpha
+    campaign = changed(
+        Campaign(tuple(run_cycles(bench, 4))),
+        force=lambda _, c: c.force + moved * (c.load.added != 0 and c.number == 4),
+    )
+    return campaign, bench.truth.alpha
 
 
 @pytest.mark.parametrize("noise", [1e-4, pytest.param(1e-5, marks=pytest.mark.study)])
@@ -51,9 +52,7 @@ def test_alpha_is_as_good_as_with_one_mounting(noise):
 def test_zeros_that_move_the_sum_as_well_are_not_taken_for_it():
     bench = static_bench(MIRROR, 2, loads=LOADS, force_noise=1e-4)
     random = np.random.default_rng(2)
-    cycles = [
-        replace(cycle, force=cycle.force + random.normal(0.0, 2e-4, 45))
-        for cycle in run_cycles(bench, 4)
-    ]
-    found = tn.calibrate(Campaign(tuple(cycles)))
+    campaign = Campaign(tuple(run_cycles(bench, 4)))
+    anew = changed(campaign, force=lambda _, c: c.force + random.normal(0.0, 2e-4, 45))
+    found = tn.calibrate(anew)
     assert [effect.name for effect in found.effects] == ["zero by file of each"]
