@@ -79,10 +79,6 @@ FAULTS = {
         lambda: with_forces(p45(), lambda _, f: np.clip(f, -0.36, 0.36)),
         "not to be used", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
     ),
-    "cut off by much": (
-        lambda: with_forces(p45(1e-5), lambda _, f: np.clip(f, -0.24, 0.24)),
-        "not to be used", "readings cut off at a limit (actuators", "use smaller shapes, or mark",
-    ),
     "quadratic coils": (
         lambda: bent(2, 0.01), "limited", "quadratic coil", "at half of which it is half",
     ),
@@ -120,10 +116,6 @@ FAULTS = {
     "all of the other sign": (
         lambda: with_forces(p45(), lambda _, f: -f),
         "not to be used", "alpha is negative for 45 of 45", "turn the sign of FORCE",
-    ),
-    "in mN": (
-        lambda: with_forces(p45(1e-4), lambda _, f: 1e3 * f),
-        "not to be used", "FORCE looks as if in mN", "the unit that the column FORCE declares",
     ),
 }  # fmt: skip
 
