@@ -124,7 +124,7 @@ def test_prove_exits_with_1_where_the_rank_is_short(inside, folder, tmp_path):
 
 
 @pytest.mark.study
-def test_demo_tells_the_whole_story(tmp_path, monkeypatch, inside):
+def test_demo_prints_its_four_parts_and_writes_its_files(tmp_path, monkeypatch, inside):
     monkeypatch.chdir(tmp_path)
     code, out, err = inside("demo")
     assert (code, err) == (0, "")

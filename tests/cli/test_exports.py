@@ -99,7 +99,7 @@ def test_another_suffix_is_refused_before_anything_is_read(calibration, inside, 
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_stands_is_kept(calibration, tmp_path):
+def test_an_existing_export_is_kept_unless_overwritten(calibration, tmp_path):
     for suffix in (".csv", ".npy"):
         path = tmp_path / f"alpha{suffix}"
         path.write_text("mine")
@@ -110,7 +110,7 @@ def test_what_stands_is_kept(calibration, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"alpha.csv", "alpha.npy"}
 
 
-def test_what_a_user_draws_pyplot_shows(calibration):
+def test_plots_of_a_result_are_figures_of_pyplot(calibration):
     findings, change = tn.investigate(calibration), tn.change(calibration, calibration)
     calls = (
         calibration.plot_map, calibration.plot_actuators, change.plot_map, change.plot_actuators,

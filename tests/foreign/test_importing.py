@@ -422,13 +422,13 @@ def test_hdf5_declares_units_and_it_is_said_which_of_two_was_taken(tmp_path):
     assert "mm as declared" in text(made)
 
 
-def test_a_slip_of_the_unit_is_said():
+def test_an_unlikely_unit_is_marked():
     slipped = tn.stiffness_from(CASE.k, CASE.layout, unit="mN/m")
     assert "N/m, UNLIKELY of a mirror: check it" in text(slipped)
     assert "UNLIKELY" not in text(tn.stiffness_from(CASE.k, CASE.layout, unit="N/m"))
 
 
-def test_what_is_off_may_stand_nowhere():
+def test_disabled_actuators_need_no_position():
     x, y = XY.copy()
     at = np.flatnonzero(CASE.off)
     x[at[0]] = np.nan
