@@ -484,22 +484,24 @@ def test_an_array_of_numpy_is_refused(tmp_path, refused):
     assert_told("k.npy: is not a FITS file .. campaign in your own format", line)
 
 
+def matrix(values):
+    return lambda hdus: setattr(hdus["STIFFNESS"], "data", values)
+
+
+def element(value):
+    return lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), value)
+
+
 STIFFNESS_FAULTS = {
-    "not square": (lambda hdus: setattr(hdus["STIFFNESS"], "data", np.ones((12, 11))), "12 x 11"),
-    "a vector": (lambda hdus: setattr(hdus["STIFFNESS"], "data", np.ones(144)), "144 for 12"),
-    "too small": (lambda hdus: setattr(hdus["STIFFNESS"], "data", np.ones((5, 5))), "5 x 5 for 12"),
-    "empty": (lambda hdus: setattr(hdus["STIFFNESS"], "data", None), "an image STIFFNESS"),
-    "zero": (
-        lambda hdus: setattr(hdus["STIFFNESS"], "data", np.zeros((12, 12))),
-        "STIFFNESS is zero throughout",
-    ),
-    "next to nothing": (
-        lambda hdus: setattr(hdus["STIFFNESS"], "data", np.full((12, 12), 1e-300)),
-        "or next to it",
-    ),
-    "NaN": (lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), np.nan), "STIFFNESS holds NaN"),
-    "inf": (lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), np.inf), "STIFFNESS holds"),
-    "huge": (lambda hdus: hdus["STIFFNESS"].data.__setitem__((3, 4), 1e300), "STIFFNESS holds"),
+    "not square": (matrix(np.ones((12, 11))), "12 x 11"),
+    "a vector": (matrix(np.ones(144)), "144 for 12"),
+    "too small": (matrix(np.ones((5, 5))), "5 x 5 for 12"),
+    "empty": (matrix(None), "an image STIFFNESS"),
+    "zero": (matrix(np.zeros((12, 12))), "STIFFNESS is zero throughout"),
+    "next to nothing": (matrix(np.full((12, 12), 1e-300)), "or next to it"),
+    "NaN": (element(np.nan), "STIFFNESS holds NaN"),
+    "inf": (element(np.inf), "STIFFNESS holds"),
+    "huge": (element(1e300), "STIFFNESS holds"),
     "no unit": (lambda hdus: hdus["STIFFNESS"].header.remove("BUNIT"), "declares no unit"),
     "N": (lambda hdus: hdus["STIFFNESS"].header.set("BUNIT", "N"), "STIFFNESS is in 'N'"),
     "no INSTRUME": (no_keyword("INSTRUME"), "no INSTRUME"),
