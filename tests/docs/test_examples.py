@@ -1,7 +1,7 @@
 """Every public name is documented, with an example that gives what it says.
 
-Examples on pages are run by `test_command_line.py`, tutorials by `make docs`; the types of all of
-them are checked by `make types`.
+Examples on pages are run by `tests/cli/test_commands.py`, tutorials by `make docs`;
+the types of all of them are checked by `make types`.
 """
 
 import doctest

@@ -19,13 +19,13 @@ LOOSE = {"arrays", "chance", "cluster", "errors", "linalg", "reading", "rounding
 SHAPE_OR_UNIT = re.compile(r"\((?!paper)[\w .+*/-]+(?:,[\w .+*/-]*)+\)|\[[^\]\n]+\]")
 
 
-def test_few_modules_are_loose():
+def test_few_modules_are_outside_packages():
     modules = {path.stem for path in house.SOURCE.glob("*.py")}
     assert modules - {"__init__", "__main__"} == LOOSE
 
 
 @pytest.mark.parametrize("package", PACKAGES[1:], ids=lambda path: path.name)
-def test_a_room_says_what_stands_in_it(package):
+def test_the_docstring_of_a_package_lists_its_modules(package):
     text = ast.get_docstring(ast.parse((package / "__init__.py").read_text(encoding="utf-8")))
     listed = set(re.findall(r"^ *(\w+)/? {2,}\S", text, re.MULTILINE))
     there = {path.stem for path in package.glob("*.py")} - {"__init__"}
@@ -40,7 +40,7 @@ def test_the_picture_shows_the_contract():
     assert house.PICTURE.read_text(encoding="utf-8") == house.picture()
 
 
-def test_nothing_has_outgrown_its_room():
+def test_modules_and_functions_stay_below_the_limits_of_size():
     assert house.module_sizes()[0][0] <= house.MOST_LINES
     assert house.function_sizes()[0][0] <= house.LONGEST_FUNCTION
     complexities = house.complexities()

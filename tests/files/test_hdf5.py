@@ -216,7 +216,7 @@ def test_forcerr_is_that_of_a_mean_whatever_hangs_together(cycles, tmp_path):
     assert slow_too == pytest.approx(1e-3 * np.sqrt((1 + 10) / 404), rel=0.1)
 
 
-def test_streams_are_calibrated_by_the_same_doors(cycles, tmp_path, inside):
+def test_streams_are_calibrated_like_cycle_files(cycles, tmp_path, inside):
     for k, cycle in enumerate(cycles):
         stream(cycle, tmp_path / f"c{k}.h5", noise=1e-5, seed=k)
         edited(lambda file: file["SAMPLES"].pop("POSITION"))(tmp_path / f"c{k}.h5")

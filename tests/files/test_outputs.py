@@ -144,12 +144,9 @@ main()
             marks=pytest.mark.study,
         ),
         ("bench.simulated.truth", "write_truth", ["simulate", "ring8", "-o", "s", "--cycles", "1"]),
-        pytest.param(
-            "report.page.page", "write_report", ["demo", "-o", "d"], marks=pytest.mark.study
-        ),
         ("files.outputs", "to_disk", ["calibrate", "DATA", "-o", "a.fits"]),
     ],
-    ids=["modes", "simulate", "demo", "calibrate"],
+    ids=["modes", "simulate", "calibrate"],
 )
 def test_sigterm_leaves_nothing(tmp_path, p45_folder, module, name, words):
     words = [str(p45_folder) if word == "DATA" else word for word in words]
