@@ -2,6 +2,7 @@
 
 methods        the door: data and a method in, a calibration out
 result         the calibration: alpha, errors, covariance, and how they came about
+exclusion      actuators whose alpha is not wanted
 numbers        the numbers of an estimate where a calibration keeps them
 segments       segments calibrated side by side, in processes of their own
 workers        such processes

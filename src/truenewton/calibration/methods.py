@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 from truenewton.arrays import Array, spread
+from truenewton.calibration.exclusion import disabled, require_known, without
 from truenewton.calibration.numbers import Imbalances, common, from_stiffness, matrix_source
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.segmented import SegmentedCalibration
@@ -131,12 +132,14 @@ METHODS = {
 @overload
 def calibrate(
     data: Campaign | StiffnessMatrix, method: str | None = None, *, population: bool = False,
-    motion: Array | None = None, client: Client | None = None, processes: int | None = None,
+    motion: Array | None = None, exclude: Collection[int] = (), client: Client | None = None,
+    processes: int | None = None,
 ) -> Calibration: ...  # fmt: skip
 @overload
 def calibrate(
     data: SegmentedData, method: str | None = None, *, population: bool = False,
-    motion: Seen | None = None, client: Client | None = None, processes: int | None = None,
+    motion: Seen | None = None, exclude: Collection[int] = (), client: Client | None = None,
+    processes: int | None = None,
 ) -> SegmentedCalibration: ...  # fmt: skip
 def calibrate(
     data: Campaign | StiffnessMatrix | SegmentedData,
@@ -144,6 +147,7 @@ def calibrate(
     *,
     population: bool = False,
     motion: Seen | None = None,
+    exclude: Collection[int] = (),
     client: Client | None = None,
     processes: int | None = None,
 ) -> Calibration | SegmentedCalibration:
@@ -165,6 +169,9 @@ def calibrate(
         (6, n, n) what the sensors see of the glass, of all actuators, from `motion_for`; or (n, n)
         displacements where forces act for those seen; of several segments, also {number: that of
         each}. With 'reciprocity' and 'auto' only.
+    exclude
+        IDs of actuators whose alpha is not wanted, as of channels that are known to be bad. Those
+        of a matrix are released: the others are seen in states in which these push nothing.
     client
         A `dask.distributed.Client`, which ``read`` was given as well (docs/cluster.md).
     processes
@@ -191,8 +198,13 @@ def calibrate(
     <Calibration of P45: 45 actuators, alpha 0.715 .. 1.1, typical error 0.016, ...>
     """
     method, known = asked(data, method, population=population, motion=motion)
+    ids = sorted(set(exclude))
+    if ids and isinstance(data, (Campaign, StiffnessMatrix)):
+        require_known(data.layout, ids)
+        data = disabled(data, ids)
     if isinstance(data, SegmentedData):
-        one = partial(calibrate, method=method, population=population, client=client)
+        require_known(data.layout, ids)
+        one = partial(_of_segment, method=method, population=population, client=client, exclude=ids)
         return calibrate_segments(data, one, motion, 1 if client is not None else processes)
     if isinstance(data, Campaign):
         estimate = METHODS[method].of_cycles(sift(data, client), known)
@@ -210,8 +222,17 @@ def calibrate(
             f"cannot calibrate a {type(data).__name__}; give a Campaign, StiffnessMatrix or"
             " SegmentedData"
         )
+    made = without(made, ids)
     warn_of(made)
     return made
+
+
+def _of_segment(
+    body: Campaign | StiffnessMatrix, *, exclude: list[int], **options: Any
+) -> Calibration:
+    """Calibrate a segment without those of the excluded actuators that stand behind it."""
+    own = set(body.layout.id.tolist())
+    return calibrate(body, exclude=own.intersection(exclude), **options)
 
 
 def asked(

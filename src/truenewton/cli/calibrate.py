@@ -22,6 +22,7 @@ def run(
     method: str | None = options.METHOD,
     population: bool = options.POPULATION,
     mirror: str | None = options.GLASS,
+    exclude: str | None = options.EXCLUDE,
     cluster: str | None = options.CLUSTER,
     segment: int | None = options.SEGMENT,
     processes: int | None = typer.Option(
@@ -54,6 +55,7 @@ def run(
         suffix_of(output)
     refuse_existing(output, overwrite=overwrite)
     schema, values = "calibrate", None
+    out = options.ids(exclude, "--exclude") if exclude else ()
     with connected(cluster) as client:
         data = read_data(*paths, client=client)
         data = data if segment is None else of_segment(data, segment, paths[0])
@@ -66,6 +68,7 @@ def run(
                         method,
                         population=population,
                         motion=seen,
+                        exclude=out,
                         client=client,
                         processes=processes,
                     )
@@ -77,7 +80,12 @@ def run(
                 motion = options.motion_of(mirror, data)
                 with busy("calibrating"):
                     made = calibrate(
-                        data, method, population=population, motion=motion, client=client
+                        data,
+                        method,
+                        population=population,
+                        motion=motion,
+                        exclude=out,
+                        client=client,
                     )
                 refuse_unusable(made, force=force)
                 lines = [*summary_lines(made), *imbalance_lines(made.imbalances)]

@@ -35,6 +35,7 @@ def run(
         None, help="Where its actuators stand: a known mirror or a TOML file."
     ),
     ids: str | None = typer.Option(None, help="Names of the rows, as 17,18,... or a file of them."),
+    exclude: str | None = options.EXCLUDE,
     dataset: str | None = typer.Option(None, help="Name of the matrix in a file of several."),
     shell: int | None = typer.Option(None, help="Which of several shells, from 1."),
     transpose: bool = typer.Option(False, "--transpose", help="The matrix is stored transposed."),
@@ -67,6 +68,7 @@ def run(
             arc=arc,
             mirror=None if mirror is None else mirror_from(mirror).layout,
             ids=ids if ids is None or by_file else options.ids(ids, "--ids"),
+            exclude=options.ids(exclude, "--exclude") if exclude else (),
             dataset=dataset,
             shell=shell,
             transpose=transpose,

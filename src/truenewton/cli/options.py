@@ -32,6 +32,9 @@ ANYWAY = typer.Option(False, "--anyway", help="Go on although the verdict on alp
 FORCE = typer.Option(  # which is a number to `modes`
     False, "--force", "--anyway", help="Go on although the verdict on alpha is 'rejected'."
 )
+EXCLUDE = typer.Option(
+    None, "--exclude", metavar="ID,...", help="Actuators whose alpha is not wanted, as 17,18."
+)
 SEGMENT = typer.Option(
     None, "--segment", help="Number of one segment, which is taken alone (mirrors in segments)."
 )

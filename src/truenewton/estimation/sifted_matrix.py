@@ -84,6 +84,7 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         another.
     """
     refuse_segments(matrix)
+    matrix = released(matrix)
     k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
     refuse_no_stiffness(k)
     refuse_compliance(matrix)
@@ -154,6 +155,21 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     )
 
 
+def released(matrix: StiffnessMatrix) -> StiffnessMatrix:
+    """Return a matrix in states in which disabled actuators that pushed push nothing.
+
+    The row and the column of an actuator that was off are zero: it is left out as it is.
+    """
+    on = matrix.layout.enabled
+    k = np.asarray(matrix.stiffness)
+    pushed = ~on & k[:, on].any(axis=1) & k[on].any(axis=0)
+    if not pushed.any():
+        return matrix
+    there = on | pushed
+    core = condensed(k[np.ix_(there, there)], on[there])[0]
+    return freed(replace(matrix, layout=replace(matrix.layout, enabled=there)), on[there], core)
+
+
 def _of_all(each: BadActuator, measured: NDArray[np.int64], length: float) -> BadActuator:
     """Return a bad actuator by its index among all; how far it is from its place is in metres."""
     size = each.size * length if each.reason == ELSEWHERE else each.size
@@ -175,13 +191,14 @@ def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> Stif
     on = matrix.layout.enabled
     left = on.copy()
     left[on] = good
-    stiffness = np.array(matrix.stiffness)
+    stiffness = np.zeros_like(matrix.stiffness)  # of those that are freed nothing is left
     stiffness[np.ix_(left, left)] = core
     return replace(matrix, layout=replace(matrix.layout, enabled=left), stiffness=stiffness)
 
 
 def as_calibrated(matrix: StiffnessMatrix, effects: Sequence[Finding]) -> StiffnessMatrix:
     """Return the matrix with those actuators freed that a calibration's effects say it left out."""
+    matrix = released(matrix)
     left_out = {Code.ACTUATOR_OFF, Code.ACTUATOR_MISFIT}
     out = [i for each in effects if each.code in left_out for i in each.actuators]
     good = ~np.isin(matrix.layout.id[matrix.layout.enabled], out)

@@ -13,6 +13,7 @@ import scipy.sparse.csgraph
 from numpy.typing import ArrayLike, NDArray
 
 from truenewton.arrays import Array, taking_units
+from truenewton.calibration.exclusion import require_known
 from truenewton.errors import FormatError, GeometryError, TrueNewtonError, located
 from truenewton.foreign.choice import MOST_NAMED
 from truenewton.foreign.given import Given, Surface, date_of, read_given
@@ -60,6 +61,7 @@ def stiffness_from(
     arc: bool = False,
     mirror: Layout | None = None,
     ids: PathLike | Sequence[int] | None = None,
+    exclude: Sequence[int] = (),
     dataset: str | None = None,
     shell: int | None = None,
     transpose: bool = False,
@@ -84,6 +86,8 @@ def stiffness_from(
         Rings of a known mirror, for a supervisor's folder.
     ids, dataset
         (n,) names of rows, or a file of them; name of the matrix in a file of several.
+    exclude
+        IDs of actuators that are marked as disabled, as of channels that are known to be bad.
     shell, transpose
         Which of several shells, from 1; the file holds the transposed matrix.
     date, instrument
@@ -110,7 +114,9 @@ def stiffness_from(
         raise located(error, given.path or None) from None
     name = instrument or given.name
     try:
-        fitting = _first_that_fits(ways, lambda each: _checked(k, each, name, when, given.path))
+        fitting = _first_that_fits(
+            ways, lambda each: _checked(k, each, name, when, given.path, exclude)
+        )
     except TrueNewtonError as error:
         of_places = isinstance(error, OtherOrder | GeometryError) and given.where
         raise located(_without_circle(error, given), of_places or given.path or None) from None
@@ -133,7 +139,12 @@ Checked = tuple[StiffnessMatrix, Judged, Positions, list[tuple[str, str]]]
 
 
 def _checked(
-    k: Array, positions: Positions, name: str, when: datetime.datetime, path: str
+    k: Array,
+    positions: Positions,
+    name: str,
+    when: datetime.datetime,
+    path: str,
+    exclude: Sequence[int],
 ) -> Checked:
     """Return a matrix [N/m] with its positions, judged, and lines of what of it was left out."""
     noted: list[tuple[str, str]] = []
@@ -149,6 +160,8 @@ def _checked(
     of = layout(
         positions.x, positions.y, id=positions.ids, nz=positions.nz, enabled=positions.enabled
     )
+    require_known(of, exclude)
+    of = replace(of, enabled=of.enabled & ~np.isin(of.id, exclude))
     record = StiffnessMatrix(name, when, of, k)
     judged = judge(record)
     record = replace(record, layout=replace(of, enabled=of.enabled & ~judged.off))

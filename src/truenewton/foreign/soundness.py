@@ -18,7 +18,7 @@ from truenewton.estimation.matrix_order import (
     rigid_cost_and_imbalance,
     share_by_distance,
 )
-from truenewton.estimation.sifted_matrix import sift_matrix
+from truenewton.estimation.sifted_matrix import released, sift_matrix
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms
@@ -68,6 +68,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
         Its positions are in another order, or rows in another than columns.
     """
     refuse_compliance(matrix)
+    matrix = released(matrix)
     measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
     k = matrix.used_stiffness[np.ix_(measured, measured)]
     a = comparable_arms(matrix.layout)[:, measured]
