@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bokeh.resources import Resources
 
+import truenewton as tn
 from helpers import report_data
 from helpers.balanced import arms_of, p45_campaign
 from helpers.report_data import HOSTILE, changed_by, hostile_campaign, with_sensors
@@ -354,3 +355,12 @@ def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp
 def test_a_figure_that_is_not_there_is_refused_by_name(p45):
     with pytest.raises(UnknownName, match="choose map-alpha, map-e-alpha"):
         p45.plot("colour")
+
+
+def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):
+    found = replace(p45.calibration, effects=(
+        tn.Finding(code=tn.Code.ACTUATOR_MISFIT, actuators=(3, 17), corrected=True, remedy="look"),
+    ))  # fmt: skip
+    layers = {layer.key: layer for layer in calibration_layers(found, None)}
+    assert np.flatnonzero(layers["findings"].values).tolist() == [2, 16]
+    assert "findings" not in {layer.key for layer in calibration_layers(p45.calibration, None)}

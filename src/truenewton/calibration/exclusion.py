@@ -39,6 +39,8 @@ def disabled(data: Campaign | StiffnessMatrix, ids: Sequence[int]) -> Campaign |
     Those of a matrix are released (`sifted_matrix.released`). One of a campaign is disabled if its
     FORCE never changes; the force of others is part of the balance, and alpha is fitted to it.
     """
+    if not ids:
+        return data
     if isinstance(data, StiffnessMatrix):
         return replace(data, layout=_without(data.layout, np.isin(data.layout.id, ids)))
     out = np.isin(data.layout.id, ids)

@@ -39,6 +39,8 @@ from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
+Data = Campaign | StiffnessMatrix | SegmentedData
+
 
 class Known(NamedTuple):
     """What is known beside the data, as `calibrate` takes it."""
@@ -141,8 +143,14 @@ def calibrate(
     motion: Seen | None = None, exclude: Collection[int] = (), client: Client | None = None,
     processes: int | None = None,
 ) -> SegmentedCalibration: ...  # fmt: skip
+@overload
 def calibrate(
-    data: Campaign | StiffnessMatrix | SegmentedData,
+    data: Data, method: str | None = None, *, population: bool = False,
+    motion: Seen | None = None, exclude: Collection[int] = (), client: Client | None = None,
+    processes: int | None = None,
+) -> Calibration | SegmentedCalibration: ...  # fmt: skip
+def calibrate(
+    data: Data,
     method: str | None = None,
     *,
     population: bool = False,
@@ -197,34 +205,36 @@ def calibrate(
     >>> tn.calibrate(campaign)
     <Calibration of P45: 45 actuators, alpha 0.715 .. 1.1, typical error 0.016, ...>
     """
-    method, known = asked(data, method, population=population, motion=motion)
-    ids = sorted(set(exclude))
-    if ids and isinstance(data, (Campaign, StiffnessMatrix)):
-        require_known(data.layout, ids)
-        data = disabled(data, ids)
-    if isinstance(data, SegmentedData):
-        require_known(data.layout, ids)
-        one = partial(_of_segment, method=method, population=population, client=client, exclude=ids)
-        return calibrate_segments(data, one, motion, 1 if client is not None else processes)
-    if isinstance(data, Campaign):
-        estimate = METHODS[method].of_cycles(sift(data, client), known)
-        made = calibration_of(data, estimate, client=client)
-    elif isinstance(data, StiffnessMatrix):
-        try:
-            with one_thread():
-                sifted = sift_matrix(data)
-                found = METHODS[method].of_stiffness(sifted, known)
-        except (RankDeficient, NotConverged) as error:
-            raise located(error, data.source and Path(data.source.file).name) from None
-        made = from_stiffness(sifted.matrix, *found)
-    else:
+    if not isinstance(data, Data):
         raise TypeError(
             f"cannot calibrate a {type(data).__name__}; give a Campaign, StiffnessMatrix or"
             " SegmentedData"
         )
+    method, known = asked(data, method, population=population, motion=motion)
+    ids = sorted(set(exclude))
+    require_known(data.layout, ids)
+    if isinstance(data, SegmentedData):
+        one = partial(_of_segment, method=method, population=population, client=client, exclude=ids)
+        return calibrate_segments(data, one, motion, 1 if client is not None else processes)
+    left = disabled(data, ids)
+    if isinstance(left, Campaign):
+        estimate = METHODS[method].of_cycles(sift(left, client), known)
+        made = calibration_of(left, estimate, client=client)
+    else:
+        made = _of_matrix(left, method, known)
     made = without(made, ids)
     warn_of(made)
     return made
+
+
+def _of_matrix(matrix: StiffnessMatrix, method: str, known: Known) -> Calibration:
+    try:
+        with one_thread():
+            sifted = sift_matrix(matrix)
+            found = METHODS[method].of_stiffness(sifted, known)
+    except (RankDeficient, NotConverged) as error:
+        raise located(error, matrix.source and Path(matrix.source.file).name) from None
+    return from_stiffness(sifted.matrix, *found)
 
 
 def _of_segment(
@@ -232,7 +242,8 @@ def _of_segment(
 ) -> Calibration:
     """Calibrate a segment without those of the excluded actuators that stand behind it."""
     own = set(body.layout.id.tolist())
-    return calibrate(body, exclude=own.intersection(exclude), **options)
+    made: Calibration = calibrate(body, exclude=own.intersection(exclude), **options)
+    return made
 
 
 def asked(

@@ -58,6 +58,7 @@ MISTAKES = (
     Mistake(1e3, "WEIGHT and ADDED look as if in mN", WEIGHTS_IN),
 )
 OTHER_UNIT = "FORCE looks as if in counts or volts of the electronics, or in another unit than N"
+ONE_LOAD_FROM_REST = "FORCE of one load counts from rest or belongs to another load"
 NEAR_ONE = (0.6, 1.6)  # the typical alpha of mirrors, which a single mistake is to bring back
 LIKE_OTHERS, MOST = 0.5, 0.9  # relative to the median, of how many: else it is no unit alone
 
@@ -81,6 +82,8 @@ def unit_fault(c: Calibration) -> Finding | None:
     looks = ", or ".join(each.said for each in fitting) or OTHER_UNIT
     remedy = "; or ".join(dict.fromkeys(each.remedy for each in fitting)) or FORCE_IN
     looks += ", and FORCE of the other sign" if median < 0.0 else ""
+    if c.scale == Scale.WEIGHTS:
+        looks += f", or {ONE_LOAD_FROM_REST}"
     return Finding.of(
         Code.ALPHA_FAR_FROM_ONE, alpha=significant(median), looks=looks, remedy=remedy
     )

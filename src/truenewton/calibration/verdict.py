@@ -222,9 +222,18 @@ def _harm(c: Calibration) -> Iterator[Finding]:
 def _of_data(c: Calibration) -> Iterator[Finding]:
     """Yield what the file has: effects that were not corrected first, as causes."""
     yield from _uncorrected(c)
-    yield from (effect for effect in c.effects if effect.corrected)
+    for effect in c.effects:
+        if effect.corrected:
+            yield replace(effect, graded=Level.DOUBTFUL) if _moves_scale(c, effect) else effect
     if c.diagnosis is not None:
         yield from c.diagnosis.warnings
+
+
+def _moves_scale(c: Calibration, effect: Finding) -> bool:
+    """Tell whether the scale depends on which load's gain is right, by more than its error."""
+    if effect.code is not Code.GAIN_BY_LOAD or c.scale != Scale.WEIGHTS:
+        return False
+    return abs(effect.size) / 2.0 > LIMITS.load_gain * typical(c.error, c.alpha)
 
 
 def _of_result(c: Calibration) -> Iterator[Finding]:

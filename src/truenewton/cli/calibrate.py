@@ -35,7 +35,9 @@ def run(
 ) -> None:
     """Find true Newtons per commanded Newton of every actuator."""
     from truenewton.calibration.methods import calibrate
+    from truenewton.calibration.result import Calibration
     from truenewton.calibration.segment_words import segmented_lines, segmented_values
+    from truenewton.calibration.segmented import SegmentedCalibration
     from truenewton.calibration.verdict import refuse_unusable
     from truenewton.calibration.words import (
         imbalance_lines,
@@ -49,7 +51,6 @@ def run(
     from truenewton.files.outputs import refuse_existing
     from truenewton.reading import of_segment, read_data
     from truenewton.records.campaign import Campaign
-    from truenewton.records.segmented import SegmentedData
 
     if output is not None:
         suffix_of(output)
@@ -60,40 +61,28 @@ def run(
         data = read_data(*paths, client=client)
         data = data if segment is None else of_segment(data, segment, paths[0])
         with about(paths):
-            if isinstance(data, SegmentedData):
-                seen = options.motion_of(mirror, data)
-                with busy("calibrating"):
-                    whole = calibrate(
-                        data,
-                        method,
-                        population=population,
-                        motion=seen,
-                        exclude=out,
-                        client=client,
-                        processes=processes,
-                    )
-                refuse_unusable(whole, force=force)
-                whole = whole if force else whole.without_unusable()
-                lines, schema = [*segmented_lines(whole)], "calibrate-segments"
-                values = segmented_values(whole) if json else None
+            motion = options.motion_of(mirror, data)
+            with busy("calibrating"):
+                found: Calibration | SegmentedCalibration = calibrate(
+                    data,
+                    method,
+                    population=population,
+                    motion=motion,
+                    exclude=out,
+                    client=client,
+                    processes=processes,
+                )
+            refuse_unusable(found, force=force)
+            if isinstance(found, SegmentedCalibration):
+                found = found if force else found.without_unusable()
+                lines, schema = [*segmented_lines(found)], "calibrate-segments"
+                values = segmented_values(found) if json else None
             else:
-                motion = options.motion_of(mirror, data)
-                with busy("calibrating"):
-                    made = calibrate(
-                        data,
-                        method,
-                        population=population,
-                        motion=motion,
-                        exclude=out,
-                        client=client,
-                    )
-                refuse_unusable(made, force=force)
-                lines = [*summary_lines(made), *imbalance_lines(made.imbalances)]
+                lines = [*summary_lines(found), *imbalance_lines(found.imbalances)]
                 if isinstance(data, Campaign):
-                    lines += rejected_lines(data, made.rejected_rows)
-                values = summary_values(made) if json else None
+                    lines += rejected_lines(data, found.rejected_rows)
+                values = summary_values(found) if json else None
     if output is not None:
-        found = whole if isinstance(data, SegmentedData) else made
         found.write(output, overwrite=overwrite)
         lines += filter(None, [lacking(found, output)])
     print_result(lines, output, values=values, schema=schema, quiet=quiet)

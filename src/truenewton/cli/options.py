@@ -59,6 +59,10 @@ PATHS = typer.Argument(
 def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix) -> Array | None: ...
 @overload
 def motion_of(mirror: str | None, data: SegmentedData) -> Seen | None: ...
+@overload
+def motion_of(
+    mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedData
+) -> Seen | None: ...
 def motion_of(mirror: str | None, data: Campaign | StiffnessMatrix | SegmentedData) -> Seen | None:
     """Return (6, n, n) what sensors see of the glass of data, None without --mirror.
 

@@ -57,7 +57,9 @@ STILL = Finding(
     code=Code.CONSTANT_POSITION,
     remedy="leave the column out where no sensors were read; then COILGRAD, BIASGRAD are not used",
 )
-TURNED = Difference(Code.OTHER_SIGN, "turn the sign of {} in that file, or leave it out")
+TURNED = Difference(
+    Code.OTHER_SIGN, "turn the sign of {} in that file, put its rows in order, or leave it out"
+)
 
 
 def files_apart(campaign: Campaign, prints: RowPrints) -> tuple[Finding, ...]:
@@ -122,7 +124,7 @@ def unlike_files(
             where=f"{listed(names[fewer], FILES)} against {listed(names[~fewer], FILES)}",
             size=float(fewer.mean()),
             remedy="calibrate together what was taken of one mirror with the same shapes, and no"
-            " actuator replaced in between",
+            " actuator replaced in between; or mark rows as not VALID in which the load was not on",
         ),
     )
 
@@ -185,7 +187,8 @@ def _differences(rows: Array, typical: Array) -> Iterator[Difference]:
         yield Difference(what, remedy, tuple(moved.tolist()))
     turned = odd[_square(rows + typical)[odd] < CURES**2 * own[odd]]
     if turned.size:
-        remedy = "look at its plug; turn the sign of {} of the actuator in that file"
+        remedy = "look at its plug; turn the sign of {} of the actuator in that file; if there are"
+        remedy += " several, its rows may be in another order than SHAPE and SIGN"
         yield Difference(TURNED.code, remedy, tuple(turned.tolist()))
 
 

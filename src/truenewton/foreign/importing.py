@@ -6,6 +6,7 @@ import datetime
 import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -114,25 +115,23 @@ def stiffness_from(
         raise located(error, given.path or None) from None
     name = instrument or given.name
     try:
-        fitting = _first_that_fits(
-            ways, lambda each: _checked(k, each, name, when, given.path, exclude)
-        )
+        check = partial(_checked, k, name=name, when=when, path=given.path, exclude=exclude)
+        record, judged, positions, noted = _first_that_fits(ways, check)
     except TrueNewtonError as error:
         of_places = isinstance(error, OtherOrder | GeometryError) and given.where
         raise located(_without_circle(error, given), of_places or given.path or None) from None
-    record, judged, positions, noted = fitting
-    turned = ", transposed as told" if transpose else ""
+    of = f"{given.which}{part}, {unit_line}{', transposed as told' if transpose else ''}"
     lines = [
-        ("matrix", f"{len(k)} x {len(k)}{given.which}{part}, {unit_line}{turned}"),
+        ("matrix", f"{len(k)} x {len(k)}{of}"),
         ("sign", sign),
         ("positions", f"{Path(given.where).name or 'given'}: {', '.join(positions.notes)}"),
         *noted,
         *judged.lines,
         ("date", f"{when:%Y-%m-%d %H:%M:%S} ({how})"),
     ]
-    headline = f"{name}: {record.layout.n} actuators, from {given.path or 'arrays'}{given.kind}"
-    said = (headline, *(f"  {what:<13}{how}" for what, how in lines))
-    return Imported(record, said, judged.transposed, judged.balanced)
+    said = [f"{name}: {record.layout.n} actuators, from {given.path or 'arrays'}{given.kind}"]
+    said += [f"  {what:<13}{how}" for what, how in lines]
+    return Imported(record, tuple(said), judged.transposed, judged.balanced)
 
 
 Checked = tuple[StiffnessMatrix, Judged, Positions, list[tuple[str, str]]]

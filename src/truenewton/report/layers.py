@@ -119,6 +119,17 @@ def calibration_layers(c: Calibration, evidence: Evidence | None) -> tuple[Layer
                   "Standard deviation of one reading among repeats of its shape."),
         ]  # fmt: skip
     layers += _sensor_layers(c)
+    if c.halves is not None:
+        layers.append(
+            Layer("halves", "half of the modes against the other", "", c.halves,
+                  "Relative alpha fitted on the even elastic modes less that fitted on the odd:"
+                  " cross-validation of a matrix.", signed=True)
+        )  # fmt: skip
+    if (named := _named(c)).any():
+        layers.append(
+            Layer("findings", "named in findings", "", named,
+                  "In how many findings of the verdict the actuator is named.")
+        )  # fmt: skip
     return tuple(layer for layer in layers if np.isfinite(layer.values).any())
 
 
@@ -170,6 +181,12 @@ def _sensor_layers(c: Calibration) -> list[Layer]:
                   f" the actuator stands at the larger {axis}.", error, signed=True)
         )  # fmt: skip
     return layers
+
+
+def _named(c: Calibration) -> Array:
+    """Return (n,) in how many findings each actuator is named."""
+    ids = c.layout.id.tolist()
+    return np.array([sum(i in each.actuators for each in c.findings) for i in ids], dtype=float)
 
 
 def _leverage(c: Calibration) -> Array:

@@ -31,6 +31,9 @@ class Thresholds:
     )
     lowest_alpha: float = _at(0.5, Level.REJECTED, "median alpha under known weights: less")
     highest_alpha: float = _at(2.0, Level.REJECTED, "median alpha under known weights: more")
+    load_gain: float = _at(
+        2.0, Level.DOUBTFUL, "half of a gain that differs between loads in terms of E_ALPHA: more"
+    )
     svd_bias: float = _at(1.0, Level.DOUBTFUL, "bias of svd in terms of its E_STAT: more")
     held_out_ratio: float = _at(
         2.5, Level.DOUBTFUL, "imbalance of held-out modes in terms of fitted ones: more"
