@@ -332,7 +332,7 @@ def test_modes_and_report_do_without_those_left_out(change):
     matrix, _ = measured(change)
     findings = find_modes(matrix)
     assert findings.after.modes.modes.shape == (44, 44)
-    assert "Limited" in page(investigate(matrix))
+    assert "Usable" in page(investigate(matrix))
 
 
 def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():

@@ -48,6 +48,11 @@ class Verdict:
         'sound', 'usable', 'doubtful', 'rejected'; 'no alpha' of data that give none.
     findings
         What was found, the worst first; those of level 'sound' are notes and limit nothing.
+
+    Examples
+    --------
+    >>> print(calibration.verdict.level, len(calibration.verdict.findings))
+    usable 1
     """
 
     level: Level

@@ -6,7 +6,13 @@ from enum import Enum, StrEnum
 
 
 class Code(StrEnum):
-    """What was found; the value is written to files, and never changes."""
+    """What was found; the value is written to files, and never changes.
+
+    Examples
+    --------
+    >>> tn.Code("gain-by-hour").name
+    'GAIN_BY_HOUR'
+    """
 
     # What a bench does beside the model.
     GAIN_BY_HOUR = "gain-by-hour"

@@ -69,6 +69,12 @@ class Finding:
         Its level, if other than that of the catalogue.
     remedy
         What to do about it; that of the catalogue unless given.
+
+    Examples
+    --------
+    >>> finding = calibration.findings[0]
+    >>> print(finding.level, finding.code)
+    usable scale-by-weights
     """
 
     code: Code

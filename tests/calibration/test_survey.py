@@ -1,0 +1,37 @@
+"""What `info` says of data, also of those that give no alpha."""
+
+from dataclasses import replace
+
+import numpy as np
+
+import truenewton as tn
+from helpers.changed import p45, with_forces
+from studies.matrices import measured_or_made, noisy, true_stiffness
+from truenewton.calibration.survey import survey
+from truenewton.calibration.words import summary_rows
+from truenewton.records.campaign import Campaign
+
+
+def test_of_rows_that_do_not_fit_it_is_said_what_the_files_contain_and_why_there_is_no_alpha():
+    random = np.random.default_rng(1)
+    wild = with_forces(p45(), lambda _, f: random.permutation(f))
+    values, lines = survey(Campaign(tuple(wild)))
+    assert values["verdict"]["level"] == "no alpha"
+    assert values["loads"][1]["load"] == "ring"
+    assert values["faults"][0]["remedy"]
+    assert any(line.startswith("  not enough for alpha: ") for line in lines)
+
+
+def test_a_matrix_by_reciprocity_has_its_symmetry_with_gains_and_its_halves():
+    made = measured_or_made("p45")
+    gains = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(45)
+    _, matrix = noisy(made, true_stiffness(made), 5, "equal", 1e-5)
+    found = tn.calibrate(replace(matrix, stiffness=matrix.stiffness * gains), "reciprocity")
+    rows = {name: (value, note) for name, value, note in summary_rows(found)}
+    before, alone, with_gains = (
+        float(each.rstrip("% ")) for each in rows["asymmetry"][0].split(", ")
+    )
+    assert before > 3 * alone
+    assert alone > 3 * with_gains
+    assert "most at" in rows["halves of the modes"][1]
+    assert found.matrix_facts.asymmetry_with_gains < 1e-3
