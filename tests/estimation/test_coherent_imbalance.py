@@ -115,3 +115,18 @@ def test_symmetry_and_negative_modes_are_those_of_the_matrix(p45):
     [negative] = [each for each in found.findings if each.code is Code.NEGATIVE_MODES]
     assert negative.values["count"] == 1
     assert found.verdict.level <= Level.DOUBTFUL
+
+
+def test_an_element_that_is_wrong_by_20_percent_is_named_by_its_column():
+    """Also with sensors off their magnets, where no symmetry of pairs shows it."""
+    _, matrix, alpha = list(sound_matrices(5))[-1]
+    k, random = np.array(matrix.stiffness), np.random.default_rng(1)
+    coupled = (np.abs(k) > 0.02 * np.median(np.diag(k))) & ~np.eye(45, dtype=bool)
+    for row, column in random.choice(np.argwhere(coupled), 4, replace=False):
+        wrong = k.copy()
+        wrong[row, column] *= 1.2
+        found = tn.calibrate(replace(matrix, stiffness=wrong), "ml")
+        on = np.isfinite(found.alpha)
+        assert np.std((found.alpha - alpha / alpha[on].mean())[on] / found.error[on]) < 2.5
+        named = {i for each in found.findings for i in each.actuators}
+        assert {int(matrix.layout.id[row]), int(matrix.layout.id[column])} & named

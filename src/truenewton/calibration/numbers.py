@@ -36,13 +36,11 @@ def from_stiffness(
     alpha, gain = estimate.values[:n], None
     if estimate.sensors:
         gain = np.array([each.gain if each.state == "fitted" else 1.0 for each in estimate.sensors])
-    facts = matrix_facts(matrix.used_stiffness, alpha, gain)
-    covariance = estimate.reading_covariance[:n, :n]
+    k, arms, ids = matrix.used_stiffness, comparable_arms(matrix.layout), matrix.layout.id[on]
+    facts, covariance = matrix_facts(k, alpha, gain), estimate.reading_covariance[:n, :n]
     doubts = (
-        *doubts_of(matrix.used_stiffness, alpha, facts),
-        *doubts_of_balance(
-            matrix.used_stiffness, comparable_arms(matrix.layout), alpha, covariance
-        ),
+        *doubts_of(k, alpha, facts),
+        *doubts_of_balance(k, arms, alpha, covariance, ids),
     )
     estimate = with_warnings(estimate, doubts)
     estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)

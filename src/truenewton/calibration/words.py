@@ -13,6 +13,7 @@ from truenewton.calibration.scale_faults import scale_limit
 from truenewton.calibration.verdict import Verdict, rejected_sentence
 from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.estimate import Scale
+from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.stiffness_svd import Imbalance
 from truenewton.estimation.weights import scale_budget, typical
@@ -20,6 +21,12 @@ from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent, significant, to_digits, with_error
 
+MEANINGS = {
+    Level.SOUND: "the stated errors hold",
+    Level.USABLE: "the stated errors hold, and include what was found",
+    Level.DOUBTFUL: "the stated errors may not hold: do what is listed before you use alpha",
+    Level.REJECTED: "do not use alpha",
+}
 NOISE_FROM = {
     NoiseSource.REPEATS: "from repeated shapes",
     NoiseSource.DECLARED: "as declared by FORCERR",
@@ -47,7 +54,7 @@ def row(name: str, value: str, note: str = "") -> str:
 def verdict_lines(verdict: Verdict, but: Finding | None = None) -> Iterator[str]:
     """Yield the level of a verdict and its findings, but for one said already."""
     only = ", by the common scale" if verdict.faults == (but,) else ""
-    yield row("verdict", f"{verdict.level}{only}")
+    yield row("verdict", f"{verdict.level}{only}", MEANINGS.get(verdict.level, ""))
     yield from (f"  {as_sentences(note)}" for note in verdict.notes)
     yield from warning_lines(each for each in verdict.faults if each != but)
 

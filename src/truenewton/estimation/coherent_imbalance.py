@@ -69,11 +69,14 @@ class CoherentImbalance(NamedTuple):
         Of the imbalance, in units of its noise, that it explains.
     shift
         (n,) how far log alpha moves if it is fitted, too.
+    column_noise
+        (n,) variance of the imbalance of each column in terms of the median.
     """
 
     names: tuple[str, ...]
     share: float
     shift: Array
+    column_noise: Array
 
 
 def coherent_imbalance(commanded: Array, arms: Array, alpha: Array) -> CoherentImbalance | None:
@@ -116,7 +119,9 @@ def coherent_imbalance(commanded: Array, arms: Array, alpha: Array) -> CoherentI
     names = dict.fromkeys(patterns[k].name for k in order)
     size = along[best] / length[best]
     shift = -mean_free @ np.linalg.solve(triangle, by_fit - inside[:, best] * size)
-    return CoherentImbalance(tuple(names), float(shares[best]), shift)
+    volume = np.linalg.det(root) ** (-2.0 / 3.0)
+    noise = volume / np.median(volume)
+    return CoherentImbalance(tuple(names), float(shares[best]), shift, noise)
 
 
 def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
@@ -157,7 +162,7 @@ def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
 
 
 def doubts_of_balance(
-    commanded: Array, arms: Array, alpha: Array, covariance: Array
+    commanded: Array, arms: Array, alpha: Array, covariance: Array, ids: NDArray[np.int64]
 ) -> Iterator[Finding]:
     """Yield which mistakes the balance of a matrix shows; (n,) alpha and its (n, n) covariance."""
     found = coherent_imbalance(commanded, arms, alpha)
@@ -172,6 +177,8 @@ def doubts_of_balance(
                 shift=moved,
                 ratio=moved / stated,
             )
+    if found is not None and (far := found.column_noise > LIMITS.column_noise).any():
+        yield Finding.of(Code.COLUMNS_UNBALANCED, actuators=ids[far])
     least = max(LIMITS.gain_correlation, LIMITS.gain_sigmas / np.sqrt(len(alpha)))
     with_alpha, gradient_sigmas = gain_correlations(commanded, arms, alpha, covariance)
     if abs(with_alpha) > least:

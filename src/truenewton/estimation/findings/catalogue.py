@@ -28,6 +28,8 @@ class Entry:
         name with where it was found and how large it is.
     remedy
         What to do about it, in the same way.
+    cured
+        How it was taken out of the data, if it was.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Entry:
     level: Level | None = Level.DOUBTFUL
     sentence: str = ""
     remedy: str = ""
+    cured: str = "corrected"
 
 
 def _fact(level: Level | None, sentence: str, remedy: str = "") -> Entry:
@@ -80,8 +83,8 @@ ENTRIES: dict[Code, Entry] = {
     Code.STUCK_READING: Entry("stuck reading", Concern.SILENT, Level.USABLE),
     Code.NEGATIVE_ALPHA: Entry("alpha is negative, the poles are exchanged", level=Level.USABLE),
     Code.FROZEN_SENSOR: Entry("frozen sensor", level=Level.USABLE),
-    Code.ACTUATOR_OFF: Entry("actuator is off"),
-    Code.ACTUATOR_MISFIT: Entry("actuator does not fit"),
+    Code.ACTUATOR_OFF: Entry("actuator is off", cured="left out"),
+    Code.ACTUATOR_MISFIT: Entry("actuator does not fit", cured="left out"),
     Code.COPIED_FILE: Entry("copy of another file", Concern.FILES, Level.REJECTED),
     Code.OTHER_UNIT: Entry("{} in another unit", Concern.FILES, Level.REJECTED),
     Code.OTHER_SIGN: Entry("{} of the other sign", Concern.FILES, Level.REJECTED),
@@ -378,6 +381,12 @@ ENTRIES: dict[Code, Entry] = {
         " in {pattern}. If it is fitted as well, alpha moves by {shift:percent} rms, {ratio:.2g}"
         " times its error",
         "check X and Y of the actuators, and how the matrix was processed",
+    ),
+    Code.COLUMNS_UNBALANCED: _fact(
+        Level.USABLE,
+        "the columns of {actuators:names actuator} of the matrix balance far worse than the others:"
+        " an element in each may be wrong",
+        "measure these columns again, or exclude the actuators (--exclude)",
     ),
     Code.GAINS_HAVE_GRADIENT: _fact(
         Level.DOUBTFUL,

@@ -126,6 +126,7 @@ class Code(StrEnum):
     NEGATIVE_MODES = "negative-modes"
     SYMMETRY_NOT_IMPROVED = "symmetry-not-improved"
     COHERENT_IMBALANCE = "coherent-imbalance"
+    COLUMNS_UNBALANCED = "columns-unbalanced"
     GAINS_FOLLOW_ALPHA = "gains-follow-alpha"
     GAINS_HAVE_GRADIENT = "gains-have-gradient"
     SEGMENTS_COUPLED = "segments-coupled"

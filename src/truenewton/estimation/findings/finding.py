@@ -136,13 +136,17 @@ class Finding:
             return self._filled(self._entry.sentence)
         if self.code is Code.OTHER:
             return self.name
-        return f"found: {self.named}, {'corrected' if self.corrected else 'not corrected'}"
+        if self.corrected:
+            return f"found: {self.named}, {self._entry.cured}"
+        done = ", not corrected" if self.concern is Concern.BENCH else ""
+        return f"found: {self.named}{done}"
 
     @property
     def named(self) -> str:
         """Its name with where it is largest, and its size if that is one of readings."""
         size = ""
-        if self.size and (self.corrected or self.unit == "K"):
+        measured = self.corrected and self._entry.cured == "corrected"
+        if self.size and (measured or self.unit == "K"):
             per_cent = self.unit in ("", "1/h")
             value = 100 * self.size if per_cent else self.size
             unit = self.unit.replace("1", "%") or "%" if per_cent else self.unit

@@ -58,6 +58,9 @@ class Thresholds:
     gradient_sigmas: float = _at(
         7.0, Level.DOUBTFUL, "gradient of the sensor gains across the mirror in sigma: more"
     )
+    column_noise: float = _at(
+        60.0, Level.USABLE, "imbalance of a column, squared, in terms of the median: more"
+    )
     outlier_spreads: float = _at(
         5.0, Level.USABLE, "alpha of an actuator from the others in robust sigma: more"
     )
