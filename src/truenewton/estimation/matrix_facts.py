@@ -51,22 +51,23 @@ def matrix_facts(commanded: Array, alpha: Array, gain: Array | None = None) -> M
     return MatrixFacts(asymmetry_of(commanded), asymmetry_of(k), with_gains)
 
 
-def negative_modes(commanded: Array, alpha: Array) -> Array:
-    """Return the stiffness of elastic modes that are negative beyond noise [N/m], ascending."""
+def negative_modes(commanded: Array, alpha: Array) -> tuple[Array, float]:
+    """Return the stiffness of negative elastic modes, ascending, and the largest by noise [N/m]."""
     k = alpha[:, None] * commanded
     # A symmetric matrix of noise with standard deviation s has no mode beyond 2 s root n (Wigner).
     s = float(np.sqrt(np.mean((k - k.T) ** 2))) / 2.0  # of the noise in the symmetric part
     values = np.sign(np.trace(k)) * scipy.linalg.eigvalsh(0.5 * (k + k.T))
     elastic = values[np.argsort(np.abs(values))[RIGID_MODES:]]
-    return np.sort(elastic[elastic < -LIMITS.negative_edges * 2.0 * s * np.sqrt(len(k))])
+    return np.sort(elastic[elastic < 0.0]), 2.0 * s * float(np.sqrt(len(k)))
 
 
 def doubts_of(commanded: Array, alpha: Array, facts: MatrixFacts) -> Iterator[Finding]:
     """Yield what speaks against an (n, n) matrix or its (n,) alpha."""
-    negative = negative_modes(commanded, alpha)
+    negative, by_noise = negative_modes(commanded, alpha)
     if negative.size:
+        beyond = -negative[0] > LIMITS.negative_edges * by_noise
         yield Finding.of(
-            Code.NEGATIVE_MODES,
+            Code.NEGATIVE_MODES if beyond else Code.NEGATIVE_MODES_IN_NOISE,
             count=negative.size,
             lowest=negative[0],
             stiffness=negative.tolist(),

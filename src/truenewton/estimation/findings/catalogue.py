@@ -369,6 +369,12 @@ ENTRIES: dict[Code, Entry] = {
         "negative stiffness of {count:count elastic mode} of the matrix, down to {lowest:.3g} N/m",
         "check order, sign and completeness of the matrix, and measure again with less noise",
     ),
+    Code.NEGATIVE_MODES_IN_NOISE: _fact(
+        Level.USABLE,
+        "negative stiffness of {count:count elastic mode} of the matrix, down to {lowest:.3g} N/m,"
+        " no more than its noise makes",
+        "measure again with less noise before you use soft modes",
+    ),
     Code.SYMMETRY_NOT_IMPROVED: _fact(
         Level.DOUBTFUL,
         "alpha does not make the matrix more symmetric: asymmetry {before:percent} before,"

@@ -124,6 +124,7 @@ class Code(StrEnum):
     MANY_MISFITS = "many-misfits"
     OFF_BUT_PUSHING = "off-but-pushing"
     NEGATIVE_MODES = "negative-modes"
+    NEGATIVE_MODES_IN_NOISE = "negative-modes-in-noise"
     SYMMETRY_NOT_IMPROVED = "symmetry-not-improved"
     COHERENT_IMBALANCE = "coherent-imbalance"
     COLUMNS_UNBALANCED = "columns-unbalanced"
