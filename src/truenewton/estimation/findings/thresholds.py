@@ -50,7 +50,7 @@ class Thresholds:
     pattern_share: float = _at(
         0.4, Level.DOUBTFUL, "imbalance of columns that has the pattern of one mistake: more, and"
     )
-    pattern_shift: float = _at(1.0, Level.DOUBTFUL, "alpha moves by it in terms of its error: more")
+    pattern_shift: float = _at(0.9, Level.DOUBTFUL, "alpha moves by it in terms of its error: more")
     gain_correlation: float = _at(
         0.3, Level.DOUBTFUL, "correlation of sensor gains with alpha: more, and"
     )
