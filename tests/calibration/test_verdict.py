@@ -217,6 +217,20 @@ def test_what_makes_a_verdict(clean, change, level, said):
     assert said in str(verdict) or level != "rejected"  # what is grave is said first
 
 
+@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
+def test_a_gain_of_one_load_leaves_the_scale_in_doubt_if_its_error_is_smaller():
+    """FORCE 5 % larger under the ring: alpha is off by half of that, whichever load is right."""
+    ring = [replace(c, load=replace(c.load, added_error=1e-5)) for c in cycles(5e-5, 4)]
+    wrong = [replace(c, force=1.05 * c.force) if k >= 4 else c for k, c in enumerate(ring)]
+    found = tn.calibrate(Campaign(tuple(wrong)))
+    [effect] = [each for each in found.findings if each.code is tn.Code.GAIN_BY_LOAD]
+    assert effect.corrected
+    assert (effect.level, found.verdict.level) == (Level.DOUBTFUL, Level.DOUBTFUL)
+    off = np.median(found.alpha / p45_bench().truth.alpha) - 1.0
+    assert abs(off) > 5 * np.median(found.error)  # which E_ALPHA does not include
+    assert abs(off) < abs(effect.size)
+
+
 def test_an_effect_that_was_taken_out_condemns_nothing(clean):
     corrected = with_effect(clean, "exchanged columns", corrected=True)
     assert verdict_on(corrected).level != Level.REJECTED
