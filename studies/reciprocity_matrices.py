@@ -219,7 +219,7 @@ def examine(matrix, motion=None):
         f"    gains spread by {evidence.gain_spread:.4f}, offsets by"
         f" {1e3 * evidence.offset_spread:.2f} mm"
     )
-    print(f"    refused because: {[fault for fault, _ in refusals(evidence)] or 'accepted'}")
+    print(f"    refused because: {[each.fault for each in refusals(evidence)] or 'accepted'}")
 
 
 def large():
