@@ -31,13 +31,25 @@ which the verdict is sound; 'glass' is 'auto' with what the sensors see of the m
 
 from __future__ import annotations
 
+import argparse
 import os
+import re
+import warnings
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+import numpy as np
 
+import truenewton as tn
 from studies.faulty import files, forces, gains, readings
-from studies.faulty.fault import FAULTS
+from studies.faulty.bench import Bench, Day, bench_of
+from studies.faulty.fault import FAULTS, ORDERS, Fault
+from truenewton.errors import TrueNewtonError, TrueNewtonWarning
+from truenewton.mirrors.shell.puck_motion import seen_by
 
 # In the order of the modules that list them.
 SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]
@@ -47,3 +59,228 @@ METHODS = ("ml", "svd", "reciprocity", "auto", "glass")
 TWO_SIGMA = 1.959964
 COVERED, SAID, FALSE = 0.90, 0.95, 0.01
 IMPROBABLE = 1e-3  # of a fit
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class Word:
+    """Something that is said of a campaign: what, where, and whether it was corrected."""
+
+    name: str
+    where: str = ""
+    corrected: bool = False
+
+
+def named(calibration: tn.Calibration) -> tuple[Word, ...]:
+    """Return what a calibration found in its data."""
+    return tuple(Word(e.name, e.where, e.corrected) for e in calibration.effects)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What came of one seed.
+
+    Attributes
+    ----------
+    error, stated
+        (n,) of alpha and as stated, both relative; NaN where not judged or without alpha.
+    words, where
+        What was said; what must stand in the right word, as the actuators that are struck.
+    probability, rejected
+        Of chi2; share of rows left out.
+    reciprocal, sound
+        Whether the answer is by reciprocity; whether the verdict is 'sound', apart from the
+        weights without errors.
+    """
+
+    error: Array
+    stated: Array
+    words: tuple[Word, ...]
+    where: tuple[str, ...]
+    probability: float = float("nan")
+    rejected: float = float("nan")
+    reciprocal: bool = False
+    sound: bool = False
+
+
+def happening(fault: Fault, mirror: str, seed: int, noise: float, cycles: int) -> Day:
+    """Return the day on which a fault happens."""
+    day = Day(bench_of(mirror), seed, fault.noise or noise, ORDERS[fault.order](cycles))
+    fault.happens(day)
+    return day
+
+
+@cache
+def motion_of(bench: Bench) -> Array:
+    """Return what the sensors of a bench see."""
+    return seen_by(bench.glass)
+
+
+def trial(day: Day, method: str = "ml") -> Trial:
+    """Calibrate the campaign of a day and hold the answer against its truth."""
+    how = {"method": method}
+    if method == "glass":
+        how = {"method": "auto", "motion": motion_of(day.bench)}
+    try:
+        answer = tn.calibrate(day.campaign(), **how)
+    except TrueNewtonError as error:
+        nothing, refusal = np.full(day.n, np.nan), f"refused, {type(error).__name__}: {error.fault}"
+        return Trial(nothing, nothing, (Word(refusal),), day.where)
+    judged = np.where(day.judged, 1.0, np.nan)
+    return Trial(
+        error=judged * (answer.alpha / day.truth - 1),
+        stated=judged * answer.error / day.truth,
+        words=named(answer),
+        where=day.where,
+        probability=answer.goodness.probability,
+        rejected=answer.rejected / (answer.rejected + answer.shapes_used),
+        reciprocal=answer.method == "reciprocity",
+        sound=all(each.code is tn.Code.WEIGHTS_WITHOUT_ERRORS for each in answer.verdict.faults),
+    )
+
+
+def mean(values: Array) -> float:
+    """Return the mean of what is there, NaN of nothing."""
+    there = values[np.isfinite(values)]
+    return float(there.mean()) if there.size else float("nan")
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square of what is there."""
+    return float(np.sqrt(mean(values**2)))
+
+
+def commonest(words: Sequence[tuple[Word, ...]]) -> str:
+    """Return what is said in most seeds, first of all, without its numbers."""
+    first = Counter(re.sub(r"\d[\d.e+-]*", "#", some[0].name) for some in words if some)
+    if not first:
+        return ""
+    what, count = first.most_common(1)[0]
+    return f"{count}x {what}"
+
+
+def is_right(word: Word, fault: Fault, where: tuple[str, ...]) -> bool:
+    """Tell whether a word names the cause, and where that struck."""
+    text = f"{word.name} {word.where}"
+    places = all(re.search(rf"\b{re.escape(place)}\b", text) for place in where)
+    return bool(fault.cause and re.search(fault.cause, text, re.IGNORECASE) and places)
+
+
+def judgement(fault: Fault, covers: float, answered: float, said: float, right: float) -> str:
+    """Return a verdict, as the head of this module has them, from shares."""
+    if not fault.cause and not fault.blind and said >= FALSE:
+        return "FALSE"
+    if covers >= COVERED and answered >= SAID:
+        return "covered"
+    if right >= SAID:
+        return "said"
+    if answered <= 1 - SAID:
+        return "refused"
+    if fault.blind:
+        return "budget"
+    return "WRONG" if said >= 0.5 else "SILENT"
+
+
+def summary(fault: Fault, trials: Sequence[Trial]) -> dict[str, float | str]:
+    """Return the figures of a fault, one for each of `COLUMNS`."""
+    error, stated = (np.array([getattr(t, name) for t in trials]) for name in ("error", "stated"))
+    answered = np.isfinite(error).any(axis=1)
+    probability, rejected = (
+        np.array([getattr(t, name) for t in trials])[answered]
+        for name in ("probability", "rejected")
+    )
+    covers = mean((np.abs(error) < TWO_SIGMA * stated)[np.isfinite(error)])
+    right = [[word for word in t.words if is_right(word, fault, t.where)] for t in trials]
+    said, rightly = sum(bool(t.words) for t in trials), sum(map(bool, right))
+    shares = (answered.mean(), said / len(trials), rightly / len(trials))
+    return {
+        "error": significant(100 * rms(error)),
+        "scale": significant(100 * rms(np.array([mean(e) for e in error[answered]]))),
+        "stated": significant(100 * rms(stated)),
+        "covers": 100 * covers,
+        "none": int((~answered).sum()),
+        "p(chi2)": np.median(probability) if answered.any() else np.nan,
+        "<.001": int((probability < IMPROBABLE).sum()),
+        "out": 100 * mean(rejected),
+        "said": said,
+        "right": rightly,
+        "corr.": sum(any(w.corrected for w in words) for words in right),
+        "verdict": judgement(fault, covers, *shares),
+        "words": commonest([t.words for t in trials]),
+        "sound": sum(t.sound for t in trials),
+        "reciprocal": sum(t.reciprocal for t in trials),
+    }
+
+
+# Head, unit and format.
+COLUMNS = (
+    ("error", "%", ">9s"), ("scale", "%", ">9s"), ("stated", "%", ">9s"), ("covers", "%", "8.1f"),
+    ("none", "seeds", "6d"), ("p(chi2)", "median", "9.2g"), ("<.001", "seeds", "6d"),
+    ("out", "%", "6.1f"), ("said", "seeds", "6d"), ("right", "seeds", "6d"),
+    ("corr.", "seeds", "6d"),
+)  # fmt: skip
+
+
+def significant(percentage: float) -> str:
+    """Return a percentage in at least two digits."""
+    digits = 4 if percentage < 0.1 else 3 if percentage < 10 else 1
+    return f"{percentage:.{digits}f}"
+
+
+def print_heads() -> None:
+    """Print the heads of the table and their units."""
+    widths = [int(re.search(r"\d+", how)[0]) for *_, how in COLUMNS]
+    for k, first in enumerate(("noise", "mN")):
+        cells = (f"{column[k]:>{width}s}" for column, width in zip(COLUMNS, widths, strict=True))
+        print(f"{'':52s}{first:>7s}{''.join(cells)}")
+
+
+def print_line(name: str, noise: float, figures: dict[str, float | str]) -> None:
+    """Print the figures of a fault."""
+    cells = "".join(f"{figures[head]:{how}}" for head, _, how in COLUMNS)
+    line = f"{name:52s}{1e3 * noise:7.3g}{cells}  {figures['verdict']:8s}{figures['words']:.70s}"
+    print(line.rstrip(), flush=True)
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
+    parser.add_argument("--seeds", type=int, default=24)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--noise", type=float, nargs="+", default=[1e-3, 5e-5], help="[N]")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="faults whose name begins so")
+    parser.add_argument("--mirror", choices=("p45", "336"), default="p45")
+    parser.add_argument("--cycles", type=int, default=4, help="under each load")
+    parser.add_argument("--method", nargs="+", default=["ml"], choices=METHODS)
+    parser.add_argument("--list", action="store_true", help="print the names")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", TrueNewtonWarning)  # what is said is counted instead
+    chosen = [f for f in ALL if not options.only or f.name.startswith(tuple(options.only))]
+    if options.list:
+        print(*(fault.name for fault in chosen), sep="\n")
+        return
+    seeds = range(options.first, options.first + options.seeds)
+    print(f"{options.mirror}, {options.cycles} cycles a load, {options.seeds} seeds")
+    print_heads()
+    verdicts: dict[str, Counter[str]] = {method: Counter() for method in options.method}
+    for fault in chosen:
+        for noise in options.noise if fault.noise is None else [fault.noise]:
+            trials: dict[str, list[Trial]] = {method: [] for method in options.method}
+            for seed in seeds:
+                day = happening(fault, options.mirror, seed, noise, options.cycles)
+                for method, found in trials.items():
+                    found.append(trial(day, method))
+            for method, found in trials.items():
+                figures = summary(fault, found)
+                name = fault.name
+                if len(trials) > 1:
+                    name = f"{name[:39]} {method} {figures['reciprocal']}/{figures['sound']}"
+                print_line(name, noise, figures)
+                verdicts[method][str(figures["verdict"])] += 1
+    for method, count in verdicts.items():
+        sums = ", ".join(f"{number} {what}" for what, number in count.most_common())
+        print(sums if len(verdicts) == 1 else f"{method}: {sums}")
+
+
+if __name__ == "__main__":
+    main()
