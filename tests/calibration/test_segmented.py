@@ -457,7 +457,7 @@ def test_json_of_segments(folder, inside):
     code, said, _ = inside("calibrate", folder, "--json")
     values = json.loads(said)
     assert code == 0
-    assert values["schema"] == "truenewton.calibrate-segments/1"
+    assert values["schema"] == "truenewton.calibrate-segments/2"
     assert [part["segment"] for part in values["segments"]] == [1, 2, 3]
     assert len(values["actuators"]["alpha"]) == 42
 

@@ -181,7 +181,7 @@ def told(page, first):
 def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_path):
     page = (ROOT / "docs" / "json.md").read_text()
     top, within = told(page, r"\| truenewton\."), told(page, r"\| \w+: ")
-    top["truenewton.recalibrate/1"][:0] = top["truenewton.calibrate/1"]
+    top["truenewton.recalibrate/2"][:0] = top["truenewton.calibrate/2"]
     alpha, drawn, written = (tmp_path / name for name in ("alpha.fits", "drawn", "page.html"))
     plan, cool, matrix = (tmp_path / name for name in ("plan.toml", "cool", "matrix.npy"))
     inside("plan", "--new", "-o", plan)
@@ -191,20 +191,20 @@ def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_
     np.save(matrix, truth.stiffness / truth.alpha[:, None])
     seen = set()
     for schema, words in {
-        "truenewton.calibrate/1": ("calibrate", folder, "-o", alpha),
-        "truenewton.recalibrate/1": ("recalibrate", folder, "--known", alpha, "--actuators", "3"),
-        "truenewton.info/1, of a campaign": ("info", folder),
-        "truenewton.track/1": ("track", alpha, cool, "--accuracy", "0.005"),
-        "truenewton.modes/1": ("modes", folder),
-        "truenewton.plan/1": ("plan", plan, "--target", "1e-4"),
-        "truenewton.acquire/1": ("acquire", plan, "-o", tmp_path / "day", "--yes"),
-        "truenewton.import/1": ("import", matrix, "--mirror", "p45"),
-        "truenewton.figures/1": ("figures", alpha, "-o", drawn),
-        "truenewton.report/1": ("report", alpha, "-o", written),
-        "truenewton.prove/1": ("prove",),
-        "truenewton.mirrors/1": ("mirrors",),
-        "truenewton.mirror/1": ("mirrors", "p45"),
-        "truenewton.mirror/1, of one in segments": ("mirrors", "gmt"),
+        "truenewton.calibrate/2": ("calibrate", folder, "-o", alpha),
+        "truenewton.recalibrate/2": ("recalibrate", folder, "--known", alpha, "--actuators", "3"),
+        "truenewton.info/2, of a campaign": ("info", folder),
+        "truenewton.track/2": ("track", alpha, cool, "--accuracy", "0.005"),
+        "truenewton.modes/2": ("modes", folder),
+        "truenewton.plan/2": ("plan", plan, "--target", "1e-4"),
+        "truenewton.acquire/2": ("acquire", plan, "-o", tmp_path / "day", "--yes"),
+        "truenewton.import/2": ("import", matrix, "--mirror", "p45"),
+        "truenewton.figures/2": ("figures", alpha, "-o", drawn),
+        "truenewton.report/2": ("report", alpha, "-o", written),
+        "truenewton.prove/2": ("prove",),
+        "truenewton.mirrors/2": ("mirrors",),
+        "truenewton.mirror/2": ("mirrors", "p45"),
+        "truenewton.mirror/2, of one in segments": ("mirrors", "gmt"),
     }.items():
         values = json.loads(inside(*words, "--json")[1])
         assert list(values) == ["schema", *top[schema]], schema
@@ -222,7 +222,7 @@ def test_json_names_its_schema_and_has_the_keys_of_its_page(inside, folder, tmp_
                 assert key in apart or f"calibrate: {key}" in within, key
     assert seen == set(within) - {"calibrate: matrix"}
     values = json.loads(inside("info", alpha, "--json")[1])
-    assert list(values) == ["schema", "holds", *top["truenewton.calibrate/1"]]
+    assert list(values) == ["schema", "holds", *top["truenewton.calibrate/2"]]
     assert inside("info", alpha)[1].startswith("a calibration, method ml, scale weights\n")
 
 

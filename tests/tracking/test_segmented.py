@@ -131,7 +131,7 @@ def test_the_command_tracks_all_segments(files, inside, tmp_path):
     assert "segments 1 to 3: the latest calibration, as it is, serves 1 %" in said
     code, said, _ = inside("track", *files, "--json")
     values = json.loads(said)
-    assert values["schema"] == "truenewton.track-segments/1"
+    assert values["schema"] == "truenewton.track-segments/2"
     assert [part["segment"] for part in values["segments"]] == [1, 2, 3]
     code, said, _ = inside("track", *files, "--segment", 2)
     assert code == 0

@@ -60,7 +60,7 @@ def print_result(
     if values is not None:
         from truenewton.arrays import jsonable  # NumPy, which --help does not need
 
-        print(json.dumps(jsonable({"schema": f"truenewton.{schema}/1", **values}), indent=2))
+        print(json.dumps(jsonable({"schema": f"truenewton.{schema}/2", **values}), indent=2))
         return
     say(*(() if quiet else lines), *(f"written: {path}" for path in filter(None, written)))
     if None in written and not quiet:
