@@ -126,7 +126,7 @@ def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(a
     found = calibrate(StiffnessMatrix("R24", DATE, said, k), "ml")
     assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [at]
     fault, remedy = found.verdict.faults[0].fault, found.verdict.faults[0].remedy
-    assert f"{np.hypot(*off):.2g} m off (actuator {at + 1};" in fault
+    assert f"{np.hypot(*off):.2g} m off (actuator {at + 1})" in fault
     assert remedy.startswith("correct X and Y")
     z = (found.alpha - truth.alpha / truth.alpha[~here].mean())[~here] / found.error[~here]
     assert np.sqrt(np.mean(z**2)) < 1.6
