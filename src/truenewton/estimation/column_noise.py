@@ -134,19 +134,30 @@ def _cost(distance: Array, freedom: float, dimensions: Array | float) -> float:
     return float(np.sum(each + half * np.log1p(distance / freedom)))
 
 
+def _cost_by_freedom(distance: Array, freedom: float, dimensions: Array) -> tuple[float, float]:
+    """Return d cost / d freedom and d cost / d log(distance) of all distances, of `_cost`."""
+    half, psi = 0.5 * (freedom + dimensions), scipy.special.psi
+    pulled = half * distance / (freedom + distance)
+    each = 0.5 * dimensions / freedom - 0.5 * (psi(half) - psi(0.5 * freedom))
+    each += 0.5 * np.log1p(distance / freedom) - pulled / freedom
+    return float(each.sum()), float(pulled.sum())
+
+
 def _student(distance: Array, dimensions: Array) -> tuple[float, float, float]:
     """Return minus log likelihood, freedom and variance of (m,) squared distances."""
     scale, total = max(float(np.median(distance)), 1e-300), 0.5 * float(dimensions.sum())
 
-    def cost(x: Array) -> float:
-        variance = scale * np.exp(x[1])
-        return total * float(np.log(variance)) + _cost(
-            distance / variance, np.exp(x[0]), dimensions
-        )
+    def cost(x: Array) -> tuple[float, Array]:
+        freedom, variance = float(np.exp(x[0])), scale * float(np.exp(x[1]))
+        scaled = distance / variance
+        value = total * float(np.log(variance)) + _cost(scaled, freedom, dimensions)
+        by_freedom, by_distance = _cost_by_freedom(scaled, freedom, dimensions)
+        return value, np.array([freedom * by_freedom, total - by_distance])
 
     found = scipy.optimize.minimize(
         cost,
         [np.log(8.0), -1.0],
+        jac=True,
         method="L-BFGS-B",
         bounds=[(0.0, np.log(ALIKE)), (-20.0, 20.0)],
     )

@@ -35,6 +35,7 @@ from truenewton.linalg import singular_values_and_vectors
 
 # Variance in terms of the information's, above which noise feigns what holds alpha.
 FEIGNED = 1.27
+MAX_CONDITION = 1e12  # of sum_i alpha_i^2 A_i A_i': beyond it fewer than three actuators have alpha
 
 
 def mode_data(modes: Array, variance: float) -> DataSet:
@@ -109,13 +110,12 @@ def _at_spread(
 ) -> ElasticFit:
     n, freedom = a.shape[1], 3 * len(modes) - a.shape[1] + 1
     s, smooth = (a * start**2) @ a.T, smooth_patterns(a)
-    try:
-        white = np.linalg.inv(np.linalg.cholesky(s)) @ a
-    except np.linalg.LinAlgError:
+    if np.linalg.cond(s) > MAX_CONDITION:
         raise RankDeficient(
             "the alpha that balances STIFFNESS is that of a few actuators alone",
             remedy="look for rows that are not like the others",
-        ) from None
+        )
+    white = np.linalg.inv(np.linalg.cholesky(s)) @ a
     rows = balance_rows(modes, white) @ start
     least = 1e-18 / n  # rounding of a mode's element
     variance, values = max(float(rows @ rows) / freedom, least), start
