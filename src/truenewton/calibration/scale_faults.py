@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 NO_ERROR = 1e-6  # of the common scale: below, nobody knows a weight so well
 WEIGHED = (ErrorKind.MIRROR, ErrorKind.TOOL, ErrorKind.ADDED)  # errors that a better balance lowers
 GRAVITY = 9.81  # [m/s^2]
-FORCE_IN = "correct the unit that the column FORCE declares, or its numbers: N"
+FORCE_IN = "correct the unit that the column FORCE declares, or convert its values to N"
 WEIGHTS_IN = f"store WEIGHT and ADDED in N: {-GRAVITY} for a kilogram"
 
 

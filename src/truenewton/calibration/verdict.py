@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from truenewton.calibration.segmented import SegmentedCalibration
 
 ZERO_SIGMAS = 3.0  # within which alpha is 0
+REGARDLESS = "to use it regardless, for a diagnosis only: --anyway (in Python: force=True)"
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,7 @@ def refuse_unusable(
     verdict = calibration.verdict
     if verdict.level <= Level.REJECTED and not force:
         first = verdict.faults[0]
-        remedy = f"{first.remedy}; --anyway, or force=True, takes it all the same"
+        remedy = f"{first.remedy}; {REGARDLESS}"
         raise NotToBeUsed(f"{verdict.level}: {first.fault}", remedy=remedy.lstrip("; "), path=path)
 
 

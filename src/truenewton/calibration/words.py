@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.scale_faults import scale_limit
+from truenewton.calibration.scale_faults import NO_ERROR, scale_limit
 from truenewton.calibration.verdict import Verdict, rejected_sentence
 from truenewton.estimation.diagnosis import NoiseSource, RejectedRow
 from truenewton.estimation.estimate import Scale
@@ -22,11 +22,12 @@ from truenewton.records.fault import Fault
 from truenewton.rounding import counted, percent, significant, to_digits, with_error
 
 MEANINGS = {
-    Level.SOUND: "the stated errors hold",
-    Level.USABLE: "the stated errors hold, and include what was found",
-    Level.DOUBTFUL: "the stated errors may not hold: do what is listed before you use alpha",
+    Level.SOUND: "the stated errors are valid",
+    Level.USABLE: "the stated errors are valid, with the limits listed below",
+    Level.DOUBTFUL: "the stated errors may be too small: do not load alpha before the checks below",
     Level.REJECTED: "do not use alpha",
 }
+LABELS = {Level.USABLE: "advice", Level.SOUND: "note"}  # of the others: the level
 NOISE_FROM = {
     NoiseSource.REPEATS: "from repeated shapes",
     NoiseSource.DECLARED: "as declared by FORCERR",
@@ -55,15 +56,17 @@ def verdict_lines(verdict: Verdict, but: Finding | None = None) -> Iterator[str]
     """Yield the level of a verdict and its findings, but for one said already."""
     only = ", by the common scale" if verdict.faults == (but,) else ""
     yield row("verdict", f"{verdict.level}{only}", MEANINGS.get(verdict.level, ""))
-    yield from (f"  {as_sentences(note)}" for note in verdict.notes)
-    yield from warning_lines(each for each in verdict.faults if each != but)
+    yield from warning_lines(each for each in verdict.findings if each != but)
 
 
 def warning_lines(findings: Iterable[Finding | Fault]) -> Iterator[str]:
-    """Yield a line for each finding, with what it leaves of the result."""
+    """Yield a line for each finding, with what it leaves of the result; each remedy once."""
+    remedies = set[str]()
     for each in findings:
-        level = f"{each.level}: " if isinstance(each, Finding) else "WARNING: "
-        yield f"  {level}{as_sentences(each)}"
+        label = LABELS.get(each.level, each.level) if isinstance(each, Finding) else "WARNING"
+        repeated = each.remedy in remedies
+        yield f"  {label}: {as_sentences(Fault(each.fault, '') if repeated else each)}"
+        remedies.add(each.remedy)
 
 
 def as_sentences(said: Finding | Fault) -> str:
@@ -164,12 +167,13 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
     c, ids = calibration, calibration.layout.id
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ends = " .. ".join(to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high))
-    note = f"true N / commanded N, lowest actuator {ids[low]}, highest {ids[high]}"
+    ratio = "relative, mean 1" if c.scale == Scale.MEAN_ONE else "true N / commanded N"
+    note = f"{ratio}; actuators {ids[low]} and {ids[high]}"
     yield "alpha", ends, note
     relative = typical(c.error, c.alpha)
     yield "typical error of alpha", percent(relative), "E_ALPHA, one sigma"
     if c.scale == Scale.MEAN_ONE:
-        yield "common scale", "free", "mean alpha set to 1; weights would fix it"
+        yield "common scale", "not measured", "cycles under known weights would determine it"
         yield from _symmetry(c)
     else:
         yield from _budget(c)
@@ -186,8 +190,8 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         note = f"{1e3 * off:.2g} mm off their magnets, rms along each axis; each in table SENSORS"
         yield "sensors", value, note
     elif c.verdict.notes:
-        note = "reciprocity, which alone tells gains and places, was not used: no table SENSORS"
-        yield "sensors", "unknown", note
+        note = "gains and positions are estimated by reciprocity only, which was not used"
+        yield "sensors", "not estimated", note
     if np.isfinite(c.noise):
         source = c.goodness.against if c.goodness is not None else NoiseSource.REPEATS
         yield "noise of one reading", f"{1e3 * c.noise:.3g} mN", NOISE_FROM[source]
@@ -202,8 +206,8 @@ def summary_rows(calibration: Calibration) -> Iterator[tuple[str, str, str]]:
         note = f"{percent(c.diagnosis.weakest_share)} of the variance E_STAT^2"
         yield "least known", c.diagnosis.weakest, note
     if c.diagnosis is not None and c.diagnosis.eigenvalues:
-        note = "the next best answer balances so many times worse; noise alone gives 1"
-        yield "alpha stands apart by", f"{c.diagnosis.separation:.3g}", note
+        note = "imbalance of the second-best solution relative to the best; 1: not unique"
+        yield "uniqueness", f"{c.diagnosis.separation:.3g}", note
     note = f"of E, the equations of balance, in units of their RMS; rank {c.rank}"
     if np.isfinite(c.condition):
         yield "condition", f"{c.condition:.3g}", note
@@ -215,12 +219,10 @@ def _symmetry(c: Calibration) -> Iterator[tuple[str, str, str]]:
     """Yield the symmetry of a matrix, and how far its two halves agree."""
     facts = c.matrix_facts
     if facts is not None:
-        values = [facts.asymmetry, facts.asymmetry_with_alpha]
-        note = "as commanded, with alpha"
-        if np.isfinite(facts.asymmetry_with_gains):
-            values.append(facts.asymmetry_with_gains)
-            note += ", with gains of the sensors"
-        yield "asymmetry", ", ".join(map(percent, values)), note
+        value = f"{percent(facts.asymmetry)}, with alpha {percent(facts.asymmetry_with_alpha)}"
+        gains = facts.asymmetry_with_gains
+        note = f"with sensor gains {percent(gains)}" if np.isfinite(gains) else ""
+        yield "asymmetry", value, note
     if c.halves is not None and np.isfinite(c.halves).any():
         rms = float(np.sqrt(np.nanmean(c.halves**2)))
         far = np.argsort(-np.abs(np.nan_to_num(c.halves)))[:3]
@@ -233,21 +235,24 @@ def _budget(c: Calibration) -> Iterator[tuple[str, str, str]]:
     scale, readings = (
         percent(typical(error, c.alpha)) for error in (c.systematic_error, c.reading_error)
     )
-    yield "  common scale", scale, "E_SYST, from the weights"
+    stated = typical(c.systematic_error, c.alpha) > NO_ERROR
+    note = "E_SYST, from the weights" if stated else "the weights are given without errors"
+    yield "  common scale", scale if stated else "not stated", note
     if budget := scale_budget(c.scale_errors):
         parts = (f"{what} {percent(part)}" for what, part in budget.items())
         yield "    budget", ", ".join(parts), ""
     if c.unseen:
-        lines = (f"{percent(error.relative)} if {error.name}" for error in c.unseen)
-        yield "    not seen", "; ".join(lines), ""
+        for k, error in enumerate(c.unseen):
+            name = "" if k else "    undetectable here"
+            yield name, "" if k else "not in E_ALPHA", f"{percent(error.relative)} if {error.name}"
     biased = ", scatter only: svd is biased besides" if c.method == "svd" else ""
     yield "  reading noise", readings, f"E_STAT{biased}"
     if np.isfinite(c.cycle_error).any():
         low, high = np.nanmin(c.cycle_error), np.nanmax(c.cycle_error)
         yield (
-            "  the paper's error",
+            "  scatter of cycles",
             f"{significant(low)} .. {significant(high)}",
-            "E_CYCLE, 3 sigma",
+            "E_CYCLE, 3 sigma, as in Ricci 2008; for comparison",
         )
 
 

@@ -117,7 +117,7 @@ def _usable(path: Path | None, segment: int | None, force: bool) -> Calibration 
 
 def _usable_segments(path: Path | None, force: bool) -> SegmentedCalibration | None:
     """Return the same of all segments; each without alpha to be used says of which file."""
-    from truenewton.calibration.verdict import refuse_unusable
+    from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
     from truenewton.reading import read_segmented
     from truenewton.records.fault import Fault
 
@@ -128,7 +128,7 @@ def _usable_segments(path: Path | None, force: bool) -> SegmentedCalibration | N
     usable = given if force else given.without_unusable()
     lacking = {}
     for number, ((fault, remedy), *_) in usable.refused.items():
-        anyway = "; --anyway takes it all the same" if number in given.segments else ""
+        anyway = f"; {REGARDLESS}" if number in given.segments else ""
         lacking[number] = (Fault(f"{path} gives no alpha: {fault}", remedy + anyway),)
     return replace(usable, refused=lacking)
 

@@ -52,10 +52,11 @@ MIN_SPREAD = 3.0  # of log alpha in terms of its error
 
 
 class Pattern(NamedTuple):
-    """A mistake, and the imbalance (3, n) of the columns that it leaves."""
+    """A mistake, the imbalance (3, n) of the columns that it leaves, and what to do about it."""
 
     name: str
     imbalance: Array
+    remedy: str = "find out how the matrix was processed, and use it as it was measured"
 
 
 class CoherentImbalance(NamedTuple):
@@ -71,12 +72,15 @@ class CoherentImbalance(NamedTuple):
         (n,) how far log alpha moves if it is fitted, too.
     column_noise
         (n,) variance of the imbalance of each column in terms of the median.
+    remedy
+        What to do about the mistake.
     """
 
     names: tuple[str, ...]
     share: float
     shift: Array
     column_noise: Array
+    remedy: str
 
 
 def coherent_imbalance(commanded: Array, arms: Array, alpha: Array) -> CoherentImbalance | None:
@@ -121,7 +125,7 @@ def coherent_imbalance(commanded: Array, arms: Array, alpha: Array) -> CoherentI
     shift = -mean_free @ np.linalg.solve(triangle, by_fit - inside[:, best] * size)
     volume = np.linalg.det(root) ** (-2.0 / 3.0)
     noise = volume / np.median(volume)
-    return CoherentImbalance(tuple(names), float(shares[best]), shift, noise)
+    return CoherentImbalance(tuple(names), float(shares[best]), shift, noise, patterns[best].remedy)
 
 
 def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
@@ -132,7 +136,8 @@ def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
     inverse = np.linalg.inv(arms @ q)  # Q' = inverse A
 
     def of_positions(name: str, dx: Array, dy: Array) -> Pattern:
-        return Pattern(name, -inverse @ (np.stack([0.0 * dx, dx, dy]) * arms[0]) @ m)
+        moved = -inverse @ (np.stack([0.0 * dx, dx, dy]) * arms[0]) @ m
+        return Pattern(name, moved, "compare X and Y of the actuators with the drawing")
 
     nothing, radius = np.zeros_like(x), np.hypot(x, y)
     for p in range(SMOOTH_DEGREE + 1):
@@ -167,18 +172,23 @@ def doubts_of_balance(
     """Yield which mistakes the balance of a matrix shows; (n,) alpha and its (n, n) covariance."""
     found = coherent_imbalance(commanded, arms, alpha)
     stated = float(np.sqrt(np.mean(np.diag(covariance) / alpha**2)))
+    coherent = False
     if found is not None and found.share > LIMITS.pattern_share:
         moved = float(np.sqrt(np.mean(found.shift**2)))
-        if moved > LIMITS.pattern_shift * stated:
+        coherent = moved > LIMITS.pattern_shift * stated
+        if coherent:
             yield Finding.of(
                 Code.COHERENT_IMBALANCE,
                 pattern=" or ".join(found.names[:3]),
                 share=found.share,
                 shift=moved,
                 ratio=moved / stated,
+                remedy=found.remedy,
             )
     if found is not None and (far := found.column_noise > LIMITS.column_noise).any():
         yield Finding.of(Code.COLUMNS_UNBALANCED, actuators=ids[far])
+    if coherent:  # wrong alpha makes wrong gains
+        return
     least = max(LIMITS.gain_correlation, LIMITS.gain_sigmas / np.sqrt(len(alpha)))
     with_alpha, gradient_sigmas = gain_correlations(commanded, arms, alpha, covariance)
     if abs(with_alpha) > least:

@@ -136,6 +136,6 @@ def inverse_information(terms: Terms, prior: Array, feigned: Array) -> Array:
     except np.linalg.LinAlgError:
         pass
     raise RankDeficient(
-        "a second pattern of alpha balances the columns as well",
+        "alpha is not unique: two patterns balance the columns almost equally well",
         remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
     )

@@ -55,7 +55,7 @@ def copied_files(
             code=Code.COPIED_FILE,
             where=f"{cycles[other].name} of {cycles[one].name}",
             size=alike,
-            remedy="leave the copy out: it holds no reading of its own",
+            remedy="restore the original of the copy, or remove it",
         )
         for (one, other), alike in same.items()
     )

@@ -113,7 +113,7 @@ def _mislabelled(
                 where=f"{campaign.cycles[k].name}, at rest as under {campaign.loads[other].name}",
                 size=float(np.sqrt(np.mean((means[other] - rest[k]) ** 2))),
                 unit="N",
-                remedy="correct LOAD of the file, or leave it out",
+                remedy="correct LOAD of the file, or remove the file",
             )
         elif np.median(distance[k][(true == other) & (said == other)]) < INDISTINCT * usual:
             named.setdefault((own, other), []).append(k)

@@ -198,7 +198,8 @@ def orientation_effects(matrix: StiffnessMatrix) -> Iterator[Finding]:
             code=Code.SYMMETRISED_STIFFNESS,
             size=imbalance,
             unit="of the own stiffness, columns out of balance",
-            remedy="give it as it was measured: what tells alpha from gains of sensors is gone",
+            remedy="use the matrix as it was measured: averaged, it does not separate alpha from"
+            " sensor gains",
         )
     elif looks_transposed(k, a) and cost > SENSORS:
         yield Finding(

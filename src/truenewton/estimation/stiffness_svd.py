@@ -144,8 +144,8 @@ def balance_modes(modes: Array, a: Array) -> tuple[Array, Array]:
     # Nearer than this the second pattern is decided by the same noise as the first.
     if values[1] < 1.5 * max(values[0], 1e-10 * values[-1]):
         raise RankDeficient(
-            f"a second pattern of alpha balances the modes as well ({values[1]:.2g} after"
-            f" {values[0]:.2g})",
+            "alpha is not unique: two patterns balance the modes almost equally well (imbalance"
+            f" {values[0]:.2g} and {values[1]:.2g})",
             remedy="check unit, X, Y and order of actuators; or measure a less noisy matrix",
             got=float(values[1]),
         )

@@ -12,7 +12,7 @@ import numpy as np
 from truenewton.arrays import Array, taking_units
 from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
 from truenewton.calibration.result import Calibration
-from truenewton.calibration.verdict import refuse_unusable
+from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
 from truenewton.errors import NotToBeUsed
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
@@ -294,8 +294,7 @@ def _refuse_negative(modes: StiffnessModes, *, force: bool) -> None:
     if 2 * negative > elastic.size and not force:
         raise NotToBeUsed(
             f"{Level.REJECTED}: {negative} of {elastic.size} elastic modes are negative",
-            remedy="reverse the sign of STIFFNESS, or of POSITION in cycles; --anyway, or"
-            " force=True, takes it all the same",
+            remedy=f"reverse the sign of STIFFNESS, or of POSITION in cycles; {REGARDLESS}",
         )
 
 

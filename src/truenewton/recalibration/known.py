@@ -13,7 +13,7 @@ from truenewton.calibration.result import Calibration
 from truenewton.calibration.segment_file import any_calibration_from
 from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.segments import InSegments
-from truenewton.calibration.verdict import Verdict, judged, refuse_unusable
+from truenewton.calibration.verdict import REGARDLESS, Verdict, judged, refuse_unusable
 from truenewton.errors import CampaignMismatch, FormatError, NotToBeUsed
 from truenewton.estimation.diagnosis import ErrorKind, ErrorSource
 from truenewton.estimation.estimate import Scale
@@ -194,7 +194,7 @@ def _verdict_on_days(tracking: Tracking, *, force: bool, path: str) -> Verdict:
     verdict = judged([Finding.of(Code.LAW_OF_REJECTED_DAY, day=day) for day in days[:1]])
     if days and not force:
         fault = verdict.faults[0]
-        remedy = f"{fault.remedy}; --anyway, or force=True, takes it all the same"
+        remedy = f"{fault.remedy}; {REGARDLESS}"
         raise NotToBeUsed(f"{verdict.level}: {fault.fault}", remedy=remedy, path=path)
     return verdict
 

@@ -116,7 +116,8 @@ def _named(
         probability=_fit(problem, moments)[0],
         size=float(far.max()),
         unit="m",
-        remedy="put the cables, or the columns of FORCE, in the order of the ACTUATORS table",
+        remedy="command one of them alone: if another responds, exchange the cables and measure"
+        " again; otherwise exchange the columns of FORCE",
     )
 
 

@@ -119,10 +119,10 @@ def _up(fit: FittedRows) -> Array:
 
 
 UNSEEN: tuple[Unseen, ...] = (
-    Unseen("something else bears 5 mN of a load", borne),
-    Unseen("all zeros move by a tenth of a reading's noise under a load", zero_by_load),
+    Unseen("5 mN of an added weight rests on something else", borne),
+    Unseen("all zeros shift by a tenth of a reading's noise under a load", zero_by_load),
     Unseen("the bias magnets are 1 K warmer under a load", warmer_magnets),
-    Unseen("the gain of each coil is 1 % another for elastic forces", static_gain),
+    Unseen("coil gains differ by 1 % between static and elastic forces", static_gain),
 )
 
 

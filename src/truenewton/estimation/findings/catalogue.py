@@ -47,7 +47,7 @@ def _fact(level: Level | None, sentence: str, remedy: str = "") -> Entry:
 
 _MORE_SIGNAL = "repeat more often, use larger forces, or add shapes"
 _GIVE_MIRROR = (
-    "give the mirror (--mirror) if not given, and check positions and order of the sensors"
+    "name the mirror (--mirror) unless you did, and check the positions and order of the sensors"
 )
 _CHECK_WEIGHT = (
     "check WEIGHT and its unit, N (kilograms times -9.81), and those of FORCE; B is wrong by as"
@@ -88,7 +88,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.COPIED_FILE: Entry("copy of another file", Concern.FILES, Level.REJECTED),
     Code.OTHER_UNIT: Entry("{} in another unit", Concern.FILES, Level.REJECTED),
     Code.OTHER_SIGN: Entry("{} of the other sign", Concern.FILES, Level.REJECTED),
-    Code.OTHER_LOAD: Entry("the file's load is another", Concern.FILES, Level.REJECTED),
+    Code.OTHER_LOAD: Entry("wrong LOAD of a file", Concern.FILES, Level.REJECTED),
     Code.LOAD_OF_TWO_NAMES: Entry("one load under two names", level=Level.USABLE),
     Code.EXCHANGED_COLUMNS: Entry("exchanged columns of {}", Concern.FILES, Level.REJECTED),
     Code.OTHER_ORDER: Entry("another order of {}", Concern.FILES, Level.REJECTED),
@@ -119,7 +119,9 @@ ENTRIES: dict[Code, Entry] = {
         "coordinates in another order than STIFFNESS", Concern.FILES, Level.REJECTED
     ),
     Code.INCOMPLETE_STIFFNESS: Entry("forces missing in STIFFNESS", Concern.FILES, Level.REJECTED),
-    Code.SYMMETRISED_STIFFNESS: Entry("STIFFNESS made symmetric", Concern.FILES, Level.REJECTED),
+    Code.SYMMETRISED_STIFFNESS: Entry(
+        "STIFFNESS is symmetric, as if averaged with its transpose", Concern.FILES, Level.REJECTED
+    ),
     Code.TRANSPOSED_STIFFNESS: Entry("transposed stiffness", Concern.FILES, Level.REJECTED),
     Code.CLEANED_STIFFNESS: Entry(
         "STIFFNESS already balanced as commanded: alpha is gone (cleaned of rigid motions?)",
@@ -134,13 +136,13 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.WEAK_PATTERNS: _fact(
         Level.USABLE,
-        "{count:count pattern} of alpha hardly above the noise, the weakest {weakest}",
+        "poorly determined: {count:count pattern} of alpha; the weakest is {weakest}",
         "repeat more often, use larger forces, or add a stiffness matrix",
     ),
     Code.CONSTRAINED_PATTERNS: _fact(
         Level.USABLE,
-        "{count:count pattern} of alpha below the noise: assumed to be even over the mirror, each"
-        " with an rms uncertainty of {error:percent} of alpha",
+        "not determined by the data: {count:count pattern} of alpha; alpha is assumed to be uniform"
+        " along each, with an rms uncertainty of {error:percent}",
         "use E_ALPHA, and COVARIANCE for differences along other patterns",
     ),
     Code.NO_LOAD_SEEN: _fact(
@@ -204,8 +206,10 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.WEIGHTS_WITHOUT_ERRORS: _fact(
         Level.USABLE,
-        "the weights are given without errors{which}, so E_SYST does not include their uncertainty",
-        "give E_WEIGHT, E_ADDED and E_TILT, the standard uncertainties of the weighing",
+        "the weights are given without errors{which}: E_SYST is too small, and alpha is wrong by"
+        " as many per cent as the weights",
+        "write the standard uncertainties of the weighing into the files (E_WEIGHT and E_ADDED in"
+        " N, E_TILT in degrees)",
     ),
     Code.SCALE_BY_WEIGHTS: _fact(
         Level.USABLE,
@@ -213,7 +217,9 @@ ENTRIES: dict[Code, Entry] = {
         "better known weights would help, more cycles would not",
     ),
     Code.ALPHA_FAR_FROM_ONE: _fact(
-        Level.REJECTED, "alpha is about {alpha}, but near 1 if all is in N: {looks}"
+        Level.REJECTED,
+        "alpha is about {alpha}, and would be near 1 if all values were in N. Possible causes:"
+        " {looks}",
     ),
     Code.NOISE_ABOVE_DECLARED: _fact(
         Level.USABLE,
@@ -262,7 +268,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.ROWS_REJECTED: _fact(
         Level.USABLE,
         "{count:count row} did not fit and {was} left out{farthest}",
-        "look at the residuals, and at an actuator that is named repeatedly",
+        "look at the residuals in the report, and at an actuator that is named repeatedly",
     ),
     Code.MANY_ROWS_REJECTED: _fact(
         Level.DOUBTFUL,
@@ -383,10 +389,9 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.COHERENT_IMBALANCE: _fact(
         Level.DOUBTFUL,
-        "{share:percent} of the imbalance of the columns is no noise, but the pattern of a mistake"
-        " in {pattern}. If it is fitted as well, alpha moves by {shift:percent} rms, {ratio:.2g}"
-        " times its error",
-        "check X and Y of the actuators, and how the matrix was processed",
+        "{share:percent} of the imbalance of the columns is not noise: it has the pattern of an"
+        " error in {pattern}. If this error is fitted as well, alpha changes by {shift:percent}"
+        " rms, {ratio:.2g} times its stated error",
     ),
     Code.COLUMNS_UNBALANCED: _fact(
         Level.USABLE,
@@ -402,9 +407,10 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.GAINS_FOLLOW_ALPHA: _fact(
         Level.DOUBTFUL,
-        "the sensor gains that symmetry implies follow alpha (correlation {correlation:.2f}), as if"
-        " a part of the rigid motions had been removed from the matrix, or its transpose mixed in",
-        "find out how the matrix was processed, and give it as it was measured",
+        "the sensor gains that follow from the symmetry of the matrix are correlated with alpha"
+        " ({correlation:+.2f}), as if rigid motions had been partly removed from the matrix"
+        " (positive), or the matrix averaged with its transpose (negative)",
+        "find out how the matrix was processed, and use it as it was measured",
     ),
     Code.SEGMENTS_COUPLED: _fact(
         Level.DOUBTFUL,
@@ -414,7 +420,9 @@ ENTRIES: dict[Code, Entry] = {
         " of its own",
     ),
     Code.RECIPROCITY_NOT_USED: _fact(
-        Level.SOUND, "alpha is by ml, not by reciprocity: {cause}", "{advice}"
+        Level.SOUND,
+        "alpha is from the balance alone (ml), not from reciprocity: {cause}",
+        "{advice}",
     ),
     Code.RECIPROCITY_DOUBTFUL: _fact(
         Level.DOUBTFUL, "reciprocity is doubtful: {cause}", "use ml; {advice}"
@@ -459,8 +467,8 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.HELD_OUT_WORSE: _fact(
         Level.DOUBTFUL,
-        "held-out modes are unbalanced by {held_out:percent} of their force, by balance alone by"
-        " {by_balance:percent}",
+        "reciprocity leaves held-out modes unbalanced by {held_out:percent} of their force, the"
+        " balance alone by {by_balance:percent}",
         _GIVE_MIRROR,
     ),
     Code.ESTIMATES_APART: _fact(
@@ -470,7 +478,7 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.ERRORS_LARGER: _fact(
         Level.DOUBTFUL,
-        "its errors are {error:percent} typically, those of ml {of_balance:percent}",
+        "its typical error would be {error:percent}, that of ml is {of_balance:percent}",
         _GIVE_MIRROR,
     ),
     Code.SENSORS_FAR: _fact(
@@ -507,7 +515,11 @@ ENTRIES: dict[Code, Entry] = {
 _PLAIN = {
     entry.name: code for code, entry in ENTRIES.items() if entry.name and "{}" not in entry.name
 }
-_EARLIER = {"exchanged columns": (Code.EXCHANGED_COLUMNS, "FORCE")}
+_EARLIER = {
+    "exchanged columns": (Code.EXCHANGED_COLUMNS, "FORCE"),
+    "the file's load is another": (Code.OTHER_LOAD, ""),
+    "STIFFNESS made symmetric": (Code.SYMMETRISED_STIFFNESS, ""),
+}
 
 
 def read_name(name: str) -> tuple[Code, str]:

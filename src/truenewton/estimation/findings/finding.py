@@ -212,13 +212,15 @@ def from_stored(code: str, remedy: str, parts: Mapping[str, Any]) -> Finding:
         It is not of this version, or damaged.
     """
     cause = parts.get("cause")
-    return Finding(
+    finding = Finding(
         code=Code(code),
         values=dict(parts["values"]),
         actuators=tuple(int(i) for i in parts["actuators"]),
         cause=None if cause is None else from_stored(cause["code"], cause["remedy"], cause),
         remedy=remedy,
     )
+    _ = finding.fault  # KeyError if its sentence contains a value that the file does not
+    return finding
 
 
 def distinct(findings: Iterable[Finding]) -> tuple[Finding, ...]:

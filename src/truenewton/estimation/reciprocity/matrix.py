@@ -236,8 +236,8 @@ def find(
         raise RankDeficient(effect.name, remedy=effect.remedy)
     if asymmetry(matrix.used_stiffness) < SYMMETRIC:
         raise RankDeficient(
-            "STIFFNESS was made symmetric, which leaves nothing by which reciprocity tells alpha",
-            remedy="give it as it was measured",
+            "STIFFNESS is symmetric as commanded, so reciprocity gives alpha = 1 whatever it is",
+            remedy="use the matrix as it was measured",
         )
     keep, odd = kept(matrix.used_stiffness)
     modes = modes_of(matrix, motion, keep)
