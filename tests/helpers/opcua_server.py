@@ -5,15 +5,12 @@ import contextlib
 import dataclasses
 import datetime
 import socket
-import subprocess
-import sys
 import threading
 import time
-import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
 import truenewton as tn
 from truenewton.bench.choice import BenchChoice
@@ -112,23 +109,17 @@ def choice(address, **other):
     )
 
 
-@contextlib.contextmanager
-def serve(folder: Path, port: int) -> Iterator[tuple["subprocess.Popen[str]", dict[str, str]]]:
-    """Give `truenewton serve p45` and the table that it prints for a plan."""
-    command = [sys.executable, "-m", "truenewton", "serve", "p45", "--port", str(port), "-o",
-               str(folder)]  # fmt: skip
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, **pipes) as server:
-        assert server.stdout is not None
-        try:
-            printed = "".join(server.stdout.readline() for _ in range(10))
-            yield server, tomllib.loads(printed.partition("\n")[2])["bench"]
-        finally:
-            server.kill()
 
-
-def memory_and_files(process: int) -> tuple[float, int]:
-    """Return the most memory that a process ever held [MiB], and its open files."""
-    status = Path(f"/proc/{process}/status").read_text(encoding="ascii")
-    peak = int(status.partition("VmHWM:")[2].split()[0]) / 1024
-    return peak, len(list(Path(f"/proc/{process}/fd").iterdir()))
+def known_client(address, folder, mode=ua.MessageSecurityMode.SignAndEncrypt):
+    """Return a client with the trusted certificate and its key, but without user and password."""
+    client = Client(address, timeout=10.0, watchdog_intervall=60.0)  # silent by itself
+    client.application_uri = keys.CLIENT_URI
+    client.session_timeout = 60_000
+    client.security_policy = SecurityPolicyBasic256Sha256(
+        keys.read_certificate(folder / keys.SERVER_CERTIFICATE),
+        keys.read_certificate(folder / keys.CLIENT_CERTIFICATE),
+        keys.read_private_key(folder / keys.CLIENT_KEY),
+        mode,
+    )
+    client.uaclient.set_security(client.security_policy)
+    return client

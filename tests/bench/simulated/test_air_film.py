@@ -61,6 +61,7 @@ def test_the_film_takes_energy_from_every_motion_and_goes_as_the_gap_to_the_minu
     assert narrow == pytest.approx(8 * damping, rel=1e-9)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(("vent", "stiff", "extrapolated"), [(0.0, 0.1, 3e-3), (3e-3, 0.2, 0.02)])
 def test_elements_of_an_outline_come_to_the_films_of_the_ring(vent, stiff, extrapolated):
     """P45 as a polygon of its circles' area; linear elements, wrong by the square of their size."""
