@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,14 +21,18 @@ from truenewton.mirrors.known import p45
 BARE = tn.Load("bare")
 
 
+@cache
+def truth():
+    return static_bench(p45(), 3).truth
+
+
 class Device:
     """P45 as opticalib's drivers behave: positions hold a bias, commands are changed in place."""
 
     def __init__(self, noise=0.0):
         self.n_acts = 45
         self.noise, self.random = noise, np.random.default_rng(4)
-        truth = static_bench(p45(), 3).truth
-        self.response = truth.stiffness / truth.alpha
+        self.response = truth().stiffness / truth().alpha
         self.bias = 1e-6 * np.arange(45)
         self.displacement = np.full(45, 7e-6)
         self.drift = 0.0

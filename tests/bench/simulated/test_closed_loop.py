@@ -240,12 +240,6 @@ def test_no_triangle_of_a_slightly_asymmetric_glass_is_taken_for_the_whole(monke
     assert np.sort(np.abs(again)) == pytest.approx(np.sort(np.abs(once)), rel=1e-9)
 
 
-def test_too_much_derivative_is_refused_on_p45():
-    k, mass, damping, coils, sensors, control = p45_parts()
-    with pytest.raises(LoopUnstable, match="lower the gains"):
-        closed_loop(k, mass, damping, coils, sensors, replace(control, derivative=600.0))
-
-
 def test_an_unstable_loop_stops_itself(p45_loop, p45_shapes):
     wild = replace(p45_loop, control=replace(p45_loop.control, derivative=600.0))
     noise = [row_noise(1, "bare", 1, k, 1) for k in range(45)]
@@ -294,7 +288,7 @@ def test_at_rest_the_true_forces_are_those_of_statics(p45_loop, p45_shapes):
         coils=replace(p45_loop.coils, **SMOOTH, temperature=np.linspace(15.0, 25.0, 45)),
         sensors=replace(p45_loop.sensors, **SHARP),
     )
-    found = record(quiet, p45_shapes, LOAD)
+    found = record(quiet, p45_shapes, LOAD, samples=512)
     true_position = quiet.sensors.gain[:, None] * (found.position - quiet.sensors.offset[:, None])
     warmer = 1 - 1.1e-3 * np.linspace(-5.0, 5.0, 45)
     true = quiet.coils.alpha[:, None] * found.force * warmer * (1 + 600 * true_position)
@@ -311,6 +305,7 @@ def test_at_rest_the_true_forces_are_those_of_statics(p45_loop, p45_shapes):
     assert total == pytest.approx(np.tile(arms(p45().layout) @ LOAD, (1, 45)), abs=1e-7)
 
 
+@pytest.mark.study
 def test_with_noise_statics_holds_within_the_standard_error_of_the_readings(p45_loop, p45_shapes):
     """True force less K z of the readings: K times the mean noise of the sensors is left."""
     columns = np.tile(np.arange(45), 4)
@@ -330,11 +325,10 @@ def test_with_noise_statics_holds_within_the_standard_error_of_the_readings(p45_
     assert np.abs(ratio).max() < 5.5
 
 
-@pytest.mark.parametrize("slow_gain", [1.0, 5.0])
-def test_the_error_of_a_mean_force_is_what_its_autocorrelation_makes_of_sensor_noise(slow_gain):
+def test_the_error_of_a_mean_force_is_what_its_autocorrelation_makes_of_sensor_noise():
     """The mean is a sum over all past noise, weighted by the loop's impulse response."""
     k, mass, damping, batch, samples, wait = 6e5, 6.6e-3, 64.0, 500, 2048, 1432
-    loop = one_mode(k, mass, damping, slow_gain=slow_gain)
+    loop = one_mode(k, mass, damping)
     noisy = replace(loop, sensors=replace(loop.sensors, noise=3e-9))
     noise = [row_noise(1, "bare", 1, j, 1) for j in range(batch)]
     found = record(noisy, np.zeros((1, batch)), np.zeros((1, 1)), noise, settling=wait * PERIOD)
@@ -399,10 +393,11 @@ def test_a_shape_alone_is_the_same_shape_among_others(p45_loop, p45_shapes):
 
     def taken(columns):
         noise = [row_noise(5, "ring", 2, int(c) + 1, int(signs[c])) for c in columns]
-        return record(p45_loop, (p45_shapes * signs)[:, columns], LOAD, noise, samples=512)
+        return record(p45_loop, (p45_shapes * signs)[:, columns], LOAD, noise, samples=64)
 
-    together, alone = taken(np.arange(45)), [taken(np.array([c])) for c in (0, 17, 44)]
-    for c, one in zip((0, 17, 44), alone, strict=True):
+    together = taken(np.arange(45))
+    for c in (0, 44):
+        one = taken(np.array([c]))
         assert one.force[:, 0] == pytest.approx(together.force[:, c], rel=0, abs=1e-12)
         assert one.position[:, 0] == pytest.approx(together.position[:, c], rel=0, abs=1e-15)
         assert one.force_scatter[:, 0] == pytest.approx(together.force_scatter[:, c], rel=1e-9)
@@ -431,9 +426,8 @@ def test_each_shape_needs_its_own_noise(p45_loop, p45_shapes):
         record(p45_loop, p45_shapes, LOAD, [row_noise(1, "bare", 1, 1, 1)])
 
 
-@pytest.mark.parametrize("count", [300, 301])
-def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes, count):
-    shapes = p45_shapes[:, [5, 40]]
+def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes):
+    shapes, count = p45_shapes[:, [5, 40]], 301
 
     def noise():
         return [row_noise(1, "bare", 1, k, 1) for k in (5, 40)]
@@ -456,10 +450,9 @@ def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes, count):
 
 
 def test_a_record_taken_too_soon_has_not_settled(p45_loop, p45_shapes):
-    soon = record(p45_loop, p45_shapes, LOAD, settling=0.5e-3)
-    later = record(p45_loop, p45_shapes, LOAD)
-    assert not soon.settled[3]  # a soft mode, 1 um
-    assert later.settled.all()
+    soft = p45_shapes[:, 3:4]  # 1 um
+    assert not record(p45_loop, soft, LOAD, settling=0.5e-3, samples=512).settled
+    assert record(p45_loop, soft, LOAD, samples=512).settled
 
 
 def test_warm_magnets_take_more_command(p45_loop):
@@ -478,21 +471,6 @@ def test_soft_middle_and_stiff_modes_settle_in_one_and_a_half_and_in_less_than_o
     assert steps.position.max() < 1.05
     assert steps.stiffness == pytest.approx([4632, 6.92e5, 2.23e6], rel=0.01)
     assert steps.position[0] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_soft_step_is_that_of_mass_film_and_gains(p45_loop):
-    """m z'' + (k_d + C / alpha) z' + k_p (z - z_c) = 0, with neither filters nor delays."""
-    loop = one_mode(k=31.0, gain=1.0, alpha=1.0, slow_gain=1.0, delay=0)
-    walk = samples_of(loop, np.array([[1e-7]]), np.zeros((1, 1)), (), 300)
-    found = np.array([z.item() for _, _, z in walk]) / 1e-7
-
-    def rate(t, x):
-        wanted = 0.5 - 0.5 * np.cos(np.pi * min(t / 1e-4, 1.0))
-        return [x[1], (1.3e5 * (wanted - x[0]) - 94.0 * x[1]) / 6.6e-3]
-
-    exact = solve_ivp(rate, (0, 300 * PERIOD), [0, 0], t_eval=np.arange(300) * PERIOD,
-                      rtol=1e-9, max_step=1e-5).y[0]  # fmt: skip
-    assert np.abs(found - exact).max() < 0.02
 
 
 def test_a_response_that_leaves_the_band_has_not_settled():
