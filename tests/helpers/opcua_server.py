@@ -109,7 +109,6 @@ def choice(address, **other):
     )
 
 
-
 def known_client(address, folder, mode=ua.MessageSecurityMode.SignAndEncrypt):
     """Return a client with the trusted certificate and its key, but without user and password."""
     client = Client(address, timeout=10.0, watchdog_intervall=60.0)  # silent by itself

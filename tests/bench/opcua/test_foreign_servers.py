@@ -1,6 +1,5 @@
 """Hardware as it comes: servers written from the page, what they may leave out and get wrong."""
 
-import ast
 import asyncio
 import datetime
 import logging
@@ -32,7 +31,7 @@ from truenewton.bench.opcua.methods import (
     received_answer,
     scalar,
 )
-from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
+from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
 from truenewton.errors import BenchFault, FormatError, TrueNewtonError
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.file import mirror_from
@@ -172,11 +171,6 @@ def test_a_server_written_from_the_page_takes_a_campaign(foreign, keys_folder, t
 
 NAN = float("nan")
 NONSENSE = [  # which of the values of Read, and what it is instead
-    (
-        0,
-        ["BenchFault"],
-        "gives Fault as ['BenchFault'], in Bench.Read (it is empty, or kind, fault and remedy)",
-    ),
     (0, ["Interrupted", "stop", ""], "stop"),
     (
         1,
@@ -185,17 +179,10 @@ NONSENSE = [  # which of the values of Read, and what it is instead
     ),
     (2, [0.1] * 3, "force of shape (3,) for 8 actuators"),
     (2, [[0.1] * 4] * 2, "gives Force as [[0.1"),
-    (2, ["a"] * 8, "gives Force as ['a'"),
-    (2, [NAN] * 8, "the force of actuator 1 is NaN"),
     (3, [NAN] * 8, "the position of actuator 1 is NaN"),
     (4, [float("inf")] * 8, "the force_scatter of a reading is inf"),
     (5, [-1.0] * 8, "the position_scatter of a reading is -1"),
     (8, 1, "the server gives Settled as 1, in Bench.Read (it is Boolean)"),
-    (
-        None,
-        [],
-        "gives 0 values after the fault, where 9 are due, in Bench.Read (they are Time, Force",
-    ),
     (
         None,
         ua.StatusCode(ua.StatusCodes.BadOutOfMemory),
@@ -248,31 +235,18 @@ def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
     assert [cycle.valid.tolist() for cycle in cycles] == [[True] * 6] * 2
 
 
-def test_what_a_server_gets_wrong_is_one_line_that_names_it(foreign, keys_folder):
+def test_a_mirror_without_a_node_is_refused_in_one_line_with_the_address(foreign, keys_folder):
     """Last of those that use the server, which it spoils."""
     address, server, loop = foreign
 
     async def spoil():
         space = await server.get_namespace_index(NAMESPACE)
-        yes = ua.Variant("yes", ua.VariantType.String)
-        fine = ua.Variant([], ua.VariantType.String)
-        status, gap = (
-            server.get_node(ua.NodeId(f"Bench.{one}", space)) for one in ("Status", "Gap")
-        )
-        server.link_method(status, lambda _: [fine, yes, yes, yes])
-        await server.delete_nodes([gap])
+        await server.delete_nodes([server.get_node(ua.NodeId("Bench.Gap", space))])
 
-    with connect(choice(address), keys_folder) as bench:
-        asyncio.run_coroutine_threadsafe(spoil(), loop).result(20)
-        with pytest.raises(BenchFault) as raised:
-            bench.status()
-        said = f"{address}: the server gives Ready as 'yes', in Bench.Status; it is Boolean"
-        assert str(raised.value) == said
-    with pytest.raises(BenchFault) as raised:
+    asyncio.run_coroutine_threadsafe(spoil(), loop).result(20)
+    said = f"{address}: the server has no node Bench.Gap; add it, in {NAMESPACE}"
+    with pytest.raises(BenchFault, match=f"^{said}$"):
         connect(choice(address), keys_folder)
-    assert (
-        str(raised.value) == f"{address}: the server has no node Bench.Gap; add it, in {NAMESPACE}"
-    )
 
 
 GOOD = {
@@ -285,9 +259,7 @@ GOOD = {
     ("change", "said"),
     [
         ({"Gap": "68 um"}, "gives Bench.Gap as '68 um'; it is Double"),
-        ({"Gap": None}, "gives Bench.Gap as None; it is Double"),
         ({"Instrument": 8}, "gives Bench.Instrument as 8; it is String"),
-        ({"X": 0.1}, "gives Bench.X as 0.1; it is Double[]"),
         ({"X": [0.1, True, 0.2, 0.3]}, "gives Bench.X as [0.1, True, 0.2, 0.3]; it is Double[]"),
         ({"X": [0.1] * 3}, "gives 3 values of Bench.X for 4 actuators"),
         ({"Id": None}, "gives 0 values of Bench.Id for 0 actuators"),
@@ -326,7 +298,6 @@ def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
         ),
         ("Status", ["", True, "", 1], "gives Fault as ''; it is String[]"),
         ("Rest", [["hot"]], "gives Fault as ['hot']; it is empty, or kind, fault and remedy"),
-        ("Rest", [["BenchFault", "", "cool it"]], "gives Fault as ['BenchFault', '', 'cool it']"),
         ("Rest", [[], 1], "gives 1 value after the fault, where 0 are due; they are none"),
         ("Read", [[], None, [], [], [], [], 1.0, 1, True], "gives Time as None; it is DateTime"),
     ],
@@ -345,8 +316,6 @@ def test_answers_of_another_kind_are_refused_by_name(method, values, said):
     ("kind", "keys_given", "said"),
     [
         ("opcua", {"seed": 7}, "bench.seed is 7; take it out: a bench of kind 'opcua'"),
-        ("opcua", {"fidelity": "loop"}, "bench.fidelity is 'loop'; take it out"),
-        ("opcua", {"force_noise": 1e-3}, "bench.force_noise is 0.001; take it out"),
         ("opticalib", {"seed": 7}, "bench.seed is 7; take it out: a bench of kind 'opticalib'"),
         ("replay", {"user": "me"}, "bench.user is 'me'; take it out"),
         ("simulated", {"address": "a"}, "bench.address is 'a'; take it out"),
@@ -372,24 +341,23 @@ def test_serve_takes_the_fidelity(inside, keys_folder):
 # -- readings ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("samples", [0, -3, 10**10])
-def test_a_reading_has_a_sample_at_least(samples):
+def test_a_reading_has_a_sample_at_least():
     bench = tn.SimulatedBench(SMALL, 1)
     bench.command(Shape(LOADS[0], 1, 1, 1, np.zeros(8)))
-    with pytest.raises(BenchFault, match=f"a reading of {samples} samples; ask for 1 to"):
-        bench.read(samples)
-    check_samples(1)
+    for samples in (0, 10**10):
+        with pytest.raises(BenchFault, match=f"a reading of {samples} samples; ask for 1 to"):
+            bench.read(samples)
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3, 5, 7])
-def test_a_short_record_of_the_loop_has_means(samples):
+def test_a_short_record_of_the_loop_has_means():
     """No division by the samples of a half that has none (warnings are errors here)."""
     bench = tn.SimulatedBench(SMALL, 1, fidelity="loop")
     bench.command(Shape(LOADS[0], 1, 1, 1, np.zeros(8)))
-    reading = bench.read(samples)
-    assert np.isfinite(reading.force).all()
-    assert (reading.force_error is None) == (samples < 4)
-    assert (samples > 1) == bool(reading.force_scatter.any())
+    for samples in (1, 3, 5):
+        reading = bench.read(samples)
+        assert np.isfinite(reading.force).all()
+        assert (reading.force_error is None) == (samples < 4)
+        assert (samples > 1) == bool(reading.force_scatter.any())
 
 
 def test_the_error_of_a_mean_in_closed_loop_is_that_of_readings_taken_again():
@@ -437,7 +405,7 @@ def test_independent_samples_give_their_error_by_batches(tmp_path):
 
 def test_a_campaign_in_closed_loop_says_what_its_means_are_worth(tmp_path):
     loop = tn.SimulatedBench(SMALL, 1, fidelity="loop", loads=LOADS)
-    plan = small_plan(cycles=1, count=2, samples=512)
+    plan = small_plan(cycles=1, count=1, loads=LOADS[:1], samples=512)
     tn.acquire(loop, plan, tmp_path / "c")
     static = tn.SimulatedBench(SMALL, 1, loads=LOADS, force_noise=3e-4)
     tn.acquire(static, plan, tmp_path / "s")
@@ -447,41 +415,28 @@ def test_a_campaign_in_closed_loop_says_what_its_means_are_worth(tmp_path):
         assert 1e-6 < cycle.force_error < 1e-4
 
 
-def spoilt(name, change):
-    def spoil(shape, reading):
-        return replace(reading, **{name: change(shape, reading)})
-
-    return spoil
-
-
 @pytest.mark.parametrize(
-    ("position", "said"),
+    ("spoil", "said"),
     [
-        (lambda shape, reading: np.roll(reading.position, 1), r"stands .* m from where it was"),
-        (lambda shape, reading: -reading.position, r"in a shape of 1e-06 m"),
-        (lambda shape, reading: 0.8 * reading.position, r"stands .* m from where it was commanded"),
-        (lambda shape, reading: reading.position + 2e-7 * shape.number * np.eye(8)[2],
-         r"actuator 3 stands"),
+        (lambda shape, z: np.roll(z, 1), "in a shape of 1e-06 m, .* plan fewer shapes"),
+        (lambda shape, z: z + 2e-7 * shape.number * np.eye(8)[2], "actuator 3 stands .* m from"),
+        (
+            lambda shape, z: 0.8 * z,
+            "a tenth is let pass, and six times its position_scatter of 1e-",
+        ),
     ],
-    ids=["cables", "sign", "scale", "one actuator"],
-)  # fmt: skip
-def test_a_bench_in_another_shape_than_commanded_is_noticed(tmp_path, position, said):
-    bench = StubBench(spoil=spoilt("position", position))
-    with pytest.raises(BenchFault, match=said):
-        tn.acquire(bench, small_plan(), tmp_path / "c")
-
-
-@pytest.mark.parametrize(
-    ("scatter", "said"),
-    [(1e-9, "and six times its position_scatter of 1e-09 m"), (np.nan, "plan fewer shapes")],
+    ids=["cables", "one actuator", "scale"],
 )
-def test_an_actuator_elsewhere_is_said_with_the_rule_and_its_remedy(tmp_path, scatter, said):
+def test_a_bench_in_another_shape_than_commanded_is_noticed(tmp_path, spoil, said):
+    scatter = 1e-9 if "scatter" in said else np.nan
     bench = StubBench(
         spoil=lambda shape, reading: replace(
-            reading, position=0.8 * reading.position, position_scatter=np.full(8, scatter)
+            reading,
+            position=spoil(shape, reading.position),
+            position_scatter=np.full(8, scatter),
         )
     )
-    with pytest.raises(BenchFault, match=rf"of which a tenth is let pass.*{said}"):
+    with pytest.raises(BenchFault, match=said):
         tn.acquire(bench, small_plan(), tmp_path / "c")
 
 
@@ -499,9 +454,7 @@ def test_what_its_noise_explains_is_no_other_shape(tmp_path):
     assert all(cycle.valid.all() for cycle in tn.read(tmp_path / "c").cycles)
 
 
-@pytest.mark.parametrize(
-    "given", [None, (1.0,), ("steep", None), (float("nan"), 1.0), (1e9, None), 3.0]
-)
+@pytest.mark.parametrize("given", [(1.0,), ("steep", None), (NAN, 1.0), (1e9, None), 3.0])
 def test_gradients_that_are_none_are_refused_before_anything_is_taken(tmp_path, given):
     class Odd(StubBench):
         gradients = given
@@ -521,19 +474,14 @@ def test_a_reading_of_lists_counts_and_one_of_words_is_a_fault(tmp_path):
         tn.acquire(words, small_plan(), tmp_path / "d")
 
 
-POSIX = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"}
+POSIX = "fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"
 
 
 def test_nothing_needs_posix():
     """Windows has none of these; the lock of a folder takes its own where there is no fcntl."""
-    found = []
-    for path in Path(tn.__file__).parent.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [alias.name for alias in getattr(node, "names", ())]
-            if isinstance(node, ast.ImportFrom):
-                names = [node.module]
-            if isinstance(node, ast.Import | ast.ImportFrom) and POSIX & set(names):
-                found.append(path.name)
+    imports = re.compile(rf"^\s*(?:import|from) (?:{'|'.join(POSIX)})\b", re.MULTILINE)
+    source = Path(tn.__file__).parent.rglob("*.py")
+    found = [path.name for path in source if imports.search(path.read_text(encoding="utf-8"))]
     assert found == ["lock.py"]
 
 

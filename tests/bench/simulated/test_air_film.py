@@ -72,16 +72,19 @@ def test_the_film_takes_energy_from_every_motion_and_goes_as_the_gap_to_the_minu
 def test_elements_of_an_outline_come_to_the_films_of_the_ring(whole, vent, stiff, extrapolated):
     """A polygon of its circles' area; linear elements, wrong by the square of their size."""
     angle = np.pi / 60 * np.arange(120)
-    ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    ring *= np.sqrt(np.pi / 60 / np.sin(np.pi / 60))
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    circle *= np.sqrt(np.pi / 60 / np.sin(np.pi / 60))
     shell, mirror = whole.shell, replace(whole, vent_radius=vent)
-    edge, hole = (tuple(map(tuple, r * ring)) for r in (shell.outer_radius, shell.inner_radius))
-    coarse, fine = (
-        damping_of(replace(mirror, shell=replace(
-            shell, outer_radius=1.005 * shell.outer_radius, outline=Outline(edge, (hole,), mesh_size=size),
-        )))[0]
+    edge, hole = (tuple(map(tuple, r * circle)) for r in (shell.outer_radius, shell.inner_radius))
+    meshed = (
+        replace(
+            shell,
+            outer_radius=1.005 * shell.outer_radius,
+            outline=Outline(edge, (hole,), mesh_size=size),
+        )
         for size in (0.012, 0.008)
-    )  # fmt: skip
+    )
+    coarse, fine = (damping_of(replace(mirror, shell=each))[0] for each in meshed)
     round_film, _ = damping_of(mirror)
     assert np.abs(fine - round_film).max() < stiff * np.abs(round_film).max()
     total = fine.sum() + (fine.sum() - coarse.sum()) / (1.5**2 - 1)
