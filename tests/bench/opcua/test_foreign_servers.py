@@ -369,40 +369,6 @@ def test_the_error_of_a_mean_in_closed_loop_is_that_of_readings_taken_again():
     assert independent > 8 * again
 
 
-def test_independent_samples_give_their_error_by_batches(tmp_path):
-    from truenewton.bench.opticalib import OpticalibMirror
-
-    random = np.random.default_rng(2)
-
-    class Device:
-        n_acts = 8
-
-        def set_shape(self, cmd, differential):
-            self.shape = cmd
-
-        def get_shape(self):
-            return self.shape + 1e-9 * random.standard_normal(8)
-
-        def get_force(self):
-            return 1e5 * self.shape + 1e-3 * random.standard_normal(8)
-
-        def get_temperature(self):
-            return 21.5
-
-    mirror = replace(SMALL, coil_gradient=-280.0, bias_gradient=90.0)
-    bench = OpticalibMirror(Device(), mirror, settling=0.0)
-    assert bench.gradients == (-280.0, 90.0)
-    errors = []
-    for number in range(1, 101):
-        bench.command(Shape(LOADS[0], 1, number, 1, np.full(8, 1e-7)))
-        reading = bench.read(64)
-        errors.append(reading.force_error)
-        assert reading.temperature == 21.5
-    # 2400 degrees of freedom: known to 1.4 %.
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1e-3 / 8, rel=0.06)
-    assert bench.read(3).force_error is None
-
-
 def test_a_campaign_in_closed_loop_says_what_its_means_are_worth(tmp_path):
     loop = tn.SimulatedBench(SMALL, 1, fidelity="loop", loads=LOADS)
     plan = small_plan(cycles=1, count=1, loads=LOADS[:1], samples=512)

@@ -13,7 +13,6 @@ from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control, ramp
 from truenewton.bench.simulated.loop import (
     Loop,
-    _single_threaded,
     equilibrium,
     samples_of,
     slowest_creep,
@@ -305,26 +304,6 @@ def test_at_rest_the_true_forces_are_those_of_statics(p45_loop, p45_shapes):
     assert total == pytest.approx(np.tile(arms(p45().layout) @ LOAD, (1, 45)), abs=1e-7)
 
 
-@pytest.mark.study
-def test_with_noise_statics_holds_within_the_standard_error_of_the_readings(p45_loop, p45_shapes):
-    """True force less K z of the readings: K times the mean noise of the sensors is left."""
-    columns = np.tile(np.arange(45), 4)
-    noise = [row_noise(3, "bare", 1 + k // 45, k % 45, 1) for k in range(180)]
-    found = record(p45_loop, p45_shapes[:, columns], LOAD, noise, settling=0.02)
-    assert found.settled.all()
-    gain, alpha = p45_loop.sensors.gain[:, None], p45_loop.coils.alpha[:, None]
-    z = gain * (found.position - p45_loop.sensors.offset[:, None])
-    left = alpha * found.force * (1 + 600 * z) - p45_loop.stiffness @ z - LOAD
-    of_sensors = np.hypot(3e-9, COUNT / np.sqrt(12)) / np.sqrt(2048)
-    of_drivers = 30e-6 / np.sqrt(2048)
-    to_force = p45_loop.stiffness @ np.diagflat(gain)
-    error = np.hypot(np.linalg.norm(to_force, axis=1)[:, None] * of_sensors, alpha * of_drivers)
-    ratio = left / error
-    assert ratio.std() == pytest.approx(1.0, abs=0.05)
-    assert np.abs(ratio.mean(axis=1)).max() < 4.5 / np.sqrt(180)
-    assert np.abs(ratio).max() < 5.5
-
-
 def test_the_error_of_a_mean_force_is_what_its_autocorrelation_makes_of_sensor_noise():
     """The mean is a sum over all past noise, weighted by the loop's impulse response."""
     k, mass, damping, batch, samples, wait = 6e5, 6.6e-3, 64.0, 500, 2048, 1432
@@ -403,24 +382,6 @@ def test_a_shape_alone_is_the_same_shape_among_others(p45_loop, p45_shapes):
         assert one.force_scatter[:, 0] == pytest.approx(together.force_scatter[:, c], rel=1e-9)
 
 
-@pytest.mark.parametrize(("n", "batch"), [(1, 500), (45, 90), (45, 1), (73, 146), (672, 1344)])
-def test_products_of_small_mirrors_stay_on_one_thread_and_give_every_column(n, batch):
-    step = np.broadcast_to(1.0, (2 * n, 3 * n))
-    parts = [np.arange(batch)[part] for part in _single_threaded(step, batch)]
-    assert np.array_equal(np.concatenate(parts), np.arange(batch))
-    largest = max(part.size for part in parts) * step.size
-    assert largest <= 2**18 if n < 100 else len(parts) == 1
-
-
-def test_every_label_of_a_row_has_its_own_noise():
-    labels = (1, "bare", 1, 1, 1)
-    changed = [(2, *labels[1:]), (1, "ring", 1, 1, 1), (1, "bare", 2, 1, 1),
-               (1, "bare", 1, 2, 1), (1, "bare", 1, 1, -1)]  # fmt: skip
-    drawn = {float(row_noise(*row).standard_normal()) for row in [labels, *changed]}
-    assert len(drawn) == 6
-    assert float(row_noise(*labels).standard_normal()) in drawn
-
-
 def test_each_shape_needs_its_own_noise(p45_loop, p45_shapes):
     with pytest.raises(ValueError, match="1 generators of noise for 45 shapes"):
         record(p45_loop, p45_shapes, LOAD, [row_noise(1, "bare", 1, 1, 1)])
@@ -453,14 +414,6 @@ def test_a_record_taken_too_soon_has_not_settled(p45_loop, p45_shapes):
     soft = p45_shapes[:, 3:4]  # 1 um
     assert not record(p45_loop, soft, LOAD, settling=0.5e-3, samples=512).settled
     assert record(p45_loop, soft, LOAD, samples=512).settled
-
-
-def test_warm_magnets_take_more_command(p45_loop):
-    noise = [row_noise(1, "bare", 1, 1, 1) for _ in range(2)]
-    warm = replace(p45_loop.coils, temperature=np.array([20.0, 40.0]))
-    found = record(replace(p45_loop, coils=warm), np.zeros((45, 2)), LOAD, noise, samples=512)
-    ratio = found.force[:, 1].sum() / found.force[:, 0].sum()
-    assert ratio == pytest.approx(1 / (1 - 1.1e-3 * 20), rel=2e-4)
 
 
 def test_soft_middle_and_stiff_modes_settle_in_one_and_a_half_and_in_less_than_one_ms(p45_loop):
