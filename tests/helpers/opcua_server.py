@@ -1,34 +1,33 @@
-"""A recorded bench behind a real OPC UA server on the loopback."""
+"""A recording bench behind a real OPC UA server on the loopback."""
 
 import asyncio
 import contextlib
 import dataclasses
-import datetime
 import socket
 import threading
 import time
 
-import numpy as np
 from asyncua import Client, ua
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
-import truenewton as tn
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
 from truenewton.bench.opcua.server import serving
-from truenewton.bench.protocol import Reading, Status
+from truenewton.bench.simulated.bench import SimulatedBench
+from truenewton.mirrors.known import ring
 
 
-class RecordingBench:
-    """A mirror that notes what it was asked."""
+class RecordingBench(SimulatedBench):
+    """A simulated mirror that notes what it was asked; it fails, and takes time, as it is told."""
 
-    instrument, gap = "NOTED", 65e-6
+    def __init__(self, n=8):
+        super().__init__(ring(n), 3)
+        self.asked, self.fault, self.seconds = [], None, 0.0
+        self._new = dict(vars(self))
 
-    def __init__(self, n=5):
-        self.layout = tn.rings([0.1], [n])
-        self.asked = []
-        self.fault = None
-        self.seconds = 0.0
+    def renew(self):
+        """Be as it was made."""
+        vars(self).update(self._new, asked=[])
 
     def _note(self, what):
         self.asked.append(what)
@@ -38,22 +37,23 @@ class RecordingBench:
 
     def put_on(self, load):
         self._note(("put_on", load.name))
+        super().put_on(load)
 
     def command(self, shape):
         self._note(("command", shape))
+        super().command(shape)
 
     def rest(self):
         self._note("rest")
+        super().rest()
 
     def read(self, samples):
         self._note(("read", samples))
-        now = datetime.datetime(2026, 5, 4, 1, 2, 3, 456789, tzinfo=datetime.UTC)
-        four = np.arange(4.0 * self.layout.n).reshape(4, -1)
-        return Reading(now, *four, np.nan, 7, False)
+        return super().read(samples)
 
     def status(self):
         self._note("status")
-        return Status(False, "a coil is hot", 2**40)
+        return super().status()
 
 
 def free_port():
