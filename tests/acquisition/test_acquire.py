@@ -1,7 +1,6 @@
 """A campaign taken through the bench protocol: what is asked for, what it is worth, how it ends."""
 
 import dataclasses
-import datetime
 import json
 import time
 
@@ -10,10 +9,9 @@ import pytest
 
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
-from helpers.stub_bench import SMALL, GoneBench, Looker, StubBench, altered, at
+from helpers.stub_bench import SMALL, GoneBench, Hands, Looker, StubBench, altered, at
 from truenewton.acquisition import taker
 from truenewton.acquisition.benches import chosen_bench, simulated_bench
-from truenewton.acquisition.clock import SteadyClock
 from truenewton.acquisition.load_check import judge, mean_sum
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
 from truenewton.acquisition.run import ASKED, IN_A_ROW
@@ -262,8 +260,7 @@ def test_a_load_that_fell_off_while_a_server_was_gone_is_missed(tmp_path):
 def test_a_person_is_asked_again_only_where_the_load_is_off(tmp_path, fell, asked):
     """A shape that is refused once, as by a bench that tripped; its ring hangs on or fell."""
 
-    class Tripped(StubBench):
-        put_on = None  # it cannot
+    class Tripped(Hands):
         tripped = False
 
         def command(self, shape):
@@ -278,40 +275,6 @@ def test_a_person_is_asked_again_only_where_the_load_is_off(tmp_path, fell, aske
     tn.acquire(bench, small_plan(), tmp_path / "c", operator=person, onlooker=looker)
     assert person.asked == ["bare", "ring"] + asked * ["ring"]
     assert all(cycle.valid.all() for cycle in cycles_in(tmp_path / "c"))
-
-
-# Clocks
-
-
-def test_a_clock_that_stands_still_is_said_once_and_ours_counts_on(tmp_path):
-    when, looker = datetime.datetime(2026, 5, 4, 9, 30, tzinfo=datetime.UTC), Looker()
-
-    class Standing(StubBench):
-        wait = None  # its time is ours
-
-    bench = Standing(spoil=lambda shape, r: dataclasses.replace(r, time=when))
-    tn.acquire(bench, small_plan(settling=0.0), tmp_path / "c", onlooker=looker)
-    clock = [line for line in looker.lines if "clock" in line]
-    assert clock == [f"the clock of the bench stands still at {when}; TIME counts on by our own"]
-    cycles = cycles_in(tmp_path / "c")
-    times = np.concatenate([cycle.date.timestamp() + cycle.time for cycle in cycles])
-    assert (np.diff(times) > 0).all()
-    assert times[-1] - times[0] < 60
-    assert cycles[0].date == when
-
-
-def test_a_clock_of_whole_seconds_is_followed(monkeypatch):
-    """It stands between two readings, and is right all the same."""
-    seconds, clock = iter(0.3 * np.arange(40)), SteadyClock()
-    found, true = [], []
-    for now in seconds:
-        monkeypatch.setattr(time, "monotonic", lambda now=now: now)
-        whole = datetime.datetime(2026, 5, 4, tzinfo=datetime.UTC)
-        found.append(clock.instant(whole + datetime.timedelta(seconds=int(now))))
-        true.append(whole.timestamp() + now)
-        assert clock.leap == 0
-    assert (np.diff(found) > 0).all()
-    assert np.abs(np.array(found) * 1e-6 - true).max() < 1
 
 
 # Readings that are not sound
@@ -428,17 +391,6 @@ def test_a_cycle_without_one_sound_reading_is_not_written(tmp_path):
     assert all(cycle.valid.all() for cycle in cycles_in(tmp_path / "c"))
 
 
-def test_what_nobody_measures_is_left_out(tmp_path):
-    spoil = lambda shape, r: dataclasses.replace(  # noqa: E731
-        r, temperature=np.nan, force_scatter=NAN, position_scatter=NAN
-    )
-    tn.acquire(StubBench(spoil=spoil), small_plan(), tmp_path / "c")
-    for cycle in cycles_in(tmp_path / "c"):
-        assert cycle.temperature is None
-        assert cycle.force_error is None
-        assert cycle.valid.all()
-
-
 # A bench that goes away
 
 
@@ -506,31 +458,21 @@ def test_a_mirror_that_cannot_be_brought_to_rest_is_said_first(tmp_path):
 # Bench and plan
 
 
-class Another(StubBench):
-    layout = tn.mirrors.ring(9).layout
-
-
-class Renamed(StubBench):
-    instrument = "RING9"
-
-
-class Moved(StubBench):
-    layout = dataclasses.replace(SMALL.layout, x=SMALL.layout.x + 1e-4)
-
-
 @pytest.mark.parametrize(
-    ("bench", "said"),
+    ("other", "said"),
     [
-        (Another(), "the bench has 9 actuators, the plan's RING8 8"),
-        (Renamed(), "the bench is RING9, the plan is for RING8"),
+        ({"layout": tn.mirrors.ring(9).layout}, "the bench has 9 actuators, the plan's RING8 8"),
+        ({"instrument": "RING9"}, "the bench is RING9, the plan is for RING8"),
         (
-            Moved(),
+            {"layout": dataclasses.replace(SMALL.layout, x=SMALL.layout.x + 1e-4)},
             r"other actuators than RING8: X of actuator 1 \(row 1\): \S+ and \S+ m, 100 um apart;"
             r" and 7 more \(the bench's first\)",
         ),
     ],
 )
-def test_a_bench_that_is_not_the_plans_is_refused_untouched(tmp_path, bench, said):
+def test_a_bench_that_is_not_the_plans_is_refused_untouched(tmp_path, other, said):
+    bench = StubBench()
+    vars(bench).update(other)
     with pytest.raises(CampaignMismatch, match=said):
         tn.acquire(bench, small_plan(), tmp_path / "c")
     assert not bench.commanded
@@ -538,36 +480,34 @@ def test_a_bench_that_is_not_the_plans_is_refused_untouched(tmp_path, bench, sai
 
 
 def test_places_of_four_bytes_are_those_of_the_plan(tmp_path):
-    class Short(StubBench):
-        layout = dataclasses.replace(
-            SMALL.layout, **{name: getattr(SMALL.layout, name).astype("f4") for name in ("x", "y")}
-        )
-
-    assert not np.array_equal(Short.layout.x, SMALL.layout.x)
+    bench, places = StubBench(), {name: getattr(SMALL.layout, name) for name in ("x", "y")}
+    short = {name: values.astype("f4") for name, values in places.items()}
+    bench.layout = dataclasses.replace(SMALL.layout, **short)
+    assert not np.array_equal(bench.layout.x, SMALL.layout.x)
     for _ in range(2):  # and again, where it is complete
-        tn.acquire(Short(), small_plan(), tmp_path / "c")
+        tn.acquire(bench, small_plan(), tmp_path / "c")
     assert all(cycle.layout.same_as(SMALL.layout) for cycle in cycles_in(tmp_path / "c"))
 
 
-def test_a_reading_of_the_wrong_size_does_not_count(tmp_path):
-    bench = StubBench(spoil=at(("bare", 1, 0, 1), altered(force=np.zeros(7))))
-    with pytest.raises(BenchFault, match=r"gives force of shape \(7,\) for 8 actuators"):
-        tn.acquire(bench, small_plan(), tmp_path / "c")
-
-
-def test_loads_whose_files_would_have_one_name_are_refused(tmp_path):
-    loads = (tn.Load("ring A"), tn.Load("ring_a", -0.1, 0.01))
-    with pytest.raises(FormatError, match="'ring A' and 'ring_a' would share"):
-        tn.acquire(StubBench(), small_plan(loads=loads), tmp_path / "c")
-
-
-def test_somebody_must_put_the_loads_on(tmp_path):
-    class Hands(StubBench):
-        put_on = None
-
-    bench = Hands()
-    with pytest.raises(BenchFault, match="nobody puts the loads on"):
-        tn.acquire(bench, small_plan(), tmp_path / "c")
+@pytest.mark.parametrize(
+    ("bench", "loads", "said"),
+    [
+        (
+            StubBench(spoil=at(("bare", 1, 0, 1), altered(force=np.zeros(7)))),
+            LOADS,
+            r"gives force of shape \(7,\) for 8 actuators",
+        ),
+        (Hands(), LOADS, "nobody puts the loads on"),
+        (
+            StubBench(),
+            (tn.Load("ring A"), tn.Load("ring_a", -0.1, 0.01)),
+            "'ring A' and 'ring_a' would share",
+        ),
+    ],
+)
+def test_a_bench_or_plan_that_cannot_be_is_refused(tmp_path, bench, loads, said):
+    with pytest.raises((BenchFault, FormatError), match=said):
+        tn.acquire(bench, small_plan(loads=loads), tmp_path / "c")
 
 
 def test_a_plan_is_kept_as_it_is_read(tmp_path):

@@ -20,7 +20,7 @@ import pytest
 
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
-from helpers.stub_bench import StubBench, at
+from helpers.stub_bench import Hands, Looker, StubBench, altered, at
 from truenewton.acquisition.clock import SteadyClock, instant_of
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal
@@ -40,7 +40,6 @@ from truenewton.errors import (
 )
 from truenewton.files.toml import toml_text
 
-HERE = Path(__file__).parents[1]
 PLACE = ("bare", 2, 2, -1)  # where things happen, unless told
 
 
@@ -63,25 +62,17 @@ def taken_again(one, other):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("way", ["random", "steps"])
-def test_kill_9_costs_at_most_the_shape_under_way(tmp_path, way):
-    # In memory where there is such a place: a kill then falls anywhere, not into a wait for a disk.
-    memory = Path("/dev/shm")
-    base = memory if os.access(memory, os.W_OK) else tmp_path
-    with tempfile.TemporaryDirectory(dir=base) as folder:
-        done = subprocess.run(
-            [sys.executable, HERE / "helpers" / "kill_acquisitions.py", folder, way, "100"],
-            capture_output=True, text=True, timeout=300, check=False,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": f"{HERE}:{_source()}"},
-        )  # fmt: skip
+def test_kill_9_at_every_step_to_the_disk_costs_at_most_the_shape_under_way(tmp_path):
+    here, source = Path(__file__).parents[1], Path(tn.__file__).parents[1]
+    done = subprocess.run(
+        [sys.executable, here / "helpers" / "kill_acquisitions.py", tmp_path],
+        capture_output=True, text=True, timeout=300, check=False,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": f"{here}:{source}"},
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
-    assert told["kills"] >= (100 if way == "random" else 40)
+    assert told["kills"] >= 40
     assert told["taken twice"] <= told["kills"]
-
-
-def _source():
-    return Path(tn.__file__).parents[1]
 
 
 def test_a_torn_record_is_cut_off_and_the_others_stay(tmp_path):
@@ -209,26 +200,21 @@ def nobody():
             os.seteuid(0)
 
 
-@pytest.mark.parametrize("stage", ["new", "begun", "parent"])
-def test_a_folder_that_cannot_be_written_is_refused_before_a_command(stage):
-    with tempfile.TemporaryDirectory() as base:
-        folder = Path(base) / "campaign"
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_folder_that_cannot_be_written_is_refused_before_a_command(begun):
+    with tempfile.TemporaryDirectory() as base:  # pytest's own is closed to other users
+        folder, bench = Path(base) / "campaign", StubBench()
         Path(base).chmod(0o755)
-        if stage == "begun":
+        folder.mkdir()
+        if begun:
             with pytest.raises(Interrupted):
                 tn.acquire(stopping(), small_plan(), folder)
-        elif stage == "new":
-            folder.mkdir()
-        (folder if folder.exists() else Path(base)).chmod(0o555)
-        for path in folder.glob("*"):
-            path.chmod(0o444)
-        bench = StubBench()
+        for path in (*folder.glob("*"), folder):
+            path.chmod(0o555)
         with nobody(), pytest.raises(OutputFailed, match=r"Permission denied"):
             tn.acquire(bench, small_plan(), folder)
         assert not bench.commanded
-        Path(base).chmod(0o755)
-        if folder.exists():
-            folder.chmod(0o755)
+        folder.chmod(0o755)
 
 
 # Two runs, and what a folder holds
@@ -381,6 +367,35 @@ def test_intervals_are_those_of_the_bench_before_and_after_a_leap():
     assert clock.instant(start.replace(tzinfo=None)) - instants[3] == 99 * 500_000  # UTC
 
 
+def test_a_clock_that_stands_still_is_said_once_and_ours_counts_on(tmp_path):
+    when, looker = datetime.datetime(2026, 5, 4, 9, 30, tzinfo=datetime.UTC), Looker()
+
+    class Standing(StubBench):
+        wait = None  # its time is ours
+
+    bench = Standing(spoil=lambda shape, reading: altered(time=when)(reading))
+    tn.acquire(bench, small_plan(settling=0.0), tmp_path / "c", onlooker=looker)
+    clock = [line for line in looker.lines if "clock" in line]
+    assert clock == [f"the clock of the bench stands still at {when}; TIME counts on by our own"]
+    cycles = tn.read(tmp_path / "c").cycles
+    times = np.concatenate([cycle.date.timestamp() + cycle.time for cycle in cycles])
+    assert (np.diff(times) > 0).all()
+    assert times[-1] - times[0] < 60
+    assert cycles[0].date == when
+
+
+def test_a_clock_of_whole_seconds_is_followed(monkeypatch):
+    """It stands between two readings, and is right all the same."""
+    clock, start = SteadyClock(), datetime.datetime(2026, 5, 4, tzinfo=datetime.UTC)
+    found, seconds = [], 0.3 * np.arange(40)
+    for now in seconds:
+        monkeypatch.setattr(time, "monotonic", lambda now=now: now)
+        found.append(clock.instant(start + datetime.timedelta(seconds=int(now))))
+        assert clock.leap == 0
+    assert (np.diff(found) > 0).all()
+    assert np.abs(np.array(found) * 1e-6 - start.timestamp() - seconds).max() < 1
+
+
 # The command
 
 
@@ -408,12 +423,6 @@ def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_p
     assert code == 2
     assert "-cycles = 2, +cycles = 3" in err
     assert err.count("\n") == 1
-
-
-class Hands(StubBench):
-    """A bench on which somebody must put the loads."""
-
-    put_on = None
 
 
 def test_ctrl_c_at_the_command_is_one_line_and_exit_code_130(inside, tmp_path, monkeypatch):

@@ -305,13 +305,8 @@ def test_the_plan_says_what_each_order_costs_and_a_third_load(inside, tmp_path):
     assert [cost["turns"] for cost in values["orders"]] == [1, 2, 3]
     assert values["orders"][0]["gain"] == pytest.approx(-6.97e-3, rel=1e-2)
     assert values["third_load"]["seen"] == pytest.approx(0.0213, rel=0.02)
-
-
-def test_an_old_plan_hears_what_would_be_better(inside, tmp_path):
-    path = tmp_path / "plan.toml"
     old = template().replace("turns = 0 ", "# turns = 0 ", 1)
     path.write_text(old, encoding="utf-8")
     out = inside("plan", path)[1]
-    assert "bare 1-4, ring 1-4" in out
-    assert "32 min (planned)" in out
-    assert "turns = 3 recommended" in out
+    for words in ("bare 1-4, ring 1-4", "32 min (planned)", "turns = 3 recommended"):
+        assert words in out

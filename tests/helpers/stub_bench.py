@@ -103,6 +103,12 @@ class Looker:
         self.lines.append(line)
 
 
+class Hands(StubBench):
+    """A bench on which somebody must put the loads."""
+
+    put_on = None
+
+
 class GoneBench(StubBench):
     """A server that goes away at a reading, and comes back after so many looks at it."""
 
