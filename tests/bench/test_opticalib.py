@@ -184,6 +184,23 @@ def test_a_campaign_on_such_a_mirror_recovers_alpha(tmp_path):
     assert found.reading_error.max() < 3e-3
 
 
+needs_opticalib = pytest.mark.skipif(
+    importlib.util.find_spec("opticalib") is None,
+    reason="opticalib is not installed: make test-opticalib",
+)
+
+
+def by_opticalib(script, folder, *arguments):
+    """Return what a script prints as JSON, in a process and home of its own."""
+    done = subprocess.run(
+        [sys.executable, "-c", script, *map(str, arguments)], capture_output=True, text=True,
+        env={**os.environ, "HOME": str(folder), "MPLBACKEND": "agg"}, cwd=folder, timeout=120,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
 PACKAGE = """
 import inspect, json, types
 import numpy as np
@@ -227,16 +244,10 @@ print(json.dumps({
 """
 
 
+@needs_opticalib
 def test_the_published_package_does_what_we_take_it_to_do(tmp_path):
-    """Its own AdOpticaDm, without the electronics behind it; in a process and home of its own."""
-    if importlib.util.find_spec("opticalib") is None:
-        pytest.skip("opticalib is not installed: make test-opticalib")
-    done = subprocess.run(
-        [sys.executable, "-c", PACKAGE], capture_output=True, text=True, check=False,
-        env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "agg"}, cwd=tmp_path, timeout=120,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
+    """Its own AdOpticaDm, without the electronics behind it."""
+    told = by_opticalib(PACKAGE, tmp_path)
     assert told["version"].startswith("2.")
     assert told["protocol"] == ["get_shape", "n_acts", "set_shape"]
     assert told["arguments"] == ["self", "cmd", "differential"]
@@ -268,10 +279,9 @@ print(json.dumps({
 """
 
 
+@needs_opticalib
 def test_the_published_package_reads_the_modal_base(tmp_path):
     """And its slaving agrees with ours: zero force with what is off, least force with slaves."""
-    if importlib.util.find_spec("opticalib") is None:
-        pytest.skip("opticalib is not installed: make test-opticalib")
     bench = static_bench(p45(), 3)
     matrix = tn.StiffnessMatrix(
         "P45",
@@ -281,13 +291,7 @@ def test_the_published_package_reads_the_modal_base(tmp_path):
     )
     found = tn.find_modes(matrix)
     written = tn.write_modes(found, tmp_path / "m.fits")
-    done = subprocess.run(
-        [sys.executable, "-c", MATRICES, *map(str, written[3:])], capture_output=True, text=True,
-        env={**os.environ, "HOME": str(tmp_path), "MPLBACKEND": "agg"}, cwd=tmp_path, timeout=120,
-        check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
+    told = by_opticalib(MATRICES, tmp_path, *written[3:])
     assert told["axes"] == ["MODE", "ACTUATOR"]
     base = found.after
     np.testing.assert_array_equal(told["modes"], base.modes.modes)

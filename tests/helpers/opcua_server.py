@@ -72,15 +72,19 @@ def free_port():
 
 
 @contextlib.contextmanager
-def behind(bench, keys_folder, port):
-    """Serve a bench from another thread while the block lasts; give its address."""
-    started, stop, failed = threading.Event(), [], []
+def in_thread(server):
+    """Hold an asynchronous context in another thread while the block lasts.
+
+    Give its event loop and what the context gives.
+    """
+    started, given, failed = threading.Event(), [], []
 
     async def run():
-        stop.extend([asyncio.get_running_loop(), asyncio.Event()])
-        async with serving(bench, keys_folder, port):
+        stop = asyncio.Event()
+        async with server as value:
+            given.extend([asyncio.get_running_loop(), value, stop])
             started.set()
-            await stop[1].wait()
+            await stop.wait()
 
     def thread():
         try:
@@ -90,17 +94,24 @@ def behind(bench, keys_folder, port):
         finally:
             started.set()
 
-    server = threading.Thread(target=thread)
-    server.start()
+    running = threading.Thread(target=thread)
+    running.start()
     started.wait()
     try:
         if failed:
             raise failed[0]
-        yield f"opc.tcp://127.0.0.1:{port}"
+        yield given[:2]
     finally:
-        if not failed:
-            stop[0].call_soon_threadsafe(stop[1].set)
-        server.join()
+        if given:
+            given[0].call_soon_threadsafe(given[2].set)
+        running.join()
+
+
+@contextlib.contextmanager
+def behind(bench, keys_folder, port):
+    """Serve a bench from another thread while the block lasts; give its address."""
+    with in_thread(serving(bench, keys_folder, port)):
+        yield f"opc.tcp://127.0.0.1:{port}"
 
 
 def choice(address, **other):

@@ -217,7 +217,7 @@ def test_a_client_does_not_take_over_the_session_of_another(recorder, keys_folde
         there.rest()
         node = there._client.get_node(ua.NodeId("Bench.Gap", 2))
         for change in (
-            node.write_value(ua.Variant(1.0, ua.VariantType.Double)),
+            node.write_value(list(range(200_000)), ua.VariantType.Double),  # of many frames
             there._client.nodes.objects.add_object(2, "mine"),
         ):
             with pytest.raises(ua.UaError):  # its owner may write nothing

@@ -175,17 +175,3 @@ def test_a_newcomer_takes_the_place_of_a_client_without_a_session_only(place, mo
     assert (answer[:4], ended) == (b"ACKF", True)
     assert refused == (b"", True)
     assert gaps == [ring(8).gap] * 2
-
-
-def test_a_message_of_many_frames_and_a_renewed_channel_are_heard(place):
-    address, folder, _ = place
-
-    async def come():
-        async with session(address, folder) as client:
-            await client.open_secure_channel(renew=True)
-            values = list(range(200_000))
-            with pytest.raises(ua.UaError):  # no right to write
-                await client.get_node(GAP).write_value(values, ua.VariantType.Double)
-            return await gap_by(client)
-
-    assert asyncio.run(come()) == ring(8).gap
