@@ -139,7 +139,7 @@ def test_the_minus_twin_of_a_shape_is_forecast(tmp_path):
     assert [(s.number, s.sign) for s in bench.commanded] == [(0, 1), (1, 1)]
 
 
-FAULTS = st.sampled_from(["nan", "unsettled", "stale", "fault", "gone", "position"])
+FAULTS = st.sampled_from(["nan", "unsettled", "stale", "fault", "position"])
 
 
 def upset(faults):
