@@ -27,7 +27,6 @@ from truenewton.acquisition.journal import Journal
 from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import PlannedShapes
 from truenewton.acquisition.progress import Progress
-from truenewton.bench.choice import BenchChoice
 from truenewton.bench.protocol import Shape
 from truenewton.cli.acquire import Terminal
 from truenewton.errors import (
@@ -493,11 +492,3 @@ def test_the_bar_is_drawn_at_a_terminal(inside, tmp_path, monkeypatch):
     terminal.progress(Progress(shape, 2, 3, 23, 24, 64e-6, taken=1, seconds=3725.4))
     terminal.stop()
     assert "1:02:05 left" in screen.getvalue()
-
-
-def test_a_bench_whose_extra_is_missing_says_which(inside, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "asyncua", None)
-    plan = plan_file(tmp_path, bench=BenchChoice("opcua", "opc.tcp://mirror:4840"))
-    code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
-    assert code == 2
-    assert "pip install 'truenewton[opcua]'" in err
