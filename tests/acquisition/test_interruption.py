@@ -158,8 +158,10 @@ def test_a_sleep_ends_when_someone_asks():
 # The disk
 
 
-@pytest.mark.parametrize("call", ["write", "fsync"])
-@pytest.mark.parametrize("after", [0, 7, 23])
+@pytest.mark.parametrize(
+    ("call", "after"),
+    [*(("write", k) for k in (0, 1, 7, 23, 60)), *(("fsync", k) for k in (0, 1, 7, 23))],
+)
 def test_a_full_disk_ends_the_run_which_goes_on_when_there_is_room(
     tmp_path, whole, monkeypatch, call, after
 ):
@@ -199,21 +201,23 @@ def nobody():
             os.seteuid(0)
 
 
-@pytest.mark.parametrize("begun", [False, True])
-def test_a_folder_that_cannot_be_written_is_refused_before_a_command(begun):
+@pytest.mark.parametrize("stage", ["parent", "new", "begun"])
+def test_a_folder_that_cannot_be_written_is_refused_before_a_command(stage):
     with tempfile.TemporaryDirectory() as base:  # pytest's own is closed to other users
         folder, bench = Path(base) / "campaign", StubBench()
         Path(base).chmod(0o755)
-        folder.mkdir()
-        if begun:
+        if stage != "parent":
+            folder.mkdir()
+        if stage == "begun":
             with pytest.raises(Interrupted):
                 tn.acquire(stopping(), small_plan(), folder)
-        for path in (*folder.glob("*"), folder):
+        closed = Path(base) if stage == "parent" else folder
+        for path in (*folder.glob("*"), closed):
             path.chmod(0o555)
         with nobody(), pytest.raises(OutputFailed, match=r"Permission denied"):
             tn.acquire(bench, small_plan(), folder)
         assert not bench.commanded
-        folder.chmod(0o755)
+        closed.chmod(0o755)
 
 
 # Two runs, and what a folder holds

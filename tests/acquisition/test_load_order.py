@@ -310,3 +310,7 @@ def test_the_plan_says_what_each_order_costs_and_a_third_load(inside, tmp_path):
     out = inside("plan", path)[1]
     for words in ("bare 1-4, ring 1-4", "32 min (planned)", "turns = 3 recommended"):
         assert words in out
+    path.write_text(old.partition('[[loads]]\nname = "ring"')[0], encoding="utf-8")
+    out = inside("plan", path)[1]  # of one load
+    assert "a third load" not in out
+    assert "recommended" not in out

@@ -29,6 +29,7 @@ from truenewton.bench.opcua.methods import (
     mirror_of,
     received_answer,
     scalar,
+    variants,
 )
 from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
 from truenewton.errors import BenchFault, FormatError, TrueNewtonError
@@ -285,6 +286,7 @@ def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
 )
 def test_answers_of_another_kind_are_refused_by_name(method, values, said):
     assert received_answer("Rest", []) == ([], [])
+    assert variants([None], [("ForceError", [ua.VariantType.Double])])[0].Value == []
     assert received_answer("Rest", [["BenchFault", "hot", "cool it"]])[0][1] == "hot"
     with pytest.raises(BenchFault, match=re.escape(said)):
         received_answer(method, values)

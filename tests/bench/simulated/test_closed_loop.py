@@ -13,6 +13,7 @@ from truenewton.bench.simulated.coils import Coils
 from truenewton.bench.simulated.control import Control, ramp
 from truenewton.bench.simulated.loop import (
     Loop,
+    _single_threaded,
     equilibrium,
     samples_of,
     slowest_creep,
@@ -371,6 +372,12 @@ def test_a_shape_alone_is_the_same_shape_among_others(p45_loop, p45_shapes):
         assert one.force[:, 0] == pytest.approx(together.force[:, c], rel=0, abs=1e-12)
         assert one.position[:, 0] == pytest.approx(together.position[:, c], rel=0, abs=1e-15)
         assert one.force_scatter[:, 0] == pytest.approx(together.force_scatter[:, c], rel=1e-9)
+
+
+def test_products_of_small_mirrors_stay_on_one_thread_and_give_every_column():
+    few = _single_threaded(np.broadcast_to(1.0, (146, 219)), 146)
+    assert [k for part in few for k in np.arange(146)[part]] == list(range(146))
+    assert _single_threaded(np.broadcast_to(1.0, (1344, 2016)), 1344) == [slice(1344)]
 
 
 def test_each_shape_needs_its_own_noise(p45_loop, p45_shapes):
