@@ -160,7 +160,7 @@ def test_a_sleep_ends_when_someone_asks():
 
 @pytest.mark.parametrize(
     ("call", "after"),
-    [*(("write", k) for k in (0, 1, 7, 23, 60)), *(("fsync", k) for k in (0, 1, 7, 23))],
+    [*(("write", k) for k in (0, 1, 7, 23, 60)), *(("fsync", k) for k in (0, 1, 11, 23))],
 )
 def test_a_full_disk_ends_the_run_which_goes_on_when_there_is_room(
     tmp_path, whole, monkeypatch, call, after
