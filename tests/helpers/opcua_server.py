@@ -1,37 +1,33 @@
-"""A recorded bench behind a real OPC UA server on the loopback."""
+"""A recording bench behind a real OPC UA server on the loopback."""
 
 import asyncio
 import contextlib
 import dataclasses
-import datetime
 import socket
-import subprocess
-import sys
 import threading
 import time
-import tomllib
-from collections.abc import Iterator
-from pathlib import Path
 
-import numpy as np
+from asyncua import Client, ua
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 
-import truenewton as tn
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
 from truenewton.bench.opcua.server import serving
-from truenewton.bench.protocol import Reading, Status
+from truenewton.bench.simulated.bench import SimulatedBench
+from truenewton.mirrors.known import ring
 
 
-class RecordingBench:
-    """A mirror that notes what it was asked."""
+class RecordingBench(SimulatedBench):
+    """A simulated mirror that notes what it was asked; it fails, and takes time, as it is told."""
 
-    instrument, gap = "NOTED", 65e-6
+    def __init__(self, n=8):
+        super().__init__(ring(n), 3)
+        self.asked, self.fault, self.seconds = [], None, 0.0
+        self._new = dict(vars(self))
 
-    def __init__(self, n=5):
-        self.layout = tn.rings([0.1], [n])
-        self.asked = []
-        self.fault = None
-        self.seconds = 0.0
+    def renew(self):
+        """Be as it was made."""
+        vars(self).update(self._new, asked=[])
 
     def _note(self, what):
         self.asked.append(what)
@@ -41,22 +37,23 @@ class RecordingBench:
 
     def put_on(self, load):
         self._note(("put_on", load.name))
+        super().put_on(load)
 
     def command(self, shape):
         self._note(("command", shape))
+        super().command(shape)
 
     def rest(self):
         self._note("rest")
+        super().rest()
 
     def read(self, samples):
         self._note(("read", samples))
-        now = datetime.datetime(2026, 5, 4, 1, 2, 3, 456789, tzinfo=datetime.UTC)
-        four = np.arange(4.0 * self.layout.n).reshape(4, -1)
-        return Reading(now, *four, np.nan, 7, False)
+        return super().read(samples)
 
     def status(self):
         self._note("status")
-        return Status(False, "a coil is hot", 2**40)
+        return super().status()
 
 
 def free_port():
@@ -75,15 +72,19 @@ def free_port():
 
 
 @contextlib.contextmanager
-def behind(bench, keys_folder, port):
-    """Serve a bench from another thread while the block lasts; give its address."""
-    started, stop, failed = threading.Event(), [], []
+def in_thread(server):
+    """Hold an asynchronous context in another thread while the block lasts.
+
+    Give its event loop and what the context gives.
+    """
+    started, given, failed = threading.Event(), [], []
 
     async def run():
-        stop.extend([asyncio.get_running_loop(), asyncio.Event()])
-        async with serving(bench, keys_folder, port):
+        stop = asyncio.Event()
+        async with server as value:
+            given.extend([asyncio.get_running_loop(), value, stop])
             started.set()
-            await stop[1].wait()
+            await stop.wait()
 
     def thread():
         try:
@@ -93,17 +94,24 @@ def behind(bench, keys_folder, port):
         finally:
             started.set()
 
-    server = threading.Thread(target=thread)
-    server.start()
+    running = threading.Thread(target=thread)
+    running.start()
     started.wait()
     try:
         if failed:
             raise failed[0]
-        yield f"opc.tcp://127.0.0.1:{port}"
+        yield given[:2]
     finally:
-        if not failed:
-            stop[0].call_soon_threadsafe(stop[1].set)
-        server.join()
+        if given:
+            given[0].call_soon_threadsafe(given[2].set)
+        running.join()
+
+
+@contextlib.contextmanager
+def behind(bench, keys_folder, port):
+    """Serve a bench from another thread while the block lasts; give its address."""
+    with in_thread(serving(bench, keys_folder, port)):
+        yield f"opc.tcp://127.0.0.1:{port}"
 
 
 def choice(address, **other):
@@ -112,23 +120,16 @@ def choice(address, **other):
     )
 
 
-@contextlib.contextmanager
-def serve(folder: Path, port: int) -> Iterator[tuple["subprocess.Popen[str]", dict[str, str]]]:
-    """Give `truenewton serve p45` and the table that it prints for a plan."""
-    command = [sys.executable, "-m", "truenewton", "serve", "p45", "--port", str(port), "-o",
-               str(folder)]  # fmt: skip
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, **pipes) as server:
-        assert server.stdout is not None
-        try:
-            printed = "".join(server.stdout.readline() for _ in range(10))
-            yield server, tomllib.loads(printed.partition("\n")[2])["bench"]
-        finally:
-            server.kill()
-
-
-def memory_and_files(process: int) -> tuple[float, int]:
-    """Return the most memory that a process ever held [MiB], and its open files."""
-    status = Path(f"/proc/{process}/status").read_text(encoding="ascii")
-    peak = int(status.partition("VmHWM:")[2].split()[0]) / 1024
-    return peak, len(list(Path(f"/proc/{process}/fd").iterdir()))
+def known_client(address, folder, mode=ua.MessageSecurityMode.SignAndEncrypt):
+    """Return a client with the trusted certificate and its key, but without user and password."""
+    client = Client(address, timeout=10.0, watchdog_intervall=60.0)  # silent by itself
+    client.application_uri = keys.CLIENT_URI
+    client.session_timeout = 60_000
+    client.security_policy = SecurityPolicyBasic256Sha256(
+        keys.read_certificate(folder / keys.SERVER_CERTIFICATE),
+        keys.read_certificate(folder / keys.CLIENT_CERTIFICATE),
+        keys.read_private_key(folder / keys.CLIENT_KEY),
+        mode,
+    )
+    client.uaclient.set_security(client.security_policy)
+    return client

@@ -1,5 +1,6 @@
 """A bench that answers at once, for tests of acquisition: linear, noisy, and spoilt as told."""
 
+import dataclasses
 import datetime
 import zlib
 
@@ -73,6 +74,39 @@ class StubBench:
     def rest(self):
         self.resting += 1
         self.shape = None
+
+
+def at(place, change):
+    """Return a spoiler that changes the readings of one (load, cycle, shape, sign)."""
+
+    def spoil(shape, reading):
+        here = (shape.load.name, shape.cycle, shape.number, shape.sign)
+        return change(reading) if here == place else reading
+
+    return spoil
+
+
+def altered(**values):
+    return lambda reading: dataclasses.replace(reading, **values)
+
+
+class Looker:
+    """An onlooker who remembers what was told."""
+
+    def __init__(self):
+        self.told, self.lines = [], []
+
+    def progress(self, now):
+        self.told.append(now)
+
+    def say(self, line):
+        self.lines.append(line)
+
+
+class Hands(StubBench):
+    """A bench on which somebody must put the loads."""
+
+    put_on = None
 
 
 class GoneBench(StubBench):

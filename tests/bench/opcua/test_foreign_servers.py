@@ -1,11 +1,10 @@
 """Hardware as it comes: servers written from the page, what they may leave out and get wrong."""
 
-import ast
 import asyncio
+import contextlib
 import datetime
 import logging
 import re
-import threading
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +16,9 @@ from asyncua import ua
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, small_plan
 from helpers.foreign_server import NAMESPACE, electronics
-from helpers.opcua_server import choice, free_port
+from helpers.opcua_server import choice, free_port, in_thread
 from helpers.stub_bench import SMALL, StubBench
 from truenewton.acquisition.benches import chosen_bench
-from truenewton.acquisition.plan import read_plan
 from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect, keys
@@ -31,8 +29,9 @@ from truenewton.bench.opcua.methods import (
     mirror_of,
     received_answer,
     scalar,
+    variants,
 )
-from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
+from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
 from truenewton.errors import BenchFault, FormatError, TrueNewtonError
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.file import mirror_from
@@ -46,24 +45,18 @@ TYPE = re.compile(r"(\w+) (\w+)(\[\])?(?: \[[^\]]+\])?( \(optional\))?")
 def foreign(keys_folder):
     """Serve what was written from the page, in another thread; give address, server, its loop."""
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
-    started, told = threading.Event(), []
     address = f"opc.tcp://127.0.0.1:{free_port()}"
 
-    async def run():
+    @contextlib.asynccontextmanager
+    async def served():
         columns = (getattr(SMALL.layout, name).tolist() for name in ("x", "y", "nz"))
-        server = await electronics(address, keys_folder, SMALL.name, SMALL.gap, *columns)
-        stop = asyncio.Event()
-        async with server:
-            told.extend([asyncio.get_running_loop(), stop, server])
-            started.set()
-            await stop.wait()
+        async with await electronics(
+            address, keys_folder, SMALL.name, SMALL.gap, *columns
+        ) as server:
+            yield server
 
-    thread = threading.Thread(target=lambda: asyncio.run(run()))
-    thread.start()
-    assert started.wait(60)
-    yield address, told[2], told[0]
-    told[0].call_soon_threadsafe(told[1].set)
-    thread.join()
+    with in_thread(served()) as (loop, server):
+        yield address, server, loop
 
 
 # -- the page ------------------------------------------------------------------------------------
@@ -109,9 +102,7 @@ def test_the_page_has_the_nodes_of_client_and_server():
 
 
 def test_the_page_tells_what_the_server_of_the_tests_switches_on():
-    source = (Path(__file__).parents[2] / "helpers" / "foreign_server.py").read_text(
-        encoding="utf-8"
-    )
+    source = (HELPERS / "foreign_server.py").read_text(encoding="utf-8")
     (block,) = re.findall(r"```text\n(server = Server.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     lines = [line.split("  #")[0] for line in block.splitlines()]
     assert len(lines) == 11
@@ -171,36 +162,17 @@ def test_a_server_written_from_the_page_takes_a_campaign(foreign, keys_folder, t
 
 
 NAN = float("nan")
+OUT_OF_MEMORY = ua.StatusCode(ua.StatusCodes.BadOutOfMemory)
 NONSENSE = [  # which of the values of Read, and what it is instead
-    (
-        0,
-        ["BenchFault"],
-        "gives Fault as ['BenchFault'], in Bench.Read (it is empty, or kind, fault and remedy)",
-    ),
     (0, ["Interrupted", "stop", ""], "stop"),
-    (
-        1,
-        datetime.datetime(1601, 1, 1),
-        "the time of a reading is 1601-01-01 00:00:00+00:00 (set the clock of the bench",
-    ),
+    (1, datetime.datetime(1601, 1, 1), "the time of a reading is 1601-01-01 00:00:00+00:00 (set"),
     (2, [0.1] * 3, "force of shape (3,) for 8 actuators"),
     (2, [[0.1] * 4] * 2, "gives Force as [[0.1"),
-    (2, ["a"] * 8, "gives Force as ['a'"),
-    (2, [NAN] * 8, "the force of actuator 1 is NaN"),
     (3, [NAN] * 8, "the position of actuator 1 is NaN"),
     (4, [float("inf")] * 8, "the force_scatter of a reading is inf"),
     (5, [-1.0] * 8, "the position_scatter of a reading is -1"),
     (8, 1, "the server gives Settled as 1, in Bench.Read (it is Boolean)"),
-    (
-        None,
-        [],
-        "gives 0 values after the fault, where 9 are due, in Bench.Read (they are Time, Force",
-    ),
-    (
-        None,
-        ua.StatusCode(ua.StatusCodes.BadOutOfMemory),
-        "the server fails in Read (BadOutOfMemory)",
-    ),
+    (None, OUT_OF_MEMORY, "the server fails in Read (BadOutOfMemory)"),
     (None, ZeroDivisionError("x"), "fails in Read (BadUnexpectedError)"),
     (2, [0.1] * 300_000, "the server was lost in Read"),  # 2.4 MB, more than a message may have
 ]
@@ -213,7 +185,6 @@ def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
     address, server, _ = foreign
     read = server.iserver.aspace[ua.NodeId("Bench.Read", 2)]
     sound, asked = read.call, iter(range(10**6))
-    kinds = {list: ua.VariantType.Double, int: ua.VariantType.Int32}
 
     def nonsense(parent, samples):
         number = next(asked) - 2  # one at rest, one shape
@@ -225,9 +196,7 @@ def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
             raise value
         if place is None:
             return value
-        text = isinstance(value, list) and isinstance(value[0], str)
-        kind = ua.VariantType.String if text else kinds.get(type(value), ua.VariantType.DateTime)
-        answer[place] = ua.Variant(value, kind)
+        answer[place] = ua.Variant(value)
         return answer
 
     files = {name: str(keys_folder / file) for name, file in keys.CLIENT_FILES.items()}
@@ -248,31 +217,18 @@ def test_a_server_of_nonsense_ends_a_campaign_in_one_line_and_no_row_is_lost(
     assert [cycle.valid.tolist() for cycle in cycles] == [[True] * 6] * 2
 
 
-def test_what_a_server_gets_wrong_is_one_line_that_names_it(foreign, keys_folder):
+def test_a_mirror_without_a_node_is_refused_in_one_line_with_the_address(foreign, keys_folder):
     """Last of those that use the server, which it spoils."""
     address, server, loop = foreign
 
     async def spoil():
         space = await server.get_namespace_index(NAMESPACE)
-        yes = ua.Variant("yes", ua.VariantType.String)
-        fine = ua.Variant([], ua.VariantType.String)
-        status, gap = (
-            server.get_node(ua.NodeId(f"Bench.{one}", space)) for one in ("Status", "Gap")
-        )
-        server.link_method(status, lambda _: [fine, yes, yes, yes])
-        await server.delete_nodes([gap])
+        await server.delete_nodes([server.get_node(ua.NodeId("Bench.Gap", space))])
 
-    with connect(choice(address), keys_folder) as bench:
-        asyncio.run_coroutine_threadsafe(spoil(), loop).result(20)
-        with pytest.raises(BenchFault) as raised:
-            bench.status()
-        said = f"{address}: the server gives Ready as 'yes', in Bench.Status; it is Boolean"
-        assert str(raised.value) == said
-    with pytest.raises(BenchFault) as raised:
+    asyncio.run_coroutine_threadsafe(spoil(), loop).result(20)
+    said = f"{address}: the server has no node Bench.Gap; add it, in {NAMESPACE}"
+    with pytest.raises(BenchFault, match=f"^{said}$"):
         connect(choice(address), keys_folder)
-    assert (
-        str(raised.value) == f"{address}: the server has no node Bench.Gap; add it, in {NAMESPACE}"
-    )
 
 
 GOOD = {
@@ -285,9 +241,7 @@ GOOD = {
     ("change", "said"),
     [
         ({"Gap": "68 um"}, "gives Bench.Gap as '68 um'; it is Double"),
-        ({"Gap": None}, "gives Bench.Gap as None; it is Double"),
         ({"Instrument": 8}, "gives Bench.Instrument as 8; it is String"),
-        ({"X": 0.1}, "gives Bench.X as 0.1; it is Double[]"),
         ({"X": [0.1, True, 0.2, 0.3]}, "gives Bench.X as [0.1, True, 0.2, 0.3]; it is Double[]"),
         ({"X": [0.1] * 3}, "gives 3 values of Bench.X for 4 actuators"),
         ({"Id": None}, "gives 0 values of Bench.Id for 0 actuators"),
@@ -326,13 +280,13 @@ def test_a_node_that_is_missing_is_named_unless_it_is_optional(name):
         ),
         ("Status", ["", True, "", 1], "gives Fault as ''; it is String[]"),
         ("Rest", [["hot"]], "gives Fault as ['hot']; it is empty, or kind, fault and remedy"),
-        ("Rest", [["BenchFault", "", "cool it"]], "gives Fault as ['BenchFault', '', 'cool it']"),
         ("Rest", [[], 1], "gives 1 value after the fault, where 0 are due; they are none"),
         ("Read", [[], None, [], [], [], [], 1.0, 1, True], "gives Time as None; it is DateTime"),
     ],
 )
 def test_answers_of_another_kind_are_refused_by_name(method, values, said):
     assert received_answer("Rest", []) == ([], [])
+    assert variants([None], [("ForceError", [ua.VariantType.Double])])[0].Value == []
     assert received_answer("Rest", [["BenchFault", "hot", "cool it"]])[0][1] == "hot"
     with pytest.raises(BenchFault, match=re.escape(said)):
         received_answer(method, values)
@@ -342,25 +296,17 @@ def test_answers_of_another_kind_are_refused_by_name(method, values, said):
 
 
 @pytest.mark.parametrize(
-    ("kind", "keys_given", "said"),
+    ("choice", "said"),
     [
-        ("opcua", {"seed": 7}, "bench.seed is 7; take it out: a bench of kind 'opcua'"),
-        ("opcua", {"fidelity": "loop"}, "bench.fidelity is 'loop'; take it out"),
-        ("opcua", {"force_noise": 1e-3}, "bench.force_noise is 0.001; take it out"),
-        ("opticalib", {"seed": 7}, "bench.seed is 7; take it out: a bench of kind 'opticalib'"),
-        ("replay", {"user": "me"}, "bench.user is 'me'; take it out"),
-        ("simulated", {"address": "a"}, "bench.address is 'a'; take it out"),
+        (BenchChoice("opcua", seed=7), "seed is 7; take it out: a bench of kind 'opcua'"),
+        (BenchChoice("opticalib", seed=7), "seed is 7; take it out: a bench of kind 'opticalib'"),
+        (BenchChoice("replay", user="me"), "user is 'me'; take it out"),
+        (BenchChoice("simulated", address="a"), "address is 'a'; take it out"),
     ],
 )
-def test_what_a_bench_does_not_use_is_refused(tmp_path, kind, keys_given, said):
-    text = toml_text(small_plan(bench=BenchChoice(kind)))
-    for name, value in keys_given.items():
-        written = f"'{value}'" if isinstance(value, str) else repr(value)
-        head, bench = text.split("[bench]")
-        text = head + "[bench]" + re.sub(rf"(?m)^{name} = .*$", f"{name} = {written}", bench)
-    (tmp_path / "plan.toml").write_text(text)
-    with pytest.raises(FormatError, match=re.escape(said)):
-        read_plan(tmp_path / "plan.toml")
+def test_what_a_bench_does_not_use_is_refused(choice, said):
+    with pytest.raises(FormatError, match=re.escape(f"bench.{said}")):
+        small_plan(bench=choice)
 
 
 def test_serve_takes_the_fidelity(inside, keys_folder):
@@ -372,24 +318,23 @@ def test_serve_takes_the_fidelity(inside, keys_folder):
 # -- readings ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("samples", [0, -3, 10**10])
-def test_a_reading_has_a_sample_at_least(samples):
+def test_a_reading_has_a_sample_at_least():
     bench = tn.SimulatedBench(SMALL, 1)
     bench.command(Shape(LOADS[0], 1, 1, 1, np.zeros(8)))
-    with pytest.raises(BenchFault, match=f"a reading of {samples} samples; ask for 1 to"):
-        bench.read(samples)
-    check_samples(1)
+    for samples in (0, 10**10):
+        with pytest.raises(BenchFault, match=f"a reading of {samples} samples; ask for 1 to"):
+            bench.read(samples)
 
 
-@pytest.mark.parametrize("samples", [1, 2, 3, 5, 7])
-def test_a_short_record_of_the_loop_has_means(samples):
+def test_a_short_record_of_the_loop_has_means():
     """No division by the samples of a half that has none (warnings are errors here)."""
     bench = tn.SimulatedBench(SMALL, 1, fidelity="loop")
     bench.command(Shape(LOADS[0], 1, 1, 1, np.zeros(8)))
-    reading = bench.read(samples)
-    assert np.isfinite(reading.force).all()
-    assert (reading.force_error is None) == (samples < 4)
-    assert (samples > 1) == bool(reading.force_scatter.any())
+    for samples in (1, 3, 5):
+        reading = bench.read(samples)
+        assert np.isfinite(reading.force).all()
+        assert (reading.force_error is None) == (samples < 4)
+        assert (samples > 1) == bool(reading.force_scatter.any())
 
 
 def test_the_error_of_a_mean_in_closed_loop_is_that_of_readings_taken_again():
@@ -401,43 +346,9 @@ def test_the_error_of_a_mean_in_closed_loop_is_that_of_readings_taken_again():
     assert independent > 8 * again
 
 
-def test_independent_samples_give_their_error_by_batches(tmp_path):
-    from truenewton.bench.opticalib import OpticalibMirror
-
-    random = np.random.default_rng(2)
-
-    class Device:
-        n_acts = 8
-
-        def set_shape(self, cmd, differential):
-            self.shape = cmd
-
-        def get_shape(self):
-            return self.shape + 1e-9 * random.standard_normal(8)
-
-        def get_force(self):
-            return 1e5 * self.shape + 1e-3 * random.standard_normal(8)
-
-        def get_temperature(self):
-            return 21.5
-
-    mirror = replace(SMALL, coil_gradient=-280.0, bias_gradient=90.0)
-    bench = OpticalibMirror(Device(), mirror, settling=0.0)
-    assert bench.gradients == (-280.0, 90.0)
-    errors = []
-    for number in range(1, 101):
-        bench.command(Shape(LOADS[0], 1, number, 1, np.full(8, 1e-7)))
-        reading = bench.read(64)
-        errors.append(reading.force_error)
-        assert reading.temperature == 21.5
-    # 2400 degrees of freedom: known to 1.4 %.
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(1e-3 / 8, rel=0.06)
-    assert bench.read(3).force_error is None
-
-
 def test_a_campaign_in_closed_loop_says_what_its_means_are_worth(tmp_path):
     loop = tn.SimulatedBench(SMALL, 1, fidelity="loop", loads=LOADS)
-    plan = small_plan(cycles=1, count=2, samples=512)
+    plan = small_plan(cycles=1, count=1, loads=LOADS[:1], samples=512)
     tn.acquire(loop, plan, tmp_path / "c")
     static = tn.SimulatedBench(SMALL, 1, loads=LOADS, force_noise=3e-4)
     tn.acquire(static, plan, tmp_path / "s")
@@ -447,41 +358,28 @@ def test_a_campaign_in_closed_loop_says_what_its_means_are_worth(tmp_path):
         assert 1e-6 < cycle.force_error < 1e-4
 
 
-def spoilt(name, change):
-    def spoil(shape, reading):
-        return replace(reading, **{name: change(shape, reading)})
-
-    return spoil
-
-
 @pytest.mark.parametrize(
-    ("position", "said"),
+    ("spoil", "said"),
     [
-        (lambda shape, reading: np.roll(reading.position, 1), r"stands .* m from where it was"),
-        (lambda shape, reading: -reading.position, r"in a shape of 1e-06 m"),
-        (lambda shape, reading: 0.8 * reading.position, r"stands .* m from where it was commanded"),
-        (lambda shape, reading: reading.position + 2e-7 * shape.number * np.eye(8)[2],
-         r"actuator 3 stands"),
+        (lambda shape, z: np.roll(z, 1), "in a shape of 1e-06 m, .* plan fewer shapes"),
+        (lambda shape, z: z + 2e-7 * shape.number * np.eye(8)[2], "actuator 3 stands .* m from"),
+        (
+            lambda shape, z: 0.8 * z,
+            "a tenth is let pass, and six times its position_scatter of 1e-",
+        ),
     ],
-    ids=["cables", "sign", "scale", "one actuator"],
-)  # fmt: skip
-def test_a_bench_in_another_shape_than_commanded_is_noticed(tmp_path, position, said):
-    bench = StubBench(spoil=spoilt("position", position))
-    with pytest.raises(BenchFault, match=said):
-        tn.acquire(bench, small_plan(), tmp_path / "c")
-
-
-@pytest.mark.parametrize(
-    ("scatter", "said"),
-    [(1e-9, "and six times its position_scatter of 1e-09 m"), (np.nan, "plan fewer shapes")],
+    ids=["cables", "one actuator", "scale"],
 )
-def test_an_actuator_elsewhere_is_said_with_the_rule_and_its_remedy(tmp_path, scatter, said):
+def test_a_bench_in_another_shape_than_commanded_is_noticed(tmp_path, spoil, said):
+    scatter = 1e-9 if "scatter" in said else np.nan
     bench = StubBench(
         spoil=lambda shape, reading: replace(
-            reading, position=0.8 * reading.position, position_scatter=np.full(8, scatter)
+            reading,
+            position=spoil(shape, reading.position),
+            position_scatter=np.full(8, scatter),
         )
     )
-    with pytest.raises(BenchFault, match=rf"of which a tenth is let pass.*{said}"):
+    with pytest.raises(BenchFault, match=said):
         tn.acquire(bench, small_plan(), tmp_path / "c")
 
 
@@ -499,9 +397,7 @@ def test_what_its_noise_explains_is_no_other_shape(tmp_path):
     assert all(cycle.valid.all() for cycle in tn.read(tmp_path / "c").cycles)
 
 
-@pytest.mark.parametrize(
-    "given", [None, (1.0,), ("steep", None), (float("nan"), 1.0), (1e9, None), 3.0]
-)
+@pytest.mark.parametrize("given", [(1.0,), ("steep", None), (NAN, 1.0), (1e9, None), 3.0])
 def test_gradients_that_are_none_are_refused_before_anything_is_taken(tmp_path, given):
     class Odd(StubBench):
         gradients = given
@@ -521,19 +417,14 @@ def test_a_reading_of_lists_counts_and_one_of_words_is_a_fault(tmp_path):
         tn.acquire(words, small_plan(), tmp_path / "d")
 
 
-POSIX = {"fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"}
+POSIX = "fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"
 
 
 def test_nothing_needs_posix():
     """Windows has none of these; the lock of a folder takes its own where there is no fcntl."""
-    found = []
-    for path in Path(tn.__file__).parent.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [alias.name for alias in getattr(node, "names", ())]
-            if isinstance(node, ast.ImportFrom):
-                names = [node.module]
-            if isinstance(node, ast.Import | ast.ImportFrom) and POSIX & set(names):
-                found.append(path.name)
+    imports = re.compile(rf"^\s*(?:import|from) (?:{'|'.join(POSIX)})\b", re.MULTILINE)
+    source = Path(tn.__file__).parent.rglob("*.py")
+    found = [path.name for path in source if imports.search(path.read_text(encoding="utf-8"))]
     assert found == ["lock.py"]
 
 

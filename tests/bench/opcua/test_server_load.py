@@ -1,206 +1,177 @@
-"""The OPC UA server under strangers: sound clients go on, bounds hold, and nothing is told."""
+"""The OPC UA server under clients that err: it ends their connection and serves the others."""
 
 import asyncio
-import random
-import signal
+import contextlib
 import struct
-import sys
-import threading
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 from asyncua import ua
+from asyncua.common.utils import Buffer, NotEnoughData
+from asyncua.ua import ua_binary
 
-import truenewton as tn
-from helpers.opcua_server import RecordingBench, behind, free_port, memory_and_files, serve
-from helpers.opcua_strangers import DEEDS, HELLO, channel, do, record, strangers, visit
-from truenewton.acquisition.plan import PlannedShapes
-from truenewton.bench.choice import BenchChoice
-from truenewton.bench.opcua import connect, keys, limits
-from truenewton.bench.simulated.static import static_bench
-from truenewton.mirrors.known import p45
+from helpers.opcua_server import known_client
+from truenewton.bench.opcua import keys, limits
+from truenewton.mirrors.known import ring
 
-BOUND = (
-    48.0  # of what the load adds to the server's memory; 8 deaf clients took 400 unbounded [MiB]
-)
 GAP = ua.NodeId("Bench.Gap", 2)
-LINUX = sys.platform.startswith("linux")  # has /proc
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    """`truenewton serve` in a process of its own, its keys, port and table for a plan."""
-    folder, port = tmp_path_factory.mktemp("load") / "keys", free_port()
-    with serve(folder, port) as (server, table):
-        yield server, folder, port, table
+@pytest.fixture
+def place(served, keys_folder):
+    """Give address, keys and port of the server."""
+    address = served[1]
+    return address, keys_folder, int(address.rpartition(":")[2])
 
 
-@pytest.mark.study
-def test_a_campaign_goes_on_under_200_strangers_who_learn_nothing(served, tmp_path):
-    server, folder, port, table = served
-    loads = static_bench(p45(), 1).loads
-    plan = tn.CampaignPlan(
-        "p45", loads, cycles=1, samples=16, shapes=PlannedShapes(count=4),
-        bench=BenchChoice(**table),
-    )  # fmt: skip
-    ended, files = [], []
-
-    def campaign():
-        with connect(plan.bench) as bench:
-            ended.append(len(tn.acquire(bench, plan, tmp_path / "campaign")))
-
-    certificate = (folder / keys.CLIENT_CERTIFICATE).read_bytes()
-    recorded = asyncio.run(record(port, folder))
-    kinds = strangers(certificate, recorded, megabytes=2)
-    names = [name for name in kinds for _ in range(200 // len(kinds) + 1)]
-    random.Random(1).shuffle(names)
-    before = memory_and_files(server.pid)[0] if LINUX else 0.0
-
-    async def come(name):
-        _, heard, _ = await visit(port, kinds[name](), stay=2.0, deaf="endless" in name)
-        if LINUX:
-            files.append(memory_and_files(server.pid)[1])
-        return name, heard
-
-    async def all_of_them():
-        return await asyncio.gather(*map(come, names))
-
-    taking = threading.Thread(target=campaign)
-    taking.start()
-    heard = asyncio.run(all_of_them())
-    taking.join()
-    assert ended == [2]
-    assert [int(cycle.valid.sum()) for cycle in tn.read(tmp_path / "campaign").cycles] == [8, 8]
-    assert len(heard) >= 200
-    for name, answer in heard:
-        # An acknowledgement of 28 bytes, which names buffers; who replays, the opening of a
-        # channel to the one who was recorded, too.
-        assert len(answer) <= 28 or "replayed" in name, name
-        assert answer[:4] in (b"", b"ACKF"), name
-        assert b"P45" not in answer, name
-        assert b"Bench" not in answer, name
-    if LINUX:
-        assert max(files) < limits.CONNECTIONS + 100 + 16  # 100 are accepted at a time
-        assert memory_and_files(server.pid)[0] - before < BOUND
+@contextlib.asynccontextmanager
+async def session(address, folder):
+    """Give a client with a session; it leaves without a word."""
+    client = known_client(address, folder)
+    client.set_user(keys.USER)
+    client.set_password(keys.read_password(folder / keys.PASSWORD))
+    try:
+        await client.connect()
+        yield client
+    finally:
+        client.disconnect_socket()
+        await client.disconnect()
 
 
-def test_holders_of_keys_do_no_harm_either(served):
-    server, folder, port, _ = served
-    before = memory_and_files(server.pid)[0] if LINUX else 0.0
-    for name in DEEDS:
-        assert asyncio.run(do(f"opc.tcp://127.0.0.1:{port}", folder, name)), name
-    if LINUX:
-        assert memory_and_files(server.pid)[0] - before < BOUND
+async def gap_by(client):
+    return await client.get_node(GAP).read_value()
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no signals")
-def test_the_server_ends_in_peace_after_all_that(served):
-    server, _, port, _ = served
-    asyncio.run(visit(port, [HELLO], stay=0.1))
-    server.send_signal(signal.SIGTERM)
-    out, err = server.communicate(timeout=30)
-    assert (server.returncode, out, err) == (0, "", "")
+async def visit(port, message, stay=5.0):
+    """Send a message; return the answer, and whether the server ended the connection in time."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port)
+    heard = bytearray()
+
+    async def listen():
+        with contextlib.suppress(ConnectionError):
+            while part := await reader.read(65536):
+                heard.extend(part)
+
+    writer.write(message)
+    listening = asyncio.create_task(listen())
+    ended, _ = await asyncio.wait([listening], timeout=stay)
+    listening.cancel()
+    writer.transport.abort()
+    return bytes(heard), bool(ended)
 
 
-# -- one by one, with bounds that are soon reached ------------------------------------------------
+def frame(kind, body, size=None):
+    """Return a frame; its size as declared, or as it is."""
+    return kind + struct.pack("<I", 8 + len(body) if size is None else size) + body
 
 
-@pytest.fixture(scope="module")
-def here(tmp_path_factory):
-    """A server in this process, its address and keys."""
-    folder = tmp_path_factory.mktemp("load-here") / "keys"
-    keys.make_keys(folder)
-    with behind(RecordingBench(), folder, free_port()) as address:
-        yield address, folder, int(address.rpartition(":")[2])
+def text(value):
+    return struct.pack("<I", len(value)) + value
 
 
-def test_who_has_no_session_in_time_is_put_out(here, monkeypatch):
-    port = here[2]
-    monkeypatch.setattr(limits, "BEFORE_SESSION", 0.3)
+def opening(policy, certificate=b""):
+    return frame(b"OPNF", bytes(4) + policy + text(certificate) + text(bytes(20)) + bytes(512))
+
+
+HELLO = frame(b"HELF", struct.pack("<5I", 0, 65535, 65535, 0, 0) + text(b"opc.tcp://127.0.0.1"))
+NO_SECURITY = text(b"http://opcfoundation.org/UA/SecurityPolicy#None")
+SECURITY = text(b"http://opcfoundation.org/UA/SecurityPolicy#Basic256Sha256")
+WRONG = {
+    "a web browser": b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n",
+    "too short a length": frame(b"HELF", HELLO[8:], 9),
+    "4 GB declared": HELLO + frame(b"OPNF", bytes(4), 0xFFFFFFFF),
+    "unknown type": HELLO + frame(b"XYZF", bytes(24)),
+    "messages before a channel": HELLO + 2 * frame(b"MSGF", bytes(64)),
+    "part of a message before a channel": HELLO + frame(b"MSGC", bytes(64)),
+    "no security": HELLO + opening(NO_SECURITY),
+    "unknown certificate": HELLO + opening(SECURITY, bytes(900)),
+    "length below zero": HELLO + opening(struct.pack("<i", -60)),
+}
+
+
+def test_a_message_that_is_wrong_ends_its_connection_and_the_server_goes_on(place):
+    """It hears an acknowledgement of 28 bytes at most, which names buffers."""
+    address, folder, port = place
 
     async def come():
-        drip = (HELLO[i : i + 1] for i in range(len(HELLO)))
-        return await asyncio.gather(
-            visit(port, [], stay=8.0),
-            visit(port, [HELLO], stay=8.0),
-            visit(port, drip, pause=0.3, stay=8.0),
-        )
+        heard = await asyncio.gather(*(visit(port, message) for message in WRONG.values()))
+        async with session(address, folder) as client:
+            return heard, await gap_by(client)
 
-    assert [out for _, _, out in asyncio.run(come())] == [True] * 3
+    heard, gap = asyncio.run(come())
+    for name, (answer, ended) in zip(WRONG, heard, strict=True):
+        assert ended, name
+        assert answer[:4] in (b"", b"ACKF"), name
+        assert len(answer) <= 28, name
+    assert gap == ring(8).gap
 
 
-def test_who_is_silent_for_long_is_put_out_and_who_speaks_is_not(here, monkeypatch):
-    address, folder, _ = here
+def test_numbers_of_values_that_a_message_cannot_hold_are_refused():
+    with pytest.raises(NotEnoughData, match="a length of -4"):
+        Buffer(bytes(20)).read(-4)
+    with pytest.raises(ua.UaError, match="an array of nothing"):
+        ua_binary.unpack_uatype_array(ua.VariantType.Null, Buffer(struct.pack("<i", 2**31 - 1)))
+
+
+def test_a_known_client_has_one_session_no_subscription_and_registers_no_server(place):
+    address, folder, _ = place
+
+    async def come():
+        async with session(address, folder) as client:
+            with pytest.raises(ua.uaerrors.BadTooManySessions):
+                await client.create_session()
+            with pytest.raises(ua.uaerrors.BadTooManySubscriptions):
+                await client.create_subscription(100, None)
+            with pytest.raises(ua.uaerrors.BadServiceUnsupported):
+                await client.uaclient.register_server(ua.RegisteredServer(ServerUri="urn:me"))
+            return await gap_by(client)
+
+    assert asyncio.run(come()) == ring(8).gap
+
+
+def test_a_client_that_reads_no_answer_is_put_out():
+    protocol = SimpleNamespace(transport=Mock())
+    limits.BoundedProtocol.pause_writing(protocol)
+    protocol.transport.abort.assert_called_once_with()
+
+
+def test_a_client_without_a_session_in_time_and_a_silent_one_are_put_out(place, monkeypatch):
     monkeypatch.setattr(limits, "BEFORE_SESSION", 2.0)
     monkeypatch.setattr(limits, "SILENCE", 1.0)
+    address, folder, port = place
 
     async def come(pause, times):
-        async with channel(address, folder, keys.USER) as client:
+        async with session(address, folder) as client:
             for _ in range(times):
                 await asyncio.sleep(pause)
-                await client.get_node(GAP).read_value()
+                await gap_by(client)
 
-    async def both():
-        return await asyncio.gather(come(0.5, 7), come(3.5, 1), return_exceptions=True)
+    async def all_of_them():
+        return await asyncio.gather(
+            visit(port, HELLO), come(0.4, 7), come(3.0, 1), return_exceptions=True
+        )
 
-    lively, silent = asyncio.run(both())
+    (answer, ended), lively, silent = asyncio.run(all_of_them())
+    assert (answer[:4], ended) == (b"ACKF", True)
     assert lively is None
     assert isinstance(silent, OSError | ua.UaError)
 
 
-def test_a_newcomer_gets_in_where_silent_strangers_hold_all_places(here, monkeypatch):
-    address, folder, port = here
-    monkeypatch.setattr(limits, "CONNECTIONS", 6)
+def test_a_newcomer_takes_the_place_of_a_client_without_a_session_only(place, monkeypatch):
+    monkeypatch.setattr(limits, "CONNECTIONS", 2)
+    address, folder, port = place
 
     async def come():
-        silent = [asyncio.create_task(visit(port, [HELLO])) for _ in range(6)]
-        await asyncio.sleep(0.2)
-        async with (
-            channel(address, folder, keys.USER) as one,
-            channel(address, folder, keys.USER) as two,
-        ):
-            gaps = [await each.get_node(GAP).read_value() for each in (one, two)]
-            return gaps, [task.done() for task in silent]
+        await asyncio.sleep(0.5)  # the clients before are gone
+        async with session(address, folder) as one:
+            silent = asyncio.create_task(visit(port, HELLO))
+            await asyncio.sleep(0.2)
+            async with session(address, folder) as two:
+                refused = await visit(port, HELLO)
+                return await silent, refused, [await gap_by(each) for each in (one, two)]
 
-    assert asyncio.run(come()) == ([65e-6] * 2, [True] * 2 + [False] * 4)
-
-
-def test_where_all_have_sessions_a_newcomer_is_refused(here, monkeypatch):
-    address, folder, port = here
-    monkeypatch.setattr(limits, "CONNECTIONS", 1)
-
-    async def come():
-        await asyncio.sleep(0.2)  # who came before is gone
-        async with channel(address, folder, keys.USER) as client:
-            refused = await visit(port, [HELLO], stay=5.0)
-            return refused, await client.get_node(GAP).read_value()
-
-    (_, heard, out), gap = asyncio.run(come())
-    assert (heard, out, gap) == (b"", True, 65e-6)
-
-
-def test_frames_that_come_in_pieces_or_together_are_the_same_frames(here):
-    """What a network does to a sound client; and its channel is renewed under way."""
-    address, folder, port = here
-    recorded = asyncio.run(record(port, folder))
-    (size,) = struct.unpack_from("<I", recorded, 4)
-    opened = size + struct.unpack_from("<I", recorded, size + 4)[0]
-
-    async def answers(pieces):
-        return (await visit(port, pieces, stay=1.0))[1]
-
-    whole = asyncio.run(answers([recorded[:opened]]))
-    single = asyncio.run(answers(recorded[i : i + 1] for i in range(opened)))
-    assert whole[:4] == single[:4] == b"ACKF"
-    assert len(whole) == len(single) > 1000  # the opening answered, though not to us
-
-    async def renew():
-        async with channel(address, folder, keys.USER) as client:
-            for _ in range(3):
-                await client.open_secure_channel(renew=True)
-                await client.get_node(GAP).read_value()
-            values = list(range(200_000))
-            with pytest.raises(ua.UaError):  # many frames, and no right to write
-                await client.get_node(GAP).write_value(values, ua.VariantType.Double)
-            return await client.get_node(GAP).read_value()
-
-    assert asyncio.run(renew()) == 65e-6
+    (answer, ended), refused, gaps = asyncio.run(come())
+    assert (answer[:4], ended) == (b"ACKF", True)
+    assert refused == (b"", True)
+    assert gaps == [ring(8).gap] * 2

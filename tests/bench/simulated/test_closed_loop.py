@@ -240,12 +240,6 @@ def test_no_triangle_of_a_slightly_asymmetric_glass_is_taken_for_the_whole(monke
     assert np.sort(np.abs(again)) == pytest.approx(np.sort(np.abs(once)), rel=1e-9)
 
 
-def test_too_much_derivative_is_refused_on_p45():
-    k, mass, damping, coils, sensors, control = p45_parts()
-    with pytest.raises(LoopUnstable, match="lower the gains"):
-        closed_loop(k, mass, damping, coils, sensors, replace(control, derivative=600.0))
-
-
 def test_an_unstable_loop_stops_itself(p45_loop, p45_shapes):
     wild = replace(p45_loop, control=replace(p45_loop.control, derivative=600.0))
     noise = [row_noise(1, "bare", 1, k, 1) for k in range(45)]
@@ -255,26 +249,17 @@ def test_an_unstable_loop_stops_itself(p45_loop, p45_shapes):
 
 
 def test_noise_that_grows_stops_the_run():
-    k, mass, damping, alpha = 2e5, 6.6e-3, 64.0, 0.8
-    loop = one_mode(k, mass, damping, alpha)
-    low, high = 30.0, 3000.0
-    for _ in range(40):  # to where motions grow by 0.1 % a sample
-        middle = 0.5 * (low + high)
-        control = replace(loop.control, derivative=middle)
-        matrix = state_matrix(loop.step, loop.coils.alpha, loop.sensors.gain, control)
-        low, high = (
-            (middle, high) if np.abs(np.linalg.eigvals(matrix)).max() < 1.001 else (low, middle)
-        )
+    loop = one_mode(k=2e5)
     wild = replace(
         loop,
-        control=replace(loop.control, derivative=low),
+        control=replace(loop.control, derivative=535.0),
         coils=replace(loop.coils, saturation=np.inf),
         sensors=replace(loop.sensors, noise=1e-11),
     )
+    assert 1.001 < np.abs(roots(wild)).max() < 1.002  # a sample
+    zero, noise = np.zeros((1, 1)), [row_noise(1, "bare", 1, 1, 1)]
     with pytest.raises(LoopUnstable, match="the noise of actuator 0 in shape 0 grows"):
-        record(
-            wild, np.zeros((1, 1)), np.zeros((1, 1)), [row_noise(1, "bare", 1, 1, 1)], settling=0.05
-        )
+        record(wild, zero, zero, noise, settling=0.05)
 
 
 def test_a_shape_beyond_the_coils_or_through_the_gap_stops_the_run(p45_loop, p45_shapes):
@@ -294,7 +279,7 @@ def test_at_rest_the_true_forces_are_those_of_statics(p45_loop, p45_shapes):
         coils=replace(p45_loop.coils, **SMOOTH, temperature=np.linspace(15.0, 25.0, 45)),
         sensors=replace(p45_loop.sensors, **SHARP),
     )
-    found = record(quiet, p45_shapes, LOAD)
+    found = record(quiet, p45_shapes, LOAD, samples=512)
     true_position = quiet.sensors.gain[:, None] * (found.position - quiet.sensors.offset[:, None])
     warmer = 1 - 1.1e-3 * np.linspace(-5.0, 5.0, 45)
     true = quiet.coils.alpha[:, None] * found.force * warmer * (1 + 600 * true_position)
@@ -311,30 +296,10 @@ def test_at_rest_the_true_forces_are_those_of_statics(p45_loop, p45_shapes):
     assert total == pytest.approx(np.tile(arms(p45().layout) @ LOAD, (1, 45)), abs=1e-7)
 
 
-def test_with_noise_statics_holds_within_the_standard_error_of_the_readings(p45_loop, p45_shapes):
-    """True force less K z of the readings: K times the mean noise of the sensors is left."""
-    columns = np.tile(np.arange(45), 4)
-    noise = [row_noise(3, "bare", 1 + k // 45, k % 45, 1) for k in range(180)]
-    found = record(p45_loop, p45_shapes[:, columns], LOAD, noise, settling=0.02)
-    assert found.settled.all()
-    gain, alpha = p45_loop.sensors.gain[:, None], p45_loop.coils.alpha[:, None]
-    z = gain * (found.position - p45_loop.sensors.offset[:, None])
-    left = alpha * found.force * (1 + 600 * z) - p45_loop.stiffness @ z - LOAD
-    of_sensors = np.hypot(3e-9, COUNT / np.sqrt(12)) / np.sqrt(2048)
-    of_drivers = 30e-6 / np.sqrt(2048)
-    to_force = p45_loop.stiffness @ np.diagflat(gain)
-    error = np.hypot(np.linalg.norm(to_force, axis=1)[:, None] * of_sensors, alpha * of_drivers)
-    ratio = left / error
-    assert ratio.std() == pytest.approx(1.0, abs=0.05)
-    assert np.abs(ratio.mean(axis=1)).max() < 4.5 / np.sqrt(180)
-    assert np.abs(ratio).max() < 5.5
-
-
-@pytest.mark.parametrize("slow_gain", [1.0, 5.0])
-def test_the_error_of_a_mean_force_is_what_its_autocorrelation_makes_of_sensor_noise(slow_gain):
+def test_the_error_of_a_mean_force_is_what_its_autocorrelation_makes_of_sensor_noise():
     """The mean is a sum over all past noise, weighted by the loop's impulse response."""
     k, mass, damping, batch, samples, wait = 6e5, 6.6e-3, 64.0, 500, 2048, 1432
-    loop = one_mode(k, mass, damping, slow_gain=slow_gain)
+    loop = one_mode(k, mass, damping)
     noisy = replace(loop, sensors=replace(loop.sensors, noise=3e-9))
     noise = [row_noise(1, "bare", 1, j, 1) for j in range(batch)]
     found = record(noisy, np.zeros((1, batch)), np.zeros((1, 1)), noise, settling=wait * PERIOD)
@@ -399,31 +364,20 @@ def test_a_shape_alone_is_the_same_shape_among_others(p45_loop, p45_shapes):
 
     def taken(columns):
         noise = [row_noise(5, "ring", 2, int(c) + 1, int(signs[c])) for c in columns]
-        return record(p45_loop, (p45_shapes * signs)[:, columns], LOAD, noise, samples=512)
+        return record(p45_loop, (p45_shapes * signs)[:, columns], LOAD, noise, samples=64)
 
-    together, alone = taken(np.arange(45)), [taken(np.array([c])) for c in (0, 17, 44)]
-    for c, one in zip((0, 17, 44), alone, strict=True):
+    together = taken(np.arange(45))
+    for c in (0, 44):
+        one = taken(np.array([c]))
         assert one.force[:, 0] == pytest.approx(together.force[:, c], rel=0, abs=1e-12)
         assert one.position[:, 0] == pytest.approx(together.position[:, c], rel=0, abs=1e-15)
         assert one.force_scatter[:, 0] == pytest.approx(together.force_scatter[:, c], rel=1e-9)
 
 
-@pytest.mark.parametrize(("n", "batch"), [(1, 500), (45, 90), (45, 1), (73, 146), (672, 1344)])
-def test_products_of_small_mirrors_stay_on_one_thread_and_give_every_column(n, batch):
-    step = np.broadcast_to(1.0, (2 * n, 3 * n))
-    parts = [np.arange(batch)[part] for part in _single_threaded(step, batch)]
-    assert np.array_equal(np.concatenate(parts), np.arange(batch))
-    largest = max(part.size for part in parts) * step.size
-    assert largest <= 2**18 if n < 100 else len(parts) == 1
-
-
-def test_every_label_of_a_row_has_its_own_noise():
-    labels = (1, "bare", 1, 1, 1)
-    changed = [(2, *labels[1:]), (1, "ring", 1, 1, 1), (1, "bare", 2, 1, 1),
-               (1, "bare", 1, 2, 1), (1, "bare", 1, 1, -1)]  # fmt: skip
-    drawn = {float(row_noise(*row).standard_normal()) for row in [labels, *changed]}
-    assert len(drawn) == 6
-    assert float(row_noise(*labels).standard_normal()) in drawn
+def test_products_of_small_mirrors_stay_on_one_thread_and_give_every_column():
+    few = _single_threaded(np.broadcast_to(1.0, (146, 219)), 146)
+    assert [k for part in few for k in np.arange(146)[part]] == list(range(146))
+    assert _single_threaded(np.broadcast_to(1.0, (1344, 2016)), 1344) == [slice(1344)]
 
 
 def test_each_shape_needs_its_own_noise(p45_loop, p45_shapes):
@@ -431,9 +385,8 @@ def test_each_shape_needs_its_own_noise(p45_loop, p45_shapes):
         record(p45_loop, p45_shapes, LOAD, [row_noise(1, "bare", 1, 1, 1)])
 
 
-@pytest.mark.parametrize("count", [300, 301])
-def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes, count):
-    shapes = p45_shapes[:, [5, 40]]
+def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes):
+    shapes, count = p45_shapes[:, [5, 40]], 301
 
     def noise():
         return [row_noise(1, "bare", 1, k, 1) for k in (5, 40)]
@@ -456,18 +409,9 @@ def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes, count):
 
 
 def test_a_record_taken_too_soon_has_not_settled(p45_loop, p45_shapes):
-    soon = record(p45_loop, p45_shapes, LOAD, settling=0.5e-3)
-    later = record(p45_loop, p45_shapes, LOAD)
-    assert not soon.settled[3]  # a soft mode, 1 um
-    assert later.settled.all()
-
-
-def test_warm_magnets_take_more_command(p45_loop):
-    noise = [row_noise(1, "bare", 1, 1, 1) for _ in range(2)]
-    warm = replace(p45_loop.coils, temperature=np.array([20.0, 40.0]))
-    found = record(replace(p45_loop, coils=warm), np.zeros((45, 2)), LOAD, noise, samples=512)
-    ratio = found.force[:, 1].sum() / found.force[:, 0].sum()
-    assert ratio == pytest.approx(1 / (1 - 1.1e-3 * 20), rel=2e-4)
+    soft = p45_shapes[:, 3:4]  # 1 um
+    assert not record(p45_loop, soft, LOAD, settling=0.5e-3, samples=512).settled
+    assert record(p45_loop, soft, LOAD, samples=512).settled
 
 
 def test_soft_middle_and_stiff_modes_settle_in_one_and_a_half_and_in_less_than_one_ms(p45_loop):
@@ -478,21 +422,6 @@ def test_soft_middle_and_stiff_modes_settle_in_one_and_a_half_and_in_less_than_o
     assert steps.position.max() < 1.05
     assert steps.stiffness == pytest.approx([4632, 6.92e5, 2.23e6], rel=0.01)
     assert steps.position[0] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_soft_step_is_that_of_mass_film_and_gains(p45_loop):
-    """m z'' + (k_d + C / alpha) z' + k_p (z - z_c) = 0, with neither filters nor delays."""
-    loop = one_mode(k=31.0, gain=1.0, alpha=1.0, slow_gain=1.0, delay=0)
-    walk = samples_of(loop, np.array([[1e-7]]), np.zeros((1, 1)), (), 300)
-    found = np.array([z.item() for _, _, z in walk]) / 1e-7
-
-    def rate(t, x):
-        wanted = 0.5 - 0.5 * np.cos(np.pi * min(t / 1e-4, 1.0))
-        return [x[1], (1.3e5 * (wanted - x[0]) - 94.0 * x[1]) / 6.6e-3]
-
-    exact = solve_ivp(rate, (0, 300 * PERIOD), [0, 0], t_eval=np.arange(300) * PERIOD,
-                      rtol=1e-9, max_step=1e-5).y[0]  # fmt: skip
-    assert np.abs(found - exact).max() < 0.02
 
 
 def test_a_response_that_leaves_the_band_has_not_settled():

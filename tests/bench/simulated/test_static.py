@@ -10,7 +10,7 @@ from truenewton.bench.simulated.static import rows_of_cycle, run_cycles, static_
 from truenewton.bench.simulated.truth import read_truth, truth_path, write_truth
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import LimitExceeded
-from truenewton.mirrors.known import lbt672, p45
+from truenewton.mirrors.known import lbt672, p45, ring
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
 from truenewton.statics.arms import effective_weight, external_load, resultants
@@ -30,10 +30,15 @@ LOADS = (
 )
 
 
-@pytest.mark.parametrize("mirror", [p45(), lbt672()], ids=["p45", "lbt672"])
+@pytest.mark.parametrize(
+    "mirror", [p45(), pytest.param(lbt672(), marks=pytest.mark.study)], ids=["p45", "lbt672"]
+)
 def test_true_forces_balance_weight_bias_and_torques_in_every_shape(mirror):
     bench = static_bench(mirror, seed=3, loads=LOADS, force_noise=0.0)
     truth = bench.truth
+    for torque in (truth.torque_y, truth.torque_x):
+        assert np.abs(torque).min() > 1e-5
+        assert np.abs(np.diff(torque)).min() > 1e-6  # each load has its own
     w = effective_weight(truth.weight, truth.added, truth.tilt)
     k = external_load(w, truth.bias_force, truth.torque_y, truth.torque_x)
     size = np.abs(k).max()
@@ -44,15 +49,7 @@ def test_true_forces_balance_weight_bias_and_torques_in_every_shape(mirror):
         assert total == pytest.approx(np.tile(-k[place], (len(total), 1)), abs=1e-10 * size)
 
 
-def test_torques_are_not_zero_and_differ_between_loads():
-    truth = p45_bench().truth
-    assert np.all(np.abs(truth.torque_y) > 1e-5)
-    assert np.all(np.abs(truth.torque_x) > 1e-5)
-    assert abs(truth.torque_y[0] - truth.torque_y[1]) > 1e-6
-    assert abs(truth.torque_x[0] - truth.torque_x[1]) > 1e-6
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [0, 3])
 def test_stroke_and_force_stay_within_their_limits_and_reach_them(seed):
     bench = static_bench(p45(), seed)
     campaign = Campaign(tuple(run_cycles(bench, 1)))
@@ -105,7 +102,7 @@ def test_noise_of_a_row_depends_on_its_labels_only():
 
 def test_a_seed_gives_the_same_bytes_and_another_seed_another_truth(tmp_path):
     for name in ("one", "two"):
-        bench = static_bench(p45(), seed=7)
+        bench = static_bench(ring(8), seed=7)
         write_campaign(run_cycles(bench, 1), tmp_path / name)
         write_truth(bench.truth, truth_path(tmp_path / name))
     names = sorted(p.name for p in (tmp_path / "one").iterdir())
@@ -114,7 +111,7 @@ def test_a_seed_gives_the_same_bytes_and_another_seed_another_truth(tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
     one, two = (tmp_path / f"{name}.truth.fits" for name in ("one", "two"))
     assert one.read_bytes() == two.read_bytes()
-    assert np.any(static_bench(p45(), seed=8).truth.alpha != read_truth(one).alpha)
+    assert np.any(static_bench(ring(8), seed=8).truth.alpha != read_truth(one).alpha)
 
 
 def test_the_truth_is_kept_beside_the_folder_and_comes_back(tmp_path):
