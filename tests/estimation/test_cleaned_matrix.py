@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from helpers.balanced import p45_bench
-from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix_order import balance_effects
@@ -87,8 +86,8 @@ def test_few_significant_digits_of_measured_forces_are_not_taken_for_cleaning(di
     assert not [*balance_effects(replace(matrix, stiffness=written(matrix.stiffness, digits)))]
 
 
-@pytest.mark.parametrize("digits", [None, 1e3, 3e4, 3, 4, 5])
-@pytest.mark.parametrize("noise", [1e-6, 1e-4, 1e-3])
+@pytest.mark.parametrize("digits", [None, 3e4, 3, 5])
+@pytest.mark.parametrize("noise", [1e-6, 1e-3])
 def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
     """Electronics into which alpha is loaded: what its noise leaves out of balance is measured."""
     truth, random = p45_bench().truth, np.random.default_rng(3)
@@ -108,23 +107,6 @@ def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_th
     assert effect.code == Code.TRANSPOSED_STIFFNESS
 
 
-def test_a_cleaned_matrix_is_not_to_be_used_and_a_true_one_has_modes():
-    matrix, alpha = measured()
-    rigid = rigid_motions(matrix.layout)
-    with pytest.warns(TrueNewtonWarning, match="already balanced as commanded: alpha is gone"):
-        made = calibrate(replace(matrix, stiffness=cleaned(matrix.stiffness, rigid)[0]))
-    assert (made.verdict.level, made.method) == ("rejected", "ml")
-    true = 0.5 * (alpha[:, None] * matrix.stiffness + (alpha[:, None] * matrix.stiffness).T)
-    as_true = replace(matrix, stiffness=cleaned(true, rigid)[0])
-    with pytest.warns(TrueNewtonWarning, match="symmetric and balanced as commanded: a true one"):
-        found = find_modes(as_true)
-    stiffness = found.after.stiffness.stiffness
-    np.testing.assert_allclose(stiffness, as_true.stiffness, atol=1e-9 * stiffness.max())
-    [warning] = found.warnings
-    fault = warning.fault
-    assert "taken for a true one" in fault
-
-
 def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
     """One made symmetric, of alpha that scatter by 1.5 %: balance leaves others than 1."""
     truth = p45_bench().truth
@@ -133,7 +115,9 @@ def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
     with pytest.warns(TrueNewtonWarning, match="symmetric and balanced as commanded: a true one"):
         found = find_modes(StiffnessMatrix("P45", DATE, truth.layout, k))
     assert (found.calibration.alpha[truth.layout.enabled] == 1.0).all()
-    assert ["alpha is 1" in each.fault for each in found.warnings] == [True]
+    [warning] = found.warnings
+    assert "taken for a true one" in warning.fault
+    assert "alpha is 1" in warning.fault
     assert found.imbalance[0] == found.imbalance[1]
 
 
@@ -153,7 +137,7 @@ def test_a_real_lbt672_cleaned_of_rigid_motions_is_told_from_the_measured():
 
 def test_every_command_says_what_was_done_to_it(inside, tmp_path):
     matrix, _ = measured()
-    rigid = rigid_motions(matrix.layout)
+    rigid, svd = rigid_motions(matrix.layout), ("--method", "svd")
     k = cleaned(matrix.stiffness, rigid)[1]
     np.save(tmp_path / "k.npy", k)
     np.savetxt(tmp_path / "xy.csv", rigid[:, 1:], delimiter=",", header="X,Y", comments="")
@@ -165,12 +149,12 @@ def test_every_command_says_what_was_done_to_it(inside, tmp_path):
     assert "alpha        none of a matrix that is balanced as commanded" in out
     assert "next" not in out
     assert "ranspose" not in out
-    code, _, err = inside("calibrate", tmp_path / "k.fits", "-o", tmp_path / "alpha.fits")
+    code, _, err = inside("calibrate", tmp_path / "k.fits", *svd, "-o", tmp_path / "alpha.fits")
     assert code == 2
     said = "already balanced as commanded: alpha is gone (cleaned of rigid motions?)"
     assert said in err
     assert not (tmp_path / "alpha.fits").exists()
-    code, out, _ = inside("info", tmp_path / "k.fits")
+    code, out, _ = inside("info", tmp_path / "k.fits", *svd)
     assert code == 0
     assert said in out
     assert "rejected" in out
