@@ -102,8 +102,3 @@ def test_a_line_and_one_beside_it_are_a_conic_that_leaves_alpha_free():
     a = np.array([np.ones(4), x, y])
     assert geometry_fault(a).fault.startswith("the actuators stand on a conic")
     assert geometry_fault(np.array([np.ones(14), LAYOUT.x, LAYOUT.y])) is None
-
-
-def test_shapes_far_below_the_noise_are_refused():
-    campaign = p45_shapes(0.01 * p45_bench().shapes, noise=1e-3)
-    assert "left to noise" in refusal(campaign)

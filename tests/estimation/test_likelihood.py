@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.stats
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from helpers.balanced import (
     BARE_AND_RING,
@@ -22,7 +20,6 @@ from helpers.balanced import (
     p45_shapes,
     rms_z,
 )
-from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import NotConverged, RankDeficient, UnknownName
 from truenewton.estimation import cycles_ml
@@ -170,8 +167,17 @@ def test_a_prior_pulls_as_much_as_its_information_says():
 # Symmetries.
 
 
-@pytest.mark.parametrize(("cycles", "declared"), [(1, 1e-6), (1, None), (2, None)])
-@pytest.mark.parametrize("loads", [EXACT, EXACT_TILT, EXACT_THREE, BARE_AND_RING, THREE])
+@pytest.mark.parametrize(
+    ("loads", "cycles", "declared"),
+    [
+        (EXACT, 1, None),
+        (EXACT, 2, None),
+        (EXACT_TILT, 1, 1e-6),
+        (EXACT_THREE, 2, None),
+        (BARE_AND_RING, 2, None),
+        (THREE, 1, 1e-6),
+    ],
+)
 def test_noiseless_readings_give_the_truth(loads, cycles, declared):
     """With errors of the weights to a thousandth of what these leave of the common scale.
 
@@ -186,53 +192,26 @@ def test_noiseless_readings_give_the_truth(loads, cycles, declared):
     assert np.isfinite(found.reading_covariance).all()
 
 
-def turned(campaign, angle):
-    """Return the campaign in axes turned by an angle."""
-    c, s = np.cos(angle), np.sin(angle)
-    of = campaign.layout
-    other = Layout(of.id, c * of.x - s * of.y, s * of.x + c * of.y, of.nz, of.enabled)
-    return changed(campaign, layout=other)
-
-
-@pytest.mark.parametrize("method", ["ml", "svd"])
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(angle=st.floats(0.0, 2 * np.pi))
-def test_turning_the_axes_turns_the_torques_and_leaves_alpha(method, angle):
+@pytest.mark.parametrize(("method", "metre"), [("ml", 50.0), ("svd", 1.0)])
+def test_turned_axes_and_other_units_leave_alpha(method, metre):
+    """Axes turned by 2 rad, forces in quarters of a newton; of `ml` lengths in units of 2 cm."""
     campaign, _ = campaign_of(seed=7, noise=SIGMA, cycles=3)
-    one, two = calibrate(campaign, method), calibrate(turned(campaign, angle), method)
-    assert np.abs((two.alpha - one.alpha) / one.reading_error).max() < 1e-5
-    assert two.error == pytest.approx(one.error, rel=1e-6)
-    c, s = np.cos(angle), np.sin(angle)
-    # (M_y, -M_x) turn as the moments of (x, y).
-    assert two.torque_y == pytest.approx(c * one.torque_y + s * one.torque_x, abs=1e-8)
-    assert two.torque_x == pytest.approx(-s * one.torque_y + c * one.torque_x, abs=1e-8)
-
-
-def test_the_unit_of_length_leaves_alpha_though_there_is_noise():
-    campaign, _ = campaign_of(seed=8, noise=SIGMA, cycles=3)
-    of = campaign.layout
-    longer = Layout(of.id, 50 * of.x, 50 * of.y, of.nz, of.enabled)
-    one, two = calibrate(campaign), calibrate(changed(campaign, layout=longer))
-    assert np.abs((two.alpha - one.alpha) / one.reading_error).max() < 1e-5
-    assert two.torque_y == pytest.approx(50 * one.torque_y, rel=1e-6)
-
-
-@pytest.mark.parametrize("method", ["ml", "svd"])
-def test_forces_in_other_units_scale_alpha(method):
-    campaign, _ = campaign_of(seed=9, noise=SIGMA, cycles=3)
-    one = calibrate(campaign, method)
-    two = calibrate(changed(campaign, force=lambda _, c: 4 * c.force), method)
+    of, c, s = campaign.layout, metre * np.cos(2.0), metre * np.sin(2.0)
+    layout = Layout(of.id, c * of.x - s * of.y, s * of.x + c * of.y, of.nz, of.enabled)
+    other = changed(campaign, layout=layout, force=lambda _, cycle: 4 * cycle.force)
+    one, two = calibrate(campaign, method), calibrate(other, method)
     assert np.abs((4 * two.alpha - one.alpha) / one.reading_error).max() < 1e-5
     assert 4 * two.error == pytest.approx(one.error, rel=1e-6)
     assert two.noise == pytest.approx(4 * one.noise, rel=1e-9)
+    # (M_y, -M_x) turn as the moments of (x, y).
+    assert two.torque_y == pytest.approx(c * one.torque_y + s * one.torque_x, abs=1e-8 * metre)
+    assert two.torque_x == pytest.approx(-s * one.torque_y + c * one.torque_x, abs=1e-8 * metre)
 
 
 @pytest.mark.parametrize("method", ["ml", "svd"])
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(order=st.permutations(range(14)))
-def test_the_order_of_actuators_does_not_matter(method, order):
+def test_the_order_of_actuators_does_not_matter(method):
     campaign, _ = campaign_of(seed=10, noise=SIGMA, disabled=(3,))
-    of, order = campaign.layout, list(order)
+    of, order = campaign.layout, np.random.default_rng(1).permutation(14)
     shuffled = Layout(*(getattr(of, k)[order] for k in ("id", "x", "y", "nz", "enabled")))
     other = changed(campaign, layout=shuffled, force=lambda _, c: c.force[:, order])
     one, two = calibrate(campaign, method), calibrate(other, method)
@@ -462,7 +441,7 @@ def declared_weights(quiet, random):
     return changed(quiet, weight=weight, load=lambda _, c: loads[c.load.key])
 
 
-@pytest.mark.parametrize("noise", [4e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("noise", [4e-6, 1e-4])
 def test_quiet_readings_have_errors_that_hold(noise):
     """Down to the 4 uN of the loop's own means."""
     quiet, truth = campaign_of(25, 0.0, cycles=2)
@@ -489,13 +468,6 @@ def test_shapes_in_noise_are_refused_or_warned_of_and_loud_ones_are_not():
         wrong = rms_z(calibration, p45_bench().truth.alpha)
         assert calibration.diagnosis.warnings or wrong < 2.0
     assert calibrate(p45_shapes(shapes, SIGMA)).diagnosis.warnings == ()
-
-
-def test_thirty_modes_of_forty_two_determine_all_of_alpha():
-    bench = static_bench(p45(), seed=1, force_noise=1e-4)
-    calibration = calibrate(p45_shapes(bench.shapes[3:33], 1e-4))
-    assert calibration.diagnosis.undetermined == 0
-    assert rms_z(calibration, bench.truth.alpha) < 3.0
 
 
 def test_a_start_that_is_far_off_ends_at_the_same_minimum():
@@ -532,23 +504,6 @@ def test_a_population_is_named_never_default_and_pulls_to_the_mean():
         calibrate(campaign, "svd", population=True)
     with pytest.raises(UnknownName, match="by segment, and the data are of a mirror in one piece"):
         calibrate(campaign, motion={1: np.eye(campaign.layout.n)})
-
-
-@pytest.mark.study
-def test_a_population_is_better_where_the_data_are_poor():
-    """alpha are drawn evenly from 0.7 to 1.1; 60 campaigns with few and noisy shapes."""
-    plain, pooled = [], []
-    for k in range(60):
-        campaign, truth = campaign_of(
-            [30, k], 2e-2, cycles=2, shapes=8, loads=EXACT, weight_error=0.0
-        )
-        alpha = truth[:14]
-        for errors, population in ((plain, False), (pooled, True)):
-            found = find(campaign, population)
-            # About the mean: the scale has no population.
-            values = found.values[:14]
-            errors.append(np.mean((values / values.mean() - alpha / alpha.mean()) ** 2))
-    assert np.mean(pooled) < np.mean(plain)
 
 
 def test_weights_that_disagree_are_warned_of():

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers import balanced
 from helpers.balanced import RING, campaign_of, changed, gradients
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch
@@ -167,17 +166,6 @@ def test_parts_that_count_from_different_readings_are_not_merged():
     parts = [campaign_moments(Campaign((c,)), common_reference(anew)) for c in anew.cycles]
     merged, expected = reduce(merge, parts), campaign_moments(anew)
     assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
-
-
-def test_noise_of_each_actuator_comes_from_repeats():
-    sigma = np.linspace(0.5e-3, 1.5e-3, 14)
-    quiet, _ = campaign_of(seed=5, noise=0.0, cycles=4)
-    moments = campaign_moments(balanced.noisy(quiet, sigma, 6))
-    assert moments.repeats == 2 * 28 * 3
-    found = np.sqrt(moments.scatter / moments.repeats)
-    # Each known to 1 / root(2 * 168) = 5.5 %: four sigma.
-    assert found == pytest.approx(sigma, rel=4 / np.sqrt(2 * 168))
-    assert moments.noise == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.06)
 
 
 def test_one_cycle_has_no_repeats():

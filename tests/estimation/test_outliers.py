@@ -14,12 +14,11 @@ from helpers.balanced import (
     exact_weights,
     noisy,
     p45_bench,
-    p45_campaign,
     rms_z,
     with_spike,
 )
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.errors import TooManyOutliers
 from truenewton.estimation import cycles_ml, repeats
 from truenewton.estimation.imbalance import squared_distances, standing_out
 from truenewton.estimation.sifted import sift
@@ -143,29 +142,6 @@ def test_a_row_wrong_in_all_repeats_is_found_against_the_balance():
         (k, 8, "balance") for k in (4, 5, 6, 7)
     }
     assert rms_z(found, truth[:14]) < 2.5
-
-
-def test_a_cycle_of_the_wrong_sign_is_thrown_out_or_refused():
-    check_not_used(with_turned_sign(p45_campaign(3), 4), p45_bench().truth.alpha)
-    for seed in range(16):
-        campaign, truth = small([10, seed], cycles=3 + seed % 2)
-        check_not_used(with_turned_sign(campaign, 0), truth[:14])
-
-
-def with_turned_sign(campaign, cycle):
-    return changed(campaign, force=lambda k, c: -c.force if k == cycle else c.force)
-
-
-def check_not_used(campaign, alpha):
-    """Refused, or all rows of one cycle rejected and alpha right."""
-    try:
-        found = calibrate(campaign)
-    except (TooManyOutliers, RankDeficient, NotConverged):
-        return
-    assert max(np.bincount([row.cycle for row in found.rejected_rows])) >= 0.9 * len(
-        campaign.cycles[0].time
-    )
-    assert rms_z(found, alpha) < 3
 
 
 def test_too_many_bad_rows_are_refused_with_their_number():

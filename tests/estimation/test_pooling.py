@@ -12,7 +12,7 @@ from helpers.small_bench import SmallBench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.moments import chosen_groups
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.pooling import each_by_itself, over_loads_and_signs
+from truenewton.estimation.pooling import over_loads_and_signs
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.estimation.structure import independent_readings, structure_of
@@ -72,16 +72,6 @@ def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kin
     assert pooling.rows(values) == pytest.approx((u.T * weight) @ values, abs=1e-12)
     rows = random.standard_normal((pooling.count, 4))
     assert pooling.groups(rows) == pytest.approx(u @ rows, abs=1e-12)
-
-
-def test_groups_by_themselves_are_rows_of_their_own():
-    weight = np.array([4.0, 0.0, 2.0, 1.0])
-    pooling = each_by_itself(weight)
-    mean = np.arange(8.0).reshape(4, 2)
-    assert pooling.count == 3
-    expected = np.sqrt(weight[[0, 2, 3], None]) * mean[[0, 2, 3]]
-    assert pooling.rows(mean) == pytest.approx(expected)
-    assert pooling.groups(pooling.rows(mean))[[0, 2, 3]] == pytest.approx(mean[[0, 2, 3]])
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
@@ -232,9 +222,3 @@ def test_readings_that_move_together_count_as_fewer():
     )
     assert expected < 4
     assert independent_readings((), 40) == 40
-
-
-def test_one_load_and_sign_leave_nothing_to_pool():
-    labels = np.array([[0, k, 1] for k in range(1, 6)], dtype=np.int64)
-    pooling = over_loads_and_signs(labels, np.ones(5), np.ones(1))
-    assert pooling.count == 5

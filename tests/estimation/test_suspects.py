@@ -40,16 +40,6 @@ def test_a_file_under_another_name_is_named(noise, cycles, at):
 
 
 @pytest.mark.parametrize("noise", NOISE)
-def test_sound_files_and_warm_coils_are_no_suspects(noise):
-    k = np.arange(8)
-    for gains in (np.ones(8), 1.0 + 0.002 * k, 1.0 + 0.0022 * (k > 3)):
-        files = with_forces(p45(noise, 4), lambda k, f, gains=gains: gains[k] * f)
-        words = " ".join(said(files))
-        for word in ("load", "copy", "exchanged", "order", "stuck", "dead", "negative", "SIGN"):
-            assert word not in words.replace("gain by load", "")
-
-
-@pytest.mark.parametrize("noise", NOISE)
 def test_a_copy_is_named_in_whole_or_in_part(noise):
     files = p45(noise, 4)
     whole = replace(files[1], force=files[0].force)

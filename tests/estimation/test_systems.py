@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from helpers.balanced import campaign_of, p45_campaign, three_loads
+from helpers.balanced import campaign_of, three_loads
 from truenewton import estimation
 from truenewton.estimation.systems import load_force, system_c, system_d, system_e
 from truenewton.estimation.unknowns import Unknowns
@@ -50,13 +50,6 @@ def test_e_is_the_papers_element_by_element():
     by_hand, right = paper_e(campaign)
     assert np.array_equal(e, by_hand)
     assert r == pytest.approx(right, rel=1e-15)
-
-
-def test_e_has_the_papers_size_for_p45():
-    campaign = p45_campaign()
-    e, r = system_e(campaign, enabled_arms(campaign.layout))
-    assert e.shape == (3 * 8 * 90, 50)
-    assert r.shape == (3 * 8 * 90,)
 
 
 def test_true_values_solve_e_with_bias_and_torques():

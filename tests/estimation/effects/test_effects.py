@@ -149,97 +149,6 @@ def test_alpha_moves_as_told_if_an_effect_is_taken_out(name):
         assert moved / scale == pytest.approx(told, abs=2e-3 * np.abs(told).max() + 1e-3 * unit)
 
 
-@pytest.mark.parametrize(
-    ("name", "pooled"),
-    [
-        pytest.param("gain by hour of each", False, marks=pytest.mark.study),
-        ("positions", True),
-    ],
-)
-def test_the_score_that_noise_alone_makes_is_as_computed(name, pooled):
-    """D_te: how the score of an effect changes with alpha, at the truth, over drawn noises.
-
-    Its mean is M_te - D_te; of M_te alone it would be off by many standard errors.
-    """
-    order, step = (0, 1, 1, 1, 1), 1e-4
-    quiet = fit_of(SmallBench(30, 1e-7, order=order).campaign(), pooled=pooled)
-    noise, off, feigned = 0.15, [], []
-
-    def score(problem, moments, values):
-        fit = FittedRows(problem, moments, replace(quiet.minimum, values=values), True)
-        derivative = OF[name].derivative(fit)
-        return fit, derivative, scored(fit, derivative)
-
-    for seed in range(40):
-        bench = SmallBench(30, 0.0, order=order)
-        bench.error = noise * np.random.default_rng([seed, 31]).standard_normal(bench.error.shape)
-        moments = replace(campaign_moments(bench.campaign()), pooled=pooled)
-        known = replace(quiet.problem.noise, variance=np.full(14, noise**2))
-        problem = replace(quiet.problem, noise=known)
-        fit, derivative, result = score(problem, moments, quiet.minimum.values)
-        information = mirrored(fit.minimum.information[: fit.free, : fit.free])
-        change = np.empty((len(result.score), 14))
-        for k, way in enumerate(step * np.eye(len(quiet.minimum.values))[:14]):
-            ends = (score(problem, moments, quiet.minimum.values + s * way) for s in (1, -1))
-            up, down = (end.score - at.score for _, at, end in ends)
-            change[:, k] = (up - down) / (2 * step)
-        off.append(change - (result.moves @ information)[:, :14])  # M_te - D_te
-        feigned.append(derivative.feigns()[0])
-    direction = np.mean(feigned, axis=0)
-    size = np.linalg.norm(direction)
-    along = np.sum(off * direction, axis=(1, 2)) / size
-    error = np.std(along) / np.sqrt(len(along))
-    assert size > 5 * error
-    assert abs(np.mean(along)) < 3 * error
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if "hour" in name or "file" in name])
-def test_an_effect_is_taken_out_of_rows_as_of_their_moments(name):
-    """Mean and scatter of every group, and what is left within it, by loops over the rows."""
-    bench = SmallBench(3, SIGMA, order=(0, 1, 1, 0))
-    bench.gain = 1 + 1e-3 * bench.hours[:, None]
-    campaign = bench.campaign()
-    fit = struck(fit_of(campaign), name)
-    derivative, gain, by_hour = OF[name].derivative(fit), "gain" in name, "hour" in name
-    count = len(scored(fit, derivative).score)
-    theta = 1e-3 * np.random.default_rng(4).standard_normal(count)
-    of_all = "each" not in name and name not in SINGLE
-    whose = STRUCK if name in SINGLE else np.arange(14)
-    of_row = np.zeros((count if of_all else count // len(whose), 14))
-    of_row[:, whose] = theta[:, None] if of_all else theta.reshape(-1, len(whose))
-    if gain and not by_hour:
-        of_row -= of_row.mean(axis=0)  # alpha is that of the whole campaign
-    first = min(cycle.date for cycle in campaign.cycles)
-    hours = np.array([((c.date - first).total_seconds() + c.time) / 3600 for c in campaign.cycles])
-    hours -= hours.mean()
-    labels = [tuple(label) for label in fit.moments.labels.tolist()]
-    rows = [[] for _ in labels]  # of each group: cycle, hour, force
-    for k, (c, load) in enumerate(zip(campaign.cycles, campaign.load_index, strict=True)):
-        for label, hour, force in zip(
-            zip([int(load)] * 28, c.shape.tolist(), c.sign.tolist(), strict=True),
-            hours[k], c.force, strict=True,
-        ):  # fmt: skip
-            rows[labels.index(label)].append((k, hour, force))
-    mean, square, left = np.zeros((56, 14)), np.zeros(14), np.zeros((2, 5, 14))
-    for g, of_group in enumerate(rows):
-        times = np.array([[hour] if by_hour else np.eye(4)[k] for k, hour, _ in of_group])
-        between, within = (-fit.fitted()[g], -fit.moments.mean[g]) if gain else (1.0, 1.0)
-        average = times.mean(axis=0)
-        less = (average @ of_row) * between + ((times - average) @ of_row) * within
-        after = np.array([force for *_, force in of_group]) - less
-        mean[g] = after.mean(axis=0)
-        square += ((after - mean[g]) ** 2).sum(axis=0)
-        for (k, hour, _), apart in zip(of_group, after - mean[g], strict=True):
-            left[:, k] += apart * [np.ones(14), fit.moments.mean[g]]
-            left[:, 4] += hour * apart * [np.ones(14), fit.moments.mean[g]]
-    _, moments = derivative.remove(fit.problem, fit.moments, theta)
-    assert moments.mean == pytest.approx(mean, abs=1e-13)
-    assert moments.scatter == pytest.approx(square, rel=1e-9)
-    assert moments.within.zero == pytest.approx(left[0], abs=1e-12)
-    assert moments.within.gain == pytest.approx(left[1], abs=1e-12)
-    assert np.abs(moments.mean - fit.moments.mean).max() > 1e-5
-
-
 # ------------------------------------------------------------------------------ score and chance
 
 
@@ -479,10 +388,6 @@ UNTOLD = {"weight of a load"}  # named, but left to the user
 ORDERS = {"weight of a load": (0, 0, 0, 1, 1, 1, 2, 2, 2)}
 
 
-def test_every_effect_has_its_case():
-    assert sorted(CASES) == sorted(NAMES)
-
-
 def bench_with(name, seed, noise=SIGMA):
     """Return a bench on which an effect of the catalogue happens, and its parameters."""
     bench = SmallBench([seed, 8], noise, order=ORDERS.get(name, IN_TURN))
@@ -536,16 +441,6 @@ def test_where_an_effect_is_largest_stands_beside_its_name(name, where):
     assert effect.where == where(bench, int(np.abs(theta).argmax()))
     if "gain" in name:
         assert abs(effect.size) == pytest.approx(np.abs(theta).max(), rel=0.3)
-
-
-def test_the_actuator_whose_position_is_most_wrong_stands_beside_positions():
-    bench = SmallBench([1, 8], 1e-3)
-    bench.arms = bench.arms.copy()
-    bench.arms[2] += 0.1e-3 * bench.random.standard_normal(14)
-    bench.arms[2, 6] += 2e-3
-    effect = calibrate(bench.campaign()).effects[0]
-    assert (effect.name, effect.where) == ("positions", f"actuator {bench.layout.id[6]}")
-    assert 0.8e-3 < effect.size < 2.2e-3  # its prior pulls towards the others
 
 
 def test_the_second_effect_of_two_is_found_as_well():
