@@ -110,8 +110,10 @@ def steps(fit, name, function, size=1.0):
     return derivative, result, first, second
 
 
-@pytest.mark.parametrize("pooled", [True, False])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    ("name", "pooled"),
+    [*((name, True) for name in NAMES), ("gain by hour", False), ("positions", False)],
+)
 def test_score_and_information_are_derivatives_of_chi2(name, pooled):
     fit = uneven(pooled)
     derivative, result, of_balance, more = steps(fit, name, lambda *at: balance(fit, *at))
@@ -179,7 +181,6 @@ IN_BLOCKS = (0, 0, 0, 0, 1, 1, 1, 1)
         *(
             pytest.param(200, *case, marks=pytest.mark.study, id=name)
             for name, *case in (
-                ("1 mN", 1e-3, IN_BLOCKS, None),
                 ("three loads", 1e-3, THREE, None),
                 ("loud", 3e-2, IN_BLOCKS, None),
                 ("one cycle, loud", 2e-2, (0, 1), 2e-2),
@@ -220,10 +221,9 @@ def test_the_chance_of_a_chi2_is_told_however_small():
     assert far < score_test.log_chance(9e6, 3.0)
 
 
-@pytest.mark.parametrize("pooled", [True, False])
 @pytest.mark.parametrize("name", [name for name in NAMES if "each" in name or name == "positions"])
-def test_a_score_varies_no_less_than_its_cheap_bound(name, pooled):
-    for fit in (uneven(pooled), fit_of(SmallBench(8, 3e-2).campaign(), pooled=pooled)):
+def test_a_score_varies_no_less_than_its_cheap_bound(name):
+    for fit in (uneven(False), fit_of(SmallBench(8, 3e-2).campaign(), pooled=True)):
         derivative = OF[name].derivative(fit)
         score, whole, variance = variance_at_least(fit, derivative)
         exact = scored(fit, derivative)
@@ -241,32 +241,28 @@ def test_the_chance_of_f_nu_is_least_at_either_end():
         assert min(chances) == min(chances[0], chances[-1])
 
 
-def test_the_same_is_named_as_by_whole_tests():
+@pytest.mark.parametrize("drift", [0.0, 2e-2])
+def test_the_same_is_named_as_by_whole_tests(drift):
     """Effects that are passed over by the bound would not be named, by themselves either.
 
     On 40 actuators, since of few parameters the whole of V is asked always.
     """
-    passed = 0
-    for seed, drift in ((1, 0.0), (2, 0.0), (3, 2e-2), (4, 1e-3)):
-        campaign, _ = campaign_of(seed, 1e-3, layout=rings([0.05, 0.1, 0.15], [8, 13, 19]))
-        each = 1 + np.outer(np.arange(4.0), drift * np.random.default_rng(seed).standard_normal(40))
-        drifting = changed(
-            campaign,
-            force=lambda k, c, each=each: c.force * each[k],
-            date=lambda k, c: c.date + datetime.timedelta(hours=k),
-        )
-        fit = fit_of(drifting, pooled=True)
-        found = score_test.tests(fit)
-        limit = np.log(1.0 - (1.0 - OF_EACH_KIND) ** (1.0 / len(found)))
-        expected = [(t.effect.name, t.log_probability) for t in found if t.log_probability < limit]
-        there = score_test.named(fit)
-        assert [(t.effect.name, t.log_probability) for t in there] == expected
-        assert bool(there) == bool(drift)
-        for test in found:
-            if score_test.surely_sound(fit, test.derivative):
-                passed += 1
-                assert test.log_probability > np.log(OF_EACH_KIND)
-    assert passed >= 10
+    campaign, _ = campaign_of(1, 1e-3, layout=rings([0.05, 0.1, 0.15], [8, 13, 19]))
+    each = 1 + np.outer(np.arange(4.0), drift * np.random.default_rng(3).standard_normal(40))
+    drifting = changed(
+        campaign,
+        force=lambda k, c: c.force * each[k],
+        date=lambda k, c: c.date + datetime.timedelta(hours=k),
+    )
+    fit = fit_of(drifting, pooled=True)
+    found = score_test.tests(fit)
+    limit = np.log(1.0 - (1.0 - OF_EACH_KIND) ** (1.0 / len(found)))
+    expected = [(t.effect.name, t.log_probability) for t in found if t.log_probability < limit]
+    assert [(t.effect.name, t.log_probability) for t in score_test.named(fit)] == expected
+    assert bool(expected) == bool(drift)
+    passed = [t for t in found if score_test.surely_sound(fit, t.derivative)]
+    assert len(passed) >= 2
+    assert all(t.log_probability > np.log(OF_EACH_KIND) for t in passed)
 
 
 @pytest.mark.study
@@ -400,30 +396,25 @@ def truth_of(bench):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_effect_is_named_and_alpha_right_after_it(name):
-    z = []
+def test_an_effect_is_named_estimated_and_alpha_right_after_it(name):
+    z, distances = [], []
     for seed in range(3):
-        bench, _ = bench_with(name, SEEDS.get(name, 0) + seed)
+        bench, theta = bench_with(name, SEEDS.get(name, 0) + seed)
         found = calibrate(bench.campaign())
         assert (found.effects[0].name, found.effects[0].unit) == (name, OF[name].unit)
         assert found.effects[0].probability < 1e-4
         assert all(effect.corrected == (name not in UNTOLD) for effect in found.effects)
         assert found.rejected == 0
         z.append((found.alpha - truth_of(bench)) / found.error)
+        if name not in UNTOLD:
+            corrected = correction(fit_of(bench.campaign(), pooled=True), OF[name])
+            apart = corrected.theta - np.array(theta)
+            distances.append(apart @ np.linalg.solve(corrected.covariance, apart) / len(apart))
+            largest = (0.9 if name == "positions" else 0.5) * np.linalg.norm(theta)
+            assert np.linalg.norm(apart) < largest
     assert np.mean(np.abs(z) < 2.58) > 0.9
     assert np.sqrt(np.mean(np.square(z))) < 1.6
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in UNTOLD])
-def test_an_effect_is_estimated_within_its_error(name):
-    z = []
-    for seed in range(3):
-        bench, theta = bench_with(name, seed)
-        corrected = correction(fit_of(bench.campaign(), pooled=True), OF[name])
-        apart = corrected.theta - np.array(theta)
-        z.append(apart @ np.linalg.solve(corrected.covariance, apart) / len(apart))
-        assert np.linalg.norm(apart) < (0.9 if name == "positions" else 0.5) * np.linalg.norm(theta)
-    assert 0.05 < np.mean(z) < 2.5
+    assert name in UNTOLD or 0.05 < np.mean(distances) < 2.5
 
 
 @pytest.mark.parametrize(
@@ -520,14 +511,9 @@ def test_magnets_warmer_under_a_load_move_the_scale_as_stated():
     assert abs(off) == pytest.approx(of_one[WARM], rel=0.05)
     # E_STAT has it, since coils have told of the warmth.
     assert found.error / truth == pytest.approx(abs(off), rel=0.1)
-
-
-def test_with_temperatures_recorded_warm_magnets_are_not_among_the_unseen():
-    bench = SmallBench([1, 13], 1e-4)
-    recorded = changed(bench.campaign(), temperature=np.full(28, 20.0))
+    recorded = changed(alike.campaign(), temperature=np.full(28, 20.0))
     names = {error.name for error in calibrate(recorded).unseen}
-    assert WARM not in names
-    assert len(names) == 3
+    assert names == of_one.keys() - {WARM}
 
 
 # ------------------------------------------------------------------------------ forces, and noise
@@ -539,8 +525,8 @@ def friction(bench, actuator, size=5e-3):
     bench.external = bench.external - np.outer(size * way, bench.arms[:, actuator])
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_force_that_comes_and_goes_is_named_with_its_actuator(seed):
+def test_a_force_that_comes_and_goes_is_named_with_its_actuator():
+    seed = 1
     bench = SmallBench([seed, 10], SIGMA)
     friction(bench, 4 + seed)
     found = calibrate(bench.campaign())
@@ -628,9 +614,9 @@ def test_an_effect_named_but_not_corrected_adds_its_shift_to_the_error():
     assert [each.code for each in found.diagnosis.warnings] == ["misfit-explained"]
 
 
-@pytest.mark.parametrize(("noise", "size"), [(1e-4, 3e-3), (5e-5, 1e-2)])
-def test_a_drift_is_taken_out_although_its_rows_share_it(noise, size):
+def test_a_drift_is_taken_out_although_its_rows_share_it():
     """What the hours do to all readings alike looks like noise that they share, or outliers."""
+    noise, size = 5e-5, 1e-2
     for seed in range(3):
         bench = SmallBench([seed, 15], noise)
         drift(bench, "gain", size)
@@ -656,7 +642,7 @@ def rms_error(found, alpha):
     return float(np.sqrt(np.mean((found.alpha / alpha - 1) ** 2)))
 
 
-@pytest.mark.parametrize(("seed", "position"), [(1, True), (1, False), (2, False)])
+@pytest.mark.parametrize(("seed", "position"), [(1, True), (1, False)])
 def test_undeclared_gradients_lose_no_rows_and_less_than_a_fiftieth_of_a_per_cent(seed, position):
     """Without POSITION nothing tells what is wrong: yet shapes that agree are no outliers."""
     campaign, alpha = p45_with_gradients(seed)
