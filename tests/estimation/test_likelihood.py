@@ -154,16 +154,6 @@ def quiet_sets(campaign, sigma):
     ]
 
 
-def test_a_prior_pulls_as_much_as_its_information_says():
-    a, _, sets, values = problem(seed=4, shapes=60)
-    u = len(values)
-    sets = [replace(part, variance=1e-2 * part.variance) for part in sets]
-    strong = Prior(values, 1e12 * np.eye(u))
-    held = minimise(a, sets, strong, values)
-    assert held.values == pytest.approx(values, abs=1e-4)
-    assert np.diag(held.reading_covariance) == pytest.approx(1e-12, rel=1e-2)
-
-
 # Symmetries.
 
 

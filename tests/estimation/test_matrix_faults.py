@@ -16,17 +16,13 @@ from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation import stiffness_svd
 from truenewton.estimation.couplings import pair_ratios, relative_couplings
 from truenewton.estimation.matrix_faults import SENSOR, condensed
-from truenewton.estimation.matrix_order import row_order
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.condensation import odd_actuators
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.estimation.stiffness_ml import column_fit, likeliest
 from truenewton.estimation.stiffness_svd import columns_of, elastic_modes
 from truenewton.mirrors.known import mmt336, ring
-from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.report.investigate import investigate
-from truenewton.report.page.page import page
 from truenewton.statics.arms import comparable_arms
 
 DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
@@ -297,22 +293,6 @@ def test_three_faults_at_once_are_each_named():
         (ids[6], exchanged),
         (ids[30], "actuator is off"),
     }
-
-
-def test_the_order_of_rows_is_that_of_the_largest_product():
-    random = np.random.default_rng(1)
-    root = random.standard_normal((30, 30))
-    k = random.uniform(0.5, 2.0, (30, 1)) * (root @ root.T)
-    order = random.permutation(30)
-    assert np.array_equal(k[order][row_order(k[order])], k)
-
-
-@pytest.mark.study
-def test_modes_and_report_do_without_those_left_out():
-    matrix, _ = measured(off)
-    findings = find_modes(matrix)
-    assert findings.after.modes.modes.shape == (44, 44)
-    assert "Usable" in page(investigate(matrix))
 
 
 def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():

@@ -102,19 +102,6 @@ def test_unknowns_of_p45_stand_as_the_paper_has_them():
     assert Unknowns(45, 2).weights == slice(50, 50)
 
 
-def test_the_load_feels_every_unknown_but_the_torques_of_other_loads():
-    changes = [np.array([0.01, 0.01, 0.005]), np.array([0.0, 0.003, 0.0])]
-    derivative = Unknowns(4, 3, weight_errors=2).external_load_derivative(changes)
-    assert derivative.shape == (3, 3, 9)
-    for load_index in range(3):
-        expected = np.zeros((3, 9))  # k = (W + B, M_y, -M_x)
-        expected[0, 0] = 1.0
-        expected[1, 1 + 2 * load_index] = 1.0
-        expected[2, 2 + 2 * load_index] = -1.0
-        expected[0, 7:] = [change[load_index] for change in changes]
-        assert np.array_equal(derivative[load_index], expected)
-
-
 def test_every_name_in_the_table_of_the_papers_equations_exists():
     table = [line for line in estimation.__doc__.splitlines() if line.startswith("    ")]
     equations = [line for line in table if line.split()[0] in ("eq.", "sec.")]

@@ -703,17 +703,6 @@ def test_merged_moments_know_no_rows_but_all_else():
     assert corrected.theta[0] == pytest.approx(CONTACT[0], rel=0.2)
 
 
-def test_a_campaign_of_one_cycle_names_effects_where_its_noise_is_declared():
-    bench = SmallBench(19, SIGMA, order=(0, 1))
-    contact(bench)
-    campaign = bench.campaign()
-    unknown = calibrate(campaign)  # whose noise is that of the fit: nothing is to be tested
-    assert unknown.effects == ()
-    found = calibrate(changed(campaign, force_error=SIGMA))
-    assert found.effects[0].name.startswith("contact in one sign")
-    assert rms_z(found, bench.alpha) < 2
-
-
 def test_files_of_the_same_time_have_hours_all_the_same():
     """DATE-OBS may be that of the folder: rows of a file still come one after the other."""
     bench = SmallBench(20, SIGMA)

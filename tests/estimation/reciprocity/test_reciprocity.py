@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import truenewton as tn
-from helpers.balanced import p45_bench, p45_campaign
+from helpers.balanced import changed, p45_bench, p45_campaign
 from helpers.reciprocal import measured, random_stiffness, random_values, small_places
 from studies.joint_bound import BruteForce, shifted
 from studies.simulated_matrices import by_glass, by_plate, drawn
@@ -25,7 +25,6 @@ from truenewton.errors import (
 )
 from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity import cycles, iteration
-from truenewton.estimation.reciprocity.binned_noise import shares
 from truenewton.estimation.reciprocity.condensation import (
     condensed_regression,
     kept_places,
@@ -35,7 +34,6 @@ from truenewton.estimation.reciprocity.information import information, score
 from truenewton.estimation.reciprocity.iteration import fit, point_at
 from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
-from truenewton.estimation.reciprocity.regression import regressed
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values
 from truenewton.estimation.sifted import sift
@@ -43,7 +41,6 @@ from truenewton.mirrors.known import mmt336, p45, ring
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import puck_motion
 from truenewton.mirrors.sight import motion_for
-from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import rings
@@ -133,15 +130,6 @@ def test_score_and_information_are_those_of_the_likelihood_with_all_of_k(every_b
     assert np.abs(both * (got - wanted)).max() < 1e-6 * np.abs(both * wanted).max()
 
 
-def test_likeliest_forces_obey_the_equations():
-    places, values, stiffness, _ = noisy_stiffness(3, 1e-2)
-    point = point_at(places, values, ALL, stiffness.states)
-    work = point.states.displacements.T @ point.fitted.forces
-    np.testing.assert_allclose(work, work.T, atol=1e-10 * np.abs(work).max())
-    balance = point.states.rigid.T @ point.fitted.forces
-    assert np.abs(balance).max() < 1e-9 * np.abs(point.states.rigid.T @ point.states.forces).max()
-
-
 @pytest.mark.parametrize(("spread", "offset"), [(np.inf, 0.0), (0.02, 5e-4)])
 def test_scatter_is_the_bound_and_intervals_cover(spread, offset):
     asked, squares, bounds, inside = Asked(spread, offset), [], [], []
@@ -220,13 +208,22 @@ def asymmetry_of_work(places, values, stiffness):
 
 
 def test_with_a_model_of_the_glass_annuli_off_their_magnets_are_exact():
+    """To first order also where the sensors of some actuators that are left free go with them."""
     glass, layout = p45_bench().glass, p45_bench().mirror.layout
-    motion = p45_motion()
+    motion, keep = p45_motion(), ~np.isin(np.arange(layout.n), [3, 20])
     values = drawn(np.random.default_rng(3), layout.n, offset=5e-4)
     exact = by_glass(glass, values)
-    by_model = asymmetry_of_work(places_of(layout, motion), values, exact)
-    by_plate_alone = asymmetry_of_work(places_of(layout, motion[0]), values, exact)
+    less = condensed(exact, keep)[0]
+    others = Values(values.log_alpha[keep], values.log_gain[keep], values.offset[:, keep])
+    (by_model, of_kept), (by_plate_alone, of_kept_by_plate) = (
+        (
+            asymmetry_of_work(places, values, exact),
+            asymmetry_of_work(kept_places(places, keep, exact), others, less),
+        )
+        for places in (places_of(layout, motion), places_of(layout, motion[0]))
+    )
     assert by_model < 3e-5 < 3e-3 < by_plate_alone
+    assert of_kept < 5e-4 < 3e-3 < of_kept_by_plate
     # A sensor as wide as its puck touches it when it moves: then the plate tells of places.
     alike = replace(p45(), puck_radius=8e-3)
     assert motion_for(alike, layout).shape == (1, layout.n, layout.n)
@@ -253,59 +250,19 @@ def test_errors_hold_where_annuli_are_off_their_magnets_and_the_glass_is_known()
     assert by_plate_alone[1] < 0.75 < 0.9 < by_model[1]
 
 
-def test_of_actuators_left_free_the_sensors_go_with_the_others():
-    """To first order: what they read, by gains and places that nobody knows, is taken as it is."""
-    glass, layout = p45_bench().glass, p45_bench().mirror.layout
-    motion, keep = p45_motion(), ~np.isin(np.arange(layout.n), [3, 20])
-    values = drawn(np.random.default_rng(3), layout.n, offset=5e-4)
-    exact = by_glass(glass, values)
-    less = condensed(exact, keep)[0]
-    others = Values(values.log_alpha[keep], values.log_gain[keep], values.offset[:, keep])
-    by_model, by_plate_alone = (
-        asymmetry_of_work(kept_places(places_of(layout, known), keep, exact), others, less)
-        for known in (motion, motion[0])
-    )
-    assert by_model < 5e-4 < 3e-3 < by_plate_alone
-
-
-def test_noise_that_all_actuators_bear_together_is_seen_in_the_balance():
-    campaign, alpha = p45_campaign(), p45_bench().truth.alpha
-    n, together, random = len(alpha), 3e-4, np.random.default_rng(8)
-    push = together * campaign.layout.nz / alpha
-    cycles_ = [
-        replace(c, force=c.force + random.standard_normal((len(c.force), 1)) * push)
-        for c in campaign.cycles
-    ]
-    variance = np.full(n, 1e-8)  # `static_bench` has 0.1 mN
-    noise = regressed(sift(Campaign(tuple(cycles_))).moments, variance).noise
-    summed = alpha @ noise @ alpha / n**2
-    assert summed == pytest.approx(together**2 + 1e-8 * np.mean(alpha**2) / n, rel=0.25)
-
-
-def test_auto_is_ml_where_no_position_is_there():
+def test_auto_is_ml_where_positions_are_missing_or_of_other_sensors():
     campaign = p45_campaign(cycles=2)
-    bare = Campaign(tuple(replace(cycle, position=None) for cycle in campaign.cycles))
-    np.testing.assert_array_equal(calibrate(bare, "auto").alpha, calibrate(bare).alpha)
+    bare = changed(campaign, position=None)
     with pytest.raises(RankDeficient, match="POSITION"):
         calibrate(bare, "reciprocity")
-
-
-def mixed_up(position):
-    """Exchange two sensors, ten times over."""
-    order = np.arange(position.shape[1])
-    order[5:25] = order[5:25].reshape(-1, 2)[:, ::-1].ravel()
-    return position[:, order]
-
-
-def test_sensors_that_are_not_where_they_say_are_refused_by_name():
-    campaign = p45_campaign(cycles=2)
-    wrong = Campaign(
-        tuple(replace(cycle, position=mixed_up(cycle.position)) for cycle in campaign.cycles)
-    )
+    order = np.arange(45)
+    order[5:25] = order[5:25].reshape(-1, 2)[:, ::-1].ravel()  # ten pairs exchanged
+    wrong = changed(campaign, position=lambda _, c: c.position[:, order])
     made = calibrate(wrong, "auto")
     assert made.method == "ml"
     assert any("reciprocity" in each.fault for each in made.verdict.notes)
     np.testing.assert_array_equal(made.alpha, calibrate(wrong).alpha)
+    np.testing.assert_array_equal(calibrate(bare, "auto").alpha, calibrate(bare).alpha)
 
 
 def p45_matrix(seed, *, gain=0.004, noise=30.0, offset=5e-4):
@@ -338,14 +295,6 @@ def test_a_matrix_gives_better_alpha_than_its_balance():
         assert found.evidence.apart < 6.0
     joint, alone = np.sqrt(np.mean(np.square(errors), axis=0))
     assert joint < 0.5 * alone
-
-
-def test_what_is_wrong_with_t_is_shared_as_the_noise_of_forces_is():
-    sizes = np.array([3, 2, 4])
-    row, column = np.array([1.0, 0.7, 0.5]), np.array([400.0, 30.0, 1.0])
-    each = np.outer(row, column)  # variance of T, of the displacement of a and the force of b
-    wanted = np.repeat(np.repeat(each / (each + each.T), sizes, axis=0), sizes, axis=1)
-    np.testing.assert_allclose(shares(each + each.T, sizes), wanted, rtol=1e-9)
 
 
 def test_errors_hold_where_soft_modes_are_lost_in_noise():
@@ -446,13 +395,9 @@ def test_the_glass_goes_with_reciprocity_and_its_own_mirror_and_a_population_wit
 def test_a_drift_that_ml_takes_out_does_not_come_back():
     """All alphas fall by 1 % from one load to the other: 1 % or more of the common scale."""
     campaign = p45_campaign()
-    hours = [
-        (cycle.date - campaign.cycles[0].date).total_seconds() / 3600 for cycle in campaign.cycles
-    ]
-    slower = [1.0 + 0.01 * hour / max(hours) for hour in hours]
-    drifting = Campaign(
-        tuple(replace(c, force=c.force * s) for c, s in zip(campaign.cycles, slower, strict=True))
-    )
+    hours = np.array([(c.date - campaign.cycles[0].date).total_seconds() for c in campaign.cycles])
+    slower = 1.0 + 0.01 * hours / hours.max()
+    drifting = changed(campaign, force=lambda k, c: c.force * slower[k])
     by_balance, auto = calibrate(drifting), calibrate(drifting, "auto")
     assert by_balance.effects[0].corrected
     assert auto.method == "ml"
@@ -468,11 +413,9 @@ def test_a_drift_that_ml_takes_out_does_not_come_back():
 def test_noise_that_many_actuators_share_is_left_to_ml():
     campaign, random = p45_campaign(), np.random.default_rng(1)
     noise = 1e-3 * campaign.layout.nz
-    shared = Campaign(
-        tuple(
-            replace(c, force=c.force + np.outer(random.standard_normal(len(c.force)), noise))
-            for c in campaign.cycles
-        )
+    shared = changed(
+        campaign,
+        force=lambda _, c: c.force + np.outer(random.standard_normal(len(c.force)), noise),
     )
     made = calibrate(shared, "auto")
     assert made.method == "ml"
