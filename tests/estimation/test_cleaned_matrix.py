@@ -1,6 +1,5 @@
 """A matrix whose forces balance as commanded tells no alpha: cleaned of rigid motions, or true."""
 
-import datetime
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.balanced import p45_bench
+from helpers.balanced import START, p45_bench, p45_matrix
 from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix_order import balance_effects
@@ -19,19 +18,10 @@ from truenewton.modal.findings import find_modes
 from truenewton.reading import read_data
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
-DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 REAL = os.environ.get("TRUENEWTON_REAL_DATA")
 needs_real_data = pytest.mark.skipif(
     REAL is None, reason="TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set"
 )
-
-
-def measured():
-    """Return P45's matrix in commanded Newtons with 1e-4 noise, and alpha."""
-    truth = p45_bench().truth
-    k = truth.stiffness / truth.alpha[:, None]
-    k = k * (1.0 + 1e-4 * np.random.default_rng(2).standard_normal(k.shape))
-    return StiffnessMatrix("P45", DATE, truth.layout, k), truth.alpha
 
 
 def cleaned(k, rigid):
@@ -68,7 +58,7 @@ def rigid_motions(of):
 @pytest.mark.parametrize("way", CLEANED_WAYS)
 def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
     """It balances with alpha = 1, and truth is 0.7 .. 1.1, and nobody is told to transpose it."""
-    matrix, _ = measured()
+    matrix, _ = p45_matrix()
     k = CLEANED_WAYS[way](matrix.stiffness, rigid_motions(matrix.layout))
     balanced = replace(matrix, stiffness=k)
     [effect] = sift_matrix(balanced).effects
@@ -82,7 +72,7 @@ def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
 
 @pytest.mark.parametrize("digits", [3, 4, 5])
 def test_few_significant_digits_of_measured_forces_are_not_taken_for_cleaning(digits):
-    matrix, _ = measured()
+    matrix, _ = p45_matrix()
     assert not [*balance_effects(replace(matrix, stiffness=written(matrix.stiffness, digits)))]
 
 
@@ -95,12 +85,12 @@ def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
     k = truth.stiffness * (1.0 + noise * random.standard_normal((45, 45))) / right[:, None]
     if digits is not None:
         k = written(k, digits) if digits < 10 else digits * np.round(k / digits)
-    assert not [*balance_effects(StiffnessMatrix("P45", DATE, truth.layout, k))]
+    assert not [*balance_effects(StiffnessMatrix("P45", START, truth.layout, k))]
 
 
 def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_they_are():
     """Rigid motions taken out of readings leave forces as they were measured."""
-    matrix, _ = measured()
+    matrix, _ = p45_matrix()
     k = cleaned(matrix.stiffness.T, rigid_motions(matrix.layout))[1].T
     assert sift_matrix(replace(matrix, stiffness=k)).effects == ()
     [effect] = sift_matrix(replace(matrix, stiffness=k.T)).effects
@@ -113,7 +103,7 @@ def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
     k = truth.stiffness / (1.0 + 0.015 * np.random.default_rng(6).standard_normal(45))[:, None]
     k = 0.5 * (k + k.T)
     with pytest.warns(TrueNewtonWarning, match="symmetric and balanced as commanded: a true one"):
-        found = find_modes(StiffnessMatrix("P45", DATE, truth.layout, k))
+        found = find_modes(StiffnessMatrix("P45", START, truth.layout, k))
     assert (found.calibration.alpha[truth.layout.enabled] == 1.0).all()
     [warning] = found.warnings
     assert "taken for a true one" in warning.fault
@@ -129,14 +119,14 @@ def test_a_real_lbt672_cleaned_of_rigid_motions_is_told_from_the_measured():
     assert not [*balance_effects(matrix)]
     layout = matrix.layout.part(matrix.layout.enabled)
     for way, change in CLEANED_WAYS.items():
-        [effect] = balance_effects(StiffnessMatrix("LBT672", DATE, layout, change(k, rigid)))
+        [effect] = balance_effects(StiffnessMatrix("LBT672", START, layout, change(k, rigid)))
         assert effect.code == (
             Code.TRUE_STIFFNESS if "symmetric" in way else Code.CLEANED_STIFFNESS
         ), way
 
 
 def test_every_command_says_what_was_done_to_it(inside, tmp_path):
-    matrix, _ = measured()
+    matrix, _ = p45_matrix()
     rigid, svd = rigid_motions(matrix.layout), ("--method", "svd")
     k = cleaned(matrix.stiffness, rigid)[1]
     np.save(tmp_path / "k.npy", k)

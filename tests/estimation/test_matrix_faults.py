@@ -1,12 +1,11 @@
 """Actuators of a stiffness matrix that are off or do not fit are named and left out."""
 
-import datetime
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from helpers.balanced import p45_bench
+from helpers.balanced import START, p45_bench, p45_matrix
 from studies.simulated_matrices import by_glass, drawn
 from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
@@ -25,18 +24,15 @@ from truenewton.mirrors.known import mmt336, ring
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
-DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 BAD = 20
 
 
 def measured(change):
-    """Return P45's matrix in commanded Newtons with 1e-4 noise, one thing changed; and alpha."""
-    truth = p45_bench().truth
-    k = truth.stiffness / truth.alpha[:, None]
-    k = k * (1.0 + 1e-4 * np.random.default_rng(2).standard_normal(k.shape))
-    distance = np.hypot(truth.layout.x - truth.layout.x[BAD], truth.layout.y - truth.layout.y[BAD])
-    change(k, np.argsort(distance)[1])
-    return StiffnessMatrix("P45", DATE, truth.layout, k), truth.alpha
+    """Return the matrix of P45 with 1e-4 noise, one thing changed; and alpha."""
+    matrix, alpha = p45_matrix()
+    x, y, k = matrix.layout.x, matrix.layout.y, np.array(matrix.stiffness)
+    change(k, np.argsort(np.hypot(x - x[BAD], y - y[BAD]))[1])
+    return replace(matrix, stiffness=k), alpha
 
 
 def sign(k, _):
@@ -146,7 +142,7 @@ def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(a
     k = k * (1.0 + 1e-3 * random.standard_normal(k.shape))
     here = np.arange(24) == at
     said = replace(truth.layout, x=truth.layout.x + here * off[0], y=truth.layout.y + here * off[1])
-    found = calibrate(StiffnessMatrix("R24", DATE, said, k), "ml")
+    found = calibrate(StiffnessMatrix("R24", START, said, k), "ml")
     assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [at]
     fault, remedy = found.verdict.faults[0].fault, found.verdict.faults[0].remedy
     assert f"{np.hypot(*off):.2g} m off (actuator {at + 1})" in fault
@@ -163,14 +159,14 @@ def test_sensors_of_a_sector_that_read_noise_are_told_from_their_actuators():
     first = random.integers(144)
     bad = np.argsort(np.hypot(layout.x - layout.x[first], layout.y - layout.y[first]))[:10]
     k[:, bad] *= 3.0 * (1.0 + 0.3 * random.standard_normal((144, 10)))
-    sifted = sift_matrix(StiffnessMatrix("RING", DATE, layout, k))
+    sifted = sift_matrix(StiffnessMatrix("RING", START, layout, k))
     assert np.flatnonzero(~sifted.matrix.layout.enabled).tolist() == sorted(bad.tolist())
     assert {effect.name.partition(": ")[2] for effect in sifted.effects} == {SENSOR}
 
 
 def test_a_matrix_made_symmetric_is_not_to_be_used():
     """Half of what tells alpha from gains of sensors is gone: 7 % wrong, 3 % stated."""
-    matrix, _ = measured(lambda k, other: None)
+    matrix, _ = p45_matrix()
     made = replace(matrix, stiffness=0.5 * (matrix.stiffness + matrix.stiffness.T))
     with pytest.warns(TrueNewtonWarning, match="STIFFNESS made symmetric"):
         calibration = calibrate(made, "auto")
@@ -192,7 +188,7 @@ def test_noise_alone_does_not_make_alpha_harmful():
     clean = truth.stiffness / truth.alpha[:, None]
     for seed in (1, 2, 6, 8):
         noise = 600 * np.random.default_rng([7, seed]).standard_normal(clean.shape)
-        calibration = calibrate(StiffnessMatrix("P45", DATE, truth.layout, clean + noise))
+        calibration = calibrate(StiffnessMatrix("P45", START, truth.layout, clean + noise))
         error = calibration.alpha - truth.alpha / truth.alpha.mean()
         assert np.std(error) < 0.6 * np.std(truth.alpha / truth.alpha.mean())
         assert calibration.verdict.level != "rejected"
@@ -200,7 +196,7 @@ def test_noise_alone_does_not_make_alpha_harmful():
 
 def displaced(order):
     """Return the sound matrix with the coordinates of other actuators."""
-    matrix, _ = measured(lambda k, other: None)
+    matrix, _ = p45_matrix()
     x, y = matrix.layout.x[order], matrix.layout.y[order]
     return replace(matrix, layout=replace(matrix.layout, x=x, y=y))
 
@@ -239,7 +235,7 @@ def test_coordinates_in_another_order_are_not_to_be_used():
 
 def test_neither_gains_nor_a_mirrored_table_are_another_order():
     """Sensors that scatter by 5 %; and coordinates seen from the other side."""
-    matrix, _ = measured(lambda k, other: None)
+    matrix, _ = p45_matrix()
     gains = 1.0 + 0.05 * np.random.default_rng(2).standard_normal(45)
     assert sift_matrix(replace(matrix, stiffness=matrix.stiffness * gains)).effects == ()
     mirrored = replace(matrix, layout=replace(matrix.layout, x=-matrix.layout.x))
@@ -302,14 +298,14 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
     k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal((n, n))
     sector = np.argsort(np.hypot(layout.x - layout.x[150], layout.y - layout.y[150]))[:15]
     k[:, sector] *= 1.5
-    sifted = sift_matrix(StiffnessMatrix("MMT336", DATE, layout, k))
+    sifted = sift_matrix(StiffnessMatrix("MMT336", START, layout, k))
     [effect] = sifted.effects
     assert sorted(effect.actuators) == sorted(layout.id[sector])
     assert "its sensor has another gain" in effect.name
 
 
 def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
-    matrix, _ = measured(lambda k, _: None)
+    matrix, _ = p45_matrix()
     sifted = sift_matrix(matrix)
     base = stiffness_svd.find(sifted, column_fit)
     values = np.where(np.arange(len(base.values)) == BAD, -0.02, base.values)
@@ -320,7 +316,7 @@ def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
 def test_a_row_of_nothing_but_rounding_gives_no_alpha():
     k, layout = p45_bench().truth.stiffness.copy(), p45_bench().truth.layout
     k[BAD] *= 1e-9
-    modes = elastic_modes(StiffnessMatrix("P45", DATE, layout, k))
+    modes = elastic_modes(StiffnessMatrix("P45", START, layout, k))
     with pytest.raises(RankDeficient, match="of a few actuators alone"):
         likeliest(modes, comparable_arms(layout))
 
@@ -341,7 +337,7 @@ def test_sensors_off_their_magnets_are_no_wrong_gains_but_a_wrong_gain_among_the
     bench, random = p45_bench(), np.random.default_rng([0, 11])
     values = drawn(random, bench.mirror.layout.n, offset=5e-4)
     k = with_noise(random, by_glass(bench.glass, values), values).stiffness
-    matrix = StiffnessMatrix("P45", DATE, bench.mirror.layout, k)
+    matrix = StiffnessMatrix("P45", START, bench.mirror.layout, k)
     assert sift_matrix(matrix).effects == ()
     gains = np.where(np.arange(len(k)) == BAD, 1.5, 1.0)
     [effect] = sift_matrix(replace(matrix, stiffness=k * gains)).effects

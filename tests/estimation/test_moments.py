@@ -13,7 +13,6 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.displaced_rows import common_reference
 from truenewton.estimation.moments import merge
-from truenewton.estimation.repeats import RepeatSums
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.records.campaign import Campaign
 
@@ -93,22 +92,6 @@ def test_moments_are_those_of_two_passes(made, weights):
     check(moments, *two_passes(campaign, weights))
     assert moments.mean.shape[1] == 13
     assert moments.rows.sum() == sum(c.valid.sum() for c in campaign.cycles)
-
-
-@pytest.mark.parametrize("errors", [[None], [1e-3], [1e-3, 2e-3, 5e-4]])
-def test_the_furthest_row_is_seen_from_the_others_of_its_group(errors):
-    """In terms of the noise of the difference between a row and the mean of the others."""
-    campaign = with_noises(with_repeats_in_a_cycle(), errors)
-    weights = [(1e-3 / c.force_error) ** 2 if c.force_error else 1.0 for c in campaign.cycles]
-    furthest = np.zeros(13)
-    for rows in grouped(campaign, weights).values():
-        for k, (w, force) in enumerate(rows):
-            others = rows[:k] + rows[k + 1 :]
-            weights = np.array([v for v, _ in others])
-            mean = weights @ np.array([f for _, f in others]) / weights.sum()
-            far = np.abs(force - mean) / np.sqrt(1 / w + 1 / weights.sum())
-            furthest = np.maximum(furthest, far)
-    assert RepeatSums(campaign).furthest.max(axis=0) == pytest.approx(furthest, rel=1e-10)
 
 
 @cache

@@ -181,13 +181,6 @@ def test_without_displacements_shapes_of_another_size_are_not_pooled():
     assert np.mean(error < 1.96) > 0.9
 
 
-@pytest.mark.parametrize("count", [60, pytest.param(400, marks=pytest.mark.study)])
-def test_shapes_that_repeat_fit_as_often_as_chance_says(count):
-    campaigns = (SmallBench([k, 9], 1e-3, order=(0, 0, 1, 1)).campaign() for k in range(count))
-    p = [sift(campaign).structure.probability for campaign in campaigns]
-    assert scipy.stats.kstest(p, "uniform").pvalue > 1e-3
-
-
 def test_the_structure_is_the_sum_of_what_is_left():
     campaign = SmallBench(11, 1e-3).campaign()
     moments = campaign_moments(campaign)

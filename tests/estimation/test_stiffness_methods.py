@@ -1,6 +1,5 @@
 """Relative alpha from a stiffness matrix: made by hand, and measured on a real mirror."""
 
-import datetime
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from astropy.table import QTable
 
-from helpers.balanced import p45_bench
+from helpers.balanced import START, p45_bench, p45_matrix
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
@@ -24,30 +23,16 @@ from truenewton.reading import read_data
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
-from truenewton.statics.layout import Layout
 
-DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 REAL = os.environ.get("TRUENEWTON_REAL_DATA")
 needs_real_data = pytest.mark.skipif(
     REAL is None, reason="TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set"
 )
 
 
-def commanded_stiffness(noise=0.0, disabled=()):
-    """Return P45's stiffness as measured in commanded Newtons, and the true alpha."""
-    truth = p45_bench().truth
-    random = np.random.default_rng(0)
-    k = truth.stiffness / truth.alpha[:, None]
-    k = k * (1 + noise * random.standard_normal(k.shape))
-    layout = truth.layout
-    on = ~np.isin(np.arange(layout.n), disabled)
-    layout = Layout(layout.id, layout.x, layout.y, layout.nz, on)
-    return StiffnessMatrix("P45", DATE, layout, k), truth.alpha
-
-
 @pytest.mark.parametrize("method", ["svd", pytest.param("ml", marks=pytest.mark.study)])
 def test_noiseless_stiffness_gives_alpha_up_to_its_mean_and_no_imbalance(method):
-    matrix, alpha = commanded_stiffness()
+    matrix, alpha = p45_matrix(0.0)
     calibration = calibrate(matrix, method)
     assert calibration.alpha == pytest.approx(alpha / alpha.mean(), rel=1e-9)
     assert calibration.scale == "mean 1"
@@ -70,7 +55,7 @@ def test_stated_error_is_that_of_a_hundred_or_on_the_safe_side(method):
     for seed in range(100):
         noise = np.random.default_rng([1, seed]).standard_normal(clean.shape)
         calibration = calibrate(
-            StiffnessMatrix("P45", DATE, truth.layout, clean + 30 * noise), method
+            StiffnessMatrix("P45", START, truth.layout, clean + 30 * noise), method
         )
         alphas.append(calibration.alpha)
         stated.append(calibration.error)
@@ -87,7 +72,7 @@ def test_stated_error_is_that_of_a_hundred_or_on_the_safe_side(method):
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e-3, "N/mm"), (1e-6, "N/um"), (3e5, "counts")])
 def test_alpha_does_not_ask_for_the_unit_of_the_matrix(factor, unit):
-    matrix, _ = commanded_stiffness(1e-4)
+    matrix, _ = p45_matrix()
     other = replace(matrix, stiffness=factor * matrix.stiffness)
     calibration, before = calibrate(other, "svd"), calibrate(matrix, "svd")
     assert calibration.alpha == pytest.approx(before.alpha, rel=1e-9)
@@ -99,7 +84,7 @@ def test_alpha_does_not_ask_for_the_unit_of_the_matrix(factor, unit):
 
 
 def test_a_matrix_of_low_rank_or_of_noise_is_refused():
-    matrix, _ = commanded_stiffness()
+    matrix, _ = p45_matrix(0.0)
     left, values, right = np.linalg.svd(matrix.stiffness)
     low = (left[:, :10] * values[:10]) @ right[:10]
     source = Source("/somewhere/low.fits", "0" * 64)
@@ -112,7 +97,7 @@ def test_a_matrix_of_low_rank_or_of_noise_is_refused():
 
 def test_a_transposed_matrix_is_not_to_be_used():
     """Its alpha is that of the sensors: 10 % from the truth, stated to be known to .05 %."""
-    matrix, _ = commanded_stiffness()
+    matrix, _ = p45_matrix(0.0)
     assert sift_matrix(matrix).effects == ()
     turned = replace(matrix, stiffness=matrix.stiffness.T)
     [effect] = sift_matrix(turned).effects
@@ -125,7 +110,7 @@ def test_a_transposed_matrix_is_not_to_be_used():
 
 def test_what_costs_as_much_as_gains_of_sensors_only_looks_transposed():
     """Where alpha is put right already, sensors scatter more, and nothing is wrong."""
-    noisy, truth = commanded_stiffness(1e-4)
+    noisy, truth = p45_matrix()
     gains = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(len(truth))
     right = replace(noisy, stiffness=truth[:, None] * noisy.stiffness * gains)
     assert sift_matrix(right).effects == ()

@@ -88,12 +88,6 @@ def test_exchanged_cables_are_named(noise, pair, position):
     named(files, "exchanged columns", str(pair[0] + 1), str(pair[1] + 1))
 
 
-@pytest.mark.parametrize("position", [True, False])
-def test_another_order_of_force_is_named(position):
-    files = p45(1e-3, 4) if position else p45(1e-3, 4, position=None)
-    named(with_forces(files, lambda _, f: np.roll(f, 1, axis=1)), "order")
-
-
 def test_no_order_is_likelier_than_that_of_a_stiffness_whatever_the_gains():
     random = np.random.default_rng(2)
     root = random.standard_normal((20, 17))

@@ -1,17 +1,15 @@
 """Stated errors of gains and places of sensors, from a matrix alone, are those of its noise."""
 
-import datetime
-
 import numpy as np
 import pytest
 
+from helpers.balanced import START
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.unknowns import Kind
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 
-DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 LAWS = ["equal", *(pytest.param(n, marks=pytest.mark.study) for n in ("proportional", "by sensor"))]
 
 
@@ -30,7 +28,7 @@ def test_errors_of_alpha_and_sensors_hold_whatever_noise_of_elements_follows(law
         error *= exact if law == "proportional" else np.sqrt(np.mean(exact**2))
         if law == "by sensor":
             error *= np.exp(0.7 * random.standard_normal(n))
-        found = examined(modes_of(StiffnessMatrix("RING", DATE, mirror.layout, exact + error)))
+        found = examined(modes_of(StiffnessMatrix("RING", START, mirror.layout, exact + error)))
         values, stated = found.joint.values, found.sensor_errors
         of_alpha = values.log_alpha - log_alpha
         errors = (
