@@ -1,8 +1,6 @@
 """A matrix whose forces balance as commanded tells no alpha: cleaned of rigid motions, or true."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +13,7 @@ from truenewton.estimation.reciprocity.gate import Evidence, instead, refusals
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.foreign.importing import stiffness_from
 from truenewton.modal.findings import find_modes
-from truenewton.reading import read_data
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-
-REAL = os.environ.get("TRUENEWTON_REAL_DATA")
-needs_real_data = pytest.mark.skipif(
-    REAL is None, reason="TRUENEWTON_REAL_DATA, the folder of measured matrices, is not set"
-)
 
 
 def cleaned(k, rigid):
@@ -109,20 +101,6 @@ def test_a_matrix_taken_for_a_true_one_has_modes_with_alpha_exactly_1():
     assert "taken for a true one" in warning.fault
     assert "alpha is 1" in warning.fault
     assert found.imbalance[0] == found.imbalance[1]
-
-
-@pytest.mark.study
-@needs_real_data
-def test_a_real_lbt672_cleaned_of_rigid_motions_is_told_from_the_measured():
-    matrix = read_data(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")
-    k, rigid = matrix.used_stiffness, rigid_motions(matrix.layout)
-    assert not [*balance_effects(matrix)]
-    layout = matrix.layout.part(matrix.layout.enabled)
-    for way, change in CLEANED_WAYS.items():
-        [effect] = balance_effects(StiffnessMatrix("LBT672", START, layout, change(k, rigid)))
-        assert effect.code == (
-            Code.TRUE_STIFFNESS if "symmetric" in way else Code.CLEANED_STIFFNESS
-        ), way
 
 
 def test_every_command_says_what_was_done_to_it(inside, tmp_path):

@@ -12,7 +12,6 @@ from helpers.balanced import START, p45_bench, p45_matrix
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.matrix_order import order_effects, rigid_cost
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.estimation.stiffness_svd import (
     balance_modes,
@@ -124,21 +123,6 @@ def test_imbalance_is_the_rms_over_modes_and_equations():
     # nz: 1.4; x: 1.2 - 0.8 = 0.4; y: 2.4
     expected = np.sqrt((1.4**2 + 0.4**2 + 2.4**2) / 3)
     assert rms_imbalance(modes, np.ones(2), a) == pytest.approx(expected, rel=1e-15)
-
-
-@needs_real_data
-def test_a_real_lbt672_knows_its_coordinates():
-    """By a hundred times what one row of difference would cost."""
-    matrix = read_data(Path(REAL) / "lbt672" / "lbt672-feedforward.fits")
-    k, layout = matrix.used_stiffness, matrix.layout
-    squares = k.T @ k, k @ k.T
-    assert rigid_cost(squares, layout.x, layout.y) < 0.004
-    assert not list(order_effects(matrix, named=False))
-    for shift in (1, -1, 7):
-        x, y = np.roll(layout.x, shift), np.roll(layout.y, shift)
-        assert rigid_cost(squares, x, y) > 0.17
-    [effect] = order_effects(replace(matrix, layout=replace(layout, x=x, y=y)), named=True)
-    assert effect.name.endswith("shifted by 7 rows")
 
 
 @pytest.mark.study
