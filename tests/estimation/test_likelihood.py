@@ -299,13 +299,19 @@ BENCHES = {
     "disabled": ({"cycles": 3, "loads": EXACT, "disabled": (2, 7)}, SIGMA, [None] * 6),
     "P45": ({"cycles": 3, "loads": EXACT, "layout": p45().layout}, SIGMA, [None] * 6),
     "noise by actuator": ({"cycles": 4, "loads": EXACT}, SIGMA * np.tile([1, 3], 7), [None] * 8),
+    "one cycle, noise declared": ({"cycles": 1, "loads": EXACT}, SIGMA, [SIGMA] * 2),
+    "one cycle": ({"cycles": 1, "loads": EXACT}, SIGMA, [None] * 2),
     "noise by cycle": ({"cycles": 3, "loads": EXACT}, UNEQUAL[:, None], UNEQUAL.tolist()),
 }
 
 
 @pytest.mark.parametrize(
     ("bench", "campaigns"),
-    [("two loads", FEW), *(pytest.param(b, MANY, marks=pytest.mark.study) for b in BENCHES)],
+    [
+        ("two loads", FEW),
+        ("one cycle, noise declared", FEW),
+        *(pytest.param(b, MANY, marks=pytest.mark.study) for b in BENCHES),
+    ],
 )
 def test_scatter_is_at_the_bound(bench, campaigns):
     options, sigma, declared = BENCHES[bench]
@@ -316,33 +322,18 @@ def test_scatter_is_at_the_bound(bench, campaigns):
     of_one = 0.5e-3 if bench == "noise by cycle" else sigma
     n = int(quiet.layout.enabled.sum())
     check_calibrated(found, truth, information(quiet, truth, np.broadcast_to(of_one, n), weights))
-    check_goodness(found)
-    assert {f.goodness.against for f in found} == {"repeats"}
+    against = {"one cycle, noise declared": "FORCERR", "one cycle": "minimum"}.get(bench, "repeats")
+    assert {f.goodness.against for f in found} == {against}
     assert max(f.diagnosis.undetermined for f in found) == 0
-
-
-@pytest.mark.parametrize(
-    ("declared", "campaigns"),
-    [(SIGMA, FEW), *(pytest.param(d, MANY, marks=pytest.mark.study) for d in (SIGMA, None))],
-)
-def test_without_repeats_the_noise_is_as_declared_or_from_the_minimum(declared, campaigns):
-    quiet, truth = campaign_of(17, 0.0, cycles=1, weight_error=0.0, loads=EXACT)
-    quiet = changed(quiet, force_error=declared)
-    found = [find(noisy(quiet, SIGMA, [18, k])) for k in range(campaigns)]
-    check_calibrated(found, truth, information(quiet, truth, np.full(14, SIGMA)))
-    # 56 groups, pooled where their noise is known: 14 shapes and what signs and loads add.
-    freedom = 3 * (17 if declared else 56) - 19
-    assert found[0].goodness.degrees_of_freedom == freedom
-    if declared:
-        assert found[0].goodness.against == "FORCERR"
-        check_goodness(found)
-    else:
-        assert found[0].goodness.against == "minimum"
+    if against == "minimum":
         assert np.isnan(found[0].goodness.probability)
         noise = np.array([f.noise for f in found])
         # Of one campaign 1 / root(2 DOF) = 5.8 %; of the mean a fourteenth.
         assert noise.mean() == pytest.approx(SIGMA, rel=0.02)
+        freedom = found[0].goodness.degrees_of_freedom
         assert np.std(noise) / SIGMA == pytest.approx(1 / np.sqrt(2 * freedom), rel=0.25)
+    else:
+        check_goodness(found)
 
 
 ELASTIC_NOISE = 2e-4  # of one element of a mode of unit length
