@@ -14,7 +14,7 @@ from truenewton.calibration.words import summary_rows
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation import stiffness_svd
 from truenewton.estimation.couplings import pair_ratios, relative_couplings
-from truenewton.estimation.matrix_faults import SENSOR, condensed
+from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.condensation import odd_actuators
 from truenewton.estimation.sifted_matrix import sift_matrix
@@ -150,20 +150,6 @@ def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(a
     check_errors(found, truth.alpha, here)
 
 
-def test_sensors_of_a_sector_that_read_noise_are_told_from_their_actuators():
-    """Their columns balance with nothing, and are not asked what rows are worth."""
-    truth, random = static_bench(ring(144), 7).truth, np.random.default_rng(0)
-    alpha, layout = 1.0 + 0.05 * random.standard_normal(144), truth.layout
-    k = truth.stiffness / alpha[:, None]
-    k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal(k.shape)
-    first = random.integers(144)
-    bad = np.argsort(np.hypot(layout.x - layout.x[first], layout.y - layout.y[first]))[:10]
-    k[:, bad] *= 3.0 * (1.0 + 0.3 * random.standard_normal((144, 10)))
-    sifted = sift_matrix(StiffnessMatrix("RING", START, layout, k))
-    assert np.flatnonzero(~sifted.matrix.layout.enabled).tolist() == sorted(bad.tolist())
-    assert {effect.name.partition(": ")[2] for effect in sifted.effects} == {SENSOR}
-
-
 def test_a_matrix_made_symmetric_is_not_to_be_used():
     """Half of what tells alpha from gains of sensors is gone: 7 % wrong, 3 % stated."""
     matrix, _ = p45_matrix()
@@ -271,24 +257,6 @@ def test_sensors_that_read_nothing_are_named_and_the_columns_left_give_alpha():
     found = column_fit(columns_of(sifted))
     z = (found.alpha - alpha[on] / alpha[on].mean()) / np.sqrt(np.diag(found.covariance))
     assert np.sqrt(np.mean(z**2)) < 1.6
-
-
-def test_three_faults_at_once_are_each_named():
-    def several(k, _):
-        k[20] *= -1.0
-        k[[5, 6]] = k[[6, 5]]
-        k[30] = k[:, 30] = 0.0
-
-    matrix, _ = measured(several)
-    names = {(i, each.name) for each in sift_matrix(matrix).effects for i in each.actuators}
-    ids = matrix.layout.id
-    exchanged = "actuator does not fit: its row or column exchanged with another"
-    assert names == {
-        (ids[20], "actuator does not fit: wrong sign"),
-        (ids[5], exchanged),
-        (ids[6], exchanged),
-        (ids[30], "actuator is off"),
-    }
 
 
 def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():

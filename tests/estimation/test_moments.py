@@ -6,8 +6,7 @@ from functools import cache, reduce
 import numpy as np
 import pytest
 
-from helpers.balanced import RING, campaign_of, changed, gradients
-from truenewton.calibration.methods import calibrate
+from helpers.balanced import campaign_of, changed, gradients
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.displaced_rows import common_reference
 from truenewton.estimation.moments import merge
@@ -141,20 +140,3 @@ def test_parts_that_count_from_different_readings_are_not_merged():
     parts = [campaign_moments(Campaign((c,)), common_reference(anew)) for c in anew.cycles]
     merged, expected = reduce(merge, parts), campaign_moments(anew)
     assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
-
-
-def test_one_cycle_has_no_repeats():
-    moments = campaign_moments(campaign_of(seed=7, noise=1e-3, cycles=1)[0])
-    assert moments.repeats == 0
-    assert np.isnan(moments.noise)
-    assert moments.scatter.tolist() == [0.0] * 14
-
-
-def test_rows_that_are_not_valid_do_not_move_the_zero_of_a_sensor():
-    """Without some rows of one sign the mean reading of a cycle is no longer the zero."""
-    campaign, alpha = gradients(seed=10, noise=0.0, offset=1e-4, cycles=1)
-    some = changed(
-        campaign,
-        valid=lambda _, c: c.valid & ((c.sign > 0) | (c.shape > 7) | (c.load.name != RING.name)),
-    )
-    assert calibrate(some).alpha == pytest.approx(alpha, abs=1e-9)

@@ -567,19 +567,6 @@ def test_an_effect_named_but_not_corrected_adds_its_shift_to_the_error():
     assert [each.code for each in found.diagnosis.warnings] == ["misfit-explained"]
 
 
-def test_a_drift_is_taken_out_although_its_rows_share_it():
-    """What the hours do to all readings alike looks like noise that they share, or outliers."""
-    noise, size = 5e-5, 1e-2
-    for seed in range(3):
-        bench = SmallBench([seed, 15], noise)
-        drift(bench, "gain", size)
-        found = calibrate(bench.campaign())
-        assert all(effect.corrected for effect in found.effects)
-        assert found.effects[0].name == "gain by hour"
-        assert found.effects[0].size == pytest.approx(size, rel=0.03)
-        assert found.rejected == 0
-
-
 # ------------------------------------------------------------------------------------- rejection
 
 

@@ -9,7 +9,7 @@ from astropy.io import fits
 
 import truenewton as tn
 from truenewton.estimation.findings.catalogue import ENTRIES, read_name
-from truenewton.estimation.findings.code import Code, Concern
+from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 
 SOURCE = Path(tn.__file__).parent
@@ -126,8 +126,3 @@ def test_a_file_keeps_warnings_with_their_values_and_cause(p45_calibration, tmp_
         (Code.OTHER, each.fault) for each in WARNINGS[:3]
     ]
     assert [each.level for each in read] == ["doubtful", "usable", "sound"]
-
-
-def test_what_the_user_alone_can_settle_is_of_concern_as_files():
-    assert Finding(code=Code.COPIED_FILE, remedy="").concern == Concern.FILES
-    assert Finding(code=Code.GAIN_BY_HOUR, remedy="").concern == Concern.BENCH
