@@ -8,9 +8,12 @@ import pytest
 from helpers.balanced import BIAS, LAYOUT, arms_of, changed, gradients
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonWarning
-from truenewton.estimation.displaced_rows import common_reference
+from truenewton.estimation.displaced_rows import balanced_rows, common_reference
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.records.campaign import Campaign
+from truenewton.report.investigate import investigate
+from truenewton.statics.arms import enabled_arms
 
 MOVED = 3e-8  # between cycles [m], by 600 /m 2e-5 of alpha
 
@@ -118,3 +121,21 @@ def test_without_gradients_there_is_no_common_reference():
         assert np.isnan(common_reference(bare)).all()
         faults = [each.fault for each in calibrate(bare).diagnosis.warnings]
         assert not any("zeros of" in fault for fault in faults)
+
+
+def test_repeats_and_residuals_count_from_the_same():
+    """A noiseless cycle of one sign agrees with the others, and balances: its mean is no rest."""
+    campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
+    half = replace(campaign.cycles[-1], valid=campaign.cycles[-1].sign > 0)
+    campaign = Campaign((*campaign.cycles[:-1], half))
+    moments, a = campaign_moments(campaign), enabled_arms(campaign.layout)
+    assert np.abs(np.vstack(sift(campaign).samples)).max() < 1e-11
+    by_rest, by_all = (
+        rows.of(*rows.read(half.valid))[0]
+        for rows in (balanced_rows(half, a, z) for z in (half.rest_position, moments.reference))
+    )
+    assert np.abs(by_all - by_rest).max() > 1e-5
+    evidence = investigate(campaign).evidence
+    lines = {line.what: line for line in evidence.balance}
+    assert lines["force, ring"].before > 10.0  # mN
+    assert lines["force, ring"].after < 1e-5

@@ -180,6 +180,13 @@ def test_noise_alone_does_not_make_alpha_harmful():
         assert calibration.verdict.level != "rejected"
 
 
+def test_a_matrix_in_another_order_is_refused():
+    matrix, _ = p45_matrix()
+    turned = np.roll(matrix.stiffness, 7, axis=0)
+    with pytest.raises(RankDeficient, match="do not fit the others"):
+        calibrate(replace(matrix, stiffness=turned))
+
+
 def displaced(order):
     """Return the sound matrix with the coordinates of other actuators."""
     matrix, _ = p45_matrix()

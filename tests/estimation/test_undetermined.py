@@ -53,6 +53,19 @@ def test_patterns_lost_in_noise_are_named_and_the_errors_hold():
     assert min(covered) >= 0.9
 
 
+def test_the_other_patterns_are_as_accurate_as_stated():
+    """Along patterns orthogonal to those held even, errors are neither large nor overstated."""
+    squares = []
+    for seed in range(6):
+        campaign, alpha = faint(seed, 0.07)
+        found = calibrate(campaign)
+        covariance = (found.covariance - found.systematic_covariance)[:45, :45]
+        size, pattern = np.linalg.eigh(covariance)
+        z = pattern.T @ (found.alpha - alpha) / np.sqrt(size)
+        squares.append(np.mean(z[:-6] ** 2))
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.25)
+
+
 def test_undetermined_patterns_have_no_mean_and_leave_the_common_scale_alone():
     campaign, _ = faint(0)
     moments = campaign_moments(campaign)
