@@ -62,23 +62,21 @@ def test_alpha_and_bias_are_those_of_the_mean_place(which):
     assert found.bias_force == pytest.approx(BIAS + more, abs=0.1 * abs(more))
 
 
-@pytest.mark.parametrize("size", [1e-5, 1e-2, 1.0])
-def test_one_offset_of_each_sensor_changes_nothing(size):
+def test_one_offset_of_each_sensor_changes_nothing():
     campaign, _ = gradients(seed=9, noise=1e-5, offset=0.0, moved=MOVED)
-    far = shifted(campaign, size * np.random.default_rng(1).standard_normal(14))
+    far = shifted(campaign, np.random.default_rng(1).standard_normal(14))
     assert calibrate(far).alpha == pytest.approx(calibrate(campaign).alpha, abs=1e-11)
 
 
-@pytest.mark.parametrize("size", [1e-5, 1e-2])
-def test_zeros_set_anew_with_each_file_are_taken_out(size):
+def test_zeros_set_anew_with_each_file_are_taken_out():
     """Then each cycle counts from its own mean, as if this were 0 in every file; and it is said."""
-    campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, zeros=size)
+    campaign, alpha = gradients(seed=9, noise=0.0, offset=1e-5, zeros=1e-2)
     assert np.isnan(common_reference(campaign)).all()
     found = calibrate(campaign)
     assert found.alpha == pytest.approx(alpha, abs=1e-9)
     [warning] = found.diagnosis.warnings
     assert (warning.code, warning.values) == (Code.ZEROS_RESET, {"sensors": 14})
-    restless, _ = gradients(seed=9, noise=1e-5, offset=0.0, moved=MOVED, zeros=size)
+    restless, _ = gradients(seed=9, noise=1e-5, offset=0.0, moved=MOVED, zeros=1e-2)
     centred = shifted(restless, [-c.rest_position for c in restless.cycles])
     assert calibrate(restless).alpha == pytest.approx(calibrate(centred).alpha, abs=1e-11)
 
@@ -107,15 +105,6 @@ def test_a_sensor_that_does_not_move_is_none_set_anew(anew):
     assert np.abs(found.alpha - alpha).max() < 600 * MOVED
 
 
-def test_where_most_zeros_jump_no_sensor_is_trusted():
-    """The few that seem to have stayed are chance."""
-    campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
-    for jumped, lost in ((7, 7), (8, 14)):
-        zeros = np.zeros((6, 14))
-        zeros[4:, :jumped] = 5e-6
-        assert np.isnan(common_reference(shifted(campaign, zeros))).sum() == lost
-
-
 def test_a_cycle_broken_off_early_is_no_new_zero():
     """Its mean is a displacement where no shape has its opposite."""
     campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5, moved=MOVED)
@@ -123,14 +112,6 @@ def test_a_cycle_broken_off_early_is_no_new_zero():
     for valid in (np.arange(28) == 2, last.sign > 0):
         rest = common_reference(Campaign((*campaign.cycles[:-1], replace(last, valid=valid))))
         assert rest == pytest.approx(common_reference(Campaign(campaign.cycles[:-1])), abs=1e-15)
-
-
-def test_a_spike_of_position_is_no_new_zero():
-    campaign, _ = gradients(seed=9, noise=0.0, offset=1e-5)
-    position = campaign.cycles[0].position.copy()
-    position[3, 5] += 1e-4
-    spiked = changed(campaign, position=lambda k, c: c.position if k else position)
-    assert not np.isnan(common_reference(spiked)).any()
 
 
 def test_without_gradients_there_is_no_common_reference():

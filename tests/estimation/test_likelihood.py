@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.stats
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from helpers.balanced import (
     BARE_AND_RING,
@@ -18,13 +16,9 @@ from helpers.balanced import (
     campaign_of,
     changed,
     noisy,
-    p45_bench,
-    p45_shapes,
-    rms_z,
 )
-from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import NotConverged, RankDeficient, UnknownName
+from truenewton.errors import UnknownName
 from truenewton.estimation import cycles_ml
 from truenewton.estimation.cycles_svd import condition_in_units_of_rms
 from truenewton.estimation.likelihood import _terms, chi2_at, minimise, start_values
@@ -124,11 +118,11 @@ def test_the_gradient_is_that_of_half_chi2():
 
 
 def test_m_at_the_truth_is_information_and_d_on_average():
-    """M over 2000 draws of noise: its mean is the information of the noiseless shapes plus D."""
+    """M over 1000 draws of noise: its mean is the information of the noiseless shapes plus D."""
     quiet, truth = campaign_of(seed=2, noise=0.0, cycles=1, loads=EXACT)
     a, values = arms_of(LAYOUT), truth
     large = 0.15  # of noise, so that D matters
-    clean, total, draws = quiet_sets(quiet, large), 0.0, 2000
+    clean, total, draws = quiet_sets(quiet, large), 0.0, 1000
     random = np.random.default_rng(3)
     for _ in range(draws):
         noised = [
@@ -139,7 +133,7 @@ def test_m_at_the_truth_is_information_and_d_on_average():
     expected = _terms(a, [part for part, _ in clean], values)
     information, noise_information = expected.m[:14, :14], expected.noise_information @ np.eye(14)
     mean = total[:14, :14] / draws - information
-    # Seen: 0.17 of the information; the mean of 2000 draws is known to 1 % of D, each element of
+    # Seen: 0.17 of the information; the mean of 1000 draws is known to 1.5 % of D, each element of
     # the diagonal to a few.
     assert np.trace(noise_information) > 0.05 * np.trace(information)
     assert np.trace(mean) == pytest.approx(np.trace(noise_information), rel=0.05)
@@ -157,21 +151,21 @@ def quiet_sets(campaign, sigma):
     ]
 
 
-def test_a_prior_pulls_as_much_as_its_information_says():
-    a, _, sets, values = problem(seed=4, shapes=60)
-    u = len(values)
-    sets = [replace(part, variance=1e-2 * part.variance) for part in sets]
-    strong = Prior(values, 1e12 * np.eye(u))
-    held = minimise(a, sets, strong, values)
-    assert held.values == pytest.approx(values, abs=1e-4)
-    assert np.diag(held.reading_covariance) == pytest.approx(1e-12, rel=1e-2)
-
-
 # Symmetries.
 
 
-@pytest.mark.parametrize(("cycles", "declared"), [(1, 1e-6), (1, None), (2, None)])
-@pytest.mark.parametrize("loads", [EXACT, EXACT_TILT, EXACT_THREE, BARE_AND_RING, THREE])
+@pytest.mark.parametrize(
+    ("loads", "cycles", "declared"),
+    [
+        (EXACT, 1, None),
+        (EXACT, 1, 1e-6),
+        (EXACT, 2, None),
+        (EXACT_TILT, 1, 1e-6),
+        (EXACT_THREE, 2, None),
+        (BARE_AND_RING, 2, None),
+        (THREE, 1, 1e-6),
+    ],
+)
 def test_noiseless_readings_give_the_truth(loads, cycles, declared):
     """With errors of the weights to a thousandth of what these leave of the common scale.
 
@@ -186,53 +180,26 @@ def test_noiseless_readings_give_the_truth(loads, cycles, declared):
     assert np.isfinite(found.reading_covariance).all()
 
 
-def turned(campaign, angle):
-    """Return the campaign in axes turned by an angle."""
-    c, s = np.cos(angle), np.sin(angle)
-    of = campaign.layout
-    other = Layout(of.id, c * of.x - s * of.y, s * of.x + c * of.y, of.nz, of.enabled)
-    return changed(campaign, layout=other)
-
-
-@pytest.mark.parametrize("method", ["ml", "svd"])
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(angle=st.floats(0.0, 2 * np.pi))
-def test_turning_the_axes_turns_the_torques_and_leaves_alpha(method, angle):
+@pytest.mark.parametrize(("method", "metre"), [("ml", 50.0), ("svd", 1.0)])
+def test_turned_axes_and_other_units_leave_alpha(method, metre):
+    """Axes turned by 2 rad, forces in quarters of a newton; of `ml` lengths in units of 2 cm."""
     campaign, _ = campaign_of(seed=7, noise=SIGMA, cycles=3)
-    one, two = calibrate(campaign, method), calibrate(turned(campaign, angle), method)
-    assert np.abs((two.alpha - one.alpha) / one.reading_error).max() < 1e-5
-    assert two.error == pytest.approx(one.error, rel=1e-6)
-    c, s = np.cos(angle), np.sin(angle)
-    # (M_y, -M_x) turn as the moments of (x, y).
-    assert two.torque_y == pytest.approx(c * one.torque_y + s * one.torque_x, abs=1e-8)
-    assert two.torque_x == pytest.approx(-s * one.torque_y + c * one.torque_x, abs=1e-8)
-
-
-def test_the_unit_of_length_leaves_alpha_though_there_is_noise():
-    campaign, _ = campaign_of(seed=8, noise=SIGMA, cycles=3)
-    of = campaign.layout
-    longer = Layout(of.id, 50 * of.x, 50 * of.y, of.nz, of.enabled)
-    one, two = calibrate(campaign), calibrate(changed(campaign, layout=longer))
-    assert np.abs((two.alpha - one.alpha) / one.reading_error).max() < 1e-5
-    assert two.torque_y == pytest.approx(50 * one.torque_y, rel=1e-6)
-
-
-@pytest.mark.parametrize("method", ["ml", "svd"])
-def test_forces_in_other_units_scale_alpha(method):
-    campaign, _ = campaign_of(seed=9, noise=SIGMA, cycles=3)
-    one = calibrate(campaign, method)
-    two = calibrate(changed(campaign, force=lambda _, c: 4 * c.force), method)
+    of, c, s = campaign.layout, metre * np.cos(2.0), metre * np.sin(2.0)
+    layout = Layout(of.id, c * of.x - s * of.y, s * of.x + c * of.y, of.nz, of.enabled)
+    other = changed(campaign, layout=layout, force=lambda _, cycle: 4 * cycle.force)
+    one, two = calibrate(campaign, method), calibrate(other, method)
     assert np.abs((4 * two.alpha - one.alpha) / one.reading_error).max() < 1e-5
     assert 4 * two.error == pytest.approx(one.error, rel=1e-6)
     assert two.noise == pytest.approx(4 * one.noise, rel=1e-9)
+    # (M_y, -M_x) turn as the moments of (x, y).
+    assert two.torque_y == pytest.approx(c * one.torque_y + s * one.torque_x, abs=1e-8 * metre)
+    assert two.torque_x == pytest.approx(-s * one.torque_y + c * one.torque_x, abs=1e-8 * metre)
 
 
 @pytest.mark.parametrize("method", ["ml", "svd"])
-@settings(max_examples=8, deadline=None, derandomize=True)
-@given(order=st.permutations(range(14)))
-def test_the_order_of_actuators_does_not_matter(method, order):
+def test_the_order_of_actuators_does_not_matter(method):
     campaign, _ = campaign_of(seed=10, noise=SIGMA, disabled=(3,))
-    of, order = campaign.layout, list(order)
+    of, order = campaign.layout, np.random.default_rng(1).permutation(14)
     shuffled = Layout(*(getattr(of, k)[order] for k in ("id", "x", "y", "nz", "enabled")))
     other = changed(campaign, layout=shuffled, force=lambda _, c: c.force[:, order])
     one, two = calibrate(campaign, method), calibrate(other, method)
@@ -330,13 +297,19 @@ BENCHES = {
     "disabled": ({"cycles": 3, "loads": EXACT, "disabled": (2, 7)}, SIGMA, [None] * 6),
     "P45": ({"cycles": 3, "loads": EXACT, "layout": p45().layout}, SIGMA, [None] * 6),
     "noise by actuator": ({"cycles": 4, "loads": EXACT}, SIGMA * np.tile([1, 3], 7), [None] * 8),
+    "one cycle, noise declared": ({"cycles": 1, "loads": EXACT}, SIGMA, [SIGMA] * 2),
+    "one cycle": ({"cycles": 1, "loads": EXACT}, SIGMA, [None] * 2),
     "noise by cycle": ({"cycles": 3, "loads": EXACT}, UNEQUAL[:, None], UNEQUAL.tolist()),
 }
 
 
 @pytest.mark.parametrize(
     ("bench", "campaigns"),
-    [("two loads", FEW), *(pytest.param(b, MANY, marks=pytest.mark.study) for b in BENCHES)],
+    [
+        ("two loads", FEW),
+        ("one cycle, noise declared", FEW),
+        *(pytest.param(b, MANY, marks=pytest.mark.study) for b in BENCHES),
+    ],
 )
 def test_scatter_is_at_the_bound(bench, campaigns):
     options, sigma, declared = BENCHES[bench]
@@ -347,33 +320,18 @@ def test_scatter_is_at_the_bound(bench, campaigns):
     of_one = 0.5e-3 if bench == "noise by cycle" else sigma
     n = int(quiet.layout.enabled.sum())
     check_calibrated(found, truth, information(quiet, truth, np.broadcast_to(of_one, n), weights))
-    check_goodness(found)
-    assert {f.goodness.against for f in found} == {"repeats"}
+    against = {"one cycle, noise declared": "FORCERR", "one cycle": "minimum"}.get(bench, "repeats")
+    assert {f.goodness.against for f in found} == {against}
     assert max(f.diagnosis.undetermined for f in found) == 0
-
-
-@pytest.mark.parametrize(
-    ("declared", "campaigns"),
-    [(SIGMA, FEW), *(pytest.param(d, MANY, marks=pytest.mark.study) for d in (SIGMA, None))],
-)
-def test_without_repeats_the_noise_is_as_declared_or_from_the_minimum(declared, campaigns):
-    quiet, truth = campaign_of(17, 0.0, cycles=1, weight_error=0.0, loads=EXACT)
-    quiet = changed(quiet, force_error=declared)
-    found = [find(noisy(quiet, SIGMA, [18, k])) for k in range(campaigns)]
-    check_calibrated(found, truth, information(quiet, truth, np.full(14, SIGMA)))
-    # 56 groups, pooled where their noise is known: 14 shapes and what signs and loads add.
-    freedom = 3 * (17 if declared else 56) - 19
-    assert found[0].goodness.degrees_of_freedom == freedom
-    if declared:
-        assert found[0].goodness.against == "FORCERR"
-        check_goodness(found)
-    else:
-        assert found[0].goodness.against == "minimum"
+    if against == "minimum":
         assert np.isnan(found[0].goodness.probability)
         noise = np.array([f.noise for f in found])
         # Of one campaign 1 / root(2 DOF) = 5.8 %; of the mean a fourteenth.
         assert noise.mean() == pytest.approx(SIGMA, rel=0.02)
+        freedom = found[0].goodness.degrees_of_freedom
         assert np.std(noise) / SIGMA == pytest.approx(1 / np.sqrt(2 * freedom), rel=0.25)
+    else:
+        check_goodness(found)
 
 
 ELASTIC_NOISE = 2e-4  # of one element of a mode of unit length
@@ -462,7 +420,7 @@ def declared_weights(quiet, random):
     return changed(quiet, weight=weight, load=lambda _, c: loads[c.load.key])
 
 
-@pytest.mark.parametrize("noise", [4e-6, 1e-5, 1e-4])
+@pytest.mark.parametrize("noise", [4e-6, 1e-4])
 def test_quiet_readings_have_errors_that_hold(noise):
     """Down to the 4 uN of the loop's own means."""
     quiet, truth = campaign_of(25, 0.0, cycles=2)
@@ -477,25 +435,6 @@ def test_quiet_readings_have_errors_that_hold(noise):
 
 
 # What cannot be known.
-
-
-def test_shapes_in_noise_are_refused_or_warned_of_and_loud_ones_are_not():
-    shapes = p45_bench().shapes
-    for size in (0.1, 0.03, 0.01, 0.003):
-        try:
-            calibration = calibrate(p45_shapes(size * shapes, 1e-4))
-        except (RankDeficient, NotConverged):
-            continue
-        wrong = rms_z(calibration, p45_bench().truth.alpha)
-        assert calibration.diagnosis.warnings or wrong < 2.0
-    assert calibrate(p45_shapes(shapes, SIGMA)).diagnosis.warnings == ()
-
-
-def test_thirty_modes_of_forty_two_determine_all_of_alpha():
-    bench = static_bench(p45(), seed=1, force_noise=1e-4)
-    calibration = calibrate(p45_shapes(bench.shapes[3:33], 1e-4))
-    assert calibration.diagnosis.undetermined == 0
-    assert rms_z(calibration, bench.truth.alpha) < 3.0
 
 
 def test_a_start_that_is_far_off_ends_at_the_same_minimum():
@@ -532,23 +471,6 @@ def test_a_population_is_named_never_default_and_pulls_to_the_mean():
         calibrate(campaign, "svd", population=True)
     with pytest.raises(UnknownName, match="by segment, and the data are of a mirror in one piece"):
         calibrate(campaign, motion={1: np.eye(campaign.layout.n)})
-
-
-@pytest.mark.study
-def test_a_population_is_better_where_the_data_are_poor():
-    """alpha are drawn evenly from 0.7 to 1.1; 60 campaigns with few and noisy shapes."""
-    plain, pooled = [], []
-    for k in range(60):
-        campaign, truth = campaign_of(
-            [30, k], 2e-2, cycles=2, shapes=8, loads=EXACT, weight_error=0.0
-        )
-        alpha = truth[:14]
-        for errors, population in ((plain, False), (pooled, True)):
-            found = find(campaign, population)
-            # About the mean: the scale has no population.
-            values = found.values[:14]
-            errors.append(np.mean((values / values.mean() - alpha / alpha.mean()) ** 2))
-    assert np.mean(pooled) < np.mean(plain)
 
 
 def test_weights_that_disagree_are_warned_of():

@@ -1,45 +1,38 @@
 """Actuators of a stiffness matrix that are off or do not fit are named and left out."""
 
-import datetime
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from helpers.balanced import p45_bench
+from helpers.balanced import START, p45_bench, p45_matrix
 from studies.simulated_matrices import by_glass, drawn
 from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
+from truenewton.calibration.words import summary_rows
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation import stiffness_svd
 from truenewton.estimation.couplings import pair_ratios, relative_couplings
-from truenewton.estimation.matrix_faults import SENSOR, condensed
-from truenewton.estimation.matrix_order import row_order
+from truenewton.estimation.matrix_faults import condensed
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.condensation import odd_actuators
 from truenewton.estimation.sifted_matrix import sift_matrix
 from truenewton.estimation.stiffness_ml import column_fit, likeliest
 from truenewton.estimation.stiffness_svd import columns_of, elastic_modes
 from truenewton.mirrors.known import mmt336, ring
-from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.report.investigate import investigate
-from truenewton.report.page.page import page
 from truenewton.statics.arms import comparable_arms
 
-DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 BAD = 20
 
 
 def measured(change):
-    """Return P45's matrix in commanded Newtons with 1e-4 noise, one thing changed; and alpha."""
-    truth = p45_bench().truth
-    k = truth.stiffness / truth.alpha[:, None]
-    k = k * (1.0 + 1e-4 * np.random.default_rng(2).standard_normal(k.shape))
-    distance = np.hypot(truth.layout.x - truth.layout.x[BAD], truth.layout.y - truth.layout.y[BAD])
-    change(k, np.argsort(distance)[1])
-    return StiffnessMatrix("P45", DATE, truth.layout, k), truth.alpha
+    """Return the matrix of P45 with 1e-4 noise, one thing changed; and alpha."""
+    matrix, alpha = p45_matrix()
+    x, y, k = matrix.layout.x, matrix.layout.y, np.array(matrix.stiffness)
+    change(k, np.argsort(np.hypot(x - x[BAD], y - y[BAD]))[1])
+    return replace(matrix, stiffness=k), alpha
 
 
 def sign(k, _):
@@ -84,54 +77,6 @@ def off(k, _):
     k[BAD] = k[:, BAD] = 0.0
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (sign, "wrong sign"),
-        (sensor_sign, "its sensor has the other sign"),
-        (times_ten, "its row 9.1 times as large as those of others"),
-        (own_element, "an element of its row is wrong"),
-        (sensor_gain, "its sensor has another gain"),
-        (sensor_noise, "its sensor reads something else"),
-        (rows, "its row or column exchanged with another"),
-        (off, "actuator is off"),
-    ],
-)
-@pytest.mark.parametrize("method", [pytest.param("svd", marks=pytest.mark.study), "ml"])
-def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, said):
-    matrix, alpha = measured(change)
-    calibration = calibrate(matrix, method)
-    out = ~calibration.layout.enabled
-    assert out[BAD]
-    assert np.count_nonzero(out) == (2 if change is rows else 1)
-    assert np.isnan(calibration.alpha[out]).all()
-    [effect] = calibration.effects
-    assert said in effect.name
-    assert effect.actuators == tuple(matrix.layout.id[out])
-    assert effect.corrected
-    expected = alpha[~out] / alpha[~out].mean()
-    z = (calibration.alpha[~out] - expected) / calibration.error[~out]
-    assert np.sqrt(np.mean(z**2)) < 1.6
-
-
-@pytest.mark.parametrize(("at", "off"), [(0, (1.0, 0.0)), (12, (0.0, 0.02)), (23, (-0.03, 0.1))])
-@pytest.mark.parametrize("level", [pytest.param(1e-4, marks=pytest.mark.study), 1e-3])
-def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(at, off, level):
-    """X and Y in another unit, or of another mirror: the innermost of 24, another, the last."""
-    truth, random = static_bench(ring(24), 3).truth, np.random.default_rng(at)
-    k = truth.stiffness / truth.alpha[:, None]
-    k = k * (1.0 + level * random.standard_normal(k.shape))
-    here = np.arange(24) == at
-    said = replace(truth.layout, x=truth.layout.x + here * off[0], y=truth.layout.y + here * off[1])
-    found = calibrate(StiffnessMatrix("R24", DATE, said, k), "ml")
-    assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [at]
-    fault, remedy = found.verdict.faults[0].fault, found.verdict.faults[0].remedy
-    assert f"{np.hypot(*off):.2g} m off (actuator {at + 1})" in fault
-    assert remedy.startswith("correct X and Y")
-    z = (found.alpha - truth.alpha / truth.alpha[~here].mean())[~here] / found.error[~here]
-    assert np.sqrt(np.mean(z**2)) < 1.6
-
-
 def element(k, other):
     """An element so large that rows seem exchanged."""
     k[BAD, other] *= 100.0
@@ -142,77 +87,84 @@ def rows_lost(k, _):
     k[[3, 9, BAD]] = 0.0
 
 
-def sensors_silent(k, _):
-    """Three sensors read nothing."""
-    k[:, [3, 9, BAD]] = 0.0
+def four_signs(k, _):
+    """The poles of four neighbours are exchanged."""
+    k[30:34] *= -1.0
 
 
+@pytest.mark.parametrize("method", ["svd", pytest.param("ml", marks=pytest.mark.study)])
 @pytest.mark.parametrize(
-    ("change", "reason", "where"),
+    ("change", "said", "where"),
     [
+        (sign, "wrong sign", [BAD]),
+        (sensor_sign, "its sensor has the other sign", [BAD]),
+        (times_ten, "its row 9.1 times as large as those of others", [BAD]),
+        (own_element, "an element of its row is wrong", [BAD]),
         (element, "an element of its row is wrong", [BAD]),
+        (sensor_gain, "its sensor has another gain", [BAD]),
+        (sensor_noise, "its sensor reads something else", [BAD]),
+        (rows, "its row or column exchanged with another", [BAD - 1, BAD]),
+        (off, "actuator is off", [BAD]),
         (rows_lost, "its row is zero, though it pushed", [3, 9, BAD]),
-        (sensors_silent, "its sensor reads nothing", [3, 9, BAD]),
+        (four_signs, "wrong sign", [30, 31, 32, 33]),
     ],
 )
-def test_what_is_missing_or_too_large_is_named_and_the_rest_is_within_its_errors(
-    change, reason, where
-):
+def test_what_does_not_fit_is_named_and_the_rest_is_calibrated(method, change, said, where):
     matrix, alpha = measured(change)
-    sifted = sift_matrix(matrix)
-    on = sifted.matrix.layout.enabled
-    assert np.flatnonzero(~on).tolist() == where
-    assert {effect.name.partition(": ")[2] for effect in sifted.effects} == {reason}
-    found = column_fit(columns_of(sifted))
-    expected = alpha[on] / alpha[on].mean()
-    z = (found.alpha - expected) / np.sqrt(np.diag(found.covariance))
+    calibration = calibrate(matrix, method)
+    out = ~calibration.layout.enabled
+    assert np.flatnonzero(out).tolist() == where
+    assert np.isnan(calibration.alpha[out]).all()
+    assert all(said in effect.name and effect.corrected for effect in calibration.effects)
+    named = sorted(i for effect in calibration.effects for i in effect.actuators)
+    assert named == matrix.layout.id[where].tolist()
+    check_errors(calibration, alpha, out)
+
+
+def check_errors(calibration, alpha, out):
+    """Check that alpha of those that are not out is within its errors."""
+    z = (calibration.alpha - alpha / alpha[~out].mean())[~out] / calibration.error[~out]
     assert np.sqrt(np.mean(z**2)) < 1.6
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_sensors_of_a_sector_that_read_noise_are_told_from_their_actuators(seed):
-    """Their columns balance with nothing, and are not asked what rows are worth."""
-    truth, random = static_bench(ring(144), 7).truth, np.random.default_rng(seed)
-    alpha, layout = 1.0 + 0.05 * random.standard_normal(144), truth.layout
-    k = truth.stiffness / alpha[:, None]
-    k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal(k.shape)
-    first = random.integers(144)
-    bad = np.argsort(np.hypot(layout.x - layout.x[first], layout.y - layout.y[first]))[:10]
-    k[:, bad] *= 3.0 * (1.0 + 0.3 * random.standard_normal((144, 10)))
-    sifted = sift_matrix(StiffnessMatrix("RING", DATE, layout, k))
-    assert np.flatnonzero(~sifted.matrix.layout.enabled).tolist() == sorted(bad.tolist())
-    assert {effect.name.partition(": ")[2] for effect in sifted.effects} == {SENSOR}
+@pytest.mark.parametrize(
+    ("at", "off"),
+    [
+        (0, (1.0, 0.0)),
+        pytest.param(12, (0.0, 0.02), marks=pytest.mark.study),
+        pytest.param(23, (-0.03, 0.1), marks=pytest.mark.study),
+    ],
+)
+def test_an_actuator_that_stands_elsewhere_is_named_and_the_rest_is_calibrated(at, off):
+    """X and Y in another unit, or of another mirror: the innermost of 24, another, the last."""
+    truth, random = static_bench(ring(24), 3).truth, np.random.default_rng(at)
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1.0 + 1e-3 * random.standard_normal(k.shape))
+    here = np.arange(24) == at
+    said = replace(truth.layout, x=truth.layout.x + here * off[0], y=truth.layout.y + here * off[1])
+    found = calibrate(StiffnessMatrix("R24", START, said, k), "ml")
+    assert np.flatnonzero(np.isnan(found.alpha)).tolist() == [at]
+    fault, remedy = found.verdict.faults[0].fault, found.verdict.faults[0].remedy
+    assert f"{np.hypot(*off):.2g} m off (actuator {at + 1})" in fault
+    assert remedy.startswith("correct X and Y")
+    check_errors(found, truth.alpha, here)
 
 
 def test_a_matrix_made_symmetric_is_not_to_be_used():
     """Half of what tells alpha from gains of sensors is gone: 7 % wrong, 3 % stated."""
-    matrix, _ = measured(lambda k, other: None)
-    k = 0.5 * (matrix.stiffness + matrix.stiffness.T)
+    matrix, _ = p45_matrix()
+    made = replace(matrix, stiffness=0.5 * (matrix.stiffness + matrix.stiffness.T))
     with pytest.warns(TrueNewtonWarning, match="STIFFNESS made symmetric"):
-        calibration = calibrate(replace(matrix, stiffness=k), "ml")
-    assert calibration.verdict.level == "rejected"
-    with pytest.raises(RankDeficient, match="made symmetric; give it as it was measured"):
-        calibrate(replace(matrix, stiffness=k), "svd")
-
-
-def test_a_sound_matrix_loses_nobody():
-    matrix, _ = measured(lambda k, other: None)
-    calibration = calibrate(matrix)
-    assert calibration.layout.enabled.all()
-    assert calibration.effects == ()
-    assert calibration.verdict.faults == ()
-
-
-def test_four_neighbours_are_named_and_nobody_else():
-    matrix, alpha = measured(lambda k, other: None)
-    k = matrix.stiffness.copy()
-    k[30:34] *= -1.0
-    calibration = calibrate(replace(matrix, stiffness=k))
-    out = ~calibration.layout.enabled
-    assert np.flatnonzero(out).tolist() == [30, 31, 32, 33]
-    expected = alpha[~out] / alpha[~out].mean()
-    z = (calibration.alpha[~out] - expected) / calibration.error[~out]
-    assert np.sqrt(np.mean(z**2)) < 1.6
+        calibration = calibrate(made, "auto")
+    assert (calibration.verdict.level, calibration.method) == ("rejected", "ml")
+    [note] = calibration.verdict.notes
+    assert "made symmetric" in note.cause.fault
+    assert "use ml" not in str(note)
+    assert calibration.sensors == ()
+    assert ("sensors", "unknown") in [row[:2] for row in summary_rows(calibration)]
+    for method, remedy in (("svd", "measured"), ("reciprocity", "measured; or use ml")):
+        with pytest.raises(RankDeficient, match=f"made symmetric.*; give it as it was {remedy}"):
+            calibrate(made, method)
 
 
 @pytest.mark.study
@@ -222,22 +174,22 @@ def test_noise_alone_does_not_make_alpha_harmful():
     clean = truth.stiffness / truth.alpha[:, None]
     for seed in (1, 2, 6, 8):
         noise = 600 * np.random.default_rng([7, seed]).standard_normal(clean.shape)
-        calibration = calibrate(StiffnessMatrix("P45", DATE, truth.layout, clean + noise))
+        calibration = calibrate(StiffnessMatrix("P45", START, truth.layout, clean + noise))
         error = calibration.alpha - truth.alpha / truth.alpha.mean()
         assert np.std(error) < 0.6 * np.std(truth.alpha / truth.alpha.mean())
         assert calibration.verdict.level != "rejected"
 
 
 def test_a_matrix_in_another_order_is_refused():
-    matrix, _ = measured(lambda k, other: None)
+    matrix, _ = p45_matrix()
     turned = np.roll(matrix.stiffness, 7, axis=0)
     with pytest.raises(RankDeficient, match="do not fit the others"):
-        calibrate(StiffnessMatrix("P45", DATE, matrix.layout, turned))
+        calibrate(replace(matrix, stiffness=turned))
 
 
 def displaced(order):
     """Return the sound matrix with the coordinates of other actuators."""
-    matrix, _ = measured(lambda k, other: None)
+    matrix, _ = p45_matrix()
     x, y = matrix.layout.x[order], matrix.layout.y[order]
     return replace(matrix, layout=replace(matrix.layout, x=x, y=y))
 
@@ -267,7 +219,7 @@ def test_coordinates_in_another_order_than_the_matrix_are_told(order, said):
 
 def test_coordinates_in_another_order_are_not_to_be_used():
     with pytest.warns(TrueNewtonWarning, match="rejected"):
-        calibration = calibrate(displaced(np.roll(EVERY, 1)))
+        calibration = calibrate(displaced(np.roll(EVERY, 1)), "svd")
     assert calibration.verdict.level == "rejected"
     assert "coordinates in another order" in calibration.verdict.faults[0].fault
     with pytest.raises(RankDeficient, match="another order than STIFFNESS: reversed"):
@@ -276,7 +228,7 @@ def test_coordinates_in_another_order_are_not_to_be_used():
 
 def test_neither_gains_nor_a_mirrored_table_are_another_order():
     """Sensors that scatter by 5 %; and coordinates seen from the other side."""
-    matrix, _ = measured(lambda k, other: None)
+    matrix, _ = p45_matrix()
     gains = 1.0 + 0.05 * np.random.default_rng(2).standard_normal(45)
     assert sift_matrix(replace(matrix, stiffness=matrix.stiffness * gains)).effects == ()
     mirrored = replace(matrix, layout=replace(matrix.layout, x=-matrix.layout.x))
@@ -291,48 +243,27 @@ def test_one_that_is_zero_but_pushed_is_left_out_and_the_others_are_known():
         k[BAD] = k[:, BAD] = 0.0
 
     matrix, alpha = measured(zero)
-    calibration = calibrate(matrix)
+    calibration = calibrate(matrix, "ml")
     out = ~calibration.layout.enabled
     assert np.flatnonzero(out).tolist() == [BAD]
     warning = calibration.diagnosis.warnings[0]
     assert (warning.code, warning.actuators) == ("off-but-pushing", (matrix.layout.id[BAD],))
-    z = (calibration.alpha[~out] - alpha[~out] / alpha[~out].mean()) / calibration.error[~out]
+    check_errors(calibration, alpha, out)
+
+
+def test_sensors_that_read_nothing_are_named_and_the_columns_left_give_alpha():
+    def silent(k, _):
+        k[:, [3, 9, BAD]] = 0.0
+
+    matrix, alpha = measured(silent)
+    sifted = sift_matrix(matrix)
+    on = sifted.matrix.layout.enabled
+    assert np.flatnonzero(~on).tolist() == [3, 9, BAD]
+    reasons = {effect.name.partition(": ")[2] for effect in sifted.effects}
+    assert reasons == {"its sensor reads nothing"}
+    found = column_fit(columns_of(sifted))
+    z = (found.alpha - alpha[on] / alpha[on].mean()) / np.sqrt(np.diag(found.covariance))
     assert np.sqrt(np.mean(z**2)) < 1.6
-
-
-def test_three_faults_at_once_are_each_named():
-    def several(k, _):
-        k[20] *= -1.0
-        k[[5, 6]] = k[[6, 5]]
-        k[30] = k[:, 30] = 0.0
-
-    matrix, _ = measured(several)
-    names = {(i, each.name) for each in sift_matrix(matrix).effects for i in each.actuators}
-    ids = matrix.layout.id
-    exchanged = "actuator does not fit: its row or column exchanged with another"
-    assert names == {
-        (ids[20], "actuator does not fit: wrong sign"),
-        (ids[5], exchanged),
-        (ids[6], exchanged),
-        (ids[30], "actuator is off"),
-    }
-
-
-def test_the_order_of_rows_is_that_of_the_largest_product():
-    random = np.random.default_rng(1)
-    root = random.standard_normal((30, 30))
-    k = random.uniform(0.5, 2.0, (30, 1)) * (root @ root.T)
-    order = random.permutation(30)
-    assert np.array_equal(k[order][row_order(k[order])], k)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("change", [off, pytest.param(sign, marks=pytest.mark.study)])
-def test_modes_and_report_do_without_those_left_out(change):
-    matrix, _ = measured(change)
-    findings = find_modes(matrix)
-    assert findings.after.modes.modes.shape == (44, 44)
-    assert "Usable" in page(investigate(matrix))
 
 
 def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
@@ -342,14 +273,14 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
     k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal((n, n))
     sector = np.argsort(np.hypot(layout.x - layout.x[150], layout.y - layout.y[150]))[:15]
     k[:, sector] *= 1.5
-    sifted = sift_matrix(StiffnessMatrix("MMT336", DATE, layout, k))
+    sifted = sift_matrix(StiffnessMatrix("MMT336", START, layout, k))
     [effect] = sifted.effects
     assert sorted(effect.actuators) == sorted(layout.id[sector])
     assert "its sensor has another gain" in effect.name
 
 
 def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
-    matrix, _ = measured(lambda k, _: None)
+    matrix, _ = p45_matrix()
     sifted = sift_matrix(matrix)
     base = stiffness_svd.find(sifted, column_fit)
     values = np.where(np.arange(len(base.values)) == BAD, -0.02, base.values)
@@ -360,7 +291,7 @@ def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
 def test_a_row_of_nothing_but_rounding_gives_no_alpha():
     k, layout = p45_bench().truth.stiffness.copy(), p45_bench().truth.layout
     k[BAD] *= 1e-9
-    modes = elastic_modes(StiffnessMatrix("P45", DATE, layout, k))
+    modes = elastic_modes(StiffnessMatrix("P45", START, layout, k))
     with pytest.raises(RankDeficient, match="of a few actuators alone"):
         likeliest(modes, comparable_arms(layout))
 
@@ -376,13 +307,12 @@ def test_most_own_stiffnesses_may_be_zero():
     assert not np.isin(odd_actuators(k), lost).any()
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_sensors_off_their_magnets_are_no_wrong_gains_but_a_wrong_gain_among_them_is(seed):
+def test_sensors_off_their_magnets_are_no_wrong_gains_but_a_wrong_gain_among_them_is():
     """Half a millimetre times the slope reads as much as a gain of 10 % in the first of them."""
-    bench, random = p45_bench(), np.random.default_rng([seed, 11])
+    bench, random = p45_bench(), np.random.default_rng([0, 11])
     values = drawn(random, bench.mirror.layout.n, offset=5e-4)
     k = with_noise(random, by_glass(bench.glass, values), values).stiffness
-    matrix = StiffnessMatrix("P45", DATE, bench.mirror.layout, k)
+    matrix = StiffnessMatrix("P45", START, bench.mirror.layout, k)
     assert sift_matrix(matrix).effects == ()
     gains = np.where(np.arange(len(k)) == BAD, 1.5, 1.0)
     [effect] = sift_matrix(replace(matrix, stiffness=k * gains)).effects

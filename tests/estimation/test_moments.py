@@ -5,16 +5,11 @@ from functools import cache, reduce
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from helpers import balanced
-from helpers.balanced import RING, campaign_of, changed, gradients
-from truenewton.calibration.methods import calibrate
+from helpers.balanced import campaign_of, changed, gradients
 from truenewton.errors import CampaignMismatch
 from truenewton.estimation.displaced_rows import common_reference
-from truenewton.estimation.moments import chosen_groups, merge
-from truenewton.estimation.repeats import RepeatSums, row_groups
+from truenewton.estimation.moments import merge
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.records.campaign import Campaign
 
@@ -66,18 +61,8 @@ def check(moments, labels, rows, weight, mean, scatter):
     assert moments.scatter == pytest.approx(scatter, rel=1e-10)
 
 
-@pytest.mark.parametrize("repeated", [False, True])
-def test_moments_are_those_of_two_passes(repeated):
-    campaign = with_repeats_in_a_cycle() if repeated else noisy()
-    moments = campaign_moments(campaign)
-    check(moments, *two_passes(campaign, [1.0] * 6))
-    assert moments.mean.shape[1] == 13
-    assert moments.rows.sum() == 6 * 26
-    assert moments.rows.max() == (6 if repeated else 3)
-
-
-def test_rows_may_stand_in_any_order():
-    """Another one in each cycle, and not every shape in each."""
+def in_any_order():
+    """Return a campaign whose rows are shuffled, in each cycle otherwise, some left out."""
     random, names = np.random.default_rng(2), ("shape", "sign", "force", "valid")
 
     def shuffled(cycle):
@@ -85,29 +70,25 @@ def test_rows_may_stand_in_any_order():
         rows = {name: getattr(cycle, name)[order] for name in names}
         return replace(cycle, **rows, time=cycle.time[:-3])
 
-    campaign = Campaign(tuple(map(shuffled, noisy().cycles)))
-    check(campaign_moments(campaign), *two_passes(campaign, [1.0] * 6))
+    return Campaign(tuple(map(shuffled, noisy().cycles)))
 
 
-@pytest.mark.parametrize("errors", [[None], [1e-3], [1e-3, 2e-3, 5e-4]])
-def test_the_furthest_row_is_seen_from_the_others_of_its_group(errors):
-    """In terms of the noise of the difference between a row and the mean of the others."""
-    campaign = with_noises(with_repeats_in_a_cycle(), errors)
-    weights = [(1e-3 / c.force_error) ** 2 if c.force_error else 1.0 for c in campaign.cycles]
-    furthest = np.zeros(13)
-    for rows in grouped(campaign, weights).values():
-        for k, (w, force) in enumerate(rows):
-            others = rows[:k] + rows[k + 1 :]
-            weights = np.array([v for v, _ in others])
-            mean = weights @ np.array([f for _, f in others]) / weights.sum()
-            far = np.abs(force - mean) / np.sqrt(1 / w + 1 / weights.sum())
-            furthest = np.maximum(furthest, far)
-    assert RepeatSums(campaign).furthest.max(axis=0) == pytest.approx(furthest, rel=1e-10)
-
-
-def test_cycles_weigh_by_their_declared_noise():
-    campaign = with_noises(noisy(), [1e-3, 2e-3, 5e-4])
-    check(campaign_moments(campaign), *two_passes(campaign, [1.0, 0.25, 4.0] * 2))
+@pytest.mark.parametrize(
+    ("made", "weights"),
+    [
+        (noisy, [1.0] * 6),
+        (with_repeats_in_a_cycle, [1.0] * 6),
+        (in_any_order, [1.0] * 6),
+        (lambda: with_noises(noisy(), [1e-3, 2e-3, 5e-4]), [1.0, 0.25, 4.0] * 2),
+    ],
+    ids=["plain", "repeated", "in any order", "of unequal noise"],
+)
+def test_moments_are_those_of_two_passes(made, weights):
+    campaign = made()
+    moments = campaign_moments(campaign)
+    check(moments, *two_passes(campaign, weights))
+    assert moments.mean.shape[1] == 13
+    assert moments.rows.sum() == sum(c.valid.sum() for c in campaign.cycles)
 
 
 @cache
@@ -123,28 +104,20 @@ WHOLE = {
 }
 
 
+@pytest.mark.parametrize("by_cycle", [True, False])
 @pytest.mark.parametrize("kind", WHOLE)
-@settings(max_examples=15, deadline=None, derandomize=True)
-@given(
-    owner=st.lists(st.integers(0, 3), min_size=6 * 28, max_size=6 * 28),
-    by_cycle=st.booleans(),
-    order=st.permutations(range(4)),
-    tree=st.booleans(),
-)
-def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(
-    kind, owner, by_cycle, order, tree
-):
+def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(kind, by_cycle):
     """Even where a part has but one sign of a shape: its own mean would be no rest."""
-    whole = WHOLE[kind]()
-    owner, rest = np.reshape(owner, (6, 28)), common_reference(whole)
-    owner = owner[:, :1] if by_cycle else owner
+    whole, random = WHOLE[kind](), np.random.default_rng(1)
+    owner, rest = random.integers(0, 4, (6, 1 if by_cycle else 28)), common_reference(whole)
     parts = []
-    for part in order:
+    for part in random.permutation(4):
         mine = [c.valid & (owner[k] == part) for k, c in enumerate(whole.cycles)]
         cycles = [replace(c, valid=v) for c, v in zip(whole.cycles, mine, strict=True) if v.any()]
         if cycles:
             parts.append(campaign_moments(Campaign(tuple(cycles)), rest))
-    if tree and len(parts) > 2:
+    assert len(parts) > 2
+    if not by_cycle:
         parts = [merge(parts[0], parts[1]), reduce(merge, parts[2:])]
     merged, expected = reduce(merge, parts), campaign_moments(whole)
     check(
@@ -167,46 +140,3 @@ def test_parts_that_count_from_different_readings_are_not_merged():
     parts = [campaign_moments(Campaign((c,)), common_reference(anew)) for c in anew.cycles]
     merged, expected = reduce(merge, parts), campaign_moments(anew)
     assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)
-
-
-def test_noise_of_each_actuator_comes_from_repeats():
-    sigma = np.linspace(0.5e-3, 1.5e-3, 14)
-    quiet, _ = campaign_of(seed=5, noise=0.0, cycles=4)
-    moments = campaign_moments(balanced.noisy(quiet, sigma, 6))
-    assert moments.repeats == 2 * 28 * 3
-    found = np.sqrt(moments.scatter / moments.repeats)
-    # Each known to 1 / root(2 * 168) = 5.5 %: four sigma.
-    assert found == pytest.approx(sigma, rel=4 / np.sqrt(2 * 168))
-    assert moments.noise == pytest.approx(np.sqrt(np.mean(sigma**2)), rel=0.06)
-
-
-def test_one_cycle_has_no_repeats():
-    moments = campaign_moments(campaign_of(seed=7, noise=1e-3, cycles=1)[0])
-    assert moments.repeats == 0
-    assert np.isnan(moments.noise)
-    assert moments.scatter.tolist() == [0.0] * 14
-
-
-def test_groups_of_rows_and_choices_of_groups():
-    campaign, moments = noisy(), campaign_moments(noisy())
-    _, _, groups = row_groups(campaign)
-    for cycle, place, group in zip(campaign.cycles, campaign.load_index, groups, strict=True):
-        labels = moments.labels[group]
-        assert (labels[:, 0] == place).all()
-        assert labels[:, 1].tolist() == cycle.shape[cycle.valid].tolist()
-        assert labels[:, 2].tolist() == cycle.sign[cycle.valid].tolist()
-    chosen = moments.labels[:, 1] > 3
-    some = chosen_groups(moments, chosen)
-    assert some.groups == some.sums.shapes == np.count_nonzero(chosen)
-    assert some.repeats == 2 * some.groups
-    assert some.sums.square == pytest.approx(3 * moments.mean[chosen].T @ moments.mean[chosen])
-
-
-def test_rows_that_are_not_valid_do_not_move_the_zero_of_a_sensor():
-    """Without some rows of one sign the mean reading of a cycle is no longer the zero."""
-    campaign, alpha = gradients(seed=10, noise=0.0, offset=1e-4, cycles=1)
-    some = changed(
-        campaign,
-        valid=lambda _, c: c.valid & ((c.sign > 0) | (c.shape > 7) | (c.load.name != RING.name)),
-    )
-    assert calibrate(some).alpha == pytest.approx(alpha, abs=1e-9)

@@ -14,12 +14,11 @@ from helpers.balanced import (
     exact_weights,
     noisy,
     p45_bench,
-    p45_campaign,
     rms_z,
     with_spike,
 )
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
+from truenewton.errors import TooManyOutliers
 from truenewton.estimation import cycles_ml, repeats
 from truenewton.estimation.imbalance import squared_distances, standing_out
 from truenewton.estimation.sifted import sift
@@ -52,10 +51,10 @@ def rows_of(found):
 
 
 def test_spikes_in_five_per_cent_of_rows_cost_less_than_a_tenth():
-    """15 campaigns of P45; the same noise with and without spikes, so that the ratio is sharp."""
+    """Five campaigns of P45; the same noise with and without spikes, so that the ratio is sharp."""
     quiet, alpha = exact_weights(replace(p45_bench(), force_noise=0.0)), p45_bench().truth.alpha
     clean, dirty, missed, wrong, named = [], [], 0, 0, 0
-    for seed in range(15):
+    for seed in range(5):
         sound = noisy(quiet, SIGMA, [1, seed])
         bad, places = spiked(sound, 0.05, [2, seed])
         found = calibrate(bad)
@@ -67,15 +66,14 @@ def test_spikes_in_five_per_cent_of_rows_cost_less_than_a_tenth():
         named += sum(rejected[k].actuator == places[k] for k in places.keys() & rejected.keys())
         assert all(row.sigmas > 3 for row in found.rejected_rows)
     assert np.sqrt(np.mean(dirty) / np.mean(clean)) < 1.10
-    spikes = 15 * 8 * 4  # a twentieth of 90 rows: 4 of each cycle
+    spikes = 5 * 8 * 4  # a twentieth of 90 rows: 4 of each cycle
     assert missed == 0
     assert wrong <= 0.02 * spikes
     assert named > 0.98 * (spikes - missed)
 
 
 @pytest.mark.parametrize(
-    ("cycles", "campaigns"),
-    [(1, 50), *(pytest.param(c, 300, marks=pytest.mark.study) for c in (1, 2, 3))],
+    ("cycles", "campaigns"), [(1, 50), pytest.param(2, 300, marks=pytest.mark.study)]
 )
 def test_a_sound_campaign_loses_a_row_as_seldom_as_stated(cycles, campaigns):
     """Two tests at 1 % each, three sigma."""
@@ -90,6 +88,9 @@ def test_a_row_that_is_off_is_named_with_its_actuator_and_distance():
     assert (row.cycle, row.row, row.actuator, row.against) == (6, 17, 4, "repeats")
     # Against the three others: 50 mN over 1 mN root(1 + 1 / 3), less what it adds to the noise.
     assert 10 < row.sigmas < 60
+    campaign, _ = small(6, cycles=2)  # of two rows that disagree both go
+    rows = calibrate(with_spike(campaign, 1, 4, 9, 0.05)).rejected_rows
+    assert sorted((r.cycle, r.row, r.actuator) for r in rows) == [(0, 4, 10), (1, 4, 10)]
 
 
 def test_an_actuator_that_often_spikes_does_not_hide_in_its_own_noise():
@@ -106,19 +107,13 @@ def test_an_actuator_that_often_spikes_does_not_hide_in_its_own_noise():
     assert rms_z(found, truth[:14]) < 2.5
 
 
-def test_two_rows_that_disagree_both_go():
-    campaign, _ = small(6, cycles=2)
-    rows = calibrate(with_spike(campaign, 1, 4, 9, 0.05)).rejected_rows
-    assert sorted((r.cycle, r.row, r.actuator) for r in rows) == [(0, 4, 10), (1, 4, 10)]
-
-
 @pytest.mark.parametrize(
     ("declared", "low", "high"), [(None, 0.02, 0.2), (None, 0.1, 0.5), (SIGMA, 0.1, 0.5)]
 )
 def test_without_repeats_a_tenth_of_bad_rows_cannot_drag_the_start(declared, low, high):
-    """12 campaigns of one cycle; errors all but as without bad rows."""
+    """Six campaigns of one cycle; errors all but as without bad rows."""
     clean, dirty = [], []
-    for seed in range(12):
+    for seed in range(6):
         campaign, truth = small([7, seed], cycles=1)
         campaign = changed(campaign, force_error=declared)
         bad, places = spiked(campaign, 0.10, [8, seed], low, high)
@@ -143,29 +138,6 @@ def test_a_row_wrong_in_all_repeats_is_found_against_the_balance():
         (k, 8, "balance") for k in (4, 5, 6, 7)
     }
     assert rms_z(found, truth[:14]) < 2.5
-
-
-def test_a_cycle_of_the_wrong_sign_is_thrown_out_or_refused():
-    check_not_used(with_turned_sign(p45_campaign(3), 4), p45_bench().truth.alpha)
-    for seed in range(16):
-        campaign, truth = small([10, seed], cycles=3 + seed % 2)
-        check_not_used(with_turned_sign(campaign, 0), truth[:14])
-
-
-def with_turned_sign(campaign, cycle):
-    return changed(campaign, force=lambda k, c: -c.force if k == cycle else c.force)
-
-
-def check_not_used(campaign, alpha):
-    """Refused, or all rows of one cycle rejected and alpha right."""
-    try:
-        found = calibrate(campaign)
-    except (TooManyOutliers, RankDeficient, NotConverged):
-        return
-    assert max(np.bincount([row.cycle for row in found.rejected_rows])) >= 0.9 * len(
-        campaign.cycles[0].time
-    )
-    assert rms_z(found, alpha) < 3
 
 
 def test_too_many_bad_rows_are_refused_with_their_number():

@@ -12,7 +12,7 @@ from helpers.small_bench import SmallBench
 from truenewton.calibration.methods import calibrate
 from truenewton.estimation.moments import chosen_groups
 from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.pooling import each_by_itself, over_loads_and_signs
+from truenewton.estimation.pooling import over_loads_and_signs
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.estimation.structure import independent_readings, structure_of
@@ -74,16 +74,6 @@ def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kin
     assert pooling.groups(rows) == pytest.approx(u @ rows, abs=1e-12)
 
 
-def test_groups_by_themselves_are_rows_of_their_own():
-    weight = np.array([4.0, 0.0, 2.0, 1.0])
-    pooling = each_by_itself(weight)
-    mean = np.arange(8.0).reshape(4, 2)
-    assert pooling.count == 3
-    expected = np.sqrt(weight[[0, 2, 3], None]) * mean[[0, 2, 3]]
-    assert pooling.rows(mean) == pytest.approx(expected)
-    assert pooling.groups(pooling.rows(mean))[[0, 2, 3]] == pytest.approx(mean[[0, 2, 3]])
-
-
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
 def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
     campaign, bench = noiseless(kind)
@@ -119,29 +109,6 @@ def test_sums_are_those_of_the_rows(pooled):
     assert sums.known_square == pytest.approx(q.T @ q, rel=1e-9, abs=1e-20)
 
 
-@pytest.mark.parametrize("kind", ["plain", "one sign under a load", "unbalanced"])
-def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kind):
-    """Of 14 shapes the groups of two signs and two loads say four times the same."""
-    z, ratio = [], []
-    for seed in range(30):
-        bench = SmallBench([seed, 7], 1e-2, order=(0, 0, 0, 1) if kind == "unbalanced" else (0, 1))
-        lost = 1 if kind == "one sign under a load" else None
-        campaign = changed(
-            bench.campaign(),
-            force_error=1e-2,
-            valid=lambda k, c, lost=lost: c.sign > 0 if k == lost else c.valid,
-        )
-        alone = campaign_moments(campaign)
-        problem = problem_of(campaign, reading_noise(campaign, alone))
-        one, other = (problem.fitted(replace(alone, pooled=pooled)) for pooled in (True, False))
-        error = np.sqrt(np.diag(one.reading_covariance)[:14])
-        z.append((one.values[:14] - bench.alpha) / error)
-        ratio.append(np.mean(error**2) / np.mean(np.diag(other.reading_covariance)[:14]))
-    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.25)
-    assert np.mean(ratio) <= 1.0
-    assert max(ratio) < 1.02
-
-
 def resized(has_position):
     """Return a bench whose shapes are 3 % larger under the load."""
     bench = SmallBench(8, 1e-4)
@@ -166,17 +133,6 @@ def test_sizes_of_shapes_come_from_the_displacements():
     assert np.mean(np.abs(calibration.alpha - bench.alpha) < 2.5 * calibration.error) > 0.9
 
 
-def test_displacements_that_differ_by_chance_only_leave_the_size_at_one():
-    bench = SmallBench(9, 1e-3)
-    campaign = changed(
-        bench.campaign(),
-        position=lambda _, c: c.position + 1e-7 * bench.random.standard_normal(c.position.shape),
-    )
-    size, variance = sift(campaign).moments.sizes
-    assert np.array_equal(size, [1.0, 1.0])
-    assert variance[1] > 0
-
-
 def test_without_displacements_shapes_of_another_size_are_not_pooled():
     bench = resized(has_position=False)
     sifted = sift(bench.campaign())
@@ -189,20 +145,6 @@ def test_without_displacements_shapes_of_another_size_are_not_pooled():
     ]
     error = np.abs(found.alpha - bench.alpha) / found.error
     assert np.mean(error < 1.96) > 0.9
-
-
-@pytest.mark.parametrize(
-    ("count", "order"),
-    [
-        (60, (0, 0, 1, 1)),
-        pytest.param(400, (0, 0, 1, 1), marks=pytest.mark.study),
-        pytest.param(400, (0, 1, 0, 1, 2, 2, 0), marks=pytest.mark.study),
-    ],
-)
-def test_shapes_that_repeat_fit_as_often_as_chance_says(count, order):
-    campaigns = (SmallBench([k, 9], 1e-3, order=order).campaign() for k in range(count))
-    p = [sift(campaign).structure.probability for campaign in campaigns]
-    assert scipy.stats.kstest(p, "uniform").pvalue > 1e-3
 
 
 def test_the_structure_is_the_sum_of_what_is_left():
@@ -232,9 +174,3 @@ def test_readings_that_move_together_count_as_fewer():
     )
     assert expected < 4
     assert independent_readings((), 40) == 40
-
-
-def test_one_load_and_sign_leave_nothing_to_pool():
-    labels = np.array([[0, k, 1] for k in range(1, 6)], dtype=np.int64)
-    pooling = over_loads_and_signs(labels, np.ones(5), np.ones(1))
-    assert pooling.count == 5

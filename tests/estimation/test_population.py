@@ -1,11 +1,9 @@
 """A population shrinks what is not smooth in log alpha, and nothing else."""
 
-import datetime
-
 import numpy as np
 import pytest
 
-from helpers.balanced import p45_bench
+from helpers.balanced import START, p45_bench
 from truenewton.estimation.minimum import Prior
 from truenewton.estimation.population import likeliest_spread, smooth_patterns, with_population
 from truenewton.estimation.sifted_matrix import sift_matrix
@@ -13,8 +11,6 @@ from truenewton.estimation.stiffness_ml import column_fit
 from truenewton.estimation.stiffness_svd import columns_of
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
-
-DATE = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
 
 
 def places(n):
@@ -61,7 +57,7 @@ def test_errors_cover_alpha_that_rises_to_the_rim():
             1.0 + 0.1 * (radius / radius.max()) ** 2 + 0.02 * random.standard_normal(radius.size)
         )
         k = truth.stiffness / alpha[:, None] + 300 * random.standard_normal(truth.stiffness.shape)
-        matrix = StiffnessMatrix("P45", DATE, truth.layout, k)
+        matrix = StiffnessMatrix("P45", START, truth.layout, k)
         fit = column_fit(columns_of(sift_matrix(matrix)), population=True)
         error = np.abs(fit.alpha - alpha / alpha.mean())
         covered.append(np.mean(error < 1.96 * np.sqrt(np.diag(fit.covariance))))

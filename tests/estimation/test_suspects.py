@@ -7,7 +7,7 @@ import pytest
 
 import truenewton as tn
 from helpers.changed import p45, with_forces
-from truenewton.errors import RankDeficient, TrueNewtonError
+from truenewton.errors import TrueNewtonError
 from truenewton.estimation.column_order import likeliest_order
 from truenewton.estimation.file_labels import clusters
 from truenewton.records.campaign import Campaign
@@ -30,23 +30,11 @@ def named(cycles, *words):
     assert any(all(word in text for word in words) for text in texts), texts
 
 
-@pytest.mark.parametrize("noise", NOISE)
-@pytest.mark.parametrize("cycles", [2, 4])
-@pytest.mark.parametrize("at", [1, -1])
+@pytest.mark.parametrize(("noise", "cycles", "at"), [(1e-3, 2, 1), (5e-5, 4, -1)])
 def test_a_file_under_another_name_is_named(noise, cycles, at):
     files = p45(noise, cycles)
     files[at] = replace(files[at], load=files[-1 - at].load, number=9)
     named(files, "load is another", f"{files[at].load.name} 9")
-
-
-@pytest.mark.parametrize("noise", NOISE)
-def test_sound_files_and_warm_coils_are_no_suspects(noise):
-    k = np.arange(8)
-    for gains in (np.ones(8), 1.0 + 0.002 * k, 1.0 + 0.0022 * (k > 3)):
-        files = with_forces(p45(noise, 4), lambda k, f, gains=gains: gains[k] * f)
-        words = " ".join(said(files))
-        for word in ("load", "copy", "exchanged", "order", "stuck", "dead", "negative", "SIGN"):
-            assert word not in words.replace("gain by load", "")
 
 
 @pytest.mark.parametrize("noise", NOISE)
@@ -57,14 +45,10 @@ def test_a_copy_is_named_in_whole_or_in_part(noise):
     force = np.array(files[1].force)
     force[: len(force) // 2] = np.asarray(files[0].force)[: len(force) // 2]
     named([files[0], replace(files[1], force=force), *files[2:]], "copy", files[1].name)
-
-
-def test_files_without_noise_are_no_copies():
     assert not any("copy" in text for text in said(p45(0.0, 4)))
 
 
-@pytest.mark.parametrize("noise", NOISE)
-@pytest.mark.parametrize("cycles", [2, 4])
+@pytest.mark.parametrize(("noise", "cycles"), [(1e-3, 2), (5e-5, 4)])
 def test_labels_of_rows_are_named(noise, cycles):
     files = p45(noise, cycles)
     reversed_signs = replace(files[1], sign=-files[1].sign)
@@ -72,12 +56,6 @@ def test_labels_of_rows_are_named(noise, cycles):
     last = int(files[1].shape.max())
     counted = replace(files[1], shape=files[1].shape % last + 1)
     named([files[0], counted, *files[2:]], "SHAPE counted from another one", files[1].name)
-
-
-def test_a_reading_that_is_stuck_is_named_in_the_refusal():
-    files = with_forces(p45(1e-3, 4), lambda _, f: np.where(np.arange(45) == 16, 0.1, f))
-    with pytest.raises(RankDeficient, match="actuator 17 is stuck"):
-        tn.calibrate(Campaign(tuple(files)))
 
 
 def test_a_dead_actuator_and_exchanged_poles_are_named():
@@ -93,21 +71,15 @@ def test_a_dead_actuator_and_exchanged_poles_are_named():
     assert "alpha is negative, the poles are exchanged: actuator 21" in said(files)
 
 
-@pytest.mark.parametrize("noise", NOISE)
-@pytest.mark.parametrize("pair", [(15, 16), (2, 40)])
-@pytest.mark.parametrize("position", [True, False])
+@pytest.mark.parametrize(
+    ("noise", "pair", "position"), [(1e-3, (15, 16), True), (5e-5, (2, 40), False)]
+)
 def test_exchanged_cables_are_named(noise, pair, position):
     order = np.arange(45)
     order[list(pair)] = pair[::-1]
     files = p45(noise, 4) if position else p45(noise, 4, position=None)
     files = with_forces(files, lambda _, f: f[:, order])
     named(files, "exchanged columns", str(pair[0] + 1), str(pair[1] + 1))
-
-
-@pytest.mark.parametrize("position", [True, False])
-def test_another_order_of_force_is_named(position):
-    files = p45(1e-3, 4) if position else p45(1e-3, 4, position=None)
-    named(with_forces(files, lambda _, f: np.roll(f, 1, axis=1)), "order")
 
 
 def test_no_order_is_likelier_than_that_of_a_stiffness_whatever_the_gains():

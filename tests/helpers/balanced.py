@@ -10,6 +10,7 @@ from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
+from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import rings
 from truenewton.statics.load import Load
 
@@ -136,6 +137,14 @@ def ungraded(bench):
 def p45_bench():
     """Return a simulated P45 at 1 mN, no gradients."""
     return ungraded(static_bench(p45(), seed=1, force_noise=1e-3))
+
+
+def p45_matrix(noise=1e-4, seed=2):
+    """Return its stiffness in commanded Newtons, noise in proportion to each element; and alpha."""
+    truth = p45_bench().truth
+    k = truth.stiffness / truth.alpha[:, None]
+    k = k * (1.0 + noise * np.random.default_rng(seed).standard_normal(k.shape))
+    return StiffnessMatrix("P45", START, truth.layout, k), truth.alpha
 
 
 @cache
