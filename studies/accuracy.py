@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -135,6 +135,25 @@ def campaigns(
         yield tn.Campaign(tuple(made)), heavier
 
 
+def information_of(
+    a: Array, alpha: Array, noise: float, shapes: Iterable[Array], beside: Array
+) -> Array:
+    """Return the information on alpha and what is beside it: the sum of J' S^-1 J over shapes.
+
+    Of (rows, n) forces under each load, and the derivatives (L, 3, m) of the balance by the rest.
+    """
+    root = np.linalg.inv(np.linalg.cholesky((a * alpha * noise**2) @ (a * alpha).T))
+    n, total = len(alpha), len(alpha) + beside.shape[-1]
+    information = np.zeros((total, total))
+    for forces, beside_alpha in zip(shapes, beside, strict=True):
+        jacobian = np.empty((len(forces), 3, total))
+        jacobian[:, :, :n] = a * forces[:, None, :]
+        jacobian[:, :, n:] = beside_alpha
+        whitened = (root @ jacobian).reshape(-1, total)
+        information += whitened.T @ whitened
+    return information
+
+
 def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
     """Return the Cramer-Rao bounds of alpha, (n,): the weights known, and measured as declared.
 
@@ -144,17 +163,10 @@ def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
     bench, alpha = simulated.bench, simulated.alpha
     a, n, loads = enabled_arms(bench.mirror.layout), len(alpha), len(simulated.loads)
     shapes = simulated.noiseless(bench.load_force)
-    root = np.linalg.inv(np.linalg.cholesky((a * alpha * bench.force_noise**2) @ (a * alpha).T))
     errors = weight_errors(next(campaigns(simulated, 1, 1))[0])
     unknowns = Unknowns(n, loads, len(errors))
     beside = unknowns.external_load_derivative(tuple(errors.values()))
-    information = np.zeros((unknowns.total, unknowns.total))
-    for forces, beside_alpha in zip(shapes, beside, strict=True):
-        jacobian = np.empty((len(forces), 3, unknowns.total))
-        jacobian[:, :, unknowns.alpha] = a * forces[:, None, :]
-        jacobian[:, :, n:] = beside_alpha
-        whitened = (root @ jacobian).reshape(-1, unknowns.total)
-        information += cycles * whitened.T @ whitened
+    information = cycles * information_of(a, alpha, bench.force_noise, shapes, beside)
     sure = unknowns.count
     known = np.linalg.inv(information[:sure, :sure])
     # alpha' = (B, torques, alpha) answers a change of the weights by -I^-1 I_w; these are measured.

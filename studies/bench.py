@@ -11,7 +11,6 @@ python -m studies.bench --settling         the air film's damping by mode; how l
 from __future__ import annotations
 
 import argparse
-import os
 import resource
 import sys
 import time
@@ -19,13 +18,13 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 
 import truenewton as tn
 from studies.accuracy import TWO_SIGMA, large_mirror, rms
+from studies.matrices import measured_lbt672
 from studies.step_response import settling_time, step_responses
 from truenewton.arrays import Array
 from truenewton.bench.simulated.loop import Loop, samples_of, slowest_creep
@@ -255,9 +254,7 @@ def left_to_go(bench: StaticBench, loop: Loop) -> Iterator[tuple[float, float, f
 
 def glass(path: str) -> None:
     """Draw the singular values of LBT672's model beside those that were measured."""
-    matrix = tn.read(
-        Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits"
-    )
+    matrix = measured_lbt672()
     mirror = lbt672()
     at = mirror.shell.along(matrix.layout.x, matrix.layout.y)
     measured = np.linalg.svd(matrix.stiffness, compute_uv=False)[::-1]

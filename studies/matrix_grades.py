@@ -23,7 +23,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 import truenewton as tn
-from studies.matrices import LAWS, measured_or_made, noisy, true_stiffness
+from studies.matrices import LAWS, measured_lbt672, measured_or_made, noisy, true_stiffness
 from studies.simulated_matrices import by_glass, drawn
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.coherent_imbalance import coherent_imbalance, gain_correlations
@@ -138,12 +138,12 @@ def main():
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--method", nargs="+", default=["ml"])
-    parser.add_argument("--only", choices=("sound", "real"))
+    parser.add_argument("--only", choices=("sound",))
     options = parser.parse_args()
     heads = ("stated %", "error", "share", "moves", "gains", "lean", " held out")
     print(f"{'':62s}{''.join(f'{head:>8s}' for head in heads)}  grade")
     sound, false, missed, wrong = 0, [], [], 0
-    seeds = range(options.first, options.first + options.seeds) if options.only != "real" else ()
+    seeds = range(options.first, options.first + options.seeds)
     for method in options.method:
         for seed in seeds:
             for name, matrix, truth in sound_matrices(seed):
@@ -160,9 +160,8 @@ def main():
                         wrong += 1
                         if level >= tn.Level.USABLE:
                             missed.append(f"{name}, {what}: {size:.1f}")
-        real = measured_or_made("lbt672")
         if "TRUENEWTON_REAL_DATA" in os.environ:
-            judged(f"{method} measured LBT672", real, None, method)
+            judged(f"{method} measured LBT672", measured_lbt672(), None, method)
     print(f"sound matrices that are doubtful: {len(false)} of {sound}", *false, sep="\n  ")
     said = f"wrong by more than {WRONG:g} errors and not doubtful: {len(missed)} of {wrong}"
     print(said, *missed, sep="\n  ")
