@@ -156,12 +156,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--actuators", type=int, nargs="+", default=[45, 672, 5352])
     parser.add_argument("--shapes", type=int, default=30, help="Each with both signs, two cycles.")
-    parser.add_argument("--folder", type=Path, help="On the disk that counts; a temporary one.")
     chosen = parser.parse_args()
     print("milliseconds")
     print(f"{'actuators':>9} {'a shape':>9} {'disk':>9} {'the rest':>9} {'file/cycle':>11}")
     for n in chosen.actuators:
-        with tempfile.TemporaryDirectory(dir=chosen.folder) as root:
+        with tempfile.TemporaryDirectory() as root:
             shape, disk, file = measure(n, chosen.shapes, Path(root))
         print(
             f"{n:9d} {1e3 * shape:9.2f} {1e3 * disk:9.2f} {1e3 * (shape - disk):9.2f}"

@@ -212,10 +212,6 @@ def by_svd_at_best(campaign: tn.Campaign) -> Answer:
     return _least_squares(campaign, arms_in_units_of_rms(campaign.layout))
 
 
-def _nothing(n: int) -> Array:
-    return np.full(n, np.nan)
-
-
 def by_mixed_total_least_squares(campaign: tn.Campaign) -> Answer:
     """Solve E alpha' = r by total least squares with the columns of B, torques and r exact.
 
@@ -230,7 +226,8 @@ def by_mixed_total_least_squares(campaign: tn.Campaign) -> Answer:
     k = exact.shape[1]
     alpha = scipy.linalg.svd(triangle[k : k + n, k:])[2][-1]
     rest = scipy.linalg.solve_triangular(triangle[:k, :k], -triangle[:k, k:] @ alpha)
-    return Answer(alpha / rest[-1], _nothing(n), _nothing(n))
+    nothing = np.full(n, np.nan)
+    return Answer(alpha / rest[-1], nothing, nothing)
 
 
 METHODS: dict[str, Callable[[tn.Campaign], Answer]] = {

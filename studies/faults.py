@@ -70,11 +70,6 @@ class Word:
     corrected: bool = False
 
 
-def named(calibration: tn.Calibration) -> tuple[Word, ...]:
-    """Return what a calibration found in its data."""
-    return tuple(Word(e.name, e.where, e.corrected) for e in calibration.effects)
-
-
 @dataclass(frozen=True, eq=False)
 class Trial:
     """What came of one seed.
@@ -129,7 +124,7 @@ def trial(day: Day, method: str = "ml") -> Trial:
     return Trial(
         error=judged * (answer.alpha / day.truth - 1),
         stated=judged * answer.error / day.truth,
-        words=named(answer),
+        words=tuple(Word(e.name, e.where, e.corrected) for e in answer.effects),
         where=day.where,
         probability=answer.goodness.probability,
         rejected=answer.rejected / (answer.rejected + answer.shapes_used),

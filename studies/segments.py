@@ -1,6 +1,6 @@
 """A mirror in segments from end to end: time, memory, and errors beside each segment's own bound.
 
-    python -m studies.segments [--mirror m4] [--cycles 2] [--seed 1] [--noise 1e-4] [-o FOLDER]
+    python -m studies.segments [--mirror m4] [--cycles 2] [--seed 1] [--noise 1e-4]
     python -m studies.segments --campaigns 24 [...]
 
 The glass of each segment that differs by itself; then the commands `simulate`, `calibrate`,
@@ -148,7 +148,6 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=1e-4)
     parser.add_argument("--glass", type=int, help="only compute the glass of this segment")
     parser.add_argument("--campaigns", type=int, help="of one segment after the other")
-    parser.add_argument("-o", "--output", type=Path, help="folder for the files, kept")
     arguments = parser.parse_args()
     mirror = whole_mirror_from(arguments.mirror)
     if not isinstance(mirror, SegmentedMirror):
@@ -167,8 +166,7 @@ def main() -> None:
     print(f"{mirror.name}: {len(mirror.segments)} segments, {mirror.layout.n} actuators")
     print("                              processor      clock    memory")
     with tempfile.TemporaryDirectory() as temporary:
-        work = arguments.output or Path(temporary)
-        work.mkdir(parents=True, exist_ok=True)
+        work = Path(temporary)
         for _, (number, *_others) in mirror.kinds:
             shared = ("--mirror", arguments.mirror, "--glass", number)
             timed(f"glass of segment {number}", ("-m", "studies.segments", *shared))
