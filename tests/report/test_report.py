@@ -20,9 +20,7 @@ from truenewton.errors import CampaignMismatch, OutputExists, UnknownName
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
 from truenewton.records.source import Source
-from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.change import change
-from truenewton.report.evidence import ModeResiduals
 from truenewton.report.investigate import investigate
 from truenewton.report.layers import calibration_layers
 from truenewton.report.page.page import page, write_report
@@ -178,21 +176,6 @@ def test_numbers_go_as_far_as_their_errors(p45):
     assert float(error) == pytest.approx(c.error[9], rel=0.1)
     assert len(value.split(".")[1]) == len(error.split(".")[1])
     assert all(len(text.lstrip("0.").replace(".", "")) <= 2 for text in layers["e_stat"].texts)
-
-
-def test_a_stiffness_matrix_has_modes_for_rows():
-    from helpers.balanced import p45_bench
-    from truenewton.bench.simulated.static import START
-
-    truth = p45_bench().truth
-    stiffness = truth.stiffness / truth.alpha[:, None]
-    found = investigate(StiffnessMatrix("P45", START, truth.layout, stiffness))
-    residuals = found.evidence.residuals
-    assert isinstance(residuals, ModeResiduals)
-    assert len(residuals.stiffness) == 42
-    assert residuals.after.max() < 1e-6 < residuals.before.min()
-    assert found.evidence.balance[0].what == "all modes, fitted"
-    assert "Residuals by mode" in page(found)
 
 
 def test_a_changed_actuator_stands_out_by_as_many_sigmas():
