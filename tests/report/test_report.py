@@ -1,11 +1,9 @@
 """The report says what holds: verdicts, evidence, changes; and takes no name for markup."""
 
 import json
-import os
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +15,6 @@ from helpers.balanced import arms_of, p45_campaign
 from helpers.report_data import HOSTILE, changed_by, hostile_campaign, with_sensors
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, OutputExists, UnknownName
-from truenewton.reading import read
 from truenewton.records.campaign import Campaign
 from truenewton.records.source import Source
 from truenewton.report.change import change
@@ -74,9 +71,7 @@ def test_the_verdict_in_words(name):
 
 def test_a_disabled_actuator_is_named():
     judged = verdict(investigate(report_data.fine(disabled=(4,))))
-    assert judged.sentence.startswith(
-        "Alpha of 13 of the 14 actuators of TEST (actuator 5 disabled) is known"
-    )
+    assert "Alpha of 13 of the 14 actuators of TEST (actuator 5 disabled)" in judged.sentence
 
 
 def test_a_fit_worse_than_its_noise_is_used_with_care():
@@ -197,6 +192,8 @@ def test_what_is_common_to_all_is_no_change():
     assert verdict_on_change(found).title == "No change"
     scale = np.nanmedian(found.one.systematic_error / found.one.alpha)
     assert found.ratio_error == pytest.approx(1.02 * np.sqrt(2) * scale)
+    named = replace(found.one, sources=(Source("bare.fits", "0" * 64, 1, 0),))
+    assert "rest on the same files" in verdict_on_change(change(named, named)).advice[0][0]
 
 
 def test_chance_alone_changes_nothing():
@@ -211,18 +208,6 @@ def test_chance_alone_changes_nothing():
 def test_calibrations_of_two_mirrors_are_not_compared(p45):
     with pytest.raises(CampaignMismatch, match="not of the same actuators"):
         change(p45.calibration, changed_by(0.0)[0])
-
-
-def test_the_same_files_are_said_to_be_the_same():
-    one, _ = changed_by(0.0)
-    cycle = report_data.fine().cycles[0]
-    named = replace(one, sources=(calibrated_source(cycle),))
-    advice = verdict_on_change(change(named, named)).advice
-    assert "rest on the same files" in advice[0][0]
-
-
-def calibrated_source(cycle):
-    return Source(f"{cycle.load.name}.fits", "0" * 64, 1, 0)
 
 
 class Reader(HTMLParser):
@@ -286,31 +271,19 @@ def test_the_page_holds_all_it_needs(p45):
     assert "truenewton report p45 -o r.html" in text
 
 
-@pytest.mark.study
-@pytest.mark.skipif("TRUENEWTON_REAL_DATA" not in os.environ, reason="TRUENEWTON_REAL_DATA unset")
-def test_a_real_mirror_is_told_within_its_limit():
-    path = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits"
-    found = investigate(read(path), "ml")
-    judged = verdict(found)
-    assert judged.title == "Doubtful"
-    assert judged.sentence.startswith("Relative alpha of all 650 actuators of LBT672 is known")
-    assert judged.advice[0].code == "held-out-imbalance"
-    assert judged.numbers[2][1] == "free"
-    assert len(page(found).encode()) < 2e6
-
-
-def test_a_large_mirror_stays_below_ten_megabytes():
-    text = page(investigate(report_data.large()))
-    assert len(text.encode()) < 4e6
+def test_a_page_of_a_large_mirror_is_little_longer_than_bokeh():
+    """Of 1002 actuators half a megabyte; of 5,352, see docs/report.md, five times that."""
+    text = page(investigate(report_data.large(1002)))
     bokeh = sum(len(part) for part in Resources(mode="inline", components=["bokeh"]).js_raw)
-    assert len(text.encode()) < bokeh + 2e6
+    assert bokeh < len(text.encode()) < bokeh + 5e5
 
 
-def test_a_report_is_not_overwritten_unless_told(tmp_path, p45):
-    write_report(tmp_path / "report.html", p45)
+def test_a_report_is_not_overwritten_unless_told(tmp_path):
+    found = investigate(report_data.one_load())
+    write_report(tmp_path / "report.html", found)
     with pytest.raises(OutputExists):
-        write_report(tmp_path / "report.html", p45)
-    write_report(tmp_path / "report.html", p45, overwrite=True)
+        write_report(tmp_path / "report.html", found)
+    write_report(tmp_path / "report.html", found, overwrite=True)
 
 
 def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp_path):
