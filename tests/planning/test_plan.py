@@ -461,9 +461,6 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
     assert values["curves"]["added_factor"]["added_factor"][:4] == [0.25, 0.5, 1, 2]
     assert [way["reached"] for way in values["ways"]] == [False, False, True, True, False]
     assert figure.read_bytes().startswith(b"\x89PNG")
-    code, _, err = inside("plan", file, "--plot", figure)
-    assert code == 2
-    assert "exists already" in err
 
 
 def test_for_a_target_it_says_what_to_change(inside, file):
@@ -482,9 +479,6 @@ def test_a_free_scale_is_a_warning(inside, file):
     assert "common scale            free" in out
     assert "The 2 loads have the same weight, so the common scale is free" in out
     assert "leaves the scale free" in out
-    values = json.loads(inside("plan", file, "--json")[1])
-    assert values["typical_error"] is None
-    assert values["typical_e_stat"] > 0
 
 
 def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
@@ -505,37 +499,27 @@ def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
     [
         ('mirror = "p45"', "", "lacks 'mirror'; add it"),
         ('mirror = "p45"', 'mirror = "nobody"', "no mirror is called 'nobody'; the known ones"),
-        ('mirror = "p45"', 'mirror = "none.toml"', "none.toml: cannot be read"),
         ("cycles = 4", "cycles = 0", "cycles is 0; give 1 to 999"),
         ("cycles = 4", "cycles = 4.0", "cycles is 4.0; give an integer"),
         ("cycles = 4", "cyclse = 4", "knows no 'cyclse'; did you mean 'cycles'?"),
         ("cycles = 4", "cycles = ", "is not TOML"),
-        ("samples = 2048", "samples = 0", "samples is 0; give 1 to"),
         ("settling = 0.15", "settling = -1", "settling is -1.0; give zero or more"),
-        ("pause = 1800.0", "pause = inf", "pause is inf; give zero or more"),
         ("force_noise = 1e-4 ", "force_noise = 0", "force_noise is 0.0; give a positive number"),
         ("force_noise = 1e-4 ", "force_noise = nan", "force_noise is nan; give a number"),
-        ("stroke = 1e-6", "stroke = 0", "shapes.stroke is 0.0; give a positive"),
         ("stroke = 1e-6", "stroke = 6e-6", "shapes.stroke is 6e-06, beyond its limit of 5e-06"),
-        ("count = 0", "count = -1", "shapes.count is -1; give zero or more"),
         ("count = 0", "count = 9", "too few shapes: 9 for 45 actuators; apply 45"),
         ("force = 0.3", "force = 0.7", "shapes.force is 0.7, beyond its limit of 0.6"),
         ("force = 0.3", "force = 0.59", "N under load 'ring', beyond its limit of 0.6; plan"),
-        ("force = 0.6", "force = -0.6", "limits.force is -0.6; give a positive number"),
         ("gap = 30e-6", "gap = 67.5e-6", "gap closes to 6.7e-05 m, beyond its limit of 6.75e-05"),
         ("[-10.0, 40.0]", "[40.0, -10.0]", "limits.temperature is [40.0, -10.0]; lowest first"),
-        ("[-10.0, 40.0]", "[40.0]", "limits.temperature is [40.0]; give 2 values"),
         ('source = "modes"', 'source = "no.fits"', "no.fits: "),
         ('name = "ring"', 'name = "Bare"', "give every load once, with a name of its own"),
         ('name = "ring"', 'name = " "', "load ' ': LOAD is blank; name the load"),
         ("added = -0.289", "added = 0.289", "load 'ring': ADDED is 0.289 N; z points up"),
-        ("added = -0.289", "added = -inf", "load 'ring': ADDED is -inf N; give the weight"),
         ("added_error = 0.005", "added_error = -1", "load 'ring': E_ADDED is -1; give a standard"),
         ('tool = "ring"', "tilt = 90", "load 'ring': TILT is 90 deg; give the angle"),
-        ('tool = "ring"', "tilt_error = -1", "load 'ring': E_TILT is -1; give a standard"),
         ('tool = "ring"', "tool = 3", "loads.tool is 3; give text"),
         ('kind = "simulated"', 'kind = "real"', "bench.kind is 'real'; choose simulated"),
-        ("seed = 1 ", "seed = -1", "bench.seed is -1; give zero or more"),
     ],
 )
 def test_what_is_wrong_with_a_plan_is_said_in_one_line(inside, file, old, new, said):
