@@ -10,7 +10,7 @@ from astropy.io import fits
 
 import truenewton as tn
 from helpers.balanced import p45_bench
-from truenewton.bench.simulated.static import START, run_cycles, static_bench
+from truenewton.bench.simulated.static import START, run_cycles
 from truenewton.calibration import figures
 from truenewton.calibration.verdict import Level, verdict_on
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
@@ -18,7 +18,6 @@ from truenewton.estimation.diagnosis import Goodness, NoiseSource
 from truenewton.estimation.findings.catalogue import read_name
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.stiffness_svd import Imbalance
-from truenewton.mirrors.known import p45
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -299,18 +298,3 @@ def test_a_file_from_before_is_judged_by_what_it_holds(tmp_path, clean):
         hdus[0].header["FITNOISE"], hdus[0].header["FITCHI2"] = "magic", 1.0
     with pytest.raises(tn.errors.FormatError, match="FITNOISE"):
         tn.read(path)
-
-
-@pytest.mark.study
-def test_sound_data_are_not_condemned():
-    """Sixty campaigns, sixty matrices: hardly a word but of the scale, or of modes unseen."""
-    said, of_scale = [], {tn.Code.SCALE_BY_WEIGHTS, tn.Code.WEIGHTS_WITHOUT_ERRORS}
-    for seed in range(60):
-        bench = static_bench(p45(), seed, force_noise=(1e-3, 5e-5)[seed % 2])
-        verdict = tn.calibrate(Campaign(tuple(run_cycles(bench, 4)))).verdict
-        assert verdict.level != Level.REJECTED
-        said += [each for each in verdict.faults if each.code not in of_scale]
-        verdict = tn.calibrate(stiffness(seed=seed)).verdict
-        assert verdict.level != Level.REJECTED
-        said += [each for each in verdict.faults if each.code is not tn.Code.HELD_OUT_IMBALANCE]
-    assert len(said) <= 2

@@ -87,10 +87,8 @@ def text(pick: random.Random, path: Path) -> str:
     kind = pick.choice(("word", "word", "word", "gone", "twice", "swap", "odd", "deep", "alias"))
     words = lines[at].replace(",", " , ").split() or ["x"]
     if kind == "word":
-        new = pick.choice(
-            (*map(repr, NUMBERS), *map(str, INTEGERS), *TEXTS[:12], "1" * 400, "0x1", "")
-        )
-        words[pick.randrange(len(words))] = new
+        odd = (*map(repr, NUMBERS), *map(str, INTEGERS), *TEXTS[:12], "1" * 400, "0x1", "")
+        words[pick.randrange(len(words))] = pick.choice(odd)
         lines[at] = " ".join(words).replace(" , ", ",")
     elif kind == "gone":
         del lines[at]
@@ -124,9 +122,8 @@ def bytes_of(pick: random.Random, path: Path) -> str:
         for _ in range(pick.choice((1, 1, 5))):
             raw[pick.randrange(len(raw))] ^= 1 << pick.randrange(8)
     elif kind == "insert":
-        raw[at:at] = pick.choice(
-            (b"\0", b"\xff", b" " * BLOCK, b"\0" * BLOCK, b"\r\n", os.urandom(9))
-        )
+        odd = (b"\0", b"\xff", b" " * BLOCK, b"\0" * BLOCK, b"\r\n", os.urandom(9))
+        raw[at:at] = pick.choice(odd)
     elif kind == "append":
         raw += pick.choice((b"\0", b"x", b"\0" * BLOCK, b"x" * BLOCK, raw[:BLOCK], bytes(raw)))
     elif kind == "delete":
@@ -140,17 +137,15 @@ def bytes_of(pick: random.Random, path: Path) -> str:
 
 def packed(pick: random.Random, path: Path) -> str:
     """Gzip a file under its name, soundly or not; or give it what unpacks to gigabytes."""
-    raw = path.read_bytes()
-    squeezed = gzip.compress(raw, 1)
-    member = gzip.compress(bytes(2**24), 9)
+    squeezed, zeros = gzip.compress(path.read_bytes(), 1), gzip.compress(bytes(2**24), 9)
     at = pick.randrange(len(squeezed))
     kind, new = pick.choice(
         (
             ("sound", squeezed), ("cut", squeezed[:at]), ("followed", squeezed + b"x" * 99),
             ("twice", squeezed + squeezed), ("nested", gzip.compress(squeezed)),
             ("flipped", squeezed[:at] + bytes([squeezed[at] ^ 4]) + squeezed[at + 1 :]),
-            ("bomb", squeezed + member * 300),
-            ("declared bomb", gzip.compress(_huge()) + member * 300),
+            ("bomb", squeezed + zeros * 300),
+            ("declared bomb", gzip.compress(_huge()) + zeros * 300),
         )
     )  # fmt: skip
     path.write_bytes(new)
@@ -171,24 +166,18 @@ def _huge() -> bytes:
 
 def path_of(pick: random.Random, path: Path) -> str:
     """Put something else where the file was."""
-    kind = pick.choice(
-        ("folder", "loop", "fifo", "empty", "gone", "null", "zero", "dangling", "itself", "sparse")
-    )
+    links = {"loop": path.name, "itself": ".", "dangling": "nowhere", "null": "/dev/null",
+             "zero": "/dev/zero"}  # fmt: skip
+    kind = pick.choice((*links, "folder", "fifo", "empty", "gone", "sparse"))
     shutil.rmtree(path) if path.is_dir() else path.unlink()
-    if kind == "folder":
+    if kind in links:
+        path.symlink_to(links[kind])
+    elif kind == "folder":
         path.mkdir()
-    elif kind == "loop":
-        path.symlink_to(path.name)
     elif kind == "fifo":
         os.mkfifo(path)
     elif kind == "empty":
         path.touch()
-    elif kind in ("null", "zero"):
-        path.symlink_to(f"/dev/{kind}")
-    elif kind == "dangling":
-        path.symlink_to("nowhere")
-    elif kind == "itself":
-        path.symlink_to(".")
     elif kind == "sparse":
         with path.open("wb") as file:
             file.write(b"SIMPLE  =                    T".ljust(BLOCK))
@@ -218,7 +207,5 @@ def spoil(pick: random.Random, path: Path) -> str:
         way = bytes_of
     try:
         return way(pick, path)
-    except (
-        Exception
-    ) as error:  # what was spoilt before may be too odd to be spoilt by its structure
+    except Exception as error:  # spoilt before, and too odd to be spoilt by its structure
         return f"{bytes_of(pick, path)} (for {type(error).__name__})"

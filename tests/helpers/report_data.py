@@ -26,11 +26,6 @@ def scale_limited():
     return campaign_of(3, 1e-4, loads=BARE_AND_RING, cycles=4)[0]
 
 
-def with_weak_actuator():
-    """Actuator 8 gives a tenth of the force that it is told to give."""
-    return _each(fine(), lambda force: _times(force, 7, 10.0))
-
-
 def with_outliers(rows=3, size=0.05):
     campaign = fine()
     first, *rest = campaign.cycles
@@ -83,16 +78,6 @@ def large(actuators=5352):
         chi2=float("nan"),
         sources=(),
     )
-
-
-def _each(campaign, change):
-    return Campaign(tuple(replace(c, force=change(c.force)) for c in campaign.cycles))
-
-
-def _times(force, actuator, factor):
-    force = force.copy()
-    force[:, actuator] *= factor
-    return force
 
 
 HOSTILE = (

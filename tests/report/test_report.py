@@ -39,13 +39,6 @@ typical error of alpha: 1.7 % (one sigma; 0.018 % from the readings)
 error of the common scale: 1.7 % (one sigma, the same for all)
 - The common scale is known to 1.7 %, nearly all of it from the weight of 'ring A'. Weigh it to\
  0.5 mN and it falls to 0.17 %; a 60 degree tilt known to 0.1 degree gives 0.35 %.""",
-    "with_weak_actuator": """\
-Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. The stated errors\
- hold and include what was found. A better result is possible.
-alpha: 0.076411 to 1.02068 (actuators 8 and 3, true N / commanded N)
-typical error of alpha: 0.019 % (one sigma; 0.018 % from the readings)
-error of the common scale: 0.018 % (one sigma, the same for all)
-- Actuator 8: outlier, alpha is 0.076411 ± 0.000012. Look at its coil, magnet and wiring.""",
     "with_outliers": """\
 Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. The stated errors\
  hold and include what was found. A better result is possible.
