@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from studies.matrices import measured_lbt672
-from studies.real_mirror import without_polynomial
+from studies.matrices import measured_lbt672, without_polynomial
 from studies.simulated_matrices import bound as bound_of_matrix
 from studies.simulated_matrices import by_glass, by_plate, drawn, foreign
 from studies.simulated_matrices import measured as with_noise

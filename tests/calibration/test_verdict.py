@@ -10,7 +10,8 @@ from astropy.io import fits
 
 import truenewton as tn
 from helpers.balanced import p45_bench
-from truenewton.bench.simulated.static import START, run_cycles
+from helpers.changed import p45_cycles, with_forces
+from truenewton.bench.simulated.static import START
 from truenewton.calibration import figures
 from truenewton.calibration.verdict import Level, verdict_on
 from truenewton.errors import NotToBeUsed, TrueNewtonWarning
@@ -24,14 +25,13 @@ from truenewton.records.stiffness_matrix import StiffnessMatrix
 
 
 def cycles(noise=1e-3, count=2):
-    """Return the cycles of P45 under two loads."""
-    return tuple(run_cycles(replace(p45_bench(), force_noise=noise), count))
+    return p45_cycles(noise, count)
 
 
 def poles_exchanged(actuator=20, noise=1e-3):
     """Return cycles in which one actuator pulls where it should push."""
     signs = np.where(np.arange(45) == actuator, -1.0, 1.0)
-    return tuple(replace(c, force=signs * np.asarray(c.force)) for c in cycles(noise))
+    return tuple(with_forces(cycles(noise), lambda _, force: signs * force))
 
 
 def copied(noise=1e-3):
@@ -48,9 +48,9 @@ def four_times(noise=1e-3):
     return tuple(replace(c, force=every[4 * (k // 4)].force) for k, c in enumerate(every))
 
 
-@pytest.fixture(scope="module")
-def clean():
-    return tn.calibrate(Campaign(cycles(count=4)))
+@pytest.fixture
+def clean(p45_calibration):
+    return p45_calibration
 
 
 def written(tmp_path, made, name="campaign"):

@@ -10,72 +10,34 @@ import gzip
 import json
 import os
 import random
+import re
 import shutil
 import stat
-import tomllib
 from pathlib import Path
 
 from .fits import BLOCK, CARD, fits_cards, fits_data
 from .foreign import arrays
 from .values import INTEGERS, NUMBERS, TEXTS, number
 
+VALUE = re.compile(r'(?<== )("[^"]*"|[-\w.+]+|\[[^\[\]]*\]|\{[^{}]*\})')  # of a key in TOML
+ODD_VALUES = ("true", "[]", "{}", "[1]", "[[[]]]", "{a = {b = 1}}", "[{}]", "[[0.0, 0.0]]",
+              "1" * 400, f"{['x'] * 1000}", f"{[*range(20000)]}")  # fmt: skip
+
 # --- TOML and tables of text --------------------------------------------------------------------
 
 
 def toml(pick: random.Random, path: Path) -> str:
-    """Give a key another value, take it out, or spoil the text."""
-    if pick.random() < 0.15:
+    """Give a key another value, or spoil the text."""
+    content = path.read_text()
+    values = [*VALUE.finditer(content)]
+    if not values or pick.random() < 0.3:
         return text(pick, path)
-    tree = tomllib.loads(path.read_text())
-    places = list(_places(tree))
-    table, key = pick.choice(places)
-    kind = pick.choice(("value", "value", "value", "value", "gone", "extra", "key"))
-    if kind == "value":
-        table[key] = _toml_value(pick, table[key])
-    elif kind == "gone":
-        del table[key]
-    elif kind == "key" and isinstance(table, dict):
-        table[pick.choice(TEXTS)] = table.pop(key)
-    elif isinstance(table, dict):
-        names = ("turns", "drift", "shapes", "limits", "bench", "outline", "x", "sensor")
-        table[pick.choice(names)] = _toml_value(pick, None)
-    path.write_text(
-        "".join(f"{_quoted(k)} = {_written(v)}\n" for k, v in tree.items()), errors="replace"
-    )
-    return f"{key}: {kind}"
-
-
-def _places(tree: dict | list):
-    for key in list(tree) if isinstance(tree, dict) else range(len(tree)):
-        yield tree, key
-        if isinstance(tree[key], dict | list):
-            yield from _places(tree[key])
-
-
-def _toml_value(pick: random.Random, old: object) -> object:
-    if isinstance(old, float) and pick.random() < 0.6:
-        return pick.choice((number(pick), old * pick.choice((1e3, 1e-3, -1, 1.5, 0.1, 10))))
-    if isinstance(old, int) and not isinstance(old, bool) and pick.random() < 0.6:
-        return pick.choice((*INTEGERS, 10**30, old + 1, old - 1))
-    return pick.choice(
-        (number(pick), pick.choice(INTEGERS), pick.choice(TEXTS), True, [], {}, [1],
-         [number(pick)] * 2, [[[]]], {"a": {"b": 1}}, ["x"] * 1000,
-         list(range(20000)), [{}], [[0.0, 0.0]] * 3, 10**400)
-    )  # fmt: skip
-
-
-def _quoted(name: str) -> str:
-    return json.dumps(name).replace("\x7f", "\\u007f")
-
-
-def _written(value: object) -> str:
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{_quoted(k)} = {_written(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_written, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
+    old = pick.choice(values)
+    numbers = (number(pick), number(pick), pick.choice(INTEGERS))
+    quoted = json.dumps(pick.choice(TEXTS)).replace("\x7f", "\\u007f")
+    new = pick.choice((*map(repr, numbers), quoted, pick.choice(ODD_VALUES)))
+    path.write_text(content[: old.start()] + new + content[old.end() :], errors="replace")
+    return f"{old[0][:20]}: {new[:20]}"
 
 
 def text(pick: random.Random, path: Path) -> str:

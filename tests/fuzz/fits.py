@@ -52,7 +52,7 @@ def fits_data(pick: random.Random, path: Path) -> str:
     return said
 
 
-def _spoil_array(pick: random.Random, values: np.ndarray) -> str:
+def spoil_array(pick: random.Random, values: np.ndarray) -> str:
     """Change an array in place."""
     flat = values.reshape(-1)
     if not flat.size:
@@ -99,7 +99,7 @@ def _values(pick: random.Random, hdus: fits.HDUList) -> str:
     name = pick.choice(table.columns.names)
     column = table.data[name]
     values = np.array(column)
-    said = _spoil_array(pick, values)
+    said = spoil_array(pick, values)
     column[...] = values
     return f"{table.name}.{name}: {said}"
 
@@ -112,7 +112,7 @@ def _image(pick: random.Random, hdus: fits.HDUList) -> str:
     data = np.array(image.data, dtype=image.data.dtype.newbyteorder("="))
     kind = said = pick.choice(("values", "values", "values", "shape", "type", "unit"))
     if kind == "values":
-        said = _spoil_array(pick, data)
+        said = spoil_array(pick, data)
     elif kind == "shape":
         ways = (data[:-1], data[:, :1], data.ravel(), data[None], data[:0], data[:1, :1], data.T)
         data = np.ascontiguousarray(pick.choice(ways))

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from helpers.balanced import BARE_AND_RING, BIAS, START, campaign_of
+from helpers.balanced import BARE_AND_RING, campaign_of
 from truenewton.calibration.methods import calibrate
-from truenewton.calibration.result import Calibration
 from truenewton.estimation.diagnosis import Sensor
 from truenewton.mirrors.known import ring
 from truenewton.records.campaign import Campaign
@@ -48,11 +47,9 @@ def large(actuators=5352):
     n = layout.n
     nothing = np.zeros((n + 1, n + 1))  # never touched, so it takes no memory
     nothing.setflags(write=False)
-    return Calibration(
+    return replace(
+        calibrate(scale_limited()),
         instrument="LARGE",
-        date=START,
-        date_end=START,
-        method="ml",
         scale="mean 1",
         layout=layout,
         loads=(),
@@ -62,20 +59,13 @@ def large(actuators=5352):
         cycle_error=np.full(n, np.nan),
         covariance=nothing,
         systematic_covariance=nothing,
-        bias_force=BIAS,
         torque_y=np.empty(0),
         torque_x=np.empty(0),
-        weight=float("nan"),
-        weight_error=float("nan"),
-        temperature=20.0,
-        shapes_used=n - 3,
-        rejected=0,
-        invalid=0,
-        condition=10.0,
-        rank=n - 1,
-        noise=float("nan"),
-        degrees_of_freedom=None,
-        chi2=float("nan"),
+        effects=(),
+        scale_errors=(),
+        unseen=(),
+        diagnosis=None,
+        goodness=None,
         sources=(),
     )
 

@@ -12,6 +12,7 @@ import pytest
 import truenewton as tn
 from helpers.acquisition_plans import write_shapes
 from helpers.balanced import arms_of, campaign_of, noisy, three_loads
+from studies.accuracy import information_of
 from studies.joint_bound import BruteForce
 from truenewton.acquisition.plan import (
     AssumedSensors,
@@ -58,21 +59,14 @@ def declared(campaign, noise):
 
 
 def fisher(campaign, truth, noise, cycles):
-    """Return the information on alpha, B and torques, row by row from explicit Jacobians."""
+    """Return the information on alpha, B and torques, from explicit Jacobians."""
     a = arms_of(campaign.layout)
-    n, unknowns = a.shape[1], len(truth)
-    alpha = truth[:n]
-    s_inverse = np.linalg.inv((a * alpha * noise**2) @ (a * alpha).T)
-    information = np.zeros((unknowns, unknowns))
-    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
-        for c in cycle.force:
-            jacobian = np.zeros((3, unknowns))
-            jacobian[:, :n] = a * c
-            jacobian[0, n] = 1.0
-            jacobian[1, n + 1 + 2 * place] = 1.0
-            jacobian[2, n + 2 + 2 * place] = -1.0
-            information += cycles * jacobian.T @ s_inverse @ jacobian
-    return information
+    n, loads = a.shape[1], len(campaign.loads)
+    beside = np.zeros((len(campaign.cycles), 3, 1 + 2 * loads))
+    for derivative, place in zip(beside, campaign.load_index, strict=True):
+        derivative[[0, 1, 2], [0, 1 + 2 * place, 2 + 2 * place]] = 1.0, 1.0, -1.0
+    forces = [cycle.force for cycle in campaign.cycles]
+    return cycles * information_of(a, truth[:n], noise, forces, beside)
 
 
 def test_against_little_noise_the_errors_are_the_bound_of_cramer_and_rao():
@@ -216,20 +210,6 @@ def test_a_tilt_as_the_load(ready, tilt):
     expected = tilt_as_load(mirror.weight, mirror.weight_error, tilt, 0.1)
     weights = [line.relative for line in found.scale_errors if line.source != READINGS]
     assert np.hypot(*weights) == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.study
-def test_forces_at_rest_are_those_of_the_bench_but_for_its_scatter(ready):
-    mirror = p45()
-    leaning = replace(PLAN, loads=(*LOADS, Load("leaning", tilt=30.0)))
-    held = 0.9 * ready.changed(leaning).rest_force
-    balance = held @ arms_of(mirror.layout).T
-    bias = mirror.bias_force * mirror.layout.nz.sum()
-    weight = np.array([-2.920, -2.920 - 0.289, -2.920 * np.sqrt(0.75)])
-    assert balance[:, 0] == pytest.approx(-(weight + bias))
-    assert balance[:, 1:] == pytest.approx(0.0, abs=1e-12)
-    made = np.mean([static_bench(mirror, seed).load_force for seed in range(20)], axis=0)
-    assert held[:2] == pytest.approx(made, abs=4e-3)  # 5 % of 97 mN, twenty times
 
 
 def test_repeats_make_it_better_as_their_root(ready):
