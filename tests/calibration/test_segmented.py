@@ -135,21 +135,6 @@ def test_processes_and_files_give_the_same_result_and_the_same_refusals(data, al
     assert not parallel.segments[2].layout.x.flags.writeable
 
 
-def test_a_segment_of_one_actuator_gives_no_alpha_and_harms_none(data, alone):
-    numbers = np.array(data.layout.segment)
-    numbers[np.flatnonzero(numbers == 3)[0]] = 4
-    layout = replace(data.layout, segment=numbers)
-    cycles = tuple(
-        replace(c, layout=layout, segments=(*c.segments, tn.Segment(4, -0.0001, 0.0)),
-                weight=c.weight - 0.0001)
-        for c in data.cycles
-    )  # fmt: skip
-    made = tn.calibrate(tn.SegmentedData(cycles))
-    assert 4 in made.refused
-    same(made.segments[1], alone[0])
-    same(made.segments[2], alone[1])
-
-
 def test_no_segment_at_all_is_an_error(data):
     bare = tuple(c for c in data.cycles if c.load.key == "bare")
     with pytest.raises(RankDeficient, match="no segment gives alpha; segment 1: "):

@@ -11,7 +11,6 @@ from matplotlib.patches import Polygon
 from PIL import Image
 
 from helpers.balanced import campaign_of
-from studies.step_response import plot_step_responses
 from truenewton.calibration.figures import write_figures
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import OutputExists
@@ -106,24 +105,9 @@ def test_the_layout_says_from_where_it_is_seen(calibration):
     assert r"$z$, seen along $-z$" in {t.get_text() for t in plot_layout(calibration.layout).texts}
 
 
-def test_steps_stand_in_milliseconds_with_the_stiffness_of_their_modes():
-    time = np.linspace(0.0, 3e-3, 50)
-    position = 1 - np.exp(-np.outer(time, [1e3, 2e3, 4e3]))
-    ax = plot_step_responses(time, position, np.array([4.53e3, 6.9e5, 2.2e6]))
-    curves = [line for line in ax.lines if len(line.get_xdata()) == 50]
-    assert [line.get_xdata()[-1] for line in curves] == pytest.approx([3.0] * 3)
-    drawn = np.stack([line.get_ydata() for line in curves], axis=1)
-    assert drawn == pytest.approx(position)
-    assert len({(tuple(line.get_color()), line.get_linestyle()) for line in curves}) == 3
-    labels = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert all(k in label for k, label in zip(("4.5", "6.9", "2.2"), labels, strict=True))
-    assert "10^3" in labels[0]
-
-
 def test_axes_are_taken_and_returned(calibration):
-    steps = partial(plot_step_responses, np.arange(2.0), np.eye(2), np.array([1e3, 1e6]))
     for draw in (calibration.plot_map, calibration.plot_actuators,
-                 partial(plot_layout, calibration.layout), steps):  # fmt: skip
+                 partial(plot_layout, calibration.layout)):  # fmt: skip
         ax = Figure().add_subplot()
         assert draw(ax) is ax
 

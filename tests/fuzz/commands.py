@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 GROUPS = {
     "CYCLES": "c/bare-001.fits c/bare-002.fits c/ring-001.fits c/ring-002.fits",
     "DAYS": "day0.fits day1.fits day2.fits day3.fits",
@@ -118,13 +120,12 @@ demo 0.15 --seed:integer -o:text
 """
 
 
-class Command:
-    """A command: its weight, (words, files) of its lines, kinds of the values of its options."""
+class Command(NamedTuple):
+    """A command: its weight, kinds of the values of its options, (words, files) of its lines."""
 
-    def __init__(self, weight: str, *options: str) -> None:
-        self.weight = float(weight)
-        self.options = dict(option.split(":") for option in options)
-        self.lines: list[tuple[list[str], list[str]]] = []
+    weight: float
+    options: dict[str, str]
+    lines: list[tuple[list[str], list[str]]]
 
 
 def commands() -> dict[str, Command]:
@@ -132,8 +133,9 @@ def commands() -> dict[str, Command]:
     found: dict[str, Command] = {}
     for line in LINES.replace("\\\n", "").strip().splitlines():
         if not line.startswith("    "):
-            name, *more = line.split()
-            found[name] = command = Command(*more)
+            name, weight, *options = line.split()
+            kinds = dict(option.split(":") for option in options)
+            found[name] = command = Command(float(weight), kinds, [])
             continue
         words, files = line.split("|")
         for group, members in GROUPS.items():

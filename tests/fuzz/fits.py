@@ -137,32 +137,30 @@ def _column(pick: random.Random, hdus: fits.HDUList) -> str:
     ]
     part = pick.choice(parts)
     name = part["name"]
-    kind = pick.choice(
-        ("missing", "name", "format", "unit", "null", "scale", "twice", "width", "dim")
-    )
-    if kind == "missing":
+    odd = {
+        "name": (f" {name}", name.lower(), "X", "ID", "FORCE", "\t", "a b"),
+        "unit": UNITS,
+        "null": (0, 1, -1),
+        "bscale": (number(pick),),
+        "bzero": (number(pick),),
+        "dim": ("(2,3)", "(1)", "(999999,1)", "x"),
+    }
+    kind = pick.choice((*odd, "missing", "twice", "format", "width"))
+    if kind in odd:
+        part[kind] = pick.choice(odd[kind])
+    elif kind == "missing":
         parts.remove(part)
-    elif kind == "name":
-        part["name"] = pick.choice((f" {name}", name.lower(), "X", "ID", "FORCE", "\t", "a b"))
+    elif kind == "twice":
+        parts.append(dict(part))
     elif kind == "format":
         new, rows = pick.choice(FORMATS), len(table.data)
         array = {"A": ["1"] * rows, "L": np.ones(rows, bool), "2": np.ones((rows, 2))}
         part.update(format=new, array=array.get(new[-1], array.get(new[0], np.ones(rows))))
         if new == "PD()":
             part["array"] = np.array([np.ones(k % 3 + 1) for k in range(rows)], object)
-    elif kind == "unit":
-        part["unit"] = pick.choice(UNITS)
-    elif kind == "null":
-        part["null"] = pick.choice((0, 1, -1))
-    elif kind == "scale":
-        part[pick.choice(("bscale", "bzero"))] = number(pick)
-    elif kind == "twice":
-        parts.append(dict(part))
-    elif kind == "width" and part["array"].ndim == 2:
+    elif part["array"].ndim == 2:
         part["array"] = pick.choice((part["array"][:, :-1], np.hstack([part["array"]] * 2)))
         part["format"] = f"{part['array'].shape[1]}D"
-    elif kind == "dim":
-        part["dim"] = pick.choice(("(2,3)", "(1)", "(999999,1)", "x"))
     index = hdus.index_of(table)
     try:
         columns = [fits.Column(**one) for one in parts]

@@ -56,6 +56,9 @@ def test_residuals_stand_at_their_shape_and_cycle():
     k = 40
     column = residuals.signed_shape[k] + 14
     assert shown[residuals.cycle[k], column] == pytest.approx(residuals.after[k])
+    lost = np.flatnonzero(~residuals.kept)
+    assert (lost.tolist(), residuals.cycle[lost].tolist()) == ([0, 1, 2], [0, 0, 0])
+    assert residuals.after[lost].min() > 50 > 4 > residuals.after[residuals.kept].max()
     [crosses] = ax.lines
     assert crosses.get_xdata().tolist() == [1, 2, 3]
     assert crosses.get_ydata().tolist() == [1, 1, 1]

@@ -115,16 +115,6 @@ def test_the_balance_before_is_that_of_commanded_forces(p45):
     assert line.noise == pytest.approx(np.sqrt(np.sum(p45.calibration.alpha**2)), rel=0.05)
 
 
-def test_a_rejected_row_stays_in_sight():
-    found = investigate(report_data.with_outliers(rows=2))
-    residuals = found.evidence.residuals
-    lost = np.flatnonzero(~residuals.kept)
-    assert lost.tolist() == [0, 1]
-    assert residuals.cycle[lost].tolist() == [0, 0]
-    assert residuals.after[lost].min() > 50
-    assert residuals.after[residuals.kept].max() < 4
-
-
 def test_leverage_is_that_of_the_readings(p45):
     layers = calibration_layers(p45.calibration, p45.evidence)
     [layer] = [layer for layer in layers if layer.key == "leverage"]
