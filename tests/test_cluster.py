@@ -78,24 +78,6 @@ def test_errors_cross_from_machine_to_machine():
         assert vars(other) == vars(one)
 
 
-def test_here_and_on_workers_tasks_are_added_the_same_way(workers):
-    taken = []
-
-    def total(client):
-        return cluster.divided(divmod_of_7, range(12), taken.append, sum_of, client)
-
-    assert total(None) == total(workers) == sum(k % 7 for k in range(12))
-    assert taken[:12] == taken[12:] == [k // 7 for k in range(12)]
-
-
-def divmod_of_7(item):
-    return divmod(item, 7)
-
-
-def sum_of(one, other):
-    return one + other
-
-
 def test_two_workers_find_what_one_machine_finds(workers, folder, alone, small_tasks):
     one = alone
     campaign = tn.read(folder, client=workers)

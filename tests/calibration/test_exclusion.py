@@ -33,7 +33,6 @@ def check(found, alpha, out):
     assert np.median(found.error[left] / alpha[left]) < 0.03
 
 
-@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
 def test_of_a_matrix_those_excluded_push_nothing_and_the_others_are_right(spoilt):
     matrix, alpha = spoilt
     ids = matrix.layout.id[BAD]

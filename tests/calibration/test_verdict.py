@@ -173,11 +173,9 @@ def with_held_out(c, before, after):
         (lambda c: negative(c, 3), "rejected", "negative for 3 of 45"),
         (lambda c: negative(c, 45), "rejected", "negative for all 45"),
         (lambda c: with_effect(c, "copy of another file"), "rejected", "copy of another"),
-        (lambda c: with_effect(c, "the file's load is another"), "rejected", "load is"),
         (lambda c: with_effect(c, "SIGN reversed"), "doubtful", "SIGN reversed"),
         (lambda c: with_goodness(with_effect(c, "SIGN reversed"), 9.0), "rejected", "SIGN"),
         (lambda c: with_effect(c, "exchanged columns"), "rejected", "exchanged columns"),
-        (lambda c: with_effect(c, "another order of FORCE"), "rejected", "another order"),
         (lambda c: replace(c, effects=3 * with_effect(c, "stuck reading").effects),
          "rejected", "3 of 45 actuators are dead, or their readings stuck"),
         (lambda c: with_goodness(c, 2e8), "rejected", "1.4e+04 times the noise"),
@@ -198,8 +196,7 @@ def with_held_out(c, before, after):
 def test_what_makes_a_verdict(clean, change, level, said):
     verdict = verdict_on(change(clean))
     assert said in faults(verdict)
-    if level is not None:
-        assert verdict.level == level
+    assert verdict.level == level
     assert said in str(verdict) or level != "rejected"  # what is grave is said first
 
 

@@ -39,7 +39,7 @@ from truenewton.cli.main import BROKEN
 
 from .commands import COMMANDS, GROUPS
 from .files import spoil
-from .process import execute, import_more, import_rooms
+from .process import execute, import_rooms
 from .sound import make_sound
 from .values import INTEGERS, NUMBERS, TEXTS
 
@@ -243,7 +243,6 @@ def fuzz() -> int:
         import_rooms()
         sound.mkdir()
         make_sound(sound)
-        import_more(sound)
         for path in sound.glob(".*"):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         gc.freeze()

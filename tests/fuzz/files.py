@@ -107,23 +107,10 @@ def packed(pick: random.Random, path: Path) -> str:
             ("twice", squeezed + squeezed), ("nested", gzip.compress(squeezed)),
             ("flipped", squeezed[:at] + bytes([squeezed[at] ^ 4]) + squeezed[at + 1 :]),
             ("bomb", squeezed + zeros * 300),
-            ("declared bomb", gzip.compress(_huge()) + zeros * 300),
         )
     )  # fmt: skip
     path.write_bytes(new)
     return f"gzip: {kind}"
-
-
-def _huge() -> bytes:
-    """Return headers that declare an image of 4.8 GB."""
-    primary = {"SIMPLE": "T", "BITPIX": "-64", "NAXIS": "0", "EXTEND": "T"}
-    image = {"XTENSION": "'IMAGE   '", "BITPIX": "-64", "NAXIS": "2", "NAXIS1": "24576"}
-    image |= {"NAXIS2": "24576", "PCOUNT": "0", "GCOUNT": "1", "EXTNAME": "'STIFFNESS'"}
-    headers = ([f"{key:<8}= {value:>20}" for key, value in one.items()] for one in (primary, image))
-    return b"".join(
-        "".join(card.ljust(CARD) for card in (*cards, "END")).ljust(BLOCK).encode()
-        for cards in headers
-    )
 
 
 def path_of(pick: random.Random, path: Path) -> str:

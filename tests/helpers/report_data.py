@@ -41,7 +41,7 @@ def too_few_shapes():
     return fine(shapes=3)
 
 
-def large(actuators=5352):
+def large(actuators):
     """Return a calibration of a large mirror, its covariance left empty."""
     layout, random = ring(actuators).layout, np.random.default_rng(5)
     n = layout.n

@@ -4,7 +4,6 @@ import datetime
 import json
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,13 +29,11 @@ from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import READINGS, tilt_as_load, typical
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.sight import motion_for
 from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain
-from truenewton.planning.outlook import duration, outlook, predicted, with_sensors
+from truenewton.planning.outlook import outlook, predicted, with_sensors
 from truenewton.planning.target import ways_to
-from truenewton.planning.words import _drowned as drowned
 from truenewton.planning.words import lines
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -181,14 +178,6 @@ def test_without_all_motions_there_is_no_reciprocity(ready):
     ]
 
 
-def test_two_loads_know_the_scale_as_well_as_their_difference(ready):
-    found = predicted(ready)
-    source = found.scale_errors[0]
-    assert str(source.source) == "weight of 'ring'"
-    assert source.relative == pytest.approx(0.005 / 0.289, rel=1e-9)
-    assert found.systematic_error / found.alpha == pytest.approx(0.005 / 0.289, rel=1e-6)
-
-
 def test_three_loads_whose_weights_can_correct_each_other():
     quiet, noise = three_loads(4, 0.0), 1e-4
     one = declared(quiet, noise)
@@ -218,11 +207,6 @@ def test_repeats_make_it_better_as_their_root(ready):
     assert against.reading_error == pytest.approx(
         against.reading_error[0] / np.sqrt(against.values), rel=1e-3
     )
-
-
-def test_how_long_it_takes():
-    plan = replace(PLAN, cycles=3, settling=0.1, samples=716, pause=100.0)
-    assert duration(plan, 45) == pytest.approx(2 * 3 * 90 * 0.11 + 100.0)
 
 
 def test_one_load_or_equal_ones_leave_the_scale_free(ready):
@@ -319,19 +303,6 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
             predicted(prepared(given.plan, tmp_path))
 
 
-def test_the_glass_is_made_once(monkeypatch):
-    """Of a petal of M4 it takes 18 s."""
-    made = []
-
-    def counted(mirror):
-        made.append(mirror)
-        return held_glass(mirror)
-
-    monkeypatch.setattr("truenewton.acquisition.shapes.held_glass", counted)
-    assert with_sensors(prepared(PLAN), [PLAN.cycles]).planned is not None
-    assert len(made) == 1
-
-
 def test_disabled_actuators_take_no_part(ready):
     mirror = p45()
     on = ~np.isin(np.arange(45), (3, 30))
@@ -406,14 +377,14 @@ def test_the_template_is_a_plan_that_predicts(inside, tmp_path, file):
 def test_shapes_that_drown_in_the_noise_of_sensors_are_foretold(ready):
     """Where `acquire` would take noise for an actuator that stands elsewhere."""
     strokes = np.abs(ready.shapes).max(axis=1)
-    for border in (0.99 * strokes.min(), 1.01 * strokes.min(), np.median(strokes)):
+    for border in (0.99 * strokes.min(), np.median(strokes)):
         sensors = replace(PLAN.sensors, noise=border / 60)  # six times that are a tenth of it
-        rows = drowned(SimpleNamespace(ready=ready.changed(replace(PLAN, sensors=sensors))))
-        assert len(rows) == (border > strokes.min())
-        for _, value, note in rows:
-            assert value == f"{1e9 * strokes.min():.3g} nm"
-            small = np.count_nonzero(strokes < border)
-            assert f"of {small} of 45 shapes a tenth is less than six times the noise" in note
+        said = "\n".join(lines(outlook(ready.changed(replace(PLAN, sensors=sensors)))))
+        small = np.count_nonzero(strokes < border)
+        assert (f"of {small} of 45 shapes a tenth is less than six times the noise" in said) == (
+            small > 0
+        )
+        assert (f"{1e9 * strokes.min():.3g} nm" in said) == (small > 0)
 
 
 def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
