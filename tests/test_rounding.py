@@ -14,7 +14,6 @@ from truenewton.rounding import by_chance, percent, significant, to_digits, with
     [
         # The examples of the Review of Particle Physics, section 5.3.
         (0.827, 0.119, "0.83 ± 0.12"),
-        (3.60123, 0.0264, "3.601 ± 0.026"),
         (3.60123, 0.0356, "3.60 ± 0.04"),
         (3.60123, 0.0952, "3.60 ± 0.10"),
         (-2.92, 0.005, "-2.920 ± 0.005"),

@@ -181,9 +181,11 @@ def test_chance_alone_changes_nothing():
     assert not found.changed.size
 
 
-def test_calibrations_of_two_mirrors_are_not_compared(p45):
+def test_two_mirrors_are_not_compared_and_unknown_figures_not_drawn(p45):
     with pytest.raises(CampaignMismatch, match="not of the same actuators"):
         change(p45.calibration, changed_by(0.0)[0])
+    with pytest.raises(UnknownName, match="choose map-alpha, map-e-alpha"):
+        p45.plot("colour")
 
 
 class Reader(HTMLParser):
@@ -282,11 +284,6 @@ def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp
     code, _, err = inside("report", p45_folder, "-o", tmp_path / "x.html", "--method", "no")
     assert code == 2
     assert "there is no method 'no'" in err
-
-
-def test_a_figure_that_is_not_there_is_refused_by_name(p45):
-    with pytest.raises(UnknownName, match="choose map-alpha, map-e-alpha"):
-        p45.plot("colour")
 
 
 def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):
