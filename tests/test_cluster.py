@@ -118,13 +118,16 @@ def test_raw_samples_are_averaged_by_the_workers(workers, raw_folder):
         assert getattr(other, name) == pytest.approx(getattr(one, name), rel=1e-9, nan_ok=True)
 
 
-def damage(path):
+def flip(path):
+    """Damage a byte of the readings."""
     import h5py  # an extra
 
-    with h5py.File(path, "r+") as file:
-        offset = file["SAMPLES/FORCE"].id.get_chunk_info(0).byte_offset
+    at = 9000
+    if path.suffix == ".h5":
+        with h5py.File(path) as file:
+            at = file["SAMPLES/FORCE"].id.get_chunk_info(0).byte_offset
     raw = bytearray(path.read_bytes())
-    raw[offset] ^= 1
+    raw[at] ^= 1
     path.write_bytes(raw)
 
 
@@ -151,10 +154,10 @@ def make_heavy(path):
     ("name", "change", "line"),
     [
         ("c1.h5", spoil, "FORCE in row 1 is nan for actuator "),
-        ("c1.h5", damage, "/SAMPLES/FORCE is damaged"),
+        ("c1.h5", flip, "/SAMPLES/FORCE is damaged"),
         ("bare-002.fits", cut, ""),
         ("bare-002.fits", make_heavy, "WEIGHT is 3"),
-        ("ring-001.fits", lambda path: path.write_bytes(b""), ""),
+        ("ring-001.fits", flip, ""),
     ],
 )
 def test_a_file_with_a_fault_gives_the_same_line(

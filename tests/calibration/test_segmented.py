@@ -11,7 +11,7 @@ from astropy.table import QTable
 
 import truenewton as tn
 from helpers.segmented import in_one, pieces
-from truenewton.calibration.figures import plot_actuators
+from truenewton.calibration import figures
 from truenewton.calibration.segments import telling
 from truenewton.calibration.verdict import Level
 from truenewton.calibration.workers import side_by_side
@@ -94,6 +94,13 @@ def test_each_segment_is_calibrated_as_if_alone(whole, alone):
         assert np.array_equal(whole.alpha[own], whole.segment(number).alpha)
         assert np.array_equal(whole.error[own], whole.segment(number).error)
         assert np.abs((other.alpha - truth[:14]) / other.error).max() < 5.0
+
+
+def test_three_bodies_taken_for_one_are_not_sound(data):
+    """One B and one pair of torques for all of them."""
+    whole = replace(data.layout, segment=None)
+    cycles = tuple(replace(c, layout=whole, segments=()) for c in data.cycles)
+    assert tn.calibrate(tn.Campaign(cycles)).verdict.level != Level.SOUND
 
 
 def test_a_segment_that_is_refused_does_not_change_the_others(data, alone):
@@ -185,6 +192,7 @@ def test_the_file_gives_back_everything(whole, tmp_path):
     assert table.meta["VERDICT"] == str(whole.verdict.level)
     assert np.array_equal(table["SEGMENT"], whole.layout.segment)
     assert (tmp_path / "a.csv").read_text().startswith("ID,X,Y,SEGMENT,ALPHA,E_ALPHA")
+    assert list(whole.table.colnames)[:5] == ["ID", "X", "Y", "SEGMENT", "ALPHA"]
 
 
 def test_a_damaged_file_of_segments_is_refused_in_one_line(whole, tmp_path):
@@ -307,7 +315,7 @@ def test_modes_name_the_calibration_that_is_not_to_be_used(two, inside, tmp_path
     assert wrong.startswith(f"truenewton: {bad}: rejected: segments 1, 2")
 
 
-def test_commands_take_segments(folder, inside, tmp_path):
+def test_commands_take_segments(folder, inside, tmp_path, monkeypatch):
     out = tmp_path / "alpha.fits"
     code, said, _ = inside("calibrate", folder, "-o", out)
     assert code == 0
@@ -316,6 +324,9 @@ def test_commands_take_segments(folder, inside, tmp_path):
     code, said, _ = inside("info", out)
     assert code == 0
     assert "a calibration of several segments" in said
+    monkeypatch.setattr(figures, "write_figures", lambda *_, **__: [])
+    for path in (out, folder):
+        assert inside("figures", path, "-o", tmp_path / "figures")[1].startswith("verdict: ")
     code, said, _ = inside("info", folder)
     assert code == 0
     assert "3 with enough for alpha" in said
@@ -360,7 +371,7 @@ def test_the_report_counts_no_segment_that_is_not_to_be_used(whole):
 
 
 def test_figures_show_all_segments(whole):
-    [bars] = plot_actuators(whole).containers
+    [bars] = figures.plot_actuators(whole).containers
     assert bars.lines[0].get_ydata() == pytest.approx(whole.alpha, rel=1e-15)
     names = {text.get_text() for text in plot_map(whole.layout, whole.alpha).texts}
     assert names >= {"1", "2", "3"}

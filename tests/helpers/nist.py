@@ -61,10 +61,6 @@ WAMPLER_DEVIATION = numbers("""
 ONES = np.ones(6)
 
 SETS = {
-    "NoInt1": Certified(
-        np.arange(60.0, 71.0)[:, None], np.arange(130.0, 141.0), numbers("2.07438016528926"),
-        numbers("0.165289256198347E-01"), 3.56753034006338, (14, 14, 14),
-    ),
     "Wampler1": Certified(WAMPLER_X, WAMPLER_X @ ONES, ONES, 0 * ONES, 0.0, (9, 9, 9)),
     "Wampler2": Certified(
         WAMPLER_X, np.round(WAMPLER_X @ 10.0 ** -np.arange(6), 5), 10.0 ** -np.arange(6), 0 * ONES,

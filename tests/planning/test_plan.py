@@ -405,6 +405,7 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
     assert values["curves"]["added_factor"]["added_factor"][:4] == [0.25, 0.5, 1, 2]
     assert [way["reached"] for way in values["ways"]] == [False, False, True, True, False]
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert "exists already" in inside("plan", file, "--plot", figure)[2]
 
 
 def test_for_a_target_it_says_what_to_change(inside, file):
@@ -460,6 +461,7 @@ def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
         ("added = -0.289", "added = 0.289", "load 'ring': ADDED is 0.289 N; z points up"),
         ("added_error = 0.005", "added_error = -1", "load 'ring': E_ADDED is -1; give a standard"),
         ('tool = "ring"', "tilt = 90", "load 'ring': TILT is 90 deg; give the angle"),
+        ('tool = "ring"', "tilt_error = -1", "load 'ring': E_TILT is -1; give a standard"),
         ('kind = "simulated"', 'kind = "real"', "bench.kind is 'real'; choose simulated"),
     ],
 )
