@@ -18,7 +18,6 @@ from truenewton.rounding import by_chance, percent, significant, to_digits, with
         (3.60123, 0.0952, "3.60 ± 0.10"),
         (-2.92, 0.005, "-2.920 ± 0.005"),
         (1234.5, 56.0, "1230 ± 60"),
-        (0.0, 1.0, "0.0 ± 1.0"),
         (2.5, 0.0, "2.5"),
         (2.5, float("nan"), "2.5"),
         (float("nan"), 1.0, "unknown"),
@@ -38,7 +37,6 @@ def test_to_digits_leaves_the_error_out():
     [
         (0.0199, 2, "0.020"),
         (0.0996, 2, "0.10"),
-        (-1234.5, 2, "-1200"),
         (1.5e-9, 2, "1.5e-09"),
         (0.0, 2, "0"),
         (float("nan"), 2, "unknown"),

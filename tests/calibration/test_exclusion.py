@@ -84,6 +84,3 @@ def test_the_file_keeps_who_was_excluded(inside, spoilt, tmp_path):
     assert "(12 disabled)" in out
     back = tn.read(tmp_path / "alpha.fits")
     assert np.flatnonzero(~back.layout.enabled).tolist() == BAD.tolist()
-    code, _, wrong = inside("calibrate", tmp_path / "k.fits", "--exclude", "17,999")
-    assert code == 2
-    assert "there is no actuator 999 to exclude" in wrong

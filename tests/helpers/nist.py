@@ -61,7 +61,6 @@ WAMPLER_DEVIATION = numbers("""
 ONES = np.ones(6)
 
 SETS = {
-    "Wampler1": Certified(WAMPLER_X, WAMPLER_X @ ONES, ONES, 0 * ONES, 0.0, (9, 9, 9)),
     "Wampler2": Certified(
         WAMPLER_X, np.round(WAMPLER_X @ 10.0 ** -np.arange(6), 5), 10.0 ** -np.arange(6), 0 * ONES,
         0.0, (12, 14, 14),

@@ -487,7 +487,6 @@ def test_words_that_do_not_go_together(inside, file, tmp_path):
     for words in (
         ("plan",),
         ("plan", file, "--new"),
-        ("plan", "--new", "--target", "0.01"),
         ("plan", file, "-o", tmp_path / "x"),
         ("plan", file, "--target", "-1"),
         ("plan", file, "--target", "nan"),

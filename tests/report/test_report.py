@@ -51,9 +51,6 @@ error of the common scale: 0.018 % (one sigma, the same for all)
 No alpha. These data of TEST cannot give alpha.
 - There is only one load, 'bare', so the common scale is free. Add cycles under a load of another\
  known weight.""",
-    "too_few_shapes": """\
-No alpha. These data of TEST cannot give alpha.
-- There are too few shapes: 3 for 14 actuators. Apply 14 independent shapes, both signs.""",
 }
 
 
