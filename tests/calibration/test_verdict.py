@@ -3,6 +3,7 @@
 import json
 import warnings
 from dataclasses import replace
+from html import unescape
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def test_every_command_gives_the_same_verdict(inside, tmp_path, made, monkeypatc
     _, out, _ = inside("report", alpha, "-o", tmp_path / "page.html")
     assert out.startswith(verdict["level"].capitalize())
     assert verdict["findings"][0]["fault"][1:] in out
-    assert verdict["findings"][0]["fault"][1:] in (tmp_path / "page.html").read_text()
+    assert verdict["findings"][0]["fault"][1:] in unescape((tmp_path / "page.html").read_text())
     _, out, _ = inside("figures", alpha, "-o", tmp_path / "figures")
     assert out.startswith(f"verdict: {verdict['level']}")
 
