@@ -1,6 +1,6 @@
 """What acquisition itself costs for each shape, beside the bench and the disk.
 
-    python benchmarks/acquisition.py [--actuators 45 672 5352] [--shapes 30] [--bench simulated]
+    python benchmarks/acquisition.py [--actuators 45 672 5352] [--shapes 30]
 
 Time inside the bench (command, read, status) is taken out; what is left is checks, log and the
 record of the shape on the disk. Beside it stands what the disk alone takes: the write and fsync of
@@ -16,7 +16,6 @@ import datetime
 import os
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -79,10 +78,6 @@ def simulated(mirror: Mirror, plan: CampaignPlan) -> Any:
     return tn.SimulatedBench(mirror, 1, loads=plan.loads)
 
 
-# A bench for --bench: from the mirror and the plan.
-BENCHES: dict[str, Callable[[Mirror, CampaignPlan], Any]] = {"simulated": simulated}
-
-
 class Timed:
     """A bench, and the time spent in it."""
 
@@ -92,6 +87,8 @@ class Timed:
 
     def __getattr__(self, name: str) -> Any:
         method = getattr(self.bench, name)
+        if not callable(method):
+            return method
 
         def timed(*arguments: Any) -> Any:
             start = time.perf_counter()
@@ -130,7 +127,7 @@ class Stopwatch:
         """Keep quiet."""
 
 
-def measure(n: int, count: int, bench_name: str, root: Path) -> tuple[float, float, float]:
+def measure(n: int, count: int, root: Path) -> tuple[float, float, float]:
     """Return seconds for a shape, for the disk alone, and for the file of a cycle."""
     name = {45: "p45", 672: "lbt672"}.get(n, f"ring{n}")
     mirror = mirror_from(name)
@@ -147,7 +144,7 @@ def measure(n: int, count: int, bench_name: str, root: Path) -> tuple[float, flo
         settling=0.0,
         shapes=PlannedShapes(source="shapes.fits", force=0.1),
     )
-    bench = Timed(BENCHES[bench_name](mirror, plan))
+    bench = Timed(simulated(mirror, plan))
     watch = Stopwatch(bench, folder)
     tn.acquire(bench, plan, folder / "campaign", beside=folder, onlooker=watch)
     first = 2 * count  # before which the file of the first cycle is written
@@ -159,14 +156,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--actuators", type=int, nargs="+", default=[45, 672, 5352])
     parser.add_argument("--shapes", type=int, default=30, help="Each with both signs, two cycles.")
-    parser.add_argument("--bench", choices=sorted(BENCHES), default="simulated")
-    parser.add_argument("--folder", type=Path, help="On the disk that counts; a temporary one.")
     chosen = parser.parse_args()
-    print(f"bench: {chosen.bench}; ms")
+    print("milliseconds")
     print(f"{'actuators':>9} {'a shape':>9} {'disk':>9} {'the rest':>9} {'file/cycle':>11}")
     for n in chosen.actuators:
-        with tempfile.TemporaryDirectory(dir=chosen.folder) as root:
-            shape, disk, file = measure(n, chosen.shapes, chosen.bench, Path(root))
+        with tempfile.TemporaryDirectory() as root:
+            shape, disk, file = measure(n, chosen.shapes, Path(root))
         print(
             f"{n:9d} {1e3 * shape:9.2f} {1e3 * disk:9.2f} {1e3 * (shape - disk):9.2f}"
             f" {1e3 * file:11.1f}"

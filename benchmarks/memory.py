@@ -26,60 +26,14 @@ UNIT = 1 if sys.platform == "darwin" else 1024  # of ru_maxrss, in bytes
 
 def write_files(n: int, cycles: int, folder: Path) -> None:
     """Write random forces that balance, and their noise, a cycle after the other."""
-    import numpy as np
-    from speed import NOISE, START, ring_layout
+    from speed import balanced_cycles
 
     import truenewton as tn
-    from truenewton.statics.arms import arms
 
-    random, layout = np.random.default_rng(1), ring_layout(n)
-    a = arms(layout)
-    inverse = np.linalg.pinv(a)
-    alpha, coil, bias = random.uniform(0.9, 1.1, n), 600.0, 31.0
-    weight, bias_force = -0.065 * n, 0.097 * n
-    elastic = 0.1 * random.standard_normal((n, n))
-    z = 1e-6 * random.standard_normal((n, n))
     folder.mkdir()
-    number = 0
-    for load in (tn.Load("bare"), tn.Load("ring", -0.5, 0.005, tool="ring")):
-        k = np.array([weight + load.added + bias_force, 0.02, -0.03])
-        exact = np.empty((n, 2, n))
-        for at, sign in enumerate((1.0, -1.0)):
-            # All that the bias magnets change, the coils must balance.
-            exact[:, at] = sign * elastic
-            exact[:, at] -= (exact[:, at] @ a.T + sign * bias * z @ a.T + k) @ inverse.T
-            exact[:, at] /= alpha * (1.0 + sign * coil * z)
-        exact = exact.reshape(2 * n, n)
-        for cycle in range(1, cycles + 1):
-            force = random.standard_normal(exact.shape)
-            force *= NOISE
-            force += exact
-            position = np.stack([z, -z], axis=1).reshape(2 * n, n)
-            position += 1e-5 * random.standard_normal(n)  # where each sensor has its zero
-            for array in (force, position):
-                array.setflags(write=False)
-            number += 1
-            tn.write_cycle(
-                tn.Cycle(
-                    instrument=f"RING{n}",
-                    date=START,
-                    number=cycle,
-                    load=load,
-                    weight=weight,
-                    weight_error=0.02,
-                    layout=layout,
-                    time=0.5 * np.arange(2 * n),
-                    shape=np.repeat(np.arange(1, n + 1), 2),
-                    sign=np.tile([1, -1], n),
-                    force=force,
-                    position=position,
-                    valid=np.ones(2 * n, dtype=bool),
-                    coil_gradient=coil,
-                    bias_gradient=bias,
-                ),
-                folder / f"{load.name}-{cycle:03d}.fits",
-            )
-            print(f"  written: {number} of {LOADS * cycles} files", file=sys.stderr)
+    for number, cycle in enumerate(balanced_cycles(n, cycles, 600.0, 31.0), 1):
+        tn.write_cycle(cycle, folder / f"{cycle.load.name}-{cycle.number:03d}.fits")
+        print(f"  written: {number} of {LOADS * cycles} files", file=sys.stderr)
 
 
 def timed(name: str, function: Callable[..., Any]) -> Callable[..., Any]:

@@ -58,38 +58,54 @@ def ring_layout(n: int) -> tn.Layout:
     return tn.rings([0.043 + 0.0303 * k for k in range(len(counts))], counts)
 
 
-def balanced_campaign(n: int, seed: int = 1) -> tn.Campaign:
-    """Return 5 cycles x 2 loads x 2 n shapes of random forces that balance, and their noise."""
-    random, layout = np.random.default_rng(seed), ring_layout(n)
+def balanced_cycles(n: int, cycles: int, coil: float = 0, bias: float = 0) -> Iterator[tn.Cycle]:
+    """Yield cycles x 2 loads x 2 n shapes of random forces that balance, and their noise.
+
+    With gradients of coils [1/m] and bias magnets [N/m] POSITION is recorded, too.
+    """
+    random, layout = np.random.default_rng(1), ring_layout(n)
     a = arms(layout)
     inverse = np.linalg.pinv(a)
     alpha = random.uniform(0.9, 1.1, n)
+    weight, bias_force = -0.065 * n, 0.097 * n
     elastic = 0.1 * random.standard_normal((n, n))
-    elastic -= elastic @ a.T @ inverse.T
-    weight, bias = -0.065 * n, 0.097 * n
-    cycles = []
-    for load in (tn.Load("bare"), tn.Load("ring", -0.5, 0.005, tool="ring")):
-        rest = -inverse @ np.array([weight + load.added + bias, 0.02, -0.03])
-        exact = np.stack([rest + elastic, rest - elastic], axis=1).reshape(2 * n, n) / alpha
-        for number in range(1, CYCLES + 1):
-            cycles.append(
-                tn.Cycle(
-                    instrument=f"RING{n}",
-                    date=START + datetime.timedelta(hours=len(cycles)),
-                    number=number,
-                    load=load,
-                    weight=weight,
-                    weight_error=0.02,
-                    layout=layout,
-                    time=0.5 * np.arange(2 * n),
-                    shape=np.repeat(np.arange(1, n + 1), 2),
-                    sign=np.tile([1, -1], n),
-                    force=exact + NOISE * random.standard_normal(exact.shape),
-                    valid=np.ones(2 * n, dtype=bool),
-                    force_error=NOISE,
-                )
+    z = 1e-6 * random.standard_normal((n, n))
+    known = {"coil_gradient": coil, "bias_gradient": bias} if coil else {"force_error": NOISE}
+    for place, load in enumerate((tn.Load("bare"), tn.Load("ring", -0.5, 0.005, tool="ring"))):
+        k = np.array([weight + load.added + bias_force, 0.02, -0.03])
+        exact = np.empty((n, 2, n))
+        for at, sign in enumerate((1.0, -1.0)):
+            # All that the bias magnets change, the coils must balance.
+            exact[:, at] = sign * elastic
+            exact[:, at] -= (exact[:, at] @ a.T + sign * bias * z @ a.T + k) @ inverse.T
+            exact[:, at] /= alpha * (1.0 + sign * coil * z)
+        exact = exact.reshape(2 * n, n)
+        for number in range(1, cycles + 1):
+            force = random.standard_normal(exact.shape)
+            force *= NOISE
+            force += exact
+            position = None
+            if coil:
+                position = np.stack([z, -z], axis=1).reshape(2 * n, n)
+                position += 1e-5 * random.standard_normal(n)  # where each sensor has its zero
+                position.setflags(write=False)
+            force.setflags(write=False)
+            yield tn.Cycle(
+                instrument=f"RING{n}",
+                date=START + datetime.timedelta(hours=place * cycles + number),
+                number=number,
+                load=load,
+                weight=weight,
+                weight_error=0.02,
+                layout=layout,
+                time=0.5 * np.arange(2 * n),
+                shape=np.repeat(np.arange(1, n + 1), 2),
+                sign=np.tile([1, -1], n),
+                force=force,
+                position=position,
+                valid=np.ones(2 * n, dtype=bool),
+                **known,
             )
-    return tn.Campaign(tuple(cycles))
 
 
 @contextmanager
@@ -247,7 +263,7 @@ def peak_memory(step: Callable[[], Any]) -> float:
 def measure(n: int, repeats: int) -> None:
     """Measure one mirror and print its table."""
     print(f"n = {n}: making the campaign", file=sys.stderr)
-    campaign = balanced_campaign(n)
+    campaign = tn.Campaign(tuple(balanced_cycles(n, CYCLES)))
     size = sum(cycle.force.nbytes for cycle in campaign.cycles) / 1e6
     begin = time.process_time()
     iterations = iterations_taken(campaign)

@@ -2,7 +2,6 @@
 
     python -m studies.accuracy [--campaigns 1000] [--noise 1e-3]     P45, all methods
     python -m studies.accuracy --mirror 336 [--campaigns 20]         336 actuators on rings, ml
-    python -m studies.accuracy --loads 3 [--campaigns 200]           three loads, ml
 
 Every campaign has its own noise and its own true weights, drawn about the declared ones within
 their declared errors. Two loads fix no more than the difference of their weights, so alpha is in
@@ -15,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,13 +31,7 @@ from truenewton.mirrors.glass import Annulus, Shell
 from truenewton.mirrors.known import GRAVITY, Mirror, p45
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
 
-try:
-    import odrpack
-except ImportError:
-    odrpack = None
-
 SEED = 20081
-ODR_CAMPAIGNS = 10  # it takes seconds each
 TWO_SIGMA = 1.959964
 
 Array = np.ndarray
@@ -142,6 +135,25 @@ def campaigns(
         yield tn.Campaign(tuple(made)), heavier
 
 
+def information_of(
+    a: Array, alpha: Array, noise: float, shapes: Iterable[Array], beside: Array
+) -> Array:
+    """Return the information on alpha and what is beside it: the sum of J' S^-1 J over shapes.
+
+    Of (rows, n) forces under each load, and the derivatives (L, 3, m) of the balance by the rest.
+    """
+    root = np.linalg.inv(np.linalg.cholesky((a * alpha * noise**2) @ (a * alpha).T))
+    n, total = len(alpha), len(alpha) + beside.shape[-1]
+    information = np.zeros((total, total))
+    for forces, beside_alpha in zip(shapes, beside, strict=True):
+        jacobian = np.empty((len(forces), 3, total))
+        jacobian[:, :, :n] = a * forces[:, None, :]
+        jacobian[:, :, n:] = beside_alpha
+        whitened = (root @ jacobian).reshape(-1, total)
+        information += whitened.T @ whitened
+    return information
+
+
 def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
     """Return the Cramer-Rao bounds of alpha, (n,): the weights known, and measured as declared.
 
@@ -151,17 +163,10 @@ def bounds(simulated: Simulation, cycles: int) -> tuple[Array, Array]:
     bench, alpha = simulated.bench, simulated.alpha
     a, n, loads = enabled_arms(bench.mirror.layout), len(alpha), len(simulated.loads)
     shapes = simulated.noiseless(bench.load_force)
-    root = np.linalg.inv(np.linalg.cholesky((a * alpha * bench.force_noise**2) @ (a * alpha).T))
     errors = weight_errors(next(campaigns(simulated, 1, 1))[0])
     unknowns = Unknowns(n, loads, len(errors))
     beside = unknowns.external_load_derivative(tuple(errors.values()))
-    information = np.zeros((unknowns.total, unknowns.total))
-    for forces, beside_alpha in zip(shapes, beside, strict=True):
-        jacobian = np.empty((len(forces), 3, unknowns.total))
-        jacobian[:, :, unknowns.alpha] = a * forces[:, None, :]
-        jacobian[:, :, n:] = beside_alpha
-        whitened = (root @ jacobian).reshape(-1, unknowns.total)
-        information += cycles * whitened.T @ whitened
+    information = cycles * information_of(a, alpha, bench.force_noise, shapes, beside)
     sure = unknowns.count
     known = np.linalg.inv(information[:sure, :sure])
     # alpha' = (B, torques, alpha) answers a change of the weights by -I^-1 I_w; these are measured.
@@ -207,20 +212,6 @@ def by_svd_at_best(campaign: tn.Campaign) -> Answer:
     return _least_squares(campaign, arms_in_units_of_rms(campaign.layout))
 
 
-def _nothing(n: int) -> Array:
-    return np.full(n, np.nan)
-
-
-def by_total_least_squares(campaign: tn.Campaign) -> Answer:
-    """Solve E alpha' = r by the smallest singular vector of [E r], every element noisy."""
-    a = arms_in_units_of_rms(campaign.layout)
-    e, r = system_e(campaign, a)
-    triangle = scipy.linalg.qr(np.column_stack([e, r]), mode="r")[0][: e.shape[1] + 1]
-    smallest = scipy.linalg.svd(triangle)[2][-1]
-    n = a.shape[1]
-    return Answer(-smallest[:n] / smallest[-1], _nothing(n), _nothing(n))
-
-
 def by_mixed_total_least_squares(campaign: tn.Campaign) -> Answer:
     """Solve E alpha' = r by total least squares with the columns of B, torques and r exact.
 
@@ -235,51 +226,14 @@ def by_mixed_total_least_squares(campaign: tn.Campaign) -> Answer:
     k = exact.shape[1]
     alpha = scipy.linalg.svd(triangle[k : k + n, k:])[2][-1]
     rest = scipy.linalg.solve_triangular(triangle[:k, :k], -triangle[:k, k:] @ alpha)
-    return Answer(alpha / rest[-1], _nothing(n), _nothing(n))
-
-
-def by_odrpack(campaign: tn.Campaign) -> Answer:
-    """Fit the balance of the row means by orthogonal distance regression, an implicit model."""
-    a, loads = arms_in_units_of_rms(campaign.layout), len(campaign.loads)
-    index = np.array(campaign.load_index)
-    forces = np.array([cycle.force for cycle in campaign.cycles])
-    means = np.array([forces[index == load].mean(axis=0) for load in range(loads)])
-    n, count = a.shape[1], means.shape[0] * means.shape[1]
-    place = np.repeat(np.arange(loads), means.shape[1])
-    nuisance = Unknowns(n, loads).external_load_derivative()[place].transpose(1, 2, 0)
-    weight = np.zeros((3, count))
-    weight[0] = campaign.effective_weights[place]
-
-    def imbalance(x: Array, beta: Array) -> Array:
-        return (a * beta[:n]) @ x + weight + np.tensordot(nuisance, beta[n:], axes=(1, 0))
-
-    def by_beta(x: Array, _beta: Array) -> Array:
-        return np.concatenate([a[:, :, None] * x[None], nuisance], axis=1)
-
-    def by_x(_x: Array, beta: Array) -> Array:
-        return np.repeat((a * beta[:n])[:, :, None], count, axis=2)
-
-    e, r = system_e(campaign, a)
-    found = odrpack.odr_fit(
-        imbalance,
-        means.reshape(count, n).T,
-        np.zeros((3, count)),
-        scipy.linalg.lstsq(e, r)[0],
-        weight_x=1.0 / campaign.cycles[0].force_error ** 2,
-        task="implicit-ODR",
-        jac_beta=by_beta,
-        jac_x=by_x,
-        maxit=200,
-    )
-    return Answer(found.beta[:n], found.sd_beta[:n], _nothing(n))
+    nothing = np.full(n, np.nan)
+    return Answer(alpha / rest[-1], nothing, nothing)
 
 
 METHODS: dict[str, Callable[[tn.Campaign], Answer]] = {
     "svd, torques in N m": by_svd,
     "svd, units of RMS": by_svd_at_best,
-    "TLS of [E r], units of RMS": by_total_least_squares,
     "TLS, B torques r exact": by_mixed_total_least_squares,
-    "odrpack on row means": by_odrpack,
     "ml": by_ml,
 }
 
@@ -357,26 +311,22 @@ def print_head(first: str) -> None:
     print(f"{first:30s}{'runs':>8s}{names}")
 
 
-def print_line(name: str, found: Errors, bound: tuple[Array, Array], two_loads: bool) -> None:
+def print_line(name: str, found: Errors, bound: tuple[Array, Array]) -> None:
     """Print the figures of one method."""
-    count = len(found.known)
-    known = ("-",) * 6
-    if two_loads:
-        bias = rms(found.known.mean(axis=0))
-        scatter = rms(found.known.std(axis=0, ddof=1))
-        known = (
-            f"{bias:.2e}", f"{scatter:.2e}", f"{bias / scatter:.3f}",
-            f"{scatter / rms(bound[0]):.3f}",
-            ratio(found.known, bound[0]), coverage(found.known, found.reading_error),
-        )  # fmt: skip
-    cells = (*known, ratio(found.whole, bound[1]), coverage(found.whole, found.error))
+    bias = rms(found.known.mean(axis=0))
+    scatter = rms(found.known.std(axis=0, ddof=1))
+    cells = (
+        f"{bias:.2e}", f"{scatter:.2e}", f"{bias / scatter:.3f}", f"{scatter / rms(bound[0]):.3f}",
+        ratio(found.known, bound[0]), coverage(found.known, found.reading_error),
+        ratio(found.whole, bound[1]), coverage(found.whole, found.error),
+    )  # fmt: skip
     line = "".join(f"{cell:>{width}s}" for cell, width in zip(cells, WIDTHS, strict=True))
-    print(f"{name:30s}{count:8d}{line}", flush=True)
+    print(f"{name:30s}{len(found.known):8d}{line}", flush=True)
     for failure in found.failures[:3]:
         print(f"    failed, {len(found.failures)} in all: {failure}", flush=True)
 
 
-def compare_methods(count: int, noise: float, names: Sequence[str]) -> None:
+def compare_methods(count: int, noise: float) -> None:
     """Print the table of all methods on P45."""
     mirror, cycles = p45(), 4
     simulated = simulation(mirror, (tn.Load("bare"), _ring(mirror)), noise)
@@ -389,13 +339,9 @@ def compare_methods(count: int, noise: float, names: Sequence[str]) -> None:
     print(f"A bias of scatter / {np.sqrt(count):.0f} is chance; an estimate without bias has error"
           " = scatter.")  # fmt: skip
     print_head("method")
-    for name in names:
-        few = min(count, ODR_CAMPAIGNS) if "odrpack" in name else count
-        if "odrpack" in name and odrpack is None:
-            print(f"{name:30s}  not installed: pip install odrpack")
-            continue
+    for name, method in METHODS.items():
         print(name, file=sys.stderr)
-        print_line(name, run(METHODS[name], simulated, cycles, few), bound, two_loads=True)
+        print_line(name, run(method, simulated, cycles, count), bound)
 
 
 def _ring(mirror: Mirror) -> tn.Load:
@@ -430,60 +376,34 @@ def rings336() -> Mirror:
     )
 
 
-def large_mirror(count: int, noises: Sequence[float]) -> None:
-    """Print what becomes of 336 actuators, two cycles, as noise grows."""
-    mirror, cycles = rings336(), 2
-    print(f"336 actuators on rings, flat shell, {cycles} cycles, ml")
+def large_mirror(mirror: Mirror, count: int, noises: Sequence[float]) -> None:
+    """Print what becomes of a large mirror, two cycles, as noise grows."""
     print_head("noise, bound, patterns that drown")
     for noise in noises:
         simulated = simulation(mirror, (tn.Load("bare"), _ring(mirror)), noise)
-        bound = bounds(simulated, cycles)
-        found = run(by_ml, simulated, cycles, count)
+        bound = bounds(simulated, 2)
+        found = run(by_ml, simulated, 2, count)
         undetermined = found.undetermined.mean() if len(found.undetermined) else np.nan
         name = f"{1e3 * noise:g} mN, {rms(bound[0]):.2e}, {undetermined:.1f}"
         if len(found.known):
-            print_line(name, found, bound, two_loads=True)
+            print_line(name, found, bound)
         else:
             print(f"{name}: every campaign failed: {found.failures[0]}")
-
-
-def three_loads(count: int, noise: float) -> None:
-    """Print what three loads give whose weights are off as declared."""
-    mirror, cycles = p45(), 4
-    loads = (
-        tn.Load("bare"),
-        _ring(mirror),
-        tn.Load("two rings", 2 * mirror.added_weight, mirror.added_weight_error, tool="two rings"),
-    )
-    simulated = simulation(mirror, loads, noise)
-    bound = bounds(simulated, cycles)
-    print(
-        f"P45, {cycles} cycles x 3 loads (0, {loads[1].added:g}, {loads[2].added:g} N, the latter"
-        f" two off by {mirror.added_weight_error:g} N each, independently), {1e3 * noise:g} mN;"
-        f" bound {rms(bound[0]):.3e} with the weights known, {rms(bound[1]):.3e} with them"
-    )
-    print_head("method")
-    for name in ("svd, units of RMS", "ml"):
-        print_line(name, run(METHODS[name], simulated, cycles, count), bound, two_loads=False)
 
 
 def main() -> None:
     """Run from the command line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n", maxsplit=1)[0])
-    parser.add_argument("--campaigns", type=int, help="1000 on P45, 20 on 336, 200 of three loads")
+    parser.add_argument("--campaigns", type=int, help="1000 on P45, 20 on 336")
     parser.add_argument("--noise", type=float, nargs="+", help="of one reading [N]")
     parser.add_argument("--mirror", choices=("p45", "336"), default="p45")
-    parser.add_argument("--loads", type=int, choices=(2, 3), default=2)
-    parser.add_argument("--methods", nargs="+", choices=tuple(METHODS), default=tuple(METHODS))
     options = parser.parse_args()
     if options.mirror == "336":
-        large_mirror(options.campaigns or 20, options.noise or (1e-4, 3e-4, 1e-3))
+        print("336 actuators on rings, flat shell, 2 cycles, ml")
+        large_mirror(rings336(), options.campaigns or 20, options.noise or (1e-4, 3e-4, 1e-3))
         return
     for noise in options.noise or (1e-3,):
-        if options.loads == 3:
-            three_loads(options.campaigns or 200, noise)
-        else:
-            compare_methods(options.campaigns or 1000, noise, options.methods)
+        compare_methods(options.campaigns or 1000, noise)
 
 
 if __name__ == "__main__":

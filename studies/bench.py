@@ -11,7 +11,6 @@ python -m studies.bench --settling         the air film's damping by mode; how l
 from __future__ import annotations
 
 import argparse
-import os
 import resource
 import sys
 import time
@@ -19,13 +18,13 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 
 import truenewton as tn
-from studies.accuracy import bounds, campaigns, rms, simulation
+from studies.accuracy import TWO_SIGMA, large_mirror, rms
+from studies.matrices import measured_lbt672
 from studies.step_response import settling_time, step_responses
 from truenewton.arrays import Array
 from truenewton.bench.simulated.loop import Loop, samples_of, slowest_creep
@@ -48,8 +47,6 @@ from truenewton.mirrors.shell.held_glass import influence
 from truenewton.mirrors.shell.moving_mass import static_shapes
 from truenewton.mirrors.shell.places import Points
 from truenewton.statics.modes import stiffness_modes
-
-TWO_SIGMA = 1.959964
 
 
 def timed(what: str, step: Callable[[], object]) -> object:
@@ -205,27 +202,8 @@ def imperfections(seeds: int) -> None:
 
 def rings(count: int) -> None:
     """Print how near to its bound ml comes on MMT336, two cycles, at the noise of the loop."""
-    mirror = mmt336()
-    loads = (tn.Load("bare"), tn.Load("ring", mirror.added_weight, mirror.added_weight_error,
-                                      tool="ring"))  # fmt: skip
-    for noise in (4e-6, 12e-6, 1e-4):
-        simulated = simulation(mirror, loads, noise)
-        bound = bounds(simulated, 2)
-        square, covered, undetermined = [], [], []
-        for campaign, heavier in campaigns(simulated, 2, count):
-            found = tn.calibrate(campaign)
-            error = found.alpha * heavier - simulated.alpha
-            square.append(np.mean(error**2))
-            covered.append(np.mean(np.abs(error) < TWO_SIGMA * found.reading_error))
-            undetermined.append(found.diagnosis.undetermined)
-        value = np.sqrt(np.mean(square)) / rms(bound[0])
-        spread = value * 0.5 * np.std(square, ddof=1) / np.sqrt(count) / np.mean(square)
-        print(
-            f"MMT336, 2 cycles, {1e6 * noise:.0f} uN: bound {rms(bound[0]):.2e}, RMS error / bound"
-            f" {value:.3f} +- {spread:.3f}, covers {100 * np.mean(covered):.1f} %,"
-            f" {np.mean(undetermined):.1f} patterns drown",
-            flush=True,
-        )
+    print("MMT336, curved shell, 2 cycles, ml")
+    large_mirror(mmt336(), count, (4e-6, 12e-6, 1e-4))
 
 
 MODES = {"softest elastic": 3, "middle": 24, "stiffest": 44}
@@ -276,9 +254,7 @@ def left_to_go(bench: StaticBench, loop: Loop) -> Iterator[tuple[float, float, f
 
 def glass(path: str) -> None:
     """Draw the singular values of LBT672's model beside those that were measured."""
-    matrix = tn.read(
-        Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits"
-    )
+    matrix = measured_lbt672()
     mirror = lbt672()
     at = mirror.shell.along(matrix.layout.x, matrix.layout.y)
     measured = np.linalg.svd(matrix.stiffness, compute_uv=False)[::-1]

@@ -35,12 +35,6 @@ SOURCES = {
 }
 
 
-def p45_loop() -> tuple[Loop, np.ndarray]:
-    """Return the loop, its feed-forward true, and the stiffness of the glass."""
-    bench = static_bench(p45(), 1)
-    return loop_of(bench), bench.glass.stiffness
-
-
 def only(loop: Loop, of_coils: tuple[str, ...], of_sensors: tuple[str, ...]) -> Loop:
     """Return the loop with these sources of noise and no others."""
     coils = {name: value for name, value in QUIET_COILS.items() if name not in of_coils}
@@ -117,7 +111,8 @@ def main() -> None:
     if arguments.errors:
         print_errors(40)
         return
-    loop, glass = p45_loop()
+    bench = static_bench(p45(), 1)
+    loop, glass = loop_of(bench), bench.glass.stiffness
     print_noise(loop, arguments.shapes)
     print_settling(loop, glass)
     if arguments.figure:

@@ -4,7 +4,6 @@
     python -m studies.faults --only clean --seeds 1000      how often a word is false
     python -m studies.faults --mirror 336 --cycles 2        336 actuators on rings
     python -m studies.faults --method ml auto glass         methods on the same campaigns
-    python -m studies.faults --list
 
 The bench (`faulty`) is this benchmark's own. Alpha, noise and where a fault strikes differ from
 seed to seed. The weights are declared without error, so that what is stated is what the readings
@@ -45,6 +44,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 import truenewton as tn
+from studies.accuracy import TWO_SIGMA
 from studies.faulty import files, forces, gains, readings
 from studies.faulty.bench import Bench, Day, bench_of
 from studies.faulty.fault import FAULTS, ORDERS, Fault
@@ -56,7 +56,6 @@ SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]
 ALL = sorted(FAULTS, key=lambda fault: SECTIONS.index(fault.happens.__module__))
 
 METHODS = ("ml", "svd", "reciprocity", "auto", "glass")
-TWO_SIGMA = 1.959964
 COVERED, SAID, FALSE = 0.90, 0.95, 0.01
 IMPROBABLE = 1e-3  # of a fit
 Array = np.ndarray
@@ -69,11 +68,6 @@ class Word:
     name: str
     where: str = ""
     corrected: bool = False
-
-
-def named(calibration: tn.Calibration) -> tuple[Word, ...]:
-    """Return what a calibration found in its data."""
-    return tuple(Word(e.name, e.where, e.corrected) for e in calibration.effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +124,7 @@ def trial(day: Day, method: str = "ml") -> Trial:
     return Trial(
         error=judged * (answer.alpha / day.truth - 1),
         stated=judged * answer.error / day.truth,
-        words=named(answer),
+        words=tuple(Word(e.name, e.where, e.corrected) for e in answer.effects),
         where=day.where,
         probability=answer.goodness.probability,
         rejected=answer.rejected / (answer.rejected + answer.shapes_used),
@@ -252,13 +246,9 @@ def main() -> None:
     parser.add_argument("--mirror", choices=("p45", "336"), default="p45")
     parser.add_argument("--cycles", type=int, default=4, help="under each load")
     parser.add_argument("--method", nargs="+", default=["ml"], choices=METHODS)
-    parser.add_argument("--list", action="store_true", help="print the names")
     options = parser.parse_args()
     warnings.simplefilter("ignore", TrueNewtonWarning)  # what is said is counted instead
     chosen = [f for f in ALL if not options.only or f.name.startswith(tuple(options.only))]
-    if options.list:
-        print(*(fault.name for fault in chosen), sep="\n")
-        return
     seeds = range(options.first, options.first + options.seeds)
     print(f"{options.mirror}, {options.cycles} cycles a load, {options.seeds} seeds")
     print_heads()

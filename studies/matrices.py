@@ -41,11 +41,23 @@ FAULTS = ("sign", "times ten", "element", "own element", "rows exchanged", "exch
           "zeroed", "sensor gain", "sensor noise")  # fmt: skip
 
 
+def measured_lbt672():
+    """Return the measured LBT672."""
+    return tn.read(Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits")
+
+
+def without_polynomial(values, layout, degree=6):
+    """Take a polynomial of x and y out: what is left differs from neighbour to neighbour."""
+    x, y = (at[layout.enabled] / 0.45 for at in (layout.x, layout.y))
+    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
+    terms = np.stack([x**i * y**j for i, j in powers], axis=1)
+    return values - terms @ np.linalg.lstsq(terms, np.asarray(values), rcond=None)[0]
+
+
 def measured_or_made(mirror):
     """Return the measured LBT672 where its folder is given, else a simulated mirror."""
     if mirror == "lbt672" and "TRUENEWTON_REAL_DATA" in os.environ:
-        folder = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672"
-        return tn.read(folder / "lbt672-feedforward.fits")
+        return measured_lbt672()
     truth = static_bench(getattr(tn.mirrors, mirror)(), 1).truth
     date = datetime.datetime(2026, 5, 6, tzinfo=datetime.UTC)
     return StiffnessMatrix(mirror.upper(), date, truth.layout, truth.stiffness)

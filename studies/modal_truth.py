@@ -86,13 +86,7 @@ def score_modes(campaign: Campaign, found: ModalFindings, truth: Truth) -> Modes
 
 
 def _singular(campaign: Campaign, found: ModalFindings) -> Dissipation:
-    """Return what the right singular vectors of the stiffness cost, by the stiffness as measured.
-
-    Raises
-    ------
-    ValueError
-        The modes were not found from this campaign, or not of all actuators.
-    """
+    """Return what the right singular vectors cost, by the stiffness as measured."""
     if found.measured is None or found.after.modes.stiffness.size != campaign.layout.n:
         raise ValueError("give the campaign, with all actuators on, and what was found of it")
     base, matrix = found.before, found.measured.matrix.stiffness

@@ -17,18 +17,11 @@ from astropy.table import QTable
 from matplotlib.figure import Figure
 
 import truenewton as tn
+from studies.matrices import without_polynomial
 from truenewton.figures.maps import plot_map
 from truenewton.figures.style import ACCENT, COLUMN, INK
 
 FAR = 4.0  # robust standard deviations, beyond which an actuator or a sensor is named
-
-
-def without_polynomial(values, layout, degree=6):
-    """Take a polynomial of x and y out: what is left differs from neighbour to neighbour."""
-    x, y = layout.x / 0.45, layout.y / 0.45
-    powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-    terms = np.stack([x**i * y**j for i, j in powers], axis=1)
-    return values - terms @ np.linalg.lstsq(terms, np.asarray(values), rcond=None)[0]
 
 
 def shuffled_correlation(one, other, layout, tries=1000):

@@ -1,23 +1,18 @@
 """What reciprocity makes of matrices: simulated, foreign, large and measured (`reciprocity.py`)."""
 
-import os
 import resource
 import time
 import warnings
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-import truenewton as tn
+from studies.matrices import measured_lbt672, without_polynomial
 from studies.simulated_matrices import bound as bound_of_matrix
 from studies.simulated_matrices import by_glass, by_plate, drawn, foreign
 from studies.simulated_matrices import measured as with_noise
-from truenewton.bench.simulated.static import (
-    run_cycles,
-    static_bench,
-)
+from truenewton.bench.simulated.static import START
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.reciprocity.gate import refusals
@@ -76,14 +71,14 @@ FAULTS = {
 def gate(seeds):
     """Print what `auto` makes of stiffnesses with faults; good is what beats balance alone."""
     mirror = p45()
-    glass, date = held_glass(mirror), next(run_cycles(static_bench(mirror, 0), 1)).date
+    glass = held_glass(mirror)
     print(f"{'':<18}joint      balance    apart   good  accepted  falsely  rejected falsely")
     for name, options in FAULTS.items():
         rows = []
         for seed in range(seeds):
             random = np.random.default_rng([seed, 7])
             stiffness, alpha = matrix_of(random, glass, mirror.layout, **options)
-            matrix = StiffnessMatrix("P45", date, mirror.layout, stiffness)
+            matrix = StiffnessMatrix("P45", START, mirror.layout, stiffness)
             modes = modes_of(matrix)
             truth = alpha - alpha.mean()
             alone = np.nan
@@ -147,9 +142,8 @@ def fate(matrix, method, truth):
 
 def foreign_matrices(seeds):
     """Print what becomes of matrices that were not made for us."""
-    date = next(run_cycles(static_bench(p45(), 0), 1)).date
     print("matrix | method | outcome | rms | stated | coverage | seconds | what is said")
-    for name, make in foreign(date):
+    for name, make in foreign(START):
         for method in ("ml", "auto", "reciprocity"):
             rows = [fate(matrix, method, truth) for matrix, truth in map(make, range(seeds))]
             outcomes = Counter(row[0] for row in rows)
@@ -166,17 +160,9 @@ def foreign_matrices(seeds):
             )
 
 
-def without_smooth(layout, values, degree=6):
-    """Return (n,) values less the Zernike patterns of a degree and below."""
-    x, y = (at / np.abs(at).max() for at in (layout.x[layout.enabled], layout.y[layout.enabled]))
-    smooth = np.stack([x**i * y**j for i in range(degree + 1) for j in range(degree + 1 - i)], 1)
-    basis = np.linalg.qr(smooth)[0]
-    return values - basis @ (basis.T @ values)
-
-
 def real():
     """Print what is left of a measured LBT672, without and with a model of its glass."""
-    matrix = tn.read(Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672/lbt672-feedforward.fits")
+    matrix = measured_lbt672()
     print("without a model of the glass")
     examine(matrix)
     print("the glass as LBT672 has it")
@@ -202,7 +188,7 @@ def examine(matrix, motion=None):
     one, other = found.halves
     print(
         f"    halves differ by {np.std(one - other):.4f} rms, without degree 6 and below by"
-        f" {np.std(without_smooth(layout, one - other)):.4f}"
+        f" {np.std(without_polynomial(one - other, layout)):.4f}"
     )
     formal, stated = (
         np.sqrt(np.mean(np.diag(each)))
@@ -210,7 +196,7 @@ def examine(matrix, motion=None):
     )
     print(f"    formal error {formal:.4f}, E_STAT {stated:.4f}")
     print(f"    held out {evidence.held_out:.4f}, by balance alone {evidence.by_balance:.4f}")
-    alone, apart = found.alone, [without_smooth(layout, each) for each in found.alone]
+    alone, apart = found.alone, [without_polynomial(each, layout) for each in found.alone]
     print(
         f"    balance alone against reciprocity alone: r {np.corrcoef(*alone)[0, 1]:.3f}, without"
         f" degree 6 and below {np.corrcoef(*apart)[0, 1]:.3f}, chi2/DOF {evidence.apart:.2f}"
@@ -224,7 +210,7 @@ def examine(matrix, motion=None):
 
 def large():
     """Print error, bound and coverage of stiffnesses of LBT672 with 650 of its actuators."""
-    whole, date = lbt672(), next(run_cycles(static_bench(p45(), 0), 1)).date
+    whole = lbt672()
     some = np.sort(np.random.default_rng(1).choice(whole.layout.n, 650, replace=False))
     at = actuators_at(*(getattr(whole.layout, name)[some] for name in ("x", "y")),
                       nz=whole.layout.nz[some])  # fmt: skip
@@ -242,7 +228,7 @@ def large():
         exact = by_glass(glass, values) if shell else by_plate(at, glass.stiffness, values)
         made = with_noise(random, exact, values, noise, stroke)
         motion = seen_by(glass) if shell == "with" else None
-        matrix = StiffnessMatrix("LBT672", date, at, made.stiffness)
+        matrix = StiffnessMatrix("LBT672", START, at, made.stiffness)
         found = examined(modes_of(matrix, motion))
         least = bound_of_matrix(made, at, USUAL, motion)
         error = found.joint.values.log_alpha - values.log_alpha
@@ -264,12 +250,12 @@ def large():
 
 def timed(actuators):
     """Print time and memory of `auto` on a stiffness of so many actuators."""
-    mirror, date = ring(actuators), next(run_cycles(static_bench(p45(), 0), 1)).date
+    mirror = ring(actuators)
     random, layout = np.random.default_rng(5), mirror.layout
     values = drawn(random, layout.n, offset=5e-4)
     exact = by_plate(layout, held_glass(mirror).stiffness, values)
     made = with_noise(random, exact, values, stroke=np.inf)
-    matrix = StiffnessMatrix("RING", date, layout, made.stiffness)
+    matrix = StiffnessMatrix("RING", START, layout, made.stiffness)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     begin, cpu = time.perf_counter(), time.process_time()
     found = calibrate(matrix, "auto")

@@ -1,6 +1,6 @@
 """A mirror in segments from end to end: time, memory, and errors beside each segment's own bound.
 
-    python -m studies.segments [--mirror m4] [--cycles 2] [--seed 1] [--noise 1e-4] [-o FOLDER]
+    python -m studies.segments [--mirror m4] [--cycles 2] [--seed 1] [--noise 1e-4]
     python -m studies.segments --campaigns 24 [...]
 
 The glass of each segment that differs by itself; then the commands `simulate`, `calibrate`,
@@ -31,7 +31,7 @@ from pathlib import Path
 import numpy as np
 
 import truenewton as tn
-from studies.accuracy import TWO_SIGMA, rms
+from studies.accuracy import TWO_SIGMA, information_of, rms
 from truenewton.arrays import Array
 from truenewton.bench.simulated.segmented import SEEDS, SegmentedBench, segmented_bench
 from truenewton.bench.simulated.static import StaticBench, held_command, rows_of_cycle, run_cycles
@@ -72,16 +72,9 @@ def bound(bench: StaticBench, cycles: int) -> Array:
     # Alpha multiplies what coils make of a command where they stand; were it the command itself,
     # each shape would balance a force of COILGRAD f z that nobody measured.
     coil = 1.0 + bench.coils.coil_gradient * position * bench.sensors.gain
-    root = np.linalg.inv(np.linalg.cholesky((a * alpha * bench.force_noise**2) @ (a * alpha).T))
-    unknowns = Unknowns(len(alpha), len(bench.loads))
-    information = np.zeros((unknowns.count, unknowns.count))
-    for load, beside in enumerate(unknowns.external_load_derivative()):
-        forces = held_command(bench, load, position) * coil
-        jacobian = np.empty((len(forces), 3, unknowns.count))
-        jacobian[:, :, unknowns.alpha] = a * forces[:, None, :]
-        jacobian[:, :, len(alpha) :] = beside
-        whitened = (root @ jacobian).reshape(-1, unknowns.count)
-        information += cycles * whitened.T @ whitened
+    beside = Unknowns(len(alpha), len(bench.loads)).external_load_derivative()
+    shapes = (held_command(bench, load, position) * coil for load in range(len(bench.loads)))
+    information = cycles * information_of(a, alpha, bench.force_noise, shapes, beside)
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(information))[: len(alpha)]))
 
 
@@ -155,7 +148,6 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=1e-4)
     parser.add_argument("--glass", type=int, help="only compute the glass of this segment")
     parser.add_argument("--campaigns", type=int, help="of one segment after the other")
-    parser.add_argument("-o", "--output", type=Path, help="folder for the files, kept")
     arguments = parser.parse_args()
     mirror = whole_mirror_from(arguments.mirror)
     if not isinstance(mirror, SegmentedMirror):
@@ -163,20 +155,21 @@ def main() -> None:
     if arguments.glass:
         held_glass(mirror.segments[arguments.glass - 1])
         return
+
+    def draw() -> SegmentedBench:
+        noise = arguments.noise
+        return segmented_bench(mirror, arguments.seed, force_noise=noise, temperature=20.0)
+
     if arguments.campaigns:
-        drawn = segmented_bench(
-            mirror, arguments.seed, force_noise=arguments.noise, temperature=20.0
-        )
-        many(drawn, arguments.cycles, arguments.campaigns)
+        many(draw(), arguments.cycles, arguments.campaigns)
         return
     print(f"{mirror.name}: {len(mirror.segments)} segments, {mirror.layout.n} actuators")
     print("                              processor      clock    memory")
     with tempfile.TemporaryDirectory() as temporary:
-        work = arguments.output or Path(temporary)
-        work.mkdir(parents=True, exist_ok=True)
+        work = Path(temporary)
         for _, (number, *_others) in mirror.kinds:
             shared = ("--mirror", arguments.mirror, "--glass", number)
-            timed(f"glass of segment {number}", (__file__, *shared))
+            timed(f"glass of segment {number}", ("-m", "studies.segments", *shared))
         campaign, calibration = work / "campaign", work / "calibration.fits"
         drawn = ("--cycles", arguments.cycles, "--seed", arguments.seed, "--noise", arguments.noise)
         run = ("-m", "truenewton")
@@ -185,10 +178,7 @@ def main() -> None:
         timed("report", (*run, "report", campaign, "-o", work / "report.html"))
         modes = (*run, "modes", campaign, "--calibration", calibration, "--segment")
         timed("modes, one after the other", *((*modes, k) for k in mirror.layout.segments))
-        drawn = segmented_bench(
-            mirror, arguments.seed, force_noise=arguments.noise, temperature=20.0
-        )
-        errors(drawn, work, arguments.cycles)
+        errors(draw(), work, arguments.cycles)
 
 
 if __name__ == "__main__":

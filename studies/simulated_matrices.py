@@ -190,31 +190,18 @@ def foreign(date):
     yield "made symmetric by its makers", made(lambda k, *_: 0.5 * (k + k.T))
     yield "cross-talk of 2 % between sensors", made(lambda k, at, _: _cross_talk(k, at, 0.02))
     yield "cross-talk of 10 %", made(lambda k, at, _: _cross_talk(k, at, 0.1))
-    yield (
-        "5 % of asymmetry",
-        made(lambda k, _, random: k * (1.0 + 0.05 * random.standard_normal(k.shape))),
-    )
+    yield "5 % of asymmetry", made(lambda k, _, r: k * (1.0 + 0.05 * r.standard_normal(k.shape)))
     yield "6 dead actuators in a sector", made(lambda k, at, r: _noise_rows(k, at, r, 6))
     yield "12 sensors in another order", made(lambda k, _, r: _exchanged(k, r, 12))
     yield "transposed", made(lambda k, *_: k.T)
     yield "in N/um", made(lambda k, *_: 1e-6 * k)
     yield "in mN/m", made(lambda k, *_: 1e3 * k)
     yield "gains within 5 %", made(gain=0.05)
-    poor = ring(78)
-    yield (
-        "78 actuators, 20 mN of noise",
-        made(layout=poor.layout, stiffness=held_glass(poor).stiffness, noise=0.02),
-    )
-    hexagonal = hexagon(3)
-    yield (
-        "hexagon of 37, thin plate",
-        made(layout=hexagonal, stiffness=springs(hexagonal, _plate(30.0))),
-    )
-    yield (
-        "membrane, 61 on a hexagon, 1e5 N/m",
-        made(layout=hexagon(4), stiffness=springs(hexagon(4), _membrane(1e5))),
-    )
-    yield (
-        "membrane, 61 on a hexagon, 100 N/m",
-        made(layout=hexagon(4), stiffness=springs(hexagon(4), _membrane(100.0))),
-    )
+    at = ring(78)
+    stiff = held_glass(at).stiffness
+    yield "78 actuators, 20 mN of noise", made(layout=at.layout, stiffness=stiff, noise=0.02)
+    small, wide = hexagon(3), hexagon(4)
+    yield "hexagon of 37, thin plate", made(layout=small, stiffness=springs(small, _plate(30.0)))
+    for name, tension in (("1e5", 1e5), ("100", 100.0)):
+        stiff = springs(wide, _membrane(tension))
+        yield f"membrane, 61 on a hexagon, {name} N/m", made(layout=wide, stiffness=stiff)

@@ -43,22 +43,7 @@ class StepResponses:
 
 
 def step_responses(loop: Loop, stiffness: Array, *, duration: float = DURATION) -> StepResponses:
-    """Step the softest, the median and the stiffest bending mode by `STROKE`, without noise.
-
-    Parameters
-    ----------
-    loop
-        The mirror in closed loop.
-    stiffness
-        (n, n) K of the glass [N/m], whose modes are taken.
-    duration
-        [s].
-
-    Raises
-    ------
-    BenchFault
-        As of `loop.record`.
-    """
+    """Step the softest, the median and the stiffest mode of (n, n) K by `STROKE`, without noise."""
     found = stiffness_modes(stiffness)
     n = len(stiffness)
     which = [RIGID, (RIGID + n) // 2, n - 1]
@@ -93,19 +78,7 @@ def settling_time(time: Array, response: Array, band: float) -> Array:
 def plot_step_responses(
     time: Array, position: Array, stiffness: Array, ax: Axes | None = None
 ) -> Axes:
-    """Draw how modes answer a step of the closed loop.
-
-    Parameters
-    ----------
-    time
-        (steps,) since the command [s].
-    position
-        (steps, m) displacement in units of what was commanded.
-    stiffness
-        (m,) of the modes [N/m].
-    ax
-        Axes to draw on; their own unless given.
-    """
+    """Draw how modes of (m,) stiffness answer a step, in units of what was commanded."""
     with mpl.rc_context(STYLE):
         ax = ax or new_axes(0.72)
         ax.axhspan(0.9, 1.1, color=FAINT, alpha=0.25, linewidth=0)

@@ -9,11 +9,11 @@ the modes of the shell model, which know nothing of the measurement.
 
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 import truenewton as tn
+from studies.matrices import measured_lbt672
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
@@ -69,9 +69,8 @@ def simulated(force_noise, gains_known):
     return np.array(distances)
 
 
-def measured(path):
+def measured(matrix):
     """Return (steps, orders) rms angles between measured and modelled modes."""
-    matrix = tn.read(path)
     model = held_glass(replace(lbt672(), layout=matrix.layout)).stiffness
     model = stiffness_modes(model - 31.0 * np.eye(len(model)), arms(matrix.layout).T)
     calibration = tn.calibrate(matrix, population=True)
@@ -103,9 +102,8 @@ def main():
         least = np.bincount(distances.argmin(axis=1), minlength=len(STEPS))
         for name, values, count in zip(STEPS, distances.T, least, strict=True):
             print(f"    {name:36} {values.mean():.5f}  {count:2d}")
-    folder = os.environ.get("TRUENEWTON_REAL_DATA")
-    if folder:
-        rows = measured(Path(folder) / "lbt672" / "lbt672-feedforward.fits")
+    if "TRUENEWTON_REAL_DATA" in os.environ:
+        rows = measured(measured_lbt672())
         print(f"  rms angle to the modes of the model, of the first {ORDERS}")
         for name, values in zip(STEPS, rows, strict=True):
             print(f"    {name:36} " + "  ".join(f"{value:.4f}" for value in values))

@@ -26,6 +26,7 @@ from unittest import mock
 import numpy as np
 
 import truenewton as tn
+from studies.accuracy import TWO_SIGMA
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import p45
 from truenewton.tracking import fit
@@ -36,7 +37,6 @@ SEED = 8171
 MEAN_K, SPREAD_K = -1.1e-3, 2e-4
 MEAN_R, SPREAD_R = -2e-3, 1e-3
 TEMPERATURES = np.array([12.0, 19.2, 14.4, 24.0, 16.8, 21.6])
-TWO_SIGMA = 1.959964
 
 Array = np.ndarray
 

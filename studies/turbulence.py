@@ -117,20 +117,13 @@ def of_aotools(ratio: float, count: int) -> Array:
 
     theirs = package.stf_vonKarman
     package.stf_vonKarman = lambda r, L0: np.where(r == 0, 0.0, theirs(np.maximum(r, 1e-9), L0))
-    coarse, fine = (
-        package.gkl_fcom(
-            0.0,
-            package.gkl_kernel(
-                0.0,
-                steps,
-                package.gkl_radii(0.0, steps),
-                "vonKarman" if ratio else "kolmogorov",
-                1 / ratio if ratio else None,
-            ),
-            count,
-        )[0]
-        for steps in (80, 160)
-    )
+    name, outer = ("vonKarman", 1 / ratio) if ratio else ("kolmogorov", None)
+
+    def eigenvalues(steps: int) -> Array:
+        kernel = package.gkl_kernel(0.0, steps, package.gkl_radii(0.0, steps), name, outer)
+        return package.gkl_fcom(0.0, kernel, count)[0]
+
+    coarse, fine = eigenvalues(80), eigenvalues(160)
     package.stf_vonKarman = theirs
     return np.sort(2 * fine - coarse)[::-1]
 

@@ -48,6 +48,4 @@ def test_the_limit_of_f_gives_its_chance_back():
 
 def test_a_number_gives_a_number():
     assert isinstance(chance.chi2_sf(3.0, 2), float)
-    assert isinstance(chance.chi2_ppf(0.5, 3), float)
     assert isinstance(chance.f_isf(0.01, 2, 3), float)
-    assert isinstance(chance.t_sf(1.0, 3), float)

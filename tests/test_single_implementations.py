@@ -57,14 +57,6 @@ def test_temperature_is_the_mean_over_the_rows_that_count():
     assert np.isnan(mean_temperature([other]))
 
 
-def test_the_same_actuators_may_be_enabled_or_not():
-    layout = rings([0.1, 0.2], [5, 9])
-    off = replace(layout, enabled=np.arange(14) != 3)
-    assert not layout.other_actuators(off)
-    assert not layout.same_as(off)
-    assert layout.other_actuators(rings([0.1], [5])) == "5 and 14 actuators"
-
-
 def test_a_place_is_the_same_to_a_micrometre_and_else_named():
     layout = rings([0.1, 0.2], [5, 9])
     rounded = replace(layout, x=np.round(layout.x, 6), y=layout.y.astype("f4"))
@@ -79,5 +71,8 @@ def test_a_place_is_the_same_to_a_micrometre_and_else_named():
     assert layout.difference(replace(layout, id=np.arange(14))) == (
         "ID of row 1: 0 and 1; and 13 more"
     )
+    assert layout.other_actuators(rings([0.1], [5])) == "5 and 14 actuators"
     off = replace(layout, enabled=np.arange(14) != 3)
+    assert not layout.other_actuators(off)
+    assert not layout.same_as(off)
     assert layout.difference(off) == "ENABLED of actuator 4 (row 4): F and T"

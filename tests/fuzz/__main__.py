@@ -2,7 +2,6 @@
 
     python -m tests.fuzz [--cases 20000] [--seed 1] [--jobs 2] [--command plan] [--keep DIR]
     python -m tests.fuzz --seed 1 --only 1234 --keep DIR      one case again
-    python -m tests.fuzz --sound DIR      keeps the sound files, or takes those that are there
 
 Sound files of every kind are made with the project's own commands, of a mirror of 24 actuators.
 Each case takes a command, spoils one or two of the files that it reads (`fuzzing`), those of one
@@ -40,7 +39,7 @@ from truenewton.cli.main import BROKEN
 
 from .commands import COMMANDS, GROUPS
 from .files import spoil
-from .process import execute, import_more, import_rooms
+from .process import execute, import_rooms
 from .sound import make_sound
 from .values import INTEGERS, NUMBERS, TEXTS
 
@@ -215,15 +214,11 @@ def summary(rows: list[list]) -> None:
     print(f"{'command':<12}" + "".join(f"{word:>8}" for word in head))
     for name in (*COMMANDS, "all"):
         own = [row for row in rows if name in (row[1], "all")]
-        if not own:
-            continue
-        codes, times = Counter(row[2] for row in own), [row[3] for row in own]
-        counts = (len(own), codes[0], codes[1], codes[2], sum(bool(row[4]) for row in own))
-        print(
-            f"{name:<12}"
-            + "".join(f"{count:>8}" for count in counts)
-            + f"{np.mean(times):>8.2f}{max(times):>8.1f}"
-        )
+        if own:
+            codes, times = Counter(row[2] for row in own), [row[3] for row in own]
+            counts = (len(own), codes[0], codes[1], codes[2], sum(bool(row[4]) for row in own))
+            cells = "".join(f"{count:>8}" for count in counts)
+            print(f"{name:<12}{cells}{np.mean(times):>8.2f}{max(times):>8.1f}")
     kinds = Counter(row[4] for row in rows if row[4])
     print(f"{len(kinds)} kinds of failure")
     for kind, count in kinds.most_common():
@@ -240,36 +235,28 @@ def fuzz() -> int:
     parser.add_argument("--command", choices=COMMANDS, default="")
     parser.add_argument("--only", type=int, help="one case, by its number")
     parser.add_argument("--keep", type=Path, help="where cases that failed are kept")
-    parser.add_argument("--sound", type=Path, help="where the sound files are, or are made")
     options = parser.parse_args()
     options.keep = options.keep and options.keep.resolve()
     first, last = (0, options.cases) if options.only is None else (options.only, options.only + 1)
     with tempfile.TemporaryDirectory() as made:
-        sound = (options.sound or Path(made) / "sound").resolve()
+        sound = Path(made) / "sound"
         import_rooms()
-        if not sound.exists():
-            sound.mkdir()
-            make_sound(sound)
-        import_more(sound)
+        sound.mkdir()
+        make_sound(sound)
         for path in sound.glob(".*"):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         gc.freeze()
-        results = [Path(made) / f"{job}.json" for job in range(options.jobs)]
-        workers = []
-        for job, result in enumerate(results):
-            workers.append(os.fork())
-            if not workers[-1]:
-                numbers = range(first + job, last, options.jobs)
-                for begin in range(0, len(numbers), A_LIFE):
-                    if not (child := os.fork()):
-                        work(numbers[begin : begin + A_LIFE], options, sound, result)
-                        os._exit(0)
-                    os.waitpid(child, 0)
+        result, running = Path(made) / "results", set()
+        for begin in range(first, last, A_LIFE):
+            if len(running) == options.jobs:
+                running.discard(os.wait()[0])
+            if not (child := os.fork()):
+                work(range(begin, min(begin + A_LIFE, last)), options, sound, result)
                 os._exit(0)
-        for worker in workers:
-            os.waitpid(worker, 0)
-        made = [result for result in results if result.exists()]
-        rows = [json.loads(line) for result in made for line in result.read_text().splitlines()]
+            running.add(child)
+        for child in running:
+            os.waitpid(child, 0)
+        rows = [json.loads(line) for line in result.read_text().splitlines()]
     summary(rows)
     return int(any(row[4] for row in rows))
 

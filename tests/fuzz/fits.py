@@ -25,6 +25,7 @@ ODD_CARDS = (
     b"EXTEND  = F", b"\xff\xfe\x00", b"TDIM3   = '(0,9)'", b"ZIMAGE  = T", b"INHERIT = T",
     b"BLANK   = 0", b"THEAP   = 1",
 )  # fmt: skip
+STRUCTURAL = re.compile(rb"NAXIS|TFIELDS|TFORM|PCOUNT|BITPIX|GCOUNT|TDIM|TTYPE")
 UNITS = (None, "", "m", "N", "kN", "GN", "deg_C", "K", "mag(N)", "nonsense", "1e300 N", "m**1e9",
          "1e-300 m", "N/m", "deg", "arcsec", "10**400 N", "((((", "V", "yr")  # fmt: skip
 FORMATS = ("D", "E", "J", "I", "K", "B", "L", "8A", "M", "C", "2D", "PD()", "X", "0D", "1000A", "A")
@@ -51,7 +52,7 @@ def fits_data(pick: random.Random, path: Path) -> str:
     return said
 
 
-def _spoil_array(pick: random.Random, values: np.ndarray) -> str:
+def spoil_array(pick: random.Random, values: np.ndarray) -> str:
     """Change an array in place."""
     flat = values.reshape(-1)
     if not flat.size:
@@ -61,41 +62,28 @@ def _spoil_array(pick: random.Random, values: np.ndarray) -> str:
         flat[some] = pick.random() < 0.5
         return "logicals"
     if values.dtype.kind in "SU":
-        flat[pick.choice((slice(None), pick.randrange(flat.size)))] = pick.choice(TEXTS[:9]).encode(
-            "ascii", "replace"
-        )
+        some = pick.choice((slice(None), pick.randrange(flat.size)))
+        flat[some] = pick.choice(TEXTS[:9]).encode("ascii", "replace")
         return "texts"
     if values.dtype.kind in "iu":
-        new = pick.choice(INTEGERS)
-        low, high = np.iinfo(values.dtype).min, np.iinfo(values.dtype).max
-        new = min(max(new, int(low)), int(high))
+        low, high = int(np.iinfo(values.dtype).min), int(np.iinfo(values.dtype).max)
+        new = min(max(pick.choice(INTEGERS), low), high)
     elif values.dtype.kind == "f":
         new = number(pick)
     else:
         return "nothing"
     rows = values.reshape(len(values), -1)
     row, column = pick.randrange(rows.shape[0]), pick.randrange(rows.shape[1])
-    kind = pick.choice(
-        ("one", "one", "row", "column", "all", "times", "permuted", "doubled", "constant", "add")
-    )
-    if kind == "one":
-        rows[row, column] = new
-    elif kind == "row":
-        rows[row] = new
-    elif kind == "column":
-        rows[:, column] = new
-    elif kind == "all":
-        rows[:] = new
-    elif kind == "times":
-        rows[:] = (rows * new).astype(values.dtype)
-    elif kind == "add":
-        rows[:] = (rows + new).astype(values.dtype)
+    places = {"one": (row, column), "row": row, "column": (slice(None), column), "all": ...}
+    kind = pick.choice(("one", *places, "times", "permuted", "doubled", "constant", "add"))
+    if kind in places:
+        rows[places[kind]] = new
+    elif kind in ("times", "add"):
+        rows[:] = (rows * new if kind == "times" else rows + new).astype(values.dtype)
     elif kind == "permuted":
         rows[:] = rows[pick.sample(range(len(rows)), len(rows))]
-    elif kind == "doubled":
-        rows[:] = rows[row]
     else:
-        rows[:] = rows[:, column][:, None]
+        rows[:] = rows[row] if kind == "doubled" else rows[:, column][:, None]
     return f"{kind} {new:g}"
 
 
@@ -111,7 +99,7 @@ def _values(pick: random.Random, hdus: fits.HDUList) -> str:
     name = pick.choice(table.columns.names)
     column = table.data[name]
     values = np.array(column)
-    said = _spoil_array(pick, values)
+    said = spoil_array(pick, values)
     column[...] = values
     return f"{table.name}.{name}: {said}"
 
@@ -122,18 +110,14 @@ def _image(pick: random.Random, hdus: fits.HDUList) -> str:
         return _column(pick, hdus)
     image = pick.choice(images)
     data = np.array(image.data, dtype=image.data.dtype.newbyteorder("="))
-    kind = pick.choice(("values", "values", "values", "shape", "type", "transposed", "unit"))
-    said = kind
+    kind = said = pick.choice(("values", "values", "values", "shape", "type", "unit"))
     if kind == "values":
-        said = _spoil_array(pick, data)
+        said = spoil_array(pick, data)
     elif kind == "shape":
-        data = pick.choice(
-            (data[:-1], data[:, :1], data.ravel(), data[None], data[:0], data[:1, :1])
-        )
+        ways = (data[:-1], data[:, :1], data.ravel(), data[None], data[:0], data[:1, :1], data.T)
+        data = np.ascontiguousarray(pick.choice(ways))
     elif kind == "type":
         data = data.astype(pick.choice(("f4", "i2", "u1", "i8")))
-    elif kind == "transposed":
-        data = np.ascontiguousarray(data.T)
     else:
         image.header["BUNIT"] = pick.choice(UNITS[1:])
     image.data = data
@@ -153,32 +137,30 @@ def _column(pick: random.Random, hdus: fits.HDUList) -> str:
     ]
     part = pick.choice(parts)
     name = part["name"]
-    kind = pick.choice(
-        ("missing", "name", "format", "unit", "null", "scale", "twice", "width", "dim")
-    )
-    if kind == "missing":
+    odd = {
+        "name": (f" {name}", name.lower(), "X", "ID", "FORCE", "\t", "a b"),
+        "unit": UNITS,
+        "null": (0, 1, -1),
+        "bscale": (number(pick),),
+        "bzero": (number(pick),),
+        "dim": ("(2,3)", "(1)", "(999999,1)", "x"),
+    }
+    kind = pick.choice((*odd, "missing", "twice", "format", "width"))
+    if kind in odd:
+        part[kind] = pick.choice(odd[kind])
+    elif kind == "missing":
         parts.remove(part)
-    elif kind == "name":
-        part["name"] = pick.choice((f" {name}", name.lower(), "X", "ID", "FORCE", "\t", "a b"))
+    elif kind == "twice":
+        parts.append(dict(part))
     elif kind == "format":
         new, rows = pick.choice(FORMATS), len(table.data)
         array = {"A": ["1"] * rows, "L": np.ones(rows, bool), "2": np.ones((rows, 2))}
         part.update(format=new, array=array.get(new[-1], array.get(new[0], np.ones(rows))))
         if new == "PD()":
             part["array"] = np.array([np.ones(k % 3 + 1) for k in range(rows)], object)
-    elif kind == "unit":
-        part["unit"] = pick.choice(UNITS)
-    elif kind == "null":
-        part["null"] = pick.choice((0, 1, -1))
-    elif kind == "scale":
-        part[pick.choice(("bscale", "bzero"))] = number(pick)
-    elif kind == "twice":
-        parts.append(dict(part))
-    elif kind == "width" and part["array"].ndim == 2:
+    elif part["array"].ndim == 2:
         part["array"] = pick.choice((part["array"][:, :-1], np.hstack([part["array"]] * 2)))
         part["format"] = f"{part['array'].shape[1]}D"
-    elif kind == "dim":
-        part["dim"] = pick.choice(("(2,3)", "(1)", "(999999,1)", "x"))
     index = hdus.index_of(table)
     try:
         columns = [fits.Column(**one) for one in parts]
@@ -189,20 +171,16 @@ def _column(pick: random.Random, hdus: fits.HDUList) -> str:
 
 
 def _rows(pick: random.Random, hdus: fits.HDUList) -> str:
-    tables = _parts(hdus, fits.BinTableHDU)
+    tables = [table for table in _parts(hdus, fits.BinTableHDU) if len(table.data)]
     if not tables:
         return "nothing"
     table = pick.choice(tables)
-    rows = len(table.data)
-    if not rows:
-        return "no rows"
-    order = list(range(rows))
+    order = list(range(len(table.data)))
     kind, keep = pick.choice(
         (
-            ("none", []), ("one", order[:1]), ("two", order[:2]), ("half", order[::2]),
-            ("last missing", order[:-1]), ("reversed", order[::-1]), ("twice", order * 2),
-            ("permuted", pick.sample(order, rows)), ("first only", order[:1] * rows),
-            ("five", order[:5]), ("many", order * 300),
+            ("none", []), ("one", order[:1]), ("half", order[::2]), ("last missing", order[:-1]),
+            ("reversed", order[::-1]), ("twice", order * 2), ("first only", order[:1] * len(order)),
+            ("permuted", pick.sample(order, len(order))), ("many", order * 300),
         )
     )  # fmt: skip
     table.data = table.data[keep]
@@ -213,10 +191,8 @@ def _extensions(pick: random.Random, hdus: fits.HDUList) -> str:
     if len(hdus) < 2:
         return "nothing"
     index = pick.randrange(1, len(hdus))
-    name, kind = (
-        hdus[index].name,
-        pick.choice(("gone", "twice", "moved", "renamed", "image", "empty")),
-    )
+    name = hdus[index].name
+    kind = pick.choice(("gone", "twice", "moved", "renamed", "image", "empty"))
     if kind == "gone":
         hdus.pop(index)
     elif kind == "twice":
@@ -226,10 +202,9 @@ def _extensions(pick: random.Random, hdus: fits.HDUList) -> str:
     elif kind == "renamed":
         names = [hdu.name for hdu in hdus[1:]]
         hdus[index].name = pick.choice((*names, "STIFFNESS", "CALIBRATION", "TRUTH", "X" * 60))
-    elif kind == "image":
-        hdus[index] = fits.ImageHDU(np.ones((3, 3)), name=name)
     else:
-        hdus[index] = fits.ImageHDU(name=name)
+        data = np.ones((3, 3)) if kind == "image" else None
+        hdus[index] = fits.ImageHDU(data, name=name)
     return f"{name}: {kind}"
 
 
@@ -240,23 +215,14 @@ def fits_cards(pick: random.Random, path: Path) -> str:
     """Spoil cards as they stand in the bytes; checksums, which would tell, are taken out."""
     raw = bytearray(path.read_bytes().replace(b"CHECKSUM=", b"CHECKSUX="))
     raw = raw.replace(b"DATASUM =", b"DATASUX =")
-    cards = [
-        at
-        for at in range(0, len(raw), CARD)
-        if re.match(rb"[A-Z][A-Z0-9-]{1,7} *= ", raw[at : at + 10])
-    ]
+    places = range(0, len(raw), CARD)
+    cards = [at for at in places if re.match(rb"[A-Z][A-Z0-9-]{1,7} *= ", raw[at : at + 10])]
     if not cards:
         return "nothing"
-    structural = [
-        at
-        for at in cards
-        if re.match(rb"NAXIS|TFIELDS|TFORM|PCOUNT|BITPIX|GCOUNT|TDIM|TTYPE", raw[at : at + 8])
-    ]
+    structural = [at for at in cards if STRUCTURAL.match(raw[at : at + 8])]
     at = pick.choice(structural if structural and pick.random() < 0.3 else cards)
     key = bytes(raw[at : at + 8]).decode().strip()
-    kind = pick.choice(
-        ("value", "value", "value", "value", "gone", "twice", "swap", "key", "bytes")
-    )
+    kind = pick.choice(("value",) * 4 + ("gone", "twice", "swap", "key", "bytes"))
     new = bytes(raw[at : at + CARD])
     if kind == "value":
         value = pick.choice(CARDS)

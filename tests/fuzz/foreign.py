@@ -13,8 +13,8 @@ from astropy.table import Table
 
 from truenewton.files.fits import read_fits
 
+from .fits import spoil_array
 from .process import must
-from .values import number
 
 
 def make_foreign(at: Path) -> None:
@@ -81,35 +81,21 @@ def arrays(pick: random.Random, path: Path) -> str:
     """Spoil one of the arrays of a file by its values, shape, type or name."""
     named = read_arrays(path)
     name = pick.choice(list(named))
-    kind = pick.choice(("element", "element", "row", "column", "whole", "shape", "type", "name"))
-    named[name] = _spoilt(pick, np.atleast_2d(np.array(named[name], dtype=float)), kind)
-    if kind == "name" and len(named) > 1:
-        named[pick.choice(("x", "X", "other", "a" * 31, "FFWD"))] = named.pop(name)
-    elif kind == "name":
-        named["other"] = named[name]
-    write_arrays(path, named)
-    return f"{name}: {kind}"
-
-
-def _spoilt(pick: random.Random, values: np.ndarray, kind: str) -> np.ndarray:
-    rows, columns = values.shape
-    i, j = pick.randrange(rows), pick.randrange(columns)
+    values = np.atleast_2d(np.array(named[name], dtype=float))
+    kind = pick.choice(("values", "values", "values", "shape", "type", "name"))
     with np.errstate(all="ignore"):
-        if kind == "element":
-            values[i, j] = number(pick)
-        elif kind == "row":
-            values[i] = pick.choice((np.nan, 0.0, -values[i], number(pick), values[(i + 1) % rows]))
-        elif kind == "column":
-            values[:, j] = pick.choice((np.nan, 0.0, -values[:, j], 1.4 * values[:, j]))
-        elif kind == "whole":
-            factor = pick.choice((0.0, -1.0, 1e-6, 1e-320, 1e300, np.nan, np.inf, number(pick)))
-            values = values * factor
+        if kind == "values":
+            spoil_array(pick, values)
         elif kind == "shape":
             ways = (values.T, values[:-1], values[:, :-1], values[:1, :1], values[:0], values[None],
                     np.stack([values, values]), values.ravel(), values[0, 0], values[::-1],
-                    np.zeros((3, 3)), np.eye(rows))  # fmt: skip
+                    np.zeros((3, 3)), np.eye(len(values)))  # fmt: skip
             values = np.asarray(pick.choice(ways))
         elif kind == "type":
             types = ("f2", "f4", ">f8", "i1", "i8", "u2", "?", "c16", "S8", "M8[s]")
             values = values.astype(pick.choice(types))
-    return values
+    named[name] = values
+    if kind == "name":
+        named[pick.choice(("x", "X", "other", "a" * 31, "FFWD"))] = named.pop(name)
+    write_arrays(path, named)
+    return f"{name}: {kind}"

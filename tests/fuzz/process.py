@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
 import pkgutil
@@ -18,6 +17,10 @@ import truenewton
 from truenewton.cli.main import main
 
 SECONDS, WALL, MEMORY = 25, 75, 4 * 2**30
+LATE = (
+    "asyncua", "bokeh.embed", "bokeh.resources", "h5py", "matplotlib.backends.backend_agg",
+    "matplotlib.backends.backend_pdf", "matplotlib.backends.backend_svg", "scipy.io", "yaml",
+)  # fmt: skip
 STOPPED_AFTER = 4  # seconds, by SIGTERM: a server
 
 
@@ -76,25 +79,9 @@ def execute(command: str, words: list[str], folder: Path, beside: Path) -> tuple
 
 
 def import_rooms() -> None:
-    """Import the project here, so that each process begins with it."""
+    """Import the project and what it imports late, so that each process begins with them."""
     for module in pkgutil.walk_packages(truenewton.__path__, "truenewton."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
-
-
-def import_more(at: Path) -> None:
-    """Import what commands import late of other packages."""
-    for line in (
-        "report c -o .p.html", "figures ml.fits -o .f", "plan plan.toml --plot .p.png", "prove",
-        "acquire away.toml -o .a --yes", "track day0.fits day3.fits",
-    ):  # fmt: skip
-        child = os.fork()
-        if not child:
-            inside(line.split(), at, at / ".out", at / ".err")
-            (at / ".modules").write_text("\n".join(sys.modules))
-            os._exit(0)
-        os.waitpid(child, 0)
-        for name in (at / ".modules").read_text().split():
-            if name not in sys.modules and not name.startswith("__"):
-                with contextlib.suppress(Exception):
-                    importlib.import_module(name)
+    for name in LATE:
+        importlib.import_module(name)

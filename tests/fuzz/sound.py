@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 import truenewton as tn
+from tests.helpers.acquisition_plans import write_shapes
 from truenewton.acquisition.benches import chosen_bench
 from truenewton.acquisition.journal import Journal
 from truenewton.acquisition.plan import read_plan
 from truenewton.bench.opcua.keys import make_keys
 from truenewton.bench.protocol import Shape
-from truenewton.files.fits import read_fits, write_fits
-from truenewton.files.format import FileFormat, ImageFormat
+from truenewton.files.fits import read_fits
 
 from .foreign import make_foreign
 from .process import must
@@ -96,17 +96,12 @@ def make_sound(at: Path) -> None:
     ):  # fmt: skip
         must(line, at)
     (at / "m.commanded.fits").rename(at / "stiffness.fits")
-    _given_shapes(at)
+    write_shapes(at / "shapes.fits", 1e-7 * read_fits(at / "m.fits").pixels("MODES").T)
     must("calibrate stiffness.fits -o feed.fits", at)
     make_foreign(at)
     _interrupt(at)
     for k in range(4):
         shutil.rmtree(at / f"d{k}")
-
-
-def _given_shapes(at: Path) -> None:
-    form = FileFormat(extensions=(ImageFormat("SHAPES", lambda shapes: shapes, "m"),))
-    write_fits(at / "shapes.fits", form, 1e-7 * read_fits(at / "m.fits").pixels("MODES").T)
 
 
 def _interrupt(at: Path) -> None:

@@ -17,7 +17,7 @@ const source = Bokeh.documents[0].get_model_by_name("actuators");
 const host = document.getElementById("plot-" + key);
 host.scrollIntoView({ block: "center" });
 const view = [...Bokeh.index.roots].find((view) => host.contains(view.el));
-const [x, y] = { map: ["x", "y"], rings: ["number", arguments[2] ?? "alpha"] }[key];
+const [x, y] = { map: ["x", "y"], rings: ["number", "alpha"] }[key];
 const box = view.el.getBoundingClientRect();
 return [box.x + view.frame.x_scale.compute(source.get_column(x)[index]),
         box.y + view.frame.y_scale.compute(source.get_column(y)[index])];
@@ -41,7 +41,7 @@ return found.join(" | ");
 class Browser:
     """What a person does with the page, and what the page must not do."""
 
-    def __init__(self, downloads, width=1280):
+    def __init__(self, downloads):
         from selenium.webdriver import Chrome
         from selenium.webdriver.chrome.options import Options
         from selenium.webdriver.chrome.service import Service
@@ -49,7 +49,7 @@ class Browser:
         options = Options()
         options.binary_location = CHROMIUM
         for word in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
-                     f"--window-size={width},900"):  # fmt: skip
+                     "--window-size=1280,900"):  # fmt: skip
             options.add_argument(word)
         options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
         self.driver = Chrome(options=options, service=Service(DRIVER))
@@ -103,11 +103,11 @@ class Browser:
         assert urls  # the page itself at least, or nothing was recorded
         return [url for url in urls if not url.startswith(("file:", "data:", "blob:"))]
 
-    def pointer(self, key, index, *, click=False, column=None):
+    def pointer(self, key, index, *, click=False):
         """Move to an actuator in a view, and click it if told to."""
         from selenium.webdriver.common.action_chains import ActionChains
 
-        x, y = self.js(PIXEL, key, index, column)
+        x, y = self.js(PIXEL, key, index)
         chain = ActionChains(self.driver)
         chain.w3c_actions.pointer_action.move_to_location(round(x) - 3, round(y))
         chain.w3c_actions.pointer_action.move_to_location(round(x), round(y))

@@ -4,8 +4,6 @@ import datetime
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +11,7 @@ import pytest
 import truenewton as tn
 from helpers.acquisition_plans import write_shapes
 from helpers.balanced import arms_of, campaign_of, noisy, three_loads
+from studies.accuracy import information_of
 from studies.joint_bound import BruteForce
 from truenewton.acquisition.plan import (
     AssumedSensors,
@@ -30,13 +29,11 @@ from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import READINGS, tilt_as_load, typical
 from truenewton.mirrors.known import p45
-from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.sight import motion_for
 from truenewton.planning.figures import plot_outlook
 from truenewton.planning.forces import holding, noiseless, prepared, strain
-from truenewton.planning.outlook import duration, outlook, predicted, with_sensors
+from truenewton.planning.outlook import outlook, predicted, with_sensors
 from truenewton.planning.target import ways_to
-from truenewton.planning.words import _drowned as drowned
 from truenewton.planning.words import lines
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -59,21 +56,14 @@ def declared(campaign, noise):
 
 
 def fisher(campaign, truth, noise, cycles):
-    """Return the information on alpha, B and torques, row by row from explicit Jacobians."""
+    """Return the information on alpha, B and torques, from explicit Jacobians."""
     a = arms_of(campaign.layout)
-    n, unknowns = a.shape[1], len(truth)
-    alpha = truth[:n]
-    s_inverse = np.linalg.inv((a * alpha * noise**2) @ (a * alpha).T)
-    information = np.zeros((unknowns, unknowns))
-    for cycle, place in zip(campaign.cycles, campaign.load_index, strict=True):
-        for c in cycle.force:
-            jacobian = np.zeros((3, unknowns))
-            jacobian[:, :n] = a * c
-            jacobian[0, n] = 1.0
-            jacobian[1, n + 1 + 2 * place] = 1.0
-            jacobian[2, n + 2 + 2 * place] = -1.0
-            information += cycles * jacobian.T @ s_inverse @ jacobian
-    return information
+    n, loads = a.shape[1], len(campaign.loads)
+    beside = np.zeros((len(campaign.cycles), 3, 1 + 2 * loads))
+    for derivative, place in zip(beside, campaign.load_index, strict=True):
+        derivative[[0, 1, 2], [0, 1 + 2 * place, 2 + 2 * place]] = 1.0, 1.0, -1.0
+    forces = [cycle.force for cycle in campaign.cycles]
+    return cycles * information_of(a, truth[:n], noise, forces, beside)
 
 
 def test_against_little_noise_the_errors_are_the_bound_of_cramer_and_rao():
@@ -124,7 +114,10 @@ def test_a_planned_day_at_the_simulated_bench_gives_what_was_predicted(ready):
     assert each == pytest.approx(1.0, rel=0.02)
 
 
-@pytest.mark.parametrize("sensors", [AssumedSensors(gain=0.0, offset=0.0), AssumedSensors()])
+@pytest.mark.parametrize(
+    "sensors",
+    [pytest.param(AssumedSensors(gain=0.0, offset=0.0), marks=pytest.mark.study), AssumedSensors()],
+)
 def test_of_reciprocity_the_bound_is_predicted(ready, sensors):
     """Relative alpha, all of K unknown; within 3 %: of K the parts that magnets change are left."""
     plan = replace(PLAN, force_noise=1e-3, sensors=sensors)
@@ -185,14 +178,6 @@ def test_without_all_motions_there_is_no_reciprocity(ready):
     ]
 
 
-def test_two_loads_know_the_scale_as_well_as_their_difference(ready):
-    found = predicted(ready)
-    source = found.scale_errors[0]
-    assert str(source.source) == "weight of 'ring'"
-    assert source.relative == pytest.approx(0.005 / 0.289, rel=1e-9)
-    assert found.systematic_error / found.alpha == pytest.approx(0.005 / 0.289, rel=1e-6)
-
-
 def test_three_loads_whose_weights_can_correct_each_other():
     quiet, noise = three_loads(4, 0.0), 1e-4
     one = declared(quiet, noise)
@@ -216,31 +201,12 @@ def test_a_tilt_as_the_load(ready, tilt):
     assert np.hypot(*weights) == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.study
-def test_forces_at_rest_are_those_of_the_bench_but_for_its_scatter(ready):
-    mirror = p45()
-    leaning = replace(PLAN, loads=(*LOADS, Load("leaning", tilt=30.0)))
-    held = 0.9 * ready.changed(leaning).rest_force
-    balance = held @ arms_of(mirror.layout).T
-    bias = mirror.bias_force * mirror.layout.nz.sum()
-    weight = np.array([-2.920, -2.920 - 0.289, -2.920 * np.sqrt(0.75)])
-    assert balance[:, 0] == pytest.approx(-(weight + bias))
-    assert balance[:, 1:] == pytest.approx(0.0, abs=1e-12)
-    made = np.mean([static_bench(mirror, seed).load_force for seed in range(20)], axis=0)
-    assert held[:2] == pytest.approx(made, abs=4e-3)  # 5 % of 97 mN, twenty times
-
-
 def test_repeats_make_it_better_as_their_root(ready):
     against = outlook(ready).against_cycles
     assert against.values.tolist() == [1, 2, 4, 8, 16, 32, 64]
     assert against.reading_error == pytest.approx(
         against.reading_error[0] / np.sqrt(against.values), rel=1e-3
     )
-
-
-def test_how_long_it_takes():
-    plan = replace(PLAN, cycles=3, settling=0.1, samples=716, pause=100.0)
-    assert duration(plan, 45) == pytest.approx(2 * 3 * 90 * 0.11 + 100.0)
 
 
 def test_one_load_or_equal_ones_leave_the_scale_free(ready):
@@ -337,19 +303,6 @@ def test_shapes_of_a_measured_matrix_or_given_ones(tmp_path, ready):
             predicted(prepared(given.plan, tmp_path))
 
 
-def test_the_glass_is_made_once(monkeypatch):
-    """Of a petal of M4 it takes 18 s."""
-    made = []
-
-    def counted(mirror):
-        made.append(mirror)
-        return held_glass(mirror)
-
-    monkeypatch.setattr("truenewton.acquisition.shapes.held_glass", counted)
-    assert with_sensors(prepared(PLAN), [PLAN.cycles]).planned is not None
-    assert len(made) == 1
-
-
 def test_disabled_actuators_take_no_part(ready):
     mirror = p45()
     on = ~np.isin(np.arange(45), (3, 30))
@@ -370,15 +323,6 @@ def test_disabled_actuators_take_no_part(ready):
     assert found.typical == pytest.approx(0.005 / 0.289, rel=0.01)
     balance = noiseless(some).cycles[0].used_force @ arms_of(layout)[:, on].T * 0.9
     assert balance[:, 0] == pytest.approx(2.920 - 0.097 * layout.nz[on].sum())
-
-
-def test_the_plan_that_ships_drives_the_modes_as_the_paper_says():
-    plans = Path(__file__).parents[2] / "docs" / "plans"
-    ready = prepared(read_plan(plans / "p45-as-in-the-paper.toml"), plans)
-    stroke = np.abs(ready.shapes).max(axis=1)
-    assert (stroke > 0.999e-6).sum() == 3
-    assert np.abs(ready.shapes[:3] - ready.shapes[:3].mean(axis=1, keepdims=True)).max() > 0.5e-6
-    assert stroke[3:].max() < 0.9e-6
 
 
 def test_planned_shapes_keep_to_stroke_and_force(ready):
@@ -433,14 +377,14 @@ def test_the_template_is_a_plan_that_predicts(inside, tmp_path, file):
 def test_shapes_that_drown_in_the_noise_of_sensors_are_foretold(ready):
     """Where `acquire` would take noise for an actuator that stands elsewhere."""
     strokes = np.abs(ready.shapes).max(axis=1)
-    for border in (0.99 * strokes.min(), 1.01 * strokes.min(), np.median(strokes)):
+    for border in (0.99 * strokes.min(), np.median(strokes)):
         sensors = replace(PLAN.sensors, noise=border / 60)  # six times that are a tenth of it
-        rows = drowned(SimpleNamespace(ready=ready.changed(replace(PLAN, sensors=sensors))))
-        assert len(rows) == (border > strokes.min())
-        for _, value, note in rows:
-            assert value == f"{1e9 * strokes.min():.3g} nm"
-            small = np.count_nonzero(strokes < border)
-            assert f"of {small} of 45 shapes a tenth is less than six times the noise" in note
+        said = "\n".join(lines(outlook(ready.changed(replace(PLAN, sensors=sensors)))))
+        small = np.count_nonzero(strokes < border)
+        assert (f"of {small} of 45 shapes a tenth is less than six times the noise" in said) == (
+            small > 0
+        )
+        assert (f"{1e9 * strokes.min():.3g} nm" in said) == (small > 0)
 
 
 def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
@@ -461,9 +405,7 @@ def test_what_the_command_says_a_script_can_read(inside, file, tmp_path):
     assert values["curves"]["added_factor"]["added_factor"][:4] == [0.25, 0.5, 1, 2]
     assert [way["reached"] for way in values["ways"]] == [False, False, True, True, False]
     assert figure.read_bytes().startswith(b"\x89PNG")
-    code, _, err = inside("plan", file, "--plot", figure)
-    assert code == 2
-    assert "exists already" in err
+    assert "exists already" in inside("plan", file, "--plot", figure)[2]
 
 
 def test_for_a_target_it_says_what_to_change(inside, file):
@@ -482,9 +424,6 @@ def test_a_free_scale_is_a_warning(inside, file):
     assert "common scale            free" in out
     assert "The 2 loads have the same weight, so the common scale is free" in out
     assert "leaves the scale free" in out
-    values = json.loads(inside("plan", file, "--json")[1])
-    assert values["typical_error"] is None
-    assert values["typical_e_stat"] > 0
 
 
 def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
@@ -505,37 +444,25 @@ def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
     [
         ('mirror = "p45"', "", "lacks 'mirror'; add it"),
         ('mirror = "p45"', 'mirror = "nobody"', "no mirror is called 'nobody'; the known ones"),
-        ('mirror = "p45"', 'mirror = "none.toml"', "none.toml: cannot be read"),
         ("cycles = 4", "cycles = 0", "cycles is 0; give 1 to 999"),
         ("cycles = 4", "cycles = 4.0", "cycles is 4.0; give an integer"),
         ("cycles = 4", "cyclse = 4", "knows no 'cyclse'; did you mean 'cycles'?"),
         ("cycles = 4", "cycles = ", "is not TOML"),
-        ("samples = 2048", "samples = 0", "samples is 0; give 1 to"),
         ("settling = 0.15", "settling = -1", "settling is -1.0; give zero or more"),
-        ("pause = 1800.0", "pause = inf", "pause is inf; give zero or more"),
         ("force_noise = 1e-4 ", "force_noise = 0", "force_noise is 0.0; give a positive number"),
-        ("force_noise = 1e-4 ", "force_noise = nan", "force_noise is nan; give a number"),
-        ("stroke = 1e-6", "stroke = 0", "shapes.stroke is 0.0; give a positive"),
         ("stroke = 1e-6", "stroke = 6e-6", "shapes.stroke is 6e-06, beyond its limit of 5e-06"),
-        ("count = 0", "count = -1", "shapes.count is -1; give zero or more"),
         ("count = 0", "count = 9", "too few shapes: 9 for 45 actuators; apply 45"),
-        ("force = 0.3", "force = 0.7", "shapes.force is 0.7, beyond its limit of 0.6"),
         ("force = 0.3", "force = 0.59", "N under load 'ring', beyond its limit of 0.6; plan"),
-        ("force = 0.6", "force = -0.6", "limits.force is -0.6; give a positive number"),
         ("gap = 30e-6", "gap = 67.5e-6", "gap closes to 6.7e-05 m, beyond its limit of 6.75e-05"),
         ("[-10.0, 40.0]", "[40.0, -10.0]", "limits.temperature is [40.0, -10.0]; lowest first"),
-        ("[-10.0, 40.0]", "[40.0]", "limits.temperature is [40.0]; give 2 values"),
         ('source = "modes"', 'source = "no.fits"', "no.fits: "),
         ('name = "ring"', 'name = "Bare"', "give every load once, with a name of its own"),
         ('name = "ring"', 'name = " "', "load ' ': LOAD is blank; name the load"),
         ("added = -0.289", "added = 0.289", "load 'ring': ADDED is 0.289 N; z points up"),
-        ("added = -0.289", "added = -inf", "load 'ring': ADDED is -inf N; give the weight"),
         ("added_error = 0.005", "added_error = -1", "load 'ring': E_ADDED is -1; give a standard"),
         ('tool = "ring"', "tilt = 90", "load 'ring': TILT is 90 deg; give the angle"),
         ('tool = "ring"', "tilt_error = -1", "load 'ring': E_TILT is -1; give a standard"),
-        ('tool = "ring"', "tool = 3", "loads.tool is 3; give text"),
         ('kind = "simulated"', 'kind = "real"', "bench.kind is 'real'; choose simulated"),
-        ("seed = 1 ", "seed = -1", "bench.seed is -1; give zero or more"),
     ],
 )
 def test_what_is_wrong_with_a_plan_is_said_in_one_line(inside, file, old, new, said):
@@ -560,7 +487,6 @@ def test_words_that_do_not_go_together(inside, file, tmp_path):
     for words in (
         ("plan",),
         ("plan", file, "--new"),
-        ("plan", "--new", "--target", "0.01"),
         ("plan", file, "-o", tmp_path / "x"),
         ("plan", file, "--target", "-1"),
         ("plan", file, "--target", "nan"),

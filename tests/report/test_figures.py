@@ -2,6 +2,7 @@
 
 import datetime
 import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,54 +12,35 @@ from matplotlib.dates import num2date
 from matplotlib.figure import Figure
 
 from helpers import report_data
-from helpers.balanced import p45_bench, p45_campaign
 from helpers.report_data import changed_by, with_sensors
-from truenewton.bench.simulated.static import START
-from truenewton.calibration.figures import write_figures
 from truenewton.figures.style import COLUMN
-from truenewton.figures.writing import write_figure
-from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.records.campaign import Campaign
 from truenewton.report.change import change
 from truenewton.report.figures import figures_of, still_figures
 from truenewton.report.investigate import investigate
-
-
-@pytest.fixture(scope="module")
-def p45():
-    return investigate(p45_campaign(2))
 
 
 def points(ax):
     return [line for line in ax.lines if len(line.get_xdata()) > 2]
 
 
-def test_every_call_takes_axes_and_returns_them(p45):
+def test_every_call_takes_axes_and_returns_them(p45_findings):
     found = change(*changed_by(12.0))
-    names = (
-        "budget",
-        "residuals",
-        "balance",
-        "singular-values",
-        "temperatures",
-        "modes",
-        "modes-residual",
-        "modes-power",
-        "modes-comparison",
-        "map-leverage",
-        "map-noise",
-    )
-    calls = [partial(p45.plot, name) for name in names]
+    names = ("budget", "residuals", "balance", "singular-values", "temperatures", "modes",
+             "modes-residual", "modes-power", "modes-comparison", "map-leverage", "map-noise"
+    )  # fmt: skip
+    calls = [partial(p45_findings.plot, name) for name in names]
     for call in (*calls, found.plot_map, found.plot_actuators):
         ax = Figure().add_subplot()
         assert call(ax) is ax
-        assert call().get_figure().get_figwidth() == pytest.approx(COLUMN)
+    assert p45_findings.plot("budget").get_figure().get_figwidth() == pytest.approx(COLUMN)
 
 
-def test_the_budget_bars_are_the_errors_in_per_cent(p45):
-    ax = p45.plot("budget")
+def test_the_budget_bars_are_the_errors_in_per_cent(p45_findings):
+    ax = p45_findings.plot("budget")
     names = [label.get_text() for label in ax.get_yticklabels()]
     sizes = dict(zip(names, [bar.get_width() for bar in ax.patches], strict=True))
-    c = p45.calibration
+    c = p45_findings.calibration
     assert sizes["typical actuator, all"] == pytest.approx(100 * np.median(c.error / c.alpha))
     for line in c.scale_errors:
         if line.relative > 1e-5:
@@ -74,36 +56,30 @@ def test_residuals_stand_at_their_shape_and_cycle():
     k = 40
     column = residuals.signed_shape[k] + 14
     assert shown[residuals.cycle[k], column] == pytest.approx(residuals.after[k])
+    lost = np.flatnonzero(~residuals.kept)
+    assert (lost.tolist(), residuals.cycle[lost].tolist()) == ([0, 1, 2], [0, 0, 0])
+    assert residuals.after[lost].min() > 50 > 4 > residuals.after[residuals.kept].max()
     [crosses] = ax.lines
     assert crosses.get_xdata().tolist() == [1, 2, 3]
     assert crosses.get_ydata().tolist() == [1, 1, 1]
 
 
-def test_the_balance_before_lies_above_that_after(p45):
-    before, after = points(p45.plot("balance"))
+def test_the_balance_before_lies_above_that_after(p45_findings):
+    before, after = points(p45_findings.plot("balance"))
     assert len(before.get_xdata()) == len(after.get_xdata()) == 90
     assert np.median(before.get_ydata()) > 5 * np.median(after.get_ydata())
     one = np.flatnonzero(np.asarray(after.get_xdata()) == -7)[0]
-    residuals = p45.evidence.residuals
+    residuals = p45_findings.evidence.residuals
     rows = residuals.signed_shape == -7
     rms = np.sqrt(np.mean(residuals.after[rows] ** 2))
     assert after.get_ydata()[one] == pytest.approx(rms)
 
 
-def test_modes_stand_over_their_stiffness():
-    truth = p45_bench().truth
-    matrix = StiffnessMatrix("P45", START, truth.layout, truth.stiffness / truth.alpha[:, None])
-    ax = investigate(matrix).plot("residuals")
-    before, _ = points(ax)
-    assert np.asarray(before.get_xdata()).min() > 1e3
-    assert ax.get_xscale() == ax.get_yscale() == "log"
-
-
-def test_temperatures_stand_at_their_time(p45):
-    ax = p45.plot("temperatures")
+def test_temperatures_stand_at_their_time(p45_findings):
+    ax = p45_findings.plot("temperatures")
     lines = points(ax)
     assert len(lines) == 4
-    cycle = p45.data.cycles[0]
+    cycle = p45_findings.data.cycles[0]
     first = num2date(lines[0].get_xdata(orig=False)[0])
     assert abs(first - cycle.date - datetime.timedelta(seconds=cycle.time[0])) < (
         datetime.timedelta(seconds=1)
@@ -123,28 +99,15 @@ def test_a_change_stands_with_its_name_beyond_the_band():
     assert shown.get_clim() == pytest.approx((-3 * found.limit, 3 * found.limit))
 
 
-@pytest.mark.study
-def test_all_of_them_as_pdf_png_and_svg(p45, tmp_path):
-    more = still_figures(p45)
-    assert {"budget", "residuals", "singular-values", "balance", "temperatures", "map-e-stat",
-            "map-leverage", "map-residual", "modes", "modes-residual", "modes-power",
-            "modes-comparison"} == set(more)  # fmt: skip
-    paths = write_figures(p45.calibration, tmp_path / "figures", more=more)
-    assert len(paths) == 2 * (3 + len(more))
-    write_figure(p45.plot("balance"), tmp_path / "balance.svg")
-    text = (tmp_path / "balance.svg").read_text()
-    assert "<svg" in text
-    write_figure(p45.plot("balance"), tmp_path / "again.svg")
-    assert (tmp_path / "again.svg").read_text() == text
-
-
-def test_sensors_are_drawn_where_they_are_known(p45):
-    found = investigate(with_sensors(p45.calibration))
+def test_sensors_are_drawn_where_they_are_known(p45_findings):
+    found = investigate(with_sensors(p45_findings.calibration))
     maps = {"map-sensor-gain", "map-sensor-dx", "map-sensor-dy"}
     assert maps <= set(still_figures(found))
-    assert not maps & set(figures_of(p45))
+    assert not maps & set(figures_of(p45_findings))
     text = (Path(__file__).parents[2] / "docs" / "report.md").read_text(encoding="utf-8")
-    assert all(f"`{name}`" in text for name in maps)
+    names = set(re.findall(r"`([a-z-]+)`", text))
+    assert maps | set(figures_of(p45_findings)) <= names
+    assert set(still_figures(p45_findings)) <= set(figures_of(p45_findings))
     open_circles, dots = found.plot("map-sensor-dx").collections[:2]
     assert len(open_circles.get_paths()) == 1
     np.testing.assert_allclose(
@@ -153,15 +116,8 @@ def test_sensors_are_drawn_where_they_are_known(p45):
     assert sum(dots.get_clim()) == 0.0
 
 
-def test_every_name_of_a_figure_is_documented(p45):
-    text = (Path(__file__).parents[2] / "docs" / "report.md").read_text(encoding="utf-8")
-    names = set(re.findall(r"`([a-z-]+)`", text))
-    assert set(figures_of(p45)) <= names
-    assert set(figures_of(p45)) >= set(still_figures(p45))
-
-
-def test_a_calibration_alone_has_no_residuals_to_draw(p45):
-    alone = investigate(p45.calibration)
+def test_a_calibration_alone_has_no_residuals_to_draw(p45_findings):
+    alone = investigate(p45_findings.calibration)
     with pytest.raises(ValueError, match="holds no residuals"):
         alone.plot("residuals")
     with pytest.raises(ValueError, match="only the cycles of a campaign"):
@@ -172,10 +128,6 @@ def test_a_calibration_alone_has_no_residuals_to_draw(p45):
 
 
 def test_names_with_dollars_are_no_formulas():
-    from dataclasses import replace
-
-    from truenewton.records.campaign import Campaign
-
     cycles = report_data.fine().cycles
     hostile = [replace(c, load=replace(c.load, name=f"{c.load.name} $x_{{$")) for c in cycles]
     found = investigate(Campaign(tuple(hostile)))

@@ -1,11 +1,9 @@
 """The report says what holds: verdicts, evidence, changes; and takes no name for markup."""
 
 import json
-import os
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,12 +15,9 @@ from helpers.balanced import arms_of, p45_campaign
 from helpers.report_data import HOSTILE, changed_by, hostile_campaign, with_sensors
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, OutputExists, UnknownName
-from truenewton.reading import read
 from truenewton.records.campaign import Campaign
 from truenewton.records.source import Source
-from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.report.change import change
-from truenewton.report.evidence import ModeResiduals
 from truenewton.report.investigate import investigate
 from truenewton.report.layers import calibration_layers
 from truenewton.report.page.page import page, write_report
@@ -44,13 +39,6 @@ typical error of alpha: 1.7 % (one sigma; 0.018 % from the readings)
 error of the common scale: 1.7 % (one sigma, the same for all)
 - The common scale is known to 1.7 %, nearly all of it from the weight of 'ring A'. Weigh it to\
  0.5 mN and it falls to 0.17 %; a 60 degree tilt known to 0.1 degree gives 0.35 %.""",
-    "with_weak_actuator": """\
-Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. The stated errors\
- hold and include what was found. A better result is possible.
-alpha: 0.076411 to 1.02068 (actuators 8 and 3, true N / commanded N)
-typical error of alpha: 0.019 % (one sigma; 0.018 % from the readings)
-error of the common scale: 0.018 % (one sigma, the same for all)
-- Actuator 8: outlier, alpha is 0.076411 ± 0.000012. Look at its coil, magnet and wiring.""",
     "with_outliers": """\
 Usable. Alpha of all 14 actuators of TEST is known, typically to 0.019 %. The stated errors\
  hold and include what was found. A better result is possible.
@@ -63,9 +51,6 @@ error of the common scale: 0.018 % (one sigma, the same for all)
 No alpha. These data of TEST cannot give alpha.
 - There is only one load, 'bare', so the common scale is free. Add cycles under a load of another\
  known weight.""",
-    "too_few_shapes": """\
-No alpha. These data of TEST cannot give alpha.
-- There are too few shapes: 3 for 14 actuators. Apply 14 independent shapes, both signs.""",
 }
 
 
@@ -76,9 +61,7 @@ def test_the_verdict_in_words(name):
 
 def test_a_disabled_actuator_is_named():
     judged = verdict(investigate(report_data.fine(disabled=(4,))))
-    assert judged.sentence.startswith(
-        "Alpha of 13 of the 14 actuators of TEST (actuator 5 disabled) is known"
-    )
+    assert "Alpha of 13 of the 14 actuators of TEST (actuator 5 disabled)" in judged.sentence
 
 
 def test_a_fit_worse_than_its_noise_is_used_with_care():
@@ -129,16 +112,6 @@ def test_the_balance_before_is_that_of_commanded_forces(p45):
     assert line.noise == pytest.approx(np.sqrt(np.sum(p45.calibration.alpha**2)), rel=0.05)
 
 
-def test_a_rejected_row_stays_in_sight():
-    found = investigate(report_data.with_outliers(rows=2))
-    residuals = found.evidence.residuals
-    lost = np.flatnonzero(~residuals.kept)
-    assert lost.tolist() == [0, 1]
-    assert residuals.cycle[lost].tolist() == [0, 0]
-    assert residuals.after[lost].min() > 50
-    assert residuals.after[residuals.kept].max() < 4
-
-
 def test_leverage_is_that_of_the_readings(p45):
     layers = calibration_layers(p45.calibration, p45.evidence)
     [layer] = [layer for layer in layers if layer.key == "leverage"]
@@ -149,50 +122,28 @@ def test_leverage_is_that_of_the_readings(p45):
     assert even.values.sum() == pytest.approx(3.0)
 
 
+def keys_of(calibration):
+    return [layer.key for layer in calibration_layers(calibration, None)]
+
+
 def test_sensors_are_layers_of_the_map_where_they_are_known(p45):
     c = with_sensors(p45.calibration)
     gain, *offsets = layers = calibration_layers(c, None)[-3:]
     assert [layer.key for layer in layers] == ["sensor_gain", "sensor_dx", "sensor_dy"]
-    assert not any(
-        layer.key.startswith("sensor") for layer in calibration_layers(p45.calibration, None)
-    )
+    assert not any(key.startswith("sensor") for key in keys_of(p45.calibration))
     np.testing.assert_array_equal(gain.values, [sensor.gain for sensor in c.sensors])
     np.testing.assert_allclose(offsets[1].values, [1e3 * sensor.y for sensor in c.sensors])
     assert np.isnan(gain.values[7])
     assert offsets[0].limits[0] == -offsets[0].limits[1]
+    assert "findings" not in keys_of(p45.calibration)
     # What reciprocity was not asked has no error, and no map.
     unasked = tuple(replace(s, x_error=0.0, y_error=0.0) for s in c.sensors)
-    keys = [layer.key for layer in calibration_layers(replace(c, sensors=unasked), None)]
+    keys = keys_of(replace(c, sensors=unasked))
     assert keys[-1] == "sensor_gain"
     assert not any("dx" in key for key in keys)
     text = page(investigate(c))
     assert "the mirror moves by more than the sensor says" in text
     assert "Place of the actuator less that of its sensor" in text
-
-
-def test_numbers_go_as_far_as_their_errors(p45):
-    c = p45.calibration
-    layers = {layer.key: layer for layer in calibration_layers(c, p45.evidence)}
-    value, error = layers["alpha"].texts[9].split(" ± ")
-    assert float(value) == pytest.approx(c.alpha[9], abs=0.5 * 10.0 ** -len(error.split(".")[1]))
-    assert float(error) == pytest.approx(c.error[9], rel=0.1)
-    assert len(value.split(".")[1]) == len(error.split(".")[1])
-    assert all(len(text.lstrip("0.").replace(".", "")) <= 2 for text in layers["e_stat"].texts)
-
-
-def test_a_stiffness_matrix_has_modes_for_rows():
-    from helpers.balanced import p45_bench
-    from truenewton.bench.simulated.static import START
-
-    truth = p45_bench().truth
-    stiffness = truth.stiffness / truth.alpha[:, None]
-    found = investigate(StiffnessMatrix("P45", START, truth.layout, stiffness))
-    residuals = found.evidence.residuals
-    assert isinstance(residuals, ModeResiduals)
-    assert len(residuals.stiffness) == 42
-    assert residuals.after.max() < 1e-6 < residuals.before.min()
-    assert found.evidence.balance[0].what == "all modes, fitted"
-    assert "Residuals by mode" in page(found)
 
 
 def test_a_changed_actuator_stands_out_by_as_many_sigmas():
@@ -214,6 +165,8 @@ def test_what_is_common_to_all_is_no_change():
     assert verdict_on_change(found).title == "No change"
     scale = np.nanmedian(found.one.systematic_error / found.one.alpha)
     assert found.ratio_error == pytest.approx(1.02 * np.sqrt(2) * scale)
+    named = replace(found.one, sources=(Source("bare.fits", "0" * 64, 1, 0),))
+    assert "rest on the same files" in verdict_on_change(change(named, named)).advice[0][0]
 
 
 def test_chance_alone_changes_nothing():
@@ -225,21 +178,11 @@ def test_chance_alone_changes_nothing():
     assert not found.changed.size
 
 
-def test_calibrations_of_two_mirrors_are_not_compared(p45):
+def test_two_mirrors_are_not_compared_and_unknown_figures_not_drawn(p45):
     with pytest.raises(CampaignMismatch, match="not of the same actuators"):
         change(p45.calibration, changed_by(0.0)[0])
-
-
-def test_the_same_files_are_said_to_be_the_same():
-    one, _ = changed_by(0.0)
-    cycle = report_data.fine().cycles[0]
-    named = replace(one, sources=(calibrated_source(cycle),))
-    advice = verdict_on_change(change(named, named)).advice
-    assert "rest on the same files" in advice[0][0]
-
-
-def calibrated_source(cycle):
-    return Source(f"{cycle.load.name}.fits", "0" * 64, 1, 0)
+    with pytest.raises(UnknownName, match="choose map-alpha, map-e-alpha"):
+        p45.plot("colour")
 
 
 class Reader(HTMLParser):
@@ -303,31 +246,19 @@ def test_the_page_holds_all_it_needs(p45):
     assert "truenewton report p45 -o r.html" in text
 
 
-@pytest.mark.study
-@pytest.mark.skipif("TRUENEWTON_REAL_DATA" not in os.environ, reason="TRUENEWTON_REAL_DATA unset")
-def test_a_real_mirror_is_told_within_its_limit():
-    path = Path(os.environ["TRUENEWTON_REAL_DATA"]) / "lbt672" / "lbt672-feedforward.fits"
-    found = investigate(read(path), "ml")
-    judged = verdict(found)
-    assert judged.title == "Doubtful"
-    assert judged.sentence.startswith("Relative alpha of all 650 actuators of LBT672 is known")
-    assert judged.advice[0].code == "held-out-imbalance"
-    assert judged.numbers[2][1] == "free"
-    assert len(page(found).encode()) < 2e6
-
-
-def test_a_large_mirror_stays_below_ten_megabytes():
-    text = page(investigate(report_data.large()))
-    assert len(text.encode()) < 4e6
+def test_a_page_of_a_large_mirror_is_little_longer_than_bokeh():
+    """Of 1002 actuators half a megabyte; of 5,352, see docs/report.md, five times that."""
+    text = page(investigate(report_data.large(1002)))
     bokeh = sum(len(part) for part in Resources(mode="inline", components=["bokeh"]).js_raw)
-    assert len(text.encode()) < bokeh + 2e6
+    assert bokeh < len(text.encode()) < bokeh + 5e5
 
 
-def test_a_report_is_not_overwritten_unless_told(tmp_path, p45):
-    write_report(tmp_path / "report.html", p45)
+def test_a_report_is_not_overwritten_unless_told(tmp_path):
+    found = investigate(report_data.one_load())
+    write_report(tmp_path / "report.html", found)
     with pytest.raises(OutputExists):
-        write_report(tmp_path / "report.html", p45)
-    write_report(tmp_path / "report.html", p45, overwrite=True)
+        write_report(tmp_path / "report.html", found)
+    write_report(tmp_path / "report.html", found, overwrite=True)
 
 
 def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp_path):
@@ -352,15 +283,9 @@ def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp
     assert "there is no method 'no'" in err
 
 
-def test_a_figure_that_is_not_there_is_refused_by_name(p45):
-    with pytest.raises(UnknownName, match="choose map-alpha, map-e-alpha"):
-        p45.plot("colour")
-
-
 def test_actuators_that_findings_name_are_a_layer_of_the_map(p45):
     found = replace(p45.calibration, effects=(
         tn.Finding(code=tn.Code.ACTUATOR_MISFIT, actuators=(3, 17), corrected=True, remedy="look"),
     ))  # fmt: skip
     layers = {layer.key: layer for layer in calibration_layers(found, None)}
     assert np.flatnonzero(layers["findings"].values).tolist() == [2, 16]
-    assert "findings" not in {layer.key for layer in calibration_layers(p45.calibration, None)}

@@ -7,14 +7,14 @@ import pytest
 
 from truenewton.errors import GeometryError
 from truenewton.estimation import systems
-from truenewton.mirrors.known import lbt672, p45
+from truenewton.mirrors.known import p45
 from truenewton.statics.arms import enabled_arms
 from truenewton.statics.layout import layout
 from truenewton.studies import proof
 from truenewton.studies.proof import balanced_forces, prove
 
 
-@pytest.mark.parametrize("seed", range(100))
+@pytest.mark.parametrize("seed", range(5))
 def test_p45_proves_within_twenty_eps_cond(seed):
     proofs = prove(p45(), seed)
     assert [(p.system, p.matrix, p.loaded) for p in proofs] == [
@@ -27,13 +27,6 @@ def test_p45_proves_within_twenty_eps_cond(seed):
         assert p.rank == p.unknowns == (45 if p.system == "C" else 50)
         assert p.ratio <= 20
         assert p.passed
-
-
-@pytest.mark.study
-def test_lbt672_proves_within_twenty_eps_cond():
-    for p in prove(lbt672(), seed=0):
-        assert p.rank == p.unknowns == (672 if p.system == "C" else 677)
-        assert p.ratio <= 20
 
 
 def test_the_first_columns_are_as_given_and_the_last_three_balance():
@@ -74,12 +67,16 @@ def test_a_line_and_one_beside_it_have_a_system_of_short_rank_and_fail(count):
         assert p.passed
 
 
-def test_four_actuators_are_too_few_for_a_proof():
-    with pytest.raises(GeometryError, match="only 4 actuators enabled; enable five"):
-        prove(replace(p45(), layout=layout([0.0, 1, 0, 1], [0.0, 0, 1, 1])), seed=0)
+LAST_THREE = np.array([0.0, 1, 0, -1, 0.5, 0.6, 0.7]), np.array([1.0, 0, -1, 0, 0.1, 0.1, 0.1])
 
 
-def test_a_layout_whose_last_three_are_collinear_is_refused():
-    x, y = np.array([0.0, 1, 0, -1, 0.5, 0.6, 0.7]), np.array([1.0, 0, -1, 0, 0.1, 0.1, 0.1])
-    with pytest.raises(GeometryError, match="last three actuators are collinear"):
-        prove(replace(p45(), layout=layout(x, y)), seed=0)
+@pytest.mark.parametrize(
+    ("places", "said"),
+    [
+        (([0.0, 1, 0, 1], [0.0, 0, 1, 1]), "only 4 actuators enabled; enable five"),
+        (LAST_THREE, "last three actuators are collinear"),
+    ],
+)
+def test_layouts_without_a_proof_are_refused(places, said):
+    with pytest.raises(GeometryError, match=said):
+        prove(replace(p45(), layout=layout(*places)), seed=0)
