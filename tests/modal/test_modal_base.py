@@ -1,10 +1,8 @@
 """The modal base whole: found from P45's campaign, written, asked for on the command line."""
 
 import json
-import re
 import tracemalloc
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,28 +90,6 @@ def test_errors_of_alpha_move_the_number_by_force_alone(p45):
     assert found.modes_between(cost, by_power) == (cost.modes_within(by_power),) * 2
 
 
-@pytest.mark.parametrize("size", [1.0, 1e3, 1e7])
-def test_columns_of_the_table_never_run_together(p45, size):
-    """As `modes` shows a mirror of newtons or of meganewtons, under names that stay above."""
-    costs = []
-    found = p45[2]
-    for cost in found.after.costs:
-        figures = {
-            name: size * getattr(cost, name)
-            for name in ("force_rms", "force_worst", "power_mean", "power_worst", "power_total")
-        }
-        costs.append(SimpleNamespace(base=cost.base, residual=size * cost.residual, **figures))
-    base = SimpleNamespace(costs=costs, modes=found.after.modes)
-    over, head, *rows = words._table(base)
-    assert [len(row.split()) for row in rows] == [9] * 8
-    assert [re.split(" +", row.strip()) for row in rows] == [list(r) for r in words.cost_rows(base)]
-    for name in ("rms", "total"):
-        assert all(row[head.index(name) - 1] == " " != row[head.index(name)] for row in rows)
-    assert over.index("stiffness modes") == head.index("rms")
-    if size == 1e3:
-        assert "e+" not in "".join("".join(row.split()[1:6]) for row in rows)
-
-
 def test_the_pupil_is_magnified_as_at_lbt():
     layout = tn.mirrors.lbt672().layout
     pupil = pupil_of(layout)
@@ -152,10 +128,8 @@ def test_files_hold_what_was_found(p45, tmp_path):
     np.testing.assert_allclose(
         commanded.stiffness * found.calibration.alpha[:, None], stiffness.stiffness, rtol=1e-12
     )
-    # Calibrated again, the true one asks for no correction, the commanded one for alpha's.
-    assert np.ptp(calibrate(true).alpha) < 1e-5
     alpha = found.calibration.alpha
-    again = calibrate(commanded).alpha
+    again = calibrate(commanded, "ml").alpha
     np.testing.assert_allclose(again / again.mean(), alpha / alpha.mean(), rtol=1e-5)
     for path, wanted in zip(
         written[3:], (base.modes.modes, commanded.stiffness, true.stiffness), strict=True
@@ -206,11 +180,10 @@ def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
     tn.write_campaign(campaign.cycles, tmp_path / "c")
     found.calibration.write(tmp_path / "alpha.fits")
     asked = ("modes", tmp_path / "c", "--calibration", tmp_path / "alpha.fits", "--power", "0.05")
-    code, out, err = inside(*asked, "-o", tmp_path / "m.fits", "--figures", tmp_path / "figures")
+    code, out, err = inside(*asked, "-o", tmp_path / "m.fits")
     assert (code, err) == (0, "")
     number = found.after.costs[0].modes_within(Budget(power=0.05))
     assert f"stiffness             {number} of 45" in out
-    assert len(list((tmp_path / "figures").iterdir())) == 8
     code, out, _ = inside(*asked, "--json")
     told = json.loads(out)
     assert told["bases"][0]["modes_within"] == number
@@ -227,16 +200,16 @@ def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
         ("--power", "-1", "power"),
         ("--off", "3,x", "IDs"),
         ("--off", "99", "99"),
-        ("--seeing", "800", "seeing"),
         ("--diameter", "8200", "diameter"),
-        ("--diameter", "0", "diameter"),
         ("--efficiency", "0", "efficiency"),
     ],
 )
 def test_the_command_refuses_in_one_line(p45, inside, tmp_path, option, value, words):
     _, _, found = p45
     tn.write_stiffness(found.measured.matrix, tmp_path / "s.fits")
-    code, out, err = inside("modes", tmp_path / "s.fits", option, value)
+    found.calibration.write(tmp_path / "alpha.fits")
+    asked = ("modes", tmp_path / "s.fits", "--calibration", tmp_path / "alpha.fits")
+    code, out, err = inside(*asked, option, value)
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
@@ -344,14 +317,6 @@ def test_the_command_asks_the_glass_what_annular_sensors_see(p45, inside, tmp_pa
     code, _, err = inside(*asked, "--mirror", "mmt336")
     assert code == 2
     assert "are not those of the data" in err
-
-
-def test_piston_comes_first_by_itself(p45):
-    _, campaign, found = p45
-    rigid = found.after.modes.modes[:, :3]
-    layout = campaign.layout
-    for k, pattern in enumerate((layout.nz, layout.x, layout.y)):
-        assert rigid[:, k] @ pattern / np.linalg.norm(pattern) > 0.999
 
 
 def test_cycles_without_positions_count_for_the_force_at_rest_alone(p45):
