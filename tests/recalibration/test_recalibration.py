@@ -116,14 +116,6 @@ def test_who_changed_unannounced_is_found_and_given_anew(asked):
     assert made.probability > 1e-3  # of those who stayed
 
 
-def test_nobody_changed():
-    found = 0
-    for seed in range(10):
-        random = np.random.default_rng(60 + seed)
-        found += len(tn.recalibrate(short(ONES, random), earlier(random)).moved)
-    assert found <= 1
-
-
 def test_a_bad_row_is_no_moved_actuator():
     random = np.random.default_rng(7)
     run = short(replaced(), random)
@@ -301,8 +293,6 @@ def test_the_command_writes_an_ordinary_calibration(inside, files, tmp_path):
     ("words", "said"),
     [
         (["--actuators", "x"], "--actuators is 'x'"),
-        (["--actuators", "99"], "there is no actuator 99"),
-        (["--actuators", "17", "--known", "lost.fits"], "lost.fits: cannot be read"),
         (["--actuators", "17", "--known", "after/bare-001.fits"], "is no calibration"),
         ([], "Missing option"),
     ],

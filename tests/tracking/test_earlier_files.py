@@ -145,6 +145,10 @@ def negative_scatter(hdus):
     hdus[0].header["SCATTER"] = -0.001
 
 
+def no_date(hdus):
+    hdus["DAYS"].data["DATE"][0] = "yesterday"
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -152,6 +156,7 @@ def negative_scatter(hdus):
         (without_that_of_a_day, "TEMPERATURE of DAYS"),
         (of_another_effect, "EFFECT is humidity"),
         (negative_scatter, "SCATTER is negative"),
+        (no_date, "DATE in DAYS"),
     ],
 )
 def test_a_law_that_lacks_what_it_needs_is_refused(inside, written, tmp_path, change, said):

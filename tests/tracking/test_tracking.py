@@ -14,19 +14,17 @@ from helpers.tracked import (
     MEAN_K,
     SPREAD_K,
     TEMPERATURES,
-    campaign_at,
     days_of,
     drawn,
     pattern,
     quiet_cycles,
 )
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient
-from truenewton.figures.writing import write_drawn
 from truenewton.records.source import Source
 from truenewton.statics.load import Load
-from truenewton.tracking.days import DatedCalibration, covariances, gathered, weight_groups
+from truenewton.tracking.days import DatedCalibration, covariances, weight_groups
 from truenewton.tracking.family import families_from, fitted_population, most_outlying
-from truenewton.tracking.figures import tracking_figures
+from truenewton.tracking.figures import plot_family, plot_law, tracking_figures
 from truenewton.tracking.linear_fit import linear_fit
 from truenewton.tracking.validity import validity_of
 from truenewton.tracking.words import lines
@@ -155,9 +153,8 @@ def test_the_error_of_the_ring_cancels_from_the_coefficients_but_not_from_alpha(
 # The law, from campaigns through the estimator
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_coefficients_of_simulated_campaigns_come_out_within_their_covariance(seed):
-    found = tn.track(*days_of(seed, K, R, gap=90.0))
+def test_coefficients_of_simulated_campaigns_come_out_within_their_covariance():
+    found = tn.track(*days_of(1, K, R, gap=90.0))
     n = 45
     for place, truth, told in ((1, K, found.coefficient), (2, R, found.drift / found.alpha)):
         part = slice(place * n, (place + 1) * n)
@@ -227,6 +224,7 @@ def test_who_leaves_by_temperature_by_drift_or_by_a_jump_is_named():
     assert found.errors[0][40] > 3 * np.median(found.errors[1])  # its own scatter is allowed for
 
 
+@pytest.mark.study
 def test_nobody_leaves_in_quiet_families():
     alarms = [tn.track(*drawn(100 + seed, K, R, gap=90.0)).outliers for seed in range(20)]
     assert sum(map(bool, alarms)) <= 1  # 1 % of mirrors; two of twenty by chance: 1.7 %
@@ -414,14 +412,11 @@ def test_nothing_is_promised_where_no_day_has_been(tracking):
     said = " ".join(lines(tracking, v))
     assert "from 12.0 to 24.0 deg C (the days saw no other)" in said
     assert "(as long again as the days lasted)" in said
-
-
-def test_a_calibration_that_is_too_noisy_serves_nowhere(tracking):
-    v = validity_of(tracking, 1e-5)
-    assert v.now > 1e-5
-    assert v.temperatures == (tracking.days[-1].temperature,) * 2
-    assert v.until == tracking.days[-1].date
-    assert (v.law_temperatures, v.law_until) == (None, None)
+    too_noisy = validity_of(tracking, 1e-5)
+    assert too_noisy.now > 1e-5
+    assert too_noisy.temperatures == (tracking.days[-1].temperature,) * 2
+    assert too_noisy.until == last
+    assert (too_noisy.law_temperatures, too_noisy.law_until) == (None, None)
 
 
 # Files, figures, commands
@@ -431,6 +426,8 @@ def test_the_file_holds_all_and_serves_electronics(tracking, tmp_path):
     from astropy.io import fits
 
     tracking.write(tmp_path / "t.fits")
+    with pytest.raises(FormatError, match="is a tracking file; give it to `recalibrate --known`"):
+        tn.read(tmp_path / "t.fits")
     back = tn.read_tracking(tmp_path / "t.fits")
     assert validity_of(back, 0.004) == validity_of(tracking, 0.004)
     one, two = (t.alpha_at(14.0, t.days[2].date) for t in (tracking, back))
@@ -450,12 +447,6 @@ def test_the_file_holds_all_and_serves_electronics(tracking, tmp_path):
     assert units == ["1/K", "1/yr"]
 
 
-def test_a_tracking_file_given_as_data_is_told_what_it_is(tracking, tmp_path):
-    tracking.write(tmp_path / "t.fits")
-    with pytest.raises(FormatError, match="is a tracking file; give it to `recalibrate --known`"):
-        tn.read(tmp_path / "t.fits")
-
-
 def test_departures_and_limits_come_back_from_the_file(tmp_path):
     k = np.where(np.arange(45) == 4, 3e-3, K)
     found = tn.track(*drawn(7, k, temperatures=(12.0, 16.0, 20.0)))
@@ -465,14 +456,11 @@ def test_departures_and_limits_come_back_from_the_file(tmp_path):
     assert back.limits == found.limits != ()
 
 
-def test_figures_name_who_left(tmp_path):
+def test_figures_name_who_left():
     k = np.where(np.arange(45) == 4, 3e-3, K)
     found = tn.track(*drawn(7, k, R, gap=90.0))
-    paths = write_drawn(tracking_figures(found), tmp_path / "figures")
     kinds = ("temperature", "time", "family-temperature", "family-drift")
-    assert {p.stem for p in paths} == {f"track-{kind}" for kind in kinds}
-    from truenewton.tracking.figures import plot_family, plot_law
-
+    assert set(tracking_figures(found)) == {f"track-{kind}" for kind in kinds}
     for ax in (plot_law(found, "temperature"), plot_family(found, "temperature")):
         assert "5" in {text.get_text() for text in ax.texts}
     assert "5" not in {text.get_text() for text in plot_family(found, "drift").texts}
@@ -485,8 +473,7 @@ def test_the_command_tells_people_and_scripts(inside, tmp_path):
     for place, calibration in enumerate(drawn(1, K, R, gap=90.0)):
         calibration.write(tmp_path / f"{place}.fits")
     files = sorted(tmp_path.glob("*.fits"))
-    code, out, err = inside("track", *files, "-o", tmp_path / "t.fits", "--accuracy", "0.004",
-                            "--figures", tmp_path / "figures")  # fmt: skip
+    code, out, err = inside("track", *files, "-o", tmp_path / "t.fits", "--accuracy", "0.004")
     assert (code, err) == (0, "")
     for words in ("temperature, mean", "spread of actuators", "nobody leaves the family",
                   "serves 0.4 % from", f"written: {tmp_path / 't.fits'}", "0.fits"):  # fmt: skip
@@ -511,45 +498,20 @@ def test_a_campaign_and_a_calibration_are_tracked_together(inside, tmp_path):
     assert "LIMIT: temperature and time went together" in out
 
 
-@pytest.mark.parametrize("fault", ["one", "other", "cold", "truth", "accuracy", "lost"])
-def test_bad_input_is_refused_in_one_line(inside, tmp_path, fault):
-    one, two = drawn(1, K)[:2]
-    if fault == "other":
-        two = dataclasses.replace(two, instrument="MMT336")
-    if fault == "cold":
-        two = dataclasses.replace(two, temperature=np.nan)
-    one.write(tmp_path / "one.fits")
-    two.write(tmp_path / "two.fits")
-    paths = [tmp_path / "one.fits", tmp_path / "two.fits"]
-    options = ["--accuracy", "-1"] if fault == "accuracy" else []
-    if fault == "one":
-        paths.pop()
-    if fault == "truth":
-        (tmp_path / "two.fits").write_bytes(b"no FITS")
-    if fault == "lost":
-        (tmp_path / "two.fits").unlink()
+@pytest.mark.parametrize(
+    ("names", "options", "said"),
+    [
+        (["one"], [], "add one of another day or temperature"),
+        (["one", "lost"], [], "lost.fits: cannot be read"),
+        (["one", "two"], ["--accuracy", "-1"], "--accuracy"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(inside, tmp_path, names, options, said):
+    for name, one in zip(("one", "two"), drawn(1, K), strict=False):
+        one.write(tmp_path / f"{name}.fits")
+    paths = [tmp_path / f"{name}.fits" for name in names]
     code, out, err = inside("track", *paths, *options, "-o", tmp_path / "out.fits")
     assert (code, out) == (2, "")
     assert err.count("\n") == 1
-    words = {"one": "add one of another day or temperature", "other": "two.fits: is of MMT336",
-             "cold": "two.fits: holds no temperature", "truth": "two.fits: is not a FITS",
-             "accuracy": "--accuracy", "lost": "two.fits: cannot be read"}[fault]  # fmt: skip
-    assert words in err
+    assert said in err
     assert not (tmp_path / "out.fits").exists()
-
-
-def test_a_damaged_tracking_file_is_refused(tracking, tmp_path):
-    from astropy.io import fits
-
-    tracking.write(tmp_path / "t.fits")
-    with fits.open(tmp_path / "t.fits") as hdus:
-        hdus["DAYS"].data["DATE"][0] = "yesterday"
-        hdus.writeto(tmp_path / "bad.fits", checksum=True)
-    with pytest.raises(FormatError, match=r"bad\.fits: DATE in DAYS"):
-        tn.read_tracking(tmp_path / "bad.fits")
-
-
-def test_gathered_days_stand_in_time(tmp_path):
-    days = gathered(reversed(drawn(1, K)))
-    assert [round(d.calibration.temperature, 1) for d in days] == list(TEMPERATURES)
-    assert campaign_at(np.ones(45), np.random.default_rng(0), temperature=None) is not None
