@@ -13,7 +13,7 @@ import truenewton as tn
 from helpers.shells import influence
 from truenewton.bench.simulated.static import held_command, loop_of, run_cycles, static_bench
 from truenewton.errors import GeometryError
-from truenewton.mirrors.file import mirror_from
+from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.air_film import VISCOSITY, film_damping
@@ -44,14 +44,13 @@ def outlined(mirror, mesh_size):
     return replace(mirror, shell=replace(wider, outline=Outline(edge, (hole,), mesh_size)))
 
 
-@pytest.fixture(scope="module")
-def glasses():
-    """Return the glass of a round mirror by both models."""
-    return held_glass(ROUND), held_glass(outlined(ROUND, 8e-3))
+def test_a_nearly_round_outline_is_the_ring():
+    """By both models: stiffness, what hangs on it, what moves, what sensors off their magnets read.
 
-
-def test_a_nearly_round_outline_is_the_ring(glasses):
-    one, other = glasses
+    The load is the weight, magnets, a tool off its centre and bias magnets. Pucks are of 5 mm,
+    which the annulus of the sensor does not see.
+    """
+    glasses = one, other = held_glass(ROUND), held_glass(outlined(ROUND, 8e-3))
     assert other.stiffness == pytest.approx(one.stiffness, abs=3e-3 * np.abs(one.stiffness).max())
     stretch = [np.linalg.svd(glass.stiffness, compute_uv=False)[:-3] for glass in glasses]
     assert stretch[1] == pytest.approx(stretch[0], rel=3e-3)
@@ -59,9 +58,6 @@ def test_a_nearly_round_outline_is_the_ring(glasses):
     assert shells[1].mass == pytest.approx(shells[0].mass, rel=1e-9)
     assert shells[1].centroid == pytest.approx((0.0, 0.0), abs=1e-15)
 
-
-def test_what_hangs_on_it_is_held_as_on_the_ring(glasses):
-    """Weight, magnets, a tool off its centre and bias magnets, by both models."""
     bias = np.linspace(0.05, 0.09, 8)
     held = [
         forces_under(glass, weight_on(glass.mirror, -1.0, -0.2, off_centre=(2e-4, 0), bias=bias))
@@ -69,21 +65,17 @@ def test_what_hangs_on_it_is_held_as_on_the_ring(glasses):
     ]
     assert held[1] == pytest.approx(held[0], abs=1e-3 * np.abs(held[0]).max())
 
-
-def test_the_mass_that_moves_is_that_of_the_ring(glasses):
-    """Through pucks of 5 mm, which the annulus of the sensor does not see."""
     (mass, pucks), (other_mass, other_pucks) = (
         moving_mass(glass, static_shapes(glass)) for glass in glasses
     )
     assert other_mass == pytest.approx(mass, abs=2e-3 * mass.max())
     assert other_pucks == pytest.approx(pucks, abs=2e-3)
-    assert other_mass.sum() == pytest.approx(glasses[1].mirror.shell.mass + 8 * 2.75e-3, rel=1e-9)
+    assert other_mass.sum() == pytest.approx(shells[1].mass + 8 * 2.75e-3, rel=1e-9)
 
-
-def test_sensors_off_their_magnets_read_what_they_read_on_the_ring(glasses):
-    one, other = map(displaced_readings, glasses)
+    reading, other_reading = map(displaced_readings, glasses)
     for kind, worst in zip(range(5), (2e-3, 2e-3, 1e-2, 1e-2, 1e-2), strict=True):
-        assert np.linalg.norm(other[kind] - one[kind]) < worst * np.linalg.norm(one[kind])
+        difference = np.linalg.norm(other_reading[kind] - reading[kind])
+        assert difference < worst * np.linalg.norm(reading[kind])
 
 
 def disc():
@@ -288,9 +280,11 @@ def test_rings_of_fourier_refuse_an_outline():
 PAGE = Path(__file__).parents[2] / "docs" / "simulated-bench.md"
 
 
-def test_the_hexagon_of_the_page(inside, tmp_path, monkeypatch):
-    """Its three files, the commands below them, a plan; alpha is within its errors of the truth."""
-    text = PAGE.read_text(encoding="utf-8").split("### Any outline")[1].split("### Segments")[0]
+def test_the_hexagon_and_the_wall_of_the_page(inside, tmp_path, monkeypatch):
+    """Its files, the commands below them, a plan; alpha is within its errors of the truth."""
+    text, segments = (
+        PAGE.read_text(encoding="utf-8").split("### Any outline")[1].split("### Segments")
+    )
     (mine,) = re.findall(r'```toml\n(name = "HEXAGON".*?)```', text, re.DOTALL)
     edge, actuators = re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL)
     for name, block in (("hexagon.toml", mine), ("edge.csv", edge), ("hexagon.csv", actuators)):
@@ -311,3 +305,8 @@ def test_the_hexagon_of_the_page(inside, tmp_path, monkeypatch):
     code, planned, said = inside("plan", "plan.toml", "--json")
     assert code == 0, said
     assert len(json.loads(planned)["actuators"]["id"]) == 37
+    (wall,) = re.findall(r'```toml\n(name = "WALL".*?)```', segments, re.DOTALL)
+    (tmp_path / "wall.toml").write_text(wall)
+    whole = whole_mirror_from("wall.toml")
+    assert np.bincount(whole.layout.segment).tolist() == [0, 37, 37, 37]
+    assert whole.segments[0] is whole.segments[1] is whole.segments[2]

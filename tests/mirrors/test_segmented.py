@@ -6,7 +6,6 @@ import re
 import shutil
 import signal
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -338,24 +337,6 @@ def test_segments_of_data_are_those_of_the_glass(tiny, lost):
     for of in (motion_for, edges_for):
         with pytest.raises(tn.errors.CampaignMismatch, match="other actuators behind a segment"):
             of(whole, replace(whole.layout, segment=other))
-
-
-def test_the_wall_of_the_page(tmp_path):
-    """Three hexagons, of one glass, as the page gives them."""
-    text = (Path(__file__).parents[2] / "docs" / "simulated-bench.md").read_text("utf-8")
-    for name in ("HEXAGON", "WALL"):
-        (block,) = re.findall(rf'```toml\n(name = "{name}".*?)```', text, re.DOTALL)
-        (tmp_path / f"{name.lower()}.toml").write_text(block)
-    for name, block in zip(
-        ("edge.csv", "hexagon.csv"),
-        re.findall(r"```text\n(X,Y.*?)```", text, re.DOTALL),
-        strict=True,
-    ):
-        (tmp_path / name).write_text(block)
-    wall = whole_mirror_from(tmp_path / "wall.toml")
-    assert wall.layout.n == 111
-    assert wall.layout.segments == (1, 2, 3)
-    assert wall.segments[0] is wall.segments[1] is wall.segments[2]
 
 
 def test_the_command_tells_of_segments(inside, tiny):

@@ -156,18 +156,6 @@ def test_tilt_with_an_outer_scale_is_sasiela_and_sheltons(covariance, grid):
         assert ours == pytest.approx(published.tilt_attenuation(ratio), abs=rounding)
 
 
-def test_a_vast_outer_scale_only_takes_from_tilt_what_sasiela_and_shelton_say(covariance, grid):
-    x, y, weight = grid
-    # At D / L0 = 8e-6 tilt still lacks 1.42 (D / L0)^(1/3), 3 %.
-    vast, endless = published.on_grid(8e-6, *grid), covariance[0.0]
-    tilt = weight * zernike(2, x, y)[:, 1]
-    assert tilt @ vast @ tilt / (tilt @ endless @ tilt) == pytest.approx(
-        1 - 1.4234 * 0.02, abs=1e-5
-    )
-    higher = weight[:, None] * zernike(21, x, y)[:, 3:]
-    assert higher.T @ vast @ higher == pytest.approx(higher.T @ endless @ higher, abs=1e-9)
-
-
 # --- Zernikes ------------------------------------------------------------------------------------
 
 

@@ -10,7 +10,6 @@ import pytest
 import truenewton as tn
 from helpers.tracked import NOISE, campaign_at, drawn, pattern, quiet_cycles, scaled
 from truenewton.errors import CampaignMismatch, FormatError, RankDeficient, UnknownName
-from truenewton.recalibration.known import known_from, shared_errors
 from truenewton.statics.load import Load
 from truenewton.tracking.days import covariances
 
@@ -171,18 +170,6 @@ def test_another_ring_that_disagrees_within_its_error_moves_nobody():
     assert ratio.mean() == pytest.approx(1 + scale, abs=2e-3)
 
 
-def test_the_same_ring_leaves_nothing_but_what_the_bias_takes_up():
-    run = campaign_at(ONES, np.random.default_rng(1), cycles=1)
-    errors, scale = shared_errors(known_from(pattern(), run), run)
-    assert scale == pytest.approx(-0.005 / 0.289, rel=1e-6)
-    assert np.ptp(next(iter(errors.values()))) < 1e-12
-    assert [str(source) for source in errors] == ["earlier calibration", "weight of the mirror"]
-    unknown = dataclasses.replace(pattern(), loads=(Load("bare"), Load("r", -0.3, 0.004)))
-    errors, scale = shared_errors(known_from(unknown, run), run)
-    assert scale > 0
-    assert len(errors) == 3
-
-
 def test_a_warm_run_beside_a_cold_calibration():
     """All alphas change alike: two loads need to know; and a law takes it into account."""
     random = np.random.default_rng(11)
@@ -250,17 +237,10 @@ def test_what_cannot_be_recalibrated_is_refused():
     few = np.arange(90) < 2
     less = tn.Campaign((dataclasses.replace(run.cycles[0], valid=few),))
     refused(RankDeficient, "too few shapes", less, before, [17, 18, 19])
+    matrix = tn.StiffnessMatrix("P45", run.cycles[0].date, before.layout, np.eye(45))
+    refused(FormatError, "stiffness matrix", tn.Campaign(run.cycles, matrix), before, [17])
     everyone = short(random.uniform(0.7, 1.1, 45), random)
     refused(RankDeficient, "no longer agree", everyone, before)
-
-
-def test_a_stiffness_matrix_among_the_cycles_is_refused():
-    from helpers.balanced import p45_bench
-
-    truth, run = p45_bench().truth, short(replaced(), np.random.default_rng(1))
-    matrix = tn.StiffnessMatrix("P45", run.cycles[0].date, truth.layout, truth.stiffness)
-    with pytest.raises(FormatError, match="stiffness matrix"):
-        tn.recalibrate(tn.Campaign(run.cycles, matrix), pattern(), [17])
 
 
 @pytest.fixture

@@ -325,29 +325,6 @@ def test_a_load_that_lacks_at_one_temperature_is_named():
         tn.track(tn.Campaign((*cold.cycles, *bare[:1])))
 
 
-def test_loads_at_different_temperatures_put_the_scale_off_by_several_times_as_much():
-    """As docs/tracking.md warns."""
-    cold, warm = days_of(8, -1.1e-3, temperatures=(18.0, 20.0), gap=0.0)
-    mixed = [c for c in cold.cycles if not c.load.added] + [c for c in warm.cycles if c.load.added]
-    alpha = tn.calibrate(cold).alpha
-    blind = [dataclasses.replace(c, position=None) for c in mixed]
-    told = tn.calibrate(tn.Campaign(tuple(blind)))
-    # About (W + B) / Q and 1: what is held beside what is added, and the ring's own share.
-    off = told.alpha / alpha - 1
-    assert off.mean() == pytest.approx(4.4 * 2.2e-3, rel=0.15)
-    assert np.all(np.abs(off * alpha) < 2 * told.error)
-    effects = {effect.name: effect.corrected for effect in told.effects}
-    assert effects == {"gain by load": False, "temperature between the loads": False}
-    # Where POSITION tells that the shapes were the same, it is the gain, and is taken out.
-    told = tn.calibrate(tn.Campaign(tuple(mixed)))
-    assert (
-        abs(np.mean(told.alpha / alpha - 1)) < 1.5e-3
-    )  # half the way from 18 to 20 deg C, and noise
-    gain = next(effect for effect in told.effects if effect.name == "gain by load")
-    assert gain.corrected
-    assert gain.size == pytest.approx(-2.2e-3, rel=0.1)
-
-
 def test_days_share_the_error_of_a_weight_only_where_all_agrees():
     one, two = (DatedCalibration("", c) for c in drawn(1, K)[:2])
     assert weight_groups([one, two]) == [[0, 1]]
@@ -492,8 +469,11 @@ def test_a_campaign_and_a_calibration_are_tracked_together(inside, tmp_path):
     one, two = days_of(3, K, temperatures=(12.0, 24.0))
     tn.write_campaign(one.cycles, tmp_path / "one")
     tn.calibrate(two).write(tmp_path / "two.fits")
-    code, out, _ = inside("track", tmp_path / "one", tmp_path / "two.fits")
+    code, out, _ = inside("track", tmp_path / "one", tmp_path / "two.fits",
+                          "--figures", tmp_path / "figures")  # fmt: skip
     assert code == 0
+    kinds = {path.stem for path in (tmp_path / "figures").iterdir()}
+    assert kinds == {"track-temperature", "track-family-temperature"}
     assert "one\n" in out
     assert "LIMIT: temperature and time went together" in out
 

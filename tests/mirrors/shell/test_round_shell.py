@@ -28,7 +28,6 @@ from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.condensation import rearming, rigid_motions
 from truenewton.reading import read_data
 from truenewton.statics.arms import arms
-from truenewton.statics.layout import rings
 
 ELECTRODE = Annulus(8e-3, 12.5e-3)
 REAL = os.environ.get("TRUENEWTON_REAL_DATA")
@@ -251,22 +250,6 @@ def test_even_load_on_a_ring_of_supports(radius, worst):
     assert np.abs(bent(got - want, AT)).max() < worst * np.abs(bent(want, AT)).max()
 
 
-def test_saddles_bend_without_stretching():
-    """Flat <= curved <= Rayleigh's energy of r^n cos(n theta), which stretches no sphere."""
-    disc = Shell(inner_radius=1e-4, outer_radius=0.12, thickness=1.6e-3)
-    many = rings(list(np.linspace(0.008, 0.1185, 6)), list(6 * np.arange(1, 7)))
-    flat = stiffness(disc, many.x, many.y)
-    curved = stiffness(replace(disc, radius_of_curvature=0.8), many.x, many.y)
-    D, nu, R = disc.bending_stiffness, disc.poisson_ratio, disc.outer_radius
-    for n in (2, 3, 5):
-        saddle = np.real(((many.x + 1j * many.y) / R) ** n)
-        rayleigh = 2 * np.pi * (1 - nu) * D * n**2 * (n - 1) / R**2
-        below, energy = saddle @ flat @ saddle, saddle @ curved @ saddle
-        assert below < energy < rayleigh
-    defocus = many.x**2 + many.y**2  # stretches
-    assert defocus @ curved @ defocus > 10 * (defocus @ flat @ defocus)
-
-
 # --- limits and symmetries -------------------------------------------------------------------
 
 
@@ -337,15 +320,6 @@ def test_the_two_forms_of_the_kernel_meet():
     assert either[0] == pytest.approx(either[1], abs=1e-10 * np.abs(either[0]).max())
 
 
-def test_size_and_thickness_scale(K):
-    """K goes as D / length^2 where R t goes as length^2."""
-    twice = replace(
-        SPHERE, inner_radius=40e-3, outer_radius=250e-3, thickness=4.8e-3,
-        radius_of_curvature=2.0 * 4 / 3,
-    )  # fmt: skip
-    assert stiffness(twice, 2 * X, 2 * Y) == pytest.approx(K * 27 / 4, abs=1e-9 * np.abs(K).max())
-
-
 def test_many_points_are_read_like_few():
     of, at = scattered(3, seed=5), scattered(5000, seed=6)
     some = np.array([0, 2047, 2048, 4999])
@@ -385,8 +359,8 @@ def test_three_actuators_bend_nothing():
     assert forces == pytest.approx(-np.linalg.solve(tilts, load), abs=1e-12)
 
 
-def test_rearmed_forces_balance_over_the_arms_whatever_springs_hold_the_shell():
-    """A cap of 13 degrees; rigid motions in compliance and load change nothing."""
+def test_rearmed_forces_balance_over_the_arms():
+    """Of a cap of 13 degrees."""
     R, layout = 0.9, lbt672().layout
     shell = Shell(27.5e-3, 0.22, 1.6e-3, radius_of_curvature=R)
     near = np.hypot(layout.x, layout.y) < 0.21
@@ -402,20 +376,6 @@ def test_rearmed_forces_balance_over_the_arms_whatever_springs_hold_the_shell():
     plain = np.linalg.eigvalsh(condense(compliance, tilts).stiffness)[3:]
     assert np.linalg.eigvalsh(condensed.stiffness)[3:] == pytest.approx(plain, rel=1e-4)
     assert pytest.approx(A.T, abs=1e-12) == J @ tilts.T
-
-    load = np.array([-7.0, 0.02, -0.01])
-    bend = np.random.default_rng(0).normal(size=tilts.shape[1])
-
-    def held(spring, exchange):
-        G, w = compliance + tilts.T @ spring @ tilts, bend + tilts.T @ spring @ load
-        condensed = condense(exchange @ G @ exchange.T, A)
-        return holding_forces(condensed, np.zeros_like(w), exchange @ w, load)
-
-    none, some = np.zeros((3, 3)), np.diag([1e-4, 1e-3, 2e-3])
-    scale = np.abs(held(none, J)).max()
-    assert held(some, J) == pytest.approx(held(none, J), abs=1e-7 * scale)
-    plain = np.eye(J.shape[0])
-    assert np.abs(held(some, plain) - held(none, plain)).max() > 1e-5 * scale
 
 
 # --- refusals --------------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from helpers.shells import (
     X,
     Y,
     circle,
-    condense,
     influence,
     stiffness,
     uniform_influence,
@@ -107,16 +106,6 @@ def test_symmetric_only_where_read_as_pressed():
     assert np.abs(unlike - unlike.T).max() > 1e-4 * np.abs(unlike).max()
     assert np.abs(unlike @ TILTS.T).max() < 2e-8
     assert np.abs(TILTS @ unlike).max() < 2e-8
-
-
-def test_stiffness_by_readings_is_that_by_displacements_read():
-    """K_read S = K_point, with S the readings of the shapes of unit displacement."""
-    G = influence(SPHERE, (X, Y), (X, Y))
-    read = influence(SPHERE, (X, Y), (X, Y), sensor=ELECTRODE)
-    point = condense(G, TILTS)
-    S = read @ point.stiffness + TILTS.T @ point.motion
-    got = stiffness(SPHERE, X, Y, sensor=ELECTRODE) @ S
-    assert got == pytest.approx(point.stiffness, abs=1e-8 * point.stiffness.max())
 
 
 # --- shapes and mass -------------------------------------------------------------------------
