@@ -355,7 +355,8 @@ def test_places_of_the_sensors_that_the_calibration_knows_are_used_by_id():
     assert np.array_equal(less.enabled_offset, offset[:, kept])
 
 
-@pytest.mark.parametrize("disabled", [(), pytest.param((6, 20), marks=pytest.mark.study)])
+@pytest.mark.study
+@pytest.mark.parametrize("disabled", [(), (6, 20)])
 def test_annuli_off_their_magnets_are_exact_where_the_glass_is_known(disabled):
     glass, calibration = p45_bench().glass, known()[-1]
     random, on = np.random.default_rng(3), ~np.isin(np.arange(45), disabled)

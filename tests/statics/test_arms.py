@@ -49,7 +49,17 @@ def test_weight_along_the_axis_of_a_tilted_mirror():
     assert w == pytest.approx([-2.920, -3.209, -1.460], rel=1e-15)
 
 
-@pytest.mark.parametrize("fault", faults.ALL, ids=lambda fault: fault.name)
+QUICK = {fault.happens.__module__: fault for fault in faults.ALL}.values()  # one of each kind
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        fault if fault in QUICK else pytest.param(fault, marks=pytest.mark.study)
+        for fault in faults.ALL
+    ],
+    ids=lambda fault: fault.name,
+)
 def test_a_faulty_bench_is_in_balance(fault):
     """What goes wrong in `studies/faults.py` goes wrong as physics: nothing is left over."""
     day = faults.happening(fault, "p45", seed=1, noise=0.0, cycles=2)

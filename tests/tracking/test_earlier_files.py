@@ -93,28 +93,28 @@ LAWS = [
     (put(0, "SCATTER", -0.001), "SCATTER is negative"),
 ]
 FAULTS = [
-    *(("calibration", change, said) for change, said in COVARIANCES + CALIBRATIONS),
-    *(("tracking", change, said) for change, said in COVARIANCES + LAWS),
+    *(("track", "calibration-0", *fault) for fault in COVARIANCES + CALIBRATIONS),
+    ("recalibrate", "calibration-0", *CALIBRATIONS[0]),
+    *(("recalibrate", "tracking", *fault) for fault in COVARIANCES + LAWS),
 ]
 
 
-@pytest.mark.parametrize(("kind", "change", "said"), FAULTS)
-def test_a_damaged_file_is_refused_by_each_command(inside, written, tmp_path, kind, change, said):
+@pytest.mark.parametrize(("command", "name", "change", "said"), FAULTS)
+def test_a_damaged_file_is_refused(inside, written, tmp_path, command, name, change, said):
     """What was changed in it leaves its checksums right."""
-    name = "calibration-0" if kind == "calibration" else kind
+    bad = tmp_path / "bad.fits"
     with fits.open(written / f"{name}.fits") as hdus:
         change(hdus)
-        hdus.writeto(tmp_path / "bad.fits", checksum=True)
-    commands = [("recalibrate", written / "run", "--known", tmp_path / "bad.fits",
-                 "--actuators", "auto")]  # fmt: skip
-    if kind == "calibration":
-        commands.append(("track", tmp_path / "bad.fits", written / "calibration-1.fits"))
-    for command in commands:
-        code, out, err = inside(*command, "-o", tmp_path / "out.fits")
-        assert (code, out, err.count("\n")) == (2, "", 1), (command[0], err)
-        assert err.startswith(f"truenewton: {tmp_path / 'bad.fits'}: "), err
-        assert said in err, (command[0], err)
-        assert not (tmp_path / "out.fits").exists()
+        hdus.writeto(bad, checksum=True)
+    given = {
+        "track": (bad, written / "calibration-1.fits"),
+        "recalibrate": (written / "run", "--known", bad, "--actuators", "auto"),
+    }
+    code, out, err = inside(command, *given[command], "-o", tmp_path / "out.fits")
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert err.startswith(f"truenewton: {bad}: "), err
+    assert said in err, err
+    assert not (tmp_path / "out.fits").exists()
 
 
 def test_a_calibration_without_temperature_is_taken_and_said(inside, written, tmp_path):

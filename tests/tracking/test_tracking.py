@@ -455,14 +455,15 @@ def test_the_command_tells_people_and_scripts(inside, tmp_path):
     for words in ("temperature, mean", "spread of actuators", "nobody leaves the family",
                   "serves 0.4 % from", f"written: {tmp_path / 't.fits'}", "0.fits"):  # fmt: skip
         assert words in out
-    code, out, _ = inside("track", *files, "--json", "--accuracy", "0.004")
+    assert inside("track", *files, "-o", tmp_path / "t.fits")[0] == 2
+    code, out, _ = inside("track", *files, "--json", "--accuracy", "0.004", "-o",
+                          tmp_path / "t.fits", "--overwrite")  # fmt: skip
+    assert code == 0
     values = json.loads(out)
     assert values["effects"] == ["temperature", "drift"]
     assert values["families"][0]["mean"] == pytest.approx(MEAN_K, rel=0.2)
     assert len(values["actuators"]["k"]) == 45
     assert values["validity"]["until"].startswith("20")
-    assert inside("track", *files, "-o", tmp_path / "t.fits")[0] == 2
-    assert inside("track", *files, "-o", tmp_path / "t.fits", "--overwrite")[0] == 0
 
 
 def test_a_campaign_and_a_calibration_are_tracked_together(inside, tmp_path):
