@@ -98,15 +98,6 @@ def test_series_and_bessel_function_meet():
     assert structure_function(np.zeros(1), atmosphere)[0] == 0.0
 
 
-def test_variance_of_a_pupil_that_dwarfs_the_outer_scale():
-    """0.0863 (L0 / r0)^(5/3) rad^2."""
-    atmosphere = Atmosphere(0.8, 10.0)
-    x, y = np.random.default_rng(3).uniform(-1e5, 1e5, (2, 500))
-    C = wavefront_covariance(x, y, atmosphere) / (WAVELENGTH / (2 * np.pi)) ** 2
-    variance = np.trace(C) / 499 / (10.0 / atmosphere.fried_parameter) ** (5 / 3)
-    assert variance == pytest.approx(0.0863, abs=5e-5)
-
-
 # --- covariance over the pupil -------------------------------------------------------------------
 
 

@@ -208,7 +208,7 @@ def test_the_order_of_days_does_not_matter(tracking):
 # Who leaves the family
 
 
-def test_who_leaves_by_temperature_by_drift_or_by_a_jump_is_named():
+def test_who_leaves_by_temperature_by_drift_or_by_a_jump_is_named_and_drawn():
     k, r = K.copy(), R.copy()
     k[[4, 5]] += 3e-3  # two at once, so that one could hide behind the other
     r[20] += 0.03
@@ -222,6 +222,14 @@ def test_who_leaves_by_temperature_by_drift_or_by_a_jump_is_named():
     assert found.families[0].members == 42
     assert np.abs(found.coefficient - k)[[4, 5]].max() < 5 * found.errors[1].max()
     assert found.errors[0][40] > 3 * np.median(found.errors[1])  # its own scatter is allowed for
+    kinds = ("temperature", "time", "family-temperature", "family-drift")
+    assert set(tracking_figures(found)) == {f"track-{kind}" for kind in kinds}
+    for ax in (plot_law(found, "temperature"), plot_family(found, "temperature")):
+        assert "5" in {text.get_text() for text in ax.texts}
+    assert "5" not in {text.get_text() for text in plot_family(found, "drift").texts}
+    points = [line for line in plot_law(found, "temperature").lines if len(line.get_xdata()) == 6]
+    slope = [np.polyfit(p.get_xdata(), p.get_ydata(), 1)[0] for p in points]
+    assert np.median(slope) == pytest.approx(100 * np.median(found.coefficient), rel=0.1)
 
 
 @pytest.mark.study
@@ -245,7 +253,7 @@ def test_cycles_of_one_campaign_at_two_temperatures_are_calibrated_apart():
     assert np.array_equal(apart.coefficient, found.coefficient)
 
 
-def test_one_temperature_tells_drift_alone():
+def test_one_temperature_or_none_tells_drift_alone():
     found = tn.track(*drawn(9, K, R, gap=200.0, temperatures=(18.0, 18.2, 17.9)))
     assert found.effects == ("drift",)
     assert "one temperature" in found.limits[0]
@@ -254,21 +262,24 @@ def test_one_temperature_tells_drift_alone():
     assert np.isfinite(found.alpha_at(18.5).alpha).all()
     with pytest.raises(RankDeficient, match="not known"):
         found.alpha_at(25.0)
-
-
-def test_no_temperature_at_all_tells_drift_with_a_word_of_warning():
     days = [dataclasses.replace(c, temperature=np.nan) for c in drawn(9, 0.0, R, gap=200.0)]
     found = tn.track(*days)
     assert found.effects == ("drift",)
     assert "whatever temperature did" in found.limits[0]
 
 
-def test_temperature_and_time_that_went_together_are_not_told_apart():
-    found = tn.track(*drawn(9, K, R, temperatures=(12.0, 16.0, 20.0)))
+def test_temperature_and_time_that_went_together_are_not_told_apart(tmp_path):
+    """And the file holds that limit, and who leaves."""
+    k = np.where(np.arange(45) == 4, 3e-3, K)
+    found = tn.track(*drawn(7, k, temperatures=(12.0, 16.0, 20.0)))
     assert found.effects == ("temperature",)
     assert "went together" in found.limits[0]
     with pytest.raises(RankDeficient, match="drifts"):
         found.alpha_at(time=found.date + datetime.timedelta(days=400))
+    found.write(tmp_path / "t.fits")
+    back = tn.read_tracking(tmp_path / "t.fits")
+    assert back.outliers == found.outliers != ()
+    assert back.limits == found.limits
 
 
 def test_an_actuator_that_was_disabled_on_a_day_is_left_out():
@@ -422,28 +433,6 @@ def test_the_file_holds_all_and_serves_electronics(tracking, tmp_path):
         units = [hdus["TRACKING"].columns[name].unit for name in ("K", "DRIFT")]
     assert alpha == pytest.approx(one.alpha, rel=1e-12)
     assert units == ["1/K", "1/yr"]
-
-
-def test_departures_and_limits_come_back_from_the_file(tmp_path):
-    k = np.where(np.arange(45) == 4, 3e-3, K)
-    found = tn.track(*drawn(7, k, temperatures=(12.0, 16.0, 20.0)))
-    found.write(tmp_path / "t.fits")
-    back = tn.read_tracking(tmp_path / "t.fits")
-    assert back.outliers == found.outliers != ()
-    assert back.limits == found.limits != ()
-
-
-def test_figures_name_who_left():
-    k = np.where(np.arange(45) == 4, 3e-3, K)
-    found = tn.track(*drawn(7, k, R, gap=90.0))
-    kinds = ("temperature", "time", "family-temperature", "family-drift")
-    assert set(tracking_figures(found)) == {f"track-{kind}" for kind in kinds}
-    for ax in (plot_law(found, "temperature"), plot_family(found, "temperature")):
-        assert "5" in {text.get_text() for text in ax.texts}
-    assert "5" not in {text.get_text() for text in plot_family(found, "drift").texts}
-    points = [line for line in plot_law(found, "temperature").lines if len(line.get_xdata()) == 6]
-    drawn_k = [np.polyfit(p.get_xdata(), p.get_ydata(), 1)[0] for p in points]
-    assert np.median(drawn_k) == pytest.approx(100 * np.median(found.coefficient), rel=0.1)
 
 
 def test_the_command_tells_people_and_scripts(inside, tmp_path):

@@ -168,28 +168,6 @@ def test_quintics_are_held_exactly():
         assert np.abs(got - want).max() < 1e-8 * np.abs(want).max()
 
 
-def test_slopes_are_continuous_over_edges_and_bends_are_not():
-    mesh = outline_mesh(STAR, NONE, NONE, mesh_size=30e-3)
-    element = argyris(mesh)
-    q = np.random.default_rng(4).normal(size=element.count)
-    order = np.argsort(mesh.edge_of.ravel(), kind="stable")
-    edge, triangle = mesh.edge_of.ravel()[order], order // 3
-    shared = np.flatnonzero(edge[1:] == edge[:-1])
-    share = np.array([0.13, 0.5, 0.71])[:, None]
-    start, end = np.moveaxis(mesh.points[mesh.edges[edge[shared]]], 1, 0)
-    places = start[:, None] + share * (end - start)[:, None]
-
-    def jump(derivative):
-        sides = [
-            np.einsum("tqj, tj -> tq", element.shapes(t, places, derivative), q[element.unknown[t]])
-            for t in (triangle[shared], triangle[shared + 1])
-        ]
-        return np.abs(sides[0] - sides[1]).max() / np.abs(sides[0]).max()
-
-    assert max(jump((0, 0)), jump((1, 0)), jump((0, 1))) < 1e-10
-    assert jump((2, 0)) > 0.1
-
-
 # --- the energy ------------------------------------------------------------------------------
 
 
