@@ -23,7 +23,7 @@ from helpers.shells import (
     uniform_influence,
 )
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.condensation import rearming, rigid_motions
 from truenewton.reading import read_data
@@ -393,6 +393,7 @@ def test_points_beside_the_sphere_are_refused():
     [
         (replace(FLAT, inner_radius=130e-3), X, Y, "reaches from 0.13 m to 0.125 m"),
         (replace(FLAT, inner_radius=0.0), X, Y, "0 makes a full disc"),
+        (replace(FLAT, outline=Outline(((0, 0), (0.1, 0), (0, 0.1)))), X, Y, "is no ring"),
         (replace(FLAT, outer_radius=np.nan), X, Y, "reaches from"),
         (replace(FLAT, thickness=-1.6e-3), X, Y, "thickness is -0.0016 m"),
         (replace(FLAT, poisson_ratio=0.7), X, Y, "Poisson ratio 0.7"),
