@@ -214,6 +214,12 @@ def test_segments_are_acquired_one_by_one_and_calibrated_together(inside, tiny):
     code, _, error = inside("info", folders[1], "--segment", 3)
     assert (code, error.count("\n")) == (2, 1)
     assert f"{folders[1]}: is of segment 2, not 3; give the files of segment 3" in error
+    alone = tiny.with_name("alone.fits")
+    tn.calibrate(tn.read(folders[1])).write(alone)
+    assert inside("info", alone, "--segment", 2)[0] == 0
+    code, _, error = inside("info", alone, "--segment", 3)
+    assert code == 2
+    assert f"{alone}: is of segment 2, not 3" in error
     bench = chosen_bench(replace(again, segment=2), tiny.parent)
     assert bench.instrument == "TINY segment 2"
     assert tn.read(folders[:2]).numbers == (1, 2)
@@ -287,7 +293,7 @@ def test_what_sensors_of_segments_see(inside, tiny):
     for one, other in zip(seen[:, own][:, :, own], expected, strict=True):
         assert np.linalg.norm(one - other) < 0.02 * np.linalg.norm(other)
     folder, found = tiny.with_name("r"), tiny.with_name("r.fits")
-    assert inside("simulate", tiny, "-o", folder, "--cycles", 1, "--noise", 3e-5)[0] == 0
+    assert inside("simulate", tiny, "-o", folder, "--cycles", 2, "--noise", 3e-5)[0] == 0
     asked = ("--method", "reciprocity", "--mirror", tiny)
     assert inside("calibrate", folder, *asked, "-o", found)[0] == 0
     truth, calibrated = tn.read_truth(tiny.with_name("r.truth.fits")), tn.read(found)

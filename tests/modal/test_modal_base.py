@@ -115,6 +115,7 @@ def test_files_hold_what_was_found(p45, tmp_path):
     np.testing.assert_allclose(
         commanded.stiffness * found.calibration.alpha[:, None], stiffness.stiffness, rtol=1e-12
     )
+    assert np.ptp(calibrate(true).alpha) < 1e-5  # asks for no correction
     for path, wanted in zip(
         written[3:], (base.modes.modes, commanded.stiffness, true.stiffness), strict=True
     ):

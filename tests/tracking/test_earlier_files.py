@@ -82,6 +82,7 @@ CALIBRATIONS = [
 ]
 LAWS = [
     (put("TRACKING", "ALPHA", np.nan, slice(None)), "ALPHA"),
+    (put("TRACKING", "ALPHA", 5e-324), "ALPHA"),
     (put("TRACKING", "ALPHA", 1e300), "ALPHA"),
     (put("TRACKING", "K", np.inf), "K holds no usable"),
     (put("TRACKING", "DRIFT", np.nan), "DRIFT holds no usable"),

@@ -224,6 +224,7 @@ def test_who_leaves_by_temperature_by_drift_or_by_a_jump_is_named_and_drawn():
     assert found.errors[0][40] > 3 * np.median(found.errors[1])  # its own scatter is allowed for
     kinds = ("temperature", "time", "family-temperature", "family-drift")
     assert set(tracking_figures(found)) == {f"track-{kind}" for kind in kinds}
+    assert "21" in {text.get_text() for text in plot_law(found, "drift").texts}
     for ax in (plot_law(found, "temperature"), plot_family(found, "temperature")):
         assert "5" in {text.get_text() for text in ax.texts}
     assert "5" not in {text.get_text() for text in plot_family(found, "drift").texts}
