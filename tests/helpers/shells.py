@@ -1,14 +1,27 @@
-"""The shell by either model, in one call."""
+"""The shell by either model, in one call; the glass and the actuators that tests take."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from truenewton.mirrors.glass import rim
+from truenewton.mirrors.glass import Shell, rim
 from truenewton.mirrors.shell import condensation, held_glass
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
+from truenewton.statics.layout import rings
+
+FLAT = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
+SPHERE = replace(FLAT, radius_of_curvature=2.0)
+COUNTS = np.array([9, 15, 21])
+LAYOUT = rings(list(COUNTS * 30.5e-3 / (2 * np.pi)), list(COUNTS))
+X, Y = LAYOUT.x, LAYOUT.y
+TILTS = condensation.rigid_motions(X, Y)
+
+
+def circle(radius, n, first=0.0):
+    angle = first + 2 * np.pi * np.arange(n) / n
+    return radius * np.cos(angle), radius * np.sin(angle)
 
 
 def influence(shell, at, of, *, digits=13, **reading):

@@ -102,15 +102,6 @@ def test_the_number_of_modes_is_the_largest_within_the_limits(case):
     assert cost.modes_within(Budget()) == 12
 
 
-def test_a_higher_alpha_takes_force_but_no_power(case):
-    *_, cost = case
-    reach, power = cost.reach.max(axis=0), cost.power.max(axis=0)
-    limits = Budget(force=1.0001 * reach.max())
-    assert cost.modes_within(limits) == 12
-    assert cost.modes_within(limits, alpha_error=0.05) < 12
-    assert cost.modes_within(Budget(power=1.0001 * power.max()), alpha_error=0.05) == 12
-
-
 @pytest.mark.parametrize("limit", [{"power": 0.0}, {"force": -1.0}, {"power": np.nan}])
 def test_limits_are_positive(limit):
     with pytest.raises(FormatError):

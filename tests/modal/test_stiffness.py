@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.linalg
-import scipy.optimize
 
 from helpers.balanced import p45_bench, ungraded
 from studies.simulated_matrices import by_glass, drawn
@@ -149,8 +148,7 @@ def test_noise_of_the_sensors_does_not_soften():
     assert np.mean(softer) - np.mean(naive) > 2.5 * error
 
 
-@pytest.mark.parametrize("tilted", [0.0, 0.05])
-def test_rigid_motions_that_no_shape_holds_cost_no_force(tilted):
+def test_rigid_motions_that_no_shape_holds_cost_no_force():
     """Whatever of them the other shapes hold."""
     bench, _ = quiet()
     ones = np.ones(45)
@@ -162,7 +160,7 @@ def test_rigid_motions_that_no_shape_holds_cost_no_force(tilted):
     random = np.random.default_rng(4)
     shape, sign, readings = rows_of_cycle(bench)
     rigid = np.linalg.qr(arms(p45().layout).T)[0]
-    leak = tilted * np.linalg.norm(readings, axis=1).mean() * random.standard_normal((45, 3))
+    leak = 0.05 * np.linalg.norm(readings, axis=1).mean() * random.standard_normal((45, 3))
     readings = readings + sign[:, None] * (leak @ rigid.T)[shape - 1]
     # Rigid motions take no force here, so the same forces hold the tilted shapes.
     campaign = Campaign(
@@ -200,6 +198,9 @@ def test_elastic_motions_that_no_shape_holds_are_refused():
     with pytest.raises(RankDeficient, match="2 of 42 elastic motions are missing") as refused:
         measured_stiffness(Campaign(fewer))
     assert (refused.value.got, refused.value.want) == (40, 42)
+    single = tuple(replace(c, valid=(c.sign > 0) & (c.shape != 20)) for c in campaign.cycles)
+    with pytest.raises(RankDeficient, match="both signs"):
+        measured_stiffness(Campaign(single))
 
 
 def test_without_readings_there_is_no_stiffness():
@@ -251,7 +252,7 @@ def test_rows_may_stay_on_disk(tmp_path, monkeypatch):
     write_campaign(campaign.cycles, tmp_path / "campaign")
     monkeypatch.setattr(reading, "IN_MEMORY", -1)
     for module in (stored_rows, repeats):
-        monkeypatch.setattr(module, "BLOCK_BYTES", 4000)
+        monkeypatch.setattr(module, "BLOCK_BYTES", 16000)
     stored = read(tmp_path / "campaign")
     assert not isinstance(stored.cycles[0].position, np.ndarray)
     one, other = measured_stiffness(stored), measured_stiffness(campaign)
@@ -303,6 +304,15 @@ def known():
     return k, StiffnessMatrix("P45", DATE, p45().layout, measured), gain, calibration
 
 
+def with_sensors(calibration, gain, offset=((0, 0),) * 45, state="fitted"):
+    """Return a calibration that holds sensors of (45,) gains and (45, 2) offsets, last first."""
+    sensors = tuple(
+        Sensor(i, g, 1e-3, x, 1e-5, y, 1e-5, state)
+        for i, g, (x, y) in zip(calibration.layout.id.tolist(), gain, offset, strict=True)
+    )
+    return replace(calibration, sensors=sensors[::-1])
+
+
 def taken(layout, kept):
     return Layout(*(getattr(layout, name)[kept] for name in ("id", "x", "y", "nz", "enabled")))
 
@@ -324,36 +334,27 @@ def test_alpha_and_gains_give_back_the_true_stiffness():
     assert modes.stiffness[3] == pytest.approx(4626.0, rel=1e-3)
 
 
-def with_gains(calibration, gain, state="fitted"):
-    """Return a calibration that holds sensors of (45,) gains, last first."""
-    ids = calibration.layout.id.tolist()
-    sensors = (Sensor(i, g, 1e-3, 0, 0, 0, 0, state) for i, g in zip(ids, gain, strict=True))
-    return replace(calibration, sensors=tuple(sensors)[::-1])
-
-
 def test_places_of_the_sensors_that_the_calibration_knows_are_used_by_id():
     k, matrix, gain, calibration = known()
     offset = 5e-4 * np.random.default_rng(3).standard_normal((2, 45))
     values = Values(np.zeros(45), np.log(gain), offset)
     seen = sight(places_of(matrix.layout), values, slopes=True).motion * gain
-    sensors = tuple(
-        Sensor(i, g, 1e-3, x, 1e-5, y, 1e-5, "fitted")
-        for i, g, x, y in zip(matrix.layout.id.tolist(), gain, *offset, strict=True)
-    )[::-1]
     moved = replace(matrix, stiffness=k @ seen / calibration.alpha[:, None])
-    found = true_stiffness(moved, replace(calibration, sensors=sensors))
+    sighted = with_sensors(calibration, gain, offset.T)
+    found = true_stiffness(moved, sighted)
     assert found.stiffness == pytest.approx(k, abs=1e-9 * np.abs(k).max())
     assert np.array_equal(found.enabled_offset, offset)
     assert found.seen == pytest.approx(seen)
-    by_gains = true_stiffness(moved, with_gains(calibration, gain))
+    by_gains = true_stiffness(moved, with_sensors(calibration, gain))
     modes = by_gains.modes.modes, found.modes.modes
     assert compare_modes(*modes, found.modes.stiffness).distance > np.radians(0.5)
     kept = np.arange(45) != 6
     some = replace(moved, layout=replace(matrix.layout, enabled=kept))
-    less = true_stiffness(some, replace(calibration, sensors=sensors))
+    less = true_stiffness(some, sighted)
     assert np.array_equal(less.enabled_offset, offset[:, kept])
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("disabled", [(), (6, 20)])
 def test_annuli_off_their_magnets_are_exact_where_the_glass_is_known(disabled):
     glass, calibration = p45_bench().glass, known()[-1]
@@ -365,13 +366,12 @@ def test_annuli_off_their_magnets_are_exact_where_the_glass_is_known(disabled):
     measured = np.zeros((45, 45))
     measured[np.ix_(on, on)] = condensed(by_glass(glass, values), on)[0]
     matrix = StiffnessMatrix("P45", DATE, layout, measured)
-    sensors = tuple(
-        Sensor(i, g, 1e-3, x, 1e-5, y, 1e-5, "fitted")
-        for i, g, x, y in zip(layout.id.tolist(), values.gain, *values.offset, strict=True)
+    calibration = with_sensors(
+        replace(calibration, alpha=values.alpha), values.gain, values.offset.T
     )
-    calibration = replace(calibration, alpha=values.alpha, sensors=sensors)
+    seen = seen_by(glass)
     by_model, by_plate = (
-        true_stiffness(matrix, calibration, motion=motion) for motion in (seen_by(glass), None)
+        true_stiffness(matrix, calibration, motion=motion) for motion in (seen, None)
     )
 
     def apart_by(found):
@@ -382,29 +382,23 @@ def test_annuli_off_their_magnets_are_exact_where_the_glass_is_known(disabled):
     assert by_model.asymmetry < asymmetry < 3e-3 < by_plate.asymmetry
     assert apart_by(by_model) < away < 0.1 < apart_by(by_plate)
     true_already = replace(matrix, displaced="true")
-    assert true_stiffness(true_already, calibration, motion=seen_by(glass)).seen == pytest.approx(
-        np.eye(on.sum())
-    )
+    again = true_stiffness(true_already, calibration, motion=seen)
+    assert again.seen == pytest.approx(np.eye(on.sum()))
 
 
-def test_gains_that_the_calibration_knows_are_used_by_id():
+def test_gains_that_the_calibration_knows_are_used_unless_others_are_given():
     k, matrix, gain, calibration = known()
-    found = true_stiffness(matrix, with_gains(calibration, gain))
+    found = true_stiffness(matrix, with_sensors(calibration, gain))
     assert found.stiffness == pytest.approx(k, abs=1e-9 * np.abs(k).max())
     assert np.array_equal(found.enabled_gain, gain)
     without = true_stiffness(matrix, calibration)
     assert np.abs(without.stiffness - k).max() > 1e-3 * np.abs(k).max()
-    said = true_stiffness(matrix, with_gains(calibration, gain), sensor_gain=np.ones(45))
+    said = true_stiffness(matrix, with_sensors(calibration, gain), sensor_gain=np.ones(45))
     assert np.array_equal(said.stiffness, without.stiffness)
-    free = true_stiffness(matrix, with_gains(calibration, np.full(45, np.nan), "free"))
+    free = true_stiffness(matrix, with_sensors(calibration, np.full(45, np.nan), state="free"))
     assert np.array_equal(free.stiffness, without.stiffness)
-    kept = np.arange(45) != 6
-    some = replace(matrix, layout=replace(matrix.layout, enabled=kept))
-    assert np.array_equal(
-        true_stiffness(some, with_gains(calibration, gain)).enabled_gain, gain[kept]
-    )
     with pytest.raises(FormatError, match="not positive"):
-        true_stiffness(matrix, with_gains(calibration, -gain))
+        true_stiffness(matrix, with_sensors(calibration, -gain))
 
 
 def test_alpha_is_matched_by_id():
@@ -490,32 +484,22 @@ def test_actuators_that_are_off_leave_the_stiffness_of_a_mirror_without_them():
     assert left.stiffness == pytest.approx(0.5 * (raw + raw.T))
 
 
-@pytest.mark.parametrize("off", [(), (5, 31)])
-def test_slaved_actuators_take_the_positions_that_need_least_force(off):
+def test_slaved_actuators_take_the_positions_that_need_least_force():
     k, matrix, gain, calibration = known()
-    slaved = (9, 14, 40)
+    off, slaved = (5, 31), (9, 14, 40)
     found = true_stiffness(matrix, calibration, sensor_gain=gain, off=off, slaved=slaved)
     ids = matrix.layout.id
     s, o = np.isin(ids, slaved), np.isin(ids, off)
     m = ~(s | o)
     commanded = 1e-6 * np.random.default_rng(2).standard_normal(int(m.sum()))
-
-    def forces(z_s):
-        z = np.zeros(45)
-        z[m], z[s] = commanded, z_s
-        if o.any():
-            z[o] = -np.linalg.solve(k[np.ix_(o, o)], k[np.ix_(o, ~o)] @ z[~o])
-        return z, k @ z
-
-    start = np.zeros(int(s.sum()))
-    best = scipy.optimize.minimize(
-        lambda u: np.sum(forces(1e-6 * u)[1] ** 2), start, method="BFGS", options={"gtol": 1e-12}
-    )
-    z, f = forces(1e-6 * best.x)
-    assert found.shapes @ commanded == pytest.approx(z, abs=1e-10)
-    assert found.forces @ commanded == pytest.approx(f, abs=1e-4 * np.abs(f).max())
-    assert np.sum((found.forces @ commanded) ** 2) <= np.sum(f**2) * (1 + 1e-12)
-    assert commanded @ found.stiffness @ commanded == pytest.approx(z @ k @ z, rel=1e-4)
+    held = k - k[:, o] @ np.linalg.solve(k[np.ix_(o, o)], k[o])  # of what is not off
+    z = np.zeros(45)
+    z[m] = commanded
+    z[s] = np.linalg.lstsq(held[:, s], -held[:, m] @ commanded)[0]
+    z[o] = -np.linalg.solve(k[np.ix_(o, o)], k[np.ix_(o, ~o)] @ z[~o])
+    assert found.shapes @ commanded == pytest.approx(z, abs=1e-15)
+    assert found.forces @ commanded == pytest.approx(k @ z, abs=1e-9 * np.abs(k @ z).max())
+    assert commanded @ found.stiffness @ commanded == pytest.approx(z @ k @ z, rel=1e-9)
     assert found.layout.id.tolist() == ids[m].tolist()
     assert found.feed_forward_commanded == pytest.approx(
         found.forces / calibration.alpha[:, None], rel=1e-12
@@ -525,59 +509,30 @@ def test_slaved_actuators_take_the_positions_that_need_least_force(off):
 def test_what_cannot_be_is_refused():
     _, matrix, _, calibration = known()
     layout = matrix.layout
-    with pytest.raises(UnknownName, match="no enabled actuator has the ID 77 that is to be off"):
-        true_stiffness(matrix, None, off=(77,))
-    with pytest.raises(UnknownName, match="ID 0 that is to be slaved; IDs go from 1 to 45"):
-        true_stiffness(matrix, None, slaved=(0,))
-    with pytest.raises(UnknownName, match="actuator 4 is both off and slaved"):
-        true_stiffness(matrix, None, off=(3, 4), slaved=(4, 5))
-    with pytest.raises(RankDeficient, match="only 3 actuators of 45 left to command"):
-        true_stiffness(matrix, None, off=range(1, 43))
-    loose = StiffnessMatrix("P45", DATE, layout, matrix.stiffness - 1e8 * np.eye(45))
-    with pytest.raises(RankDeficient, match="2 actuators switched off, not held"):
-        true_stiffness(loose, None, off=(1, 2))
-    with pytest.raises(CampaignMismatch, match="is of P36, the calibration of P45"):
-        true_stiffness(replace(matrix, instrument="P36"), calibration)
-    moved = Layout(layout.id, layout.x + 1e-6, layout.y, layout.nz, layout.enabled)
-    with pytest.raises(CampaignMismatch, match="disagree on X of actuator 1"):
-        true_stiffness(replace(matrix, layout=moved), calibration)
-    alpha = calibration.alpha.copy()
-    alpha[6] = np.nan
-    off = np.arange(45) == 6
-    fewer = Layout(layout.id, layout.x, layout.y, layout.nz, ~off)
-    with pytest.raises(CampaignMismatch, match="no alpha for actuator 7"):
-        true_stiffness(matrix, replace(calibration, alpha=alpha, layout=fewer))
-    renamed = Layout(layout.id + 1, layout.x, layout.y, layout.nz, layout.enabled)
-    with pytest.raises(CampaignMismatch, match="no alpha for actuator 46"):
-        true_stiffness(replace(matrix, layout=renamed), calibration)
-    with pytest.raises(FormatError, match=r"sensor_gain has shape \(3,\)"):
-        true_stiffness(matrix, None, sensor_gain=np.ones(3))
-    with pytest.raises(FormatError, match="not positive"):
-        true_stiffness(matrix, None, sensor_gain=np.zeros(45))
-
-
-def test_a_calibration_brings_the_modes_fifteen_times_nearer_to_the_truth():
-    """Than the right singular vectors of the measured matrix, which need no symmetry."""
-    for seed in range(3):
-        bench = static_bench(p45(), seed)
-        campaign = Campaign(tuple(run_cycles(bench, 2)))
-        matrix = measured_stiffness(campaign).matrix
-        rigid = arms(bench.truth.layout).T
-        true = stiffness_modes(bench.truth.stiffness - 31 * np.eye(45), rigid)
-        singular = np.linalg.svd(matrix.stiffness)[2][::-1].T
-        symmetrised = true_stiffness(matrix, None).modes.modes
-        calibration = calibrate(campaign)
-        coupled = stiffness_modes(calibration.alpha[:, None] * matrix.stiffness, rigid).modes
-        calibrated = true_stiffness(matrix, calibration).modes.modes
-        worst, before, almost, after = (
-            compare_modes(modes, true.modes, true.stiffness)
-            for modes in (symmetrised, singular, coupled, calibrated)
-        )
-        assert after.distance < almost.distance
-        assert 0.15 < worst.distance < 0.25
-        assert 0.07 < before.distance < 0.11
-        assert after.distance < before.distance / 15
-        assert after.largest_angle.max() < 0.1 < 1.3 < before.largest_angle.max()
+    loose = replace(matrix, stiffness=matrix.stiffness - 1e8 * np.eye(45))
+    moved = replace(matrix, layout=replace(layout, x=layout.x + 1e-6))
+    without_7 = np.arange(45) != 6
+    fewer = replace(
+        calibration,
+        alpha=np.where(without_7, calibration.alpha, np.nan),
+        layout=replace(layout, enabled=without_7),
+    )
+    renamed = replace(matrix, layout=replace(layout, id=layout.id + 1))
+    for error, said, data, alpha, options in (
+        (UnknownName, "ID 77 that is to be off", matrix, None, {"off": (77,)}),
+        (UnknownName, "ID 0 that is to be slaved; IDs go from", matrix, None, {"slaved": (0,)}),
+        (UnknownName, "4 is both off and slaved", matrix, None, {"off": (3, 4), "slaved": (4, 5)}),
+        (RankDeficient, "only 3 actuators of 45 left", matrix, None, {"off": range(1, 43)}),
+        (RankDeficient, "2 actuators switched off, not held", loose, None, {"off": (1, 2)}),
+        (CampaignMismatch, "of P36", replace(matrix, instrument="P36"), calibration, {}),
+        (CampaignMismatch, "disagree on X of actuator 1", moved, calibration, {}),
+        (CampaignMismatch, "no alpha for actuator 7", matrix, fewer, {}),
+        (CampaignMismatch, "no alpha for actuator 46", renamed, calibration, {}),
+        (FormatError, r"sensor_gain has shape \(3,\)", matrix, None, {"sensor_gain": np.ones(3)}),
+        (FormatError, "not positive", matrix, None, {"sensor_gain": np.zeros(45)}),
+    ):
+        with pytest.raises(error, match=said):
+            true_stiffness(data, alpha, **options)
 
 
 @pytest.mark.study
@@ -627,7 +582,7 @@ def turned(n, a, b, angle):
     return modes
 
 
-@pytest.mark.parametrize("angle", [1e-9, 0.3, 1.2])
+@pytest.mark.parametrize("angle", [1e-9, 1.2])
 def test_two_modes_turned_into_each_other(angle):
     found = compare_modes(turned(7, 2, 4, angle), np.eye(7))
     leak = np.zeros(7)
@@ -646,12 +601,11 @@ def test_a_pair_turned_within_itself_is_no_difference():
     assert compare_modes(turned(5, 2, 3, 0.8), np.eye(5)).distance > 0.1
 
 
-@pytest.mark.parametrize("count", [20, 12])
-def test_angles_are_those_between_subspaces(count):
+def test_angles_are_those_between_subspaces():
     random = np.random.default_rng(9)
-    one, other = random.standard_normal((2, 20, count))  # neither orthogonal nor of unit length
+    one, other = random.standard_normal((2, 20, 12))  # neither orthogonal nor of unit length
     found = compare_modes(one, other)
-    for order in range(1, min(count, 19) + 1):
+    for order in range(1, 13):
         angles = scipy.linalg.subspace_angles(one[:, :order], other[:, :order])
         assert found.overlap[order - 1] == pytest.approx(np.mean(np.cos(angles) ** 2), rel=1e-9)
         assert found.largest_angle[order - 1] == pytest.approx(angles.max(), rel=1e-6)
@@ -694,10 +648,3 @@ def test_where_a_cycle_rests_and_its_zeros_make_no_outliers():
     found = measured_stiffness(Campaign(tuple(cycles)))
     assert [(row.cycle, row.row) for row in found.rejected] == [(2, 17)]
     assert found.relative_error == pytest.approx(plain.relative_error, rel=0.1)
-
-
-def test_shapes_of_one_sign_are_told_what_they_lack():
-    cycles = run_cycles(static_bench(p45(), 6), 1)
-    single = tuple(replace(c, valid=(c.sign > 0) & (c.shape != 20)) for c in cycles)
-    with pytest.raises(RankDeficient, match="both signs"):
-        measured_stiffness(Campaign(single))

@@ -31,14 +31,13 @@ ALL = np.ones(45, dtype=bool)
 NOISE = 1e-4
 
 
-def scattered(seed, own=0.0, common=0.0, step=0.0, **options):
-    """Return days that scatter; of actuator 17 all but the first three by a step."""
+def scattered(seed, own=0.0, common=0.0):
+    """Return days that scatter: each actuator in its own way, and all alike."""
     random = np.random.default_rng([7, seed])
-    days = drawn(seed, K, 0.0, gap=30.0, noise=NOISE, **options)
+    days = drawn(seed, K, 0.0, gap=30.0, noise=NOISE)
     made = []
-    for place, day in enumerate(days):
+    for day in days:
         factor = (1 + own * random.standard_normal(45)) * (1 + common * random.standard_normal())
-        factor[16] *= 1 + step * (place >= 3)
         made.append(dataclasses.replace(day, alpha=day.alpha * factor))
     return made
 
@@ -97,8 +96,8 @@ def test_few_degrees_of_freedom_widen_as_student_does():
 # In track
 
 
-@pytest.mark.parametrize(("own", "common"), [(1e-3, 0.0), (3e-4, 3e-3)])
-def test_scatter_of_days_names_nobody_and_is_told(own, common):
+def test_scatter_of_days_names_nobody_and_is_told():
+    own, common = 3e-4, 3e-3
     found = [tn.track(*scattered(seed, own, common)) for seed in range(8)]
     assert sum(bool(one.outliers) for one in found) == 0  # 8 of 8 without the estimate
     each = np.sqrt(np.mean([one.scatter[0] ** 2 for one in found]))
@@ -112,6 +111,7 @@ def test_scatter_of_days_names_nobody_and_is_told(own, common):
     assert "LIMIT: " not in said
 
 
+@pytest.mark.study
 def test_a_prediction_covers_a_new_day_with_its_scatter():
     inside, truth = [], quiet_cycles()[1]
     for seed in range(12):
@@ -125,16 +125,6 @@ def test_a_prediction_covers_a_new_day_with_its_scatter():
             inside.append(np.mean(np.abs(off) < 1.96 * error))
     # Of one law all hang together: 24 draws of its common part at 95 %.
     assert 0.90 < np.mean(inside) < 0.99
-
-
-def test_who_truly_stepped_is_named_beside_scatter():
-    hits = [
-        [one.actuator for one in tn.track(*scattered(seed, own=own, step=0.01)).outliers]
-        for seed in range(6)
-        for own in (0.0, 1e-3)
-    ]
-    assert sum(17 in one for one in hits) >= 11
-    assert sum(len(one) > 1 for one in hits) <= 1
 
 
 def test_two_replaced_actuators_do_not_hide_each_other():
@@ -215,6 +205,7 @@ def run_and_known(seed, drift):
     return run, known, factor
 
 
+@pytest.mark.study
 def test_others_that_drifted_a_little_name_nobody_and_the_new_alpha_is_covered():
     off, scatter, named = [], [], 0
     for seed in range(12):
@@ -245,13 +236,13 @@ def test_a_verdict_of_a_short_run_tells_that_the_others_changed(inside, tmp_path
 
 
 def test_one_that_moved_by_1_percent_is_named_beside_others_that_drifted():
-    named = []
-    for seed in range(6):
+    for seed in range(2):
         run, known, factor = run_and_known(seed, 1e-3)
         factor[30] *= 1.01
         run = campaign_at(factor, np.random.default_rng(seed), cycles=1, loads=1, noise=NOISE)
-        named.append([one.actuator for one in tn.recalibrate(run, known, [17]).moved])
-    assert named.count([31]) >= 5
+        made = tn.recalibrate(run, known, [17])
+        assert [one.actuator for one in made.moved] == [31]
+        assert "each of them has changed by" in " ".join(lines_of_run(made))
 
 
 def test_a_law_that_tells_its_scatter_leaves_none_over():

@@ -133,9 +133,6 @@ def test_the_command_tracks_all_segments(files, inside, tmp_path):
     values = json.loads(said)
     assert values["schema"] == "truenewton.track-segments/2"
     assert [part["segment"] for part in values["segments"]] == [1, 2, 3]
-    code, said, _ = inside("track", *files, "--segment", 2)
-    assert code == 0
-    assert "segment 2: 3 calibrations" in said
 
 
 def test_what_changed_is_told_by_segment(days, files, inside, tmp_path):
@@ -207,8 +204,7 @@ def test_the_command_recalibrates_by_a_law_of_all_segments(after, files, days, i
     code, _, wrong = inside(*words, "--actuators", 999)
     assert code == 2
     assert "there is no actuator 999 that is enabled" in wrong
-    code, said, _ = inside(*words, "--actuators", 105, "--segment", 1)
-    assert code == 0
+    assert inside(*words, "--actuators", 105, "--segment", 1)[0] == 0
 
 
 def test_what_cannot_be_recalibrated_is_refused(after, days, files, tmp_path):

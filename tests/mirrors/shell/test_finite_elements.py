@@ -6,22 +6,14 @@ from math import factorial
 import numpy as np
 import pytest
 
-from helpers.shells import influence as round_influence
-from helpers.shells import meshed_stiffness, stiffness
+from helpers.shells import FLAT, SPHERE, TILTS, X, Y, meshed_stiffness, stiffness
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Annulus, Outline, Shell
+from truenewton.mirrors.glass import Annulus, Outline
 from truenewton.mirrors.shell.finite_elements.argyris import argyris, monomials, quadrature
 from truenewton.mirrors.shell.finite_elements.energy import elastic_energy
-from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.finite_elements.outline import checked_sides
-from truenewton.statics.layout import rings
 
-GLASS = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
-SPHERE = replace(GLASS, radius_of_curvature=2.0)
-COUNTS = np.array([9, 15, 21])
-LAYOUT = rings(list(COUNTS * 30.5e-3 / (2 * np.pi)), list(COUNTS))
-X, Y = LAYOUT.x, LAYOUT.y
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 NONE = np.zeros(0)
 
@@ -52,12 +44,7 @@ def cut_to(shell, outline, holes=()):
 
 
 def outline_mesh(outline, x, y, *, mesh_size, holes=()):
-    return shell_mesh(replace(GLASS, outline=Outline(outline, holes)), x, y, mesh_size=mesh_size)
-
-
-def influence(shell, mesh, at, of):
-    """Return the displacement at points per unit force at the actuators."""
-    return np.concatenate([*MeshedShell(shell, mesh).influence_in_parts(at, of)])
+    return shell_mesh(replace(FLAT, outline=Outline(outline, holes)), x, y, mesh_size=mesh_size)
 
 
 def smallest_angle(mesh):
@@ -96,7 +83,7 @@ def assert_sound(mesh, want_area, x, y):
 
 @pytest.mark.parametrize("mesh_size", [30e-3, 15e-3, 6e-3])
 def test_round_meshes_keep_the_area(mesh_size):
-    mesh = shell_mesh(GLASS, X, Y, mesh_size=mesh_size)
+    mesh = shell_mesh(FLAT, X, Y, mesh_size=mesh_size)
     assert_sound(mesh, np.pi * (125e-3**2 - 20e-3**2), X, Y)
     assert mesh.size == pytest.approx(mesh_size, rel=0.35)
 
@@ -109,7 +96,7 @@ def test_meshes_of_any_outline(outline):
 
 def test_meshes_of_outlines_by_chance():
     random = np.random.default_rng(7)
-    for seed in range(30):
+    for seed in range(10):
         n = random.integers(4, 9)
         angles = 2 * np.pi * (np.arange(n) + random.uniform(-0.15, 0.15, n)) / n
         outline = curl(angles, 1.0) * random.uniform(0.7, 1, n)[:, None]
@@ -181,68 +168,6 @@ def test_quintics_are_held_exactly():
         assert np.abs(got - want).max() < 1e-8 * np.abs(want).max()
 
 
-def test_slopes_are_continuous_over_edges_and_bends_are_not():
-    mesh = outline_mesh(STAR, NONE, NONE, mesh_size=30e-3)
-    element = argyris(mesh)
-    q = np.random.default_rng(4).normal(size=element.count)
-    order = np.argsort(mesh.edge_of.ravel(), kind="stable")
-    edge, triangle = mesh.edge_of.ravel()[order], order // 3
-    shared = np.flatnonzero(edge[1:] == edge[:-1])
-    share = np.array([0.13, 0.5, 0.71])[:, None]
-    start, end = np.moveaxis(mesh.points[mesh.edges[edge[shared]]], 1, 0)
-    places = start[:, None] + share * (end - start)[:, None]
-
-    def jump(derivative):
-        sides = [
-            np.einsum("tqj, tj -> tq", element.shapes(t, places, derivative), q[element.unknown[t]])
-            for t in (triangle[shared], triangle[shared + 1])
-        ]
-        return np.abs(sides[0] - sides[1]).max() / np.abs(sides[0]).max()
-
-    assert max(jump((0, 0)), jump((1, 0)), jump((0, 1))) < 1e-10
-    assert jump((2, 0)) > 0.1
-
-
-def test_order_of_convergence():
-    """Quintics: 6th order in w, 4th in the bends (Ciarlet, The Finite Element Method, sec. 6.1)."""
-    plate = replace(GLASS, inner_radius=0.0)
-
-    def wave(places, derivative):
-        phase = places @ np.array([31.0, 17.0]) + 0.4
-        turns = sum(derivative)
-        return 31.0 ** derivative[0] * 17.0 ** derivative[1] * np.cos(phase + turns * np.pi / 2)
-
-    barycentric, weights = quadrature(10)
-    errors = []
-    for mesh_size in (80e-3, 40e-3, 20e-3):
-        mesh = outline_mesh(SQUARE, NONE, NONE, mesh_size=mesh_size)
-        element = argyris(mesh)
-        places = barycentric @ mesh.corners
-        shapes = {d: element.shapes(np.arange(len(places)), places, d) for d in DERIVATIVES}
-        xx, xy, yy = (wave(places, d) for d in DERIVATIVES[3:])
-        nu = plate.poisson_ratio
-        work = (
-            shapes[2, 0] * (xx + nu * yy)[..., None]
-            + shapes[0, 2] * (yy + nu * xx)[..., None]
-            + 2 * (1 - nu) * shapes[1, 1] * xy[..., None]
-        )
-        local = plate.bending_stiffness * np.einsum("t, q, tqj -> tj", mesh.areas, weights, work)
-        load = np.bincount(element.unknown.ravel(), local.ravel())
-        A = elastic_energy(plate, mesh, element).toarray()
-        rigid = np.stack(
-            [unknowns_of(mesh, lambda p, d, k=k: monomials(p, d)[..., k]) for k in range(3)]
-        )
-        q = np.linalg.lstsq(np.vstack([A, rigid]), np.append(load, np.zeros(3)), rcond=None)[0]
-        got = {d: np.einsum("tqj, tj -> tq", shapes[d], q[element.unknown]) for d in DERIVATIVES}
-        gap = (got[0, 0] - wave(places, (0, 0))).ravel()
-        tilts = np.stack([np.ones(gap.size), *places.reshape(-1, 2).T], axis=1)
-        gap -= tilts @ np.linalg.lstsq(tilts, gap, rcond=None)[0]
-        errors.append([np.sqrt(np.mean(gap**2)), np.sqrt(np.mean((got[2, 0] - xx) ** 2))])
-    w_order, bend_order = np.log2(np.array(errors[:-1]) / errors[1:]).mean(axis=0)
-    assert 5.5 < w_order < 6.7
-    assert 3.6 < bend_order < 4.6
-
-
 # --- the energy ------------------------------------------------------------------------------
 
 
@@ -251,8 +176,8 @@ def test_twist_of_a_rectangle_is_held_by_its_corners():
     mesh = outline_mesh(SQUARE * [1.0, 0.6], NONE, NONE, mesh_size=20e-3)
     element = argyris(mesh)
     q = unknowns_of(mesh, lambda places, d: monomials(places, d)[..., 4])
-    forces = elastic_energy(GLASS, mesh, element) @ q
-    corner_force = 2 * GLASS.bending_stiffness * (1 - GLASS.poisson_ratio)
+    forces = elastic_energy(FLAT, mesh, element) @ q
+    corner_force = 2 * FLAT.bending_stiffness * (1 - FLAT.poisson_ratio)
     corners = np.flatnonzero(np.isclose(np.abs(mesh.points), [0.1, 0.06]).all(axis=1))
     assert corners.size == 4
     want = np.zeros(element.count)
@@ -260,116 +185,32 @@ def test_twist_of_a_rectangle_is_held_by_its_corners():
     assert forces == pytest.approx(want, abs=1e-8 * corner_force)
 
 
-def test_rigid_motions_of_a_sphere_cost_nothing():
-    """w = 1, x, y with what the glass then slides and turns, violation in N/m."""
-    mesh = shell_mesh(SPHERE, X, Y, mesh_size=15e-3)
-    element = argyris(mesh)
-    A, R = elastic_energy(SPHERE, mesh, element), SPHERE.radius_of_curvature
-    x, y = np.concatenate([mesh.points, mesh.points[mesh.edges].mean(axis=1)]).T
-    slides = [(x, y), ((x**2 - y**2) / 2, x * y), (x * y, (y**2 - x**2) / 2)]
-    for k, slide in enumerate(slides):
-        w = unknowns_of(mesh, lambda p, d, k=k: monomials(p, d)[..., k])
-        q = np.concatenate([w, np.stack(slide, axis=1).ravel() / R])
-        assert np.abs(A @ q).max() < 1e-14 * np.abs(A).max() * np.abs(w).max()
-        assert abs(q @ A @ q) < 1e-6 * np.abs(w).max() ** 2
-        assert np.abs(A[: element.count, : element.count] @ w).max() > 1e3 * np.abs(w).max()
-
-
 # --- stiffness -------------------------------------------------------------------------------
 
 
-def test_flat_stiffness_is_that_of_the_semi_analytic_model():
-    """5273.6, 15117, 32321, ..., 2.3705e6 N/m."""
-    want = stiffness(GLASS, X, Y)
-    got = meshed_stiffness(GLASS, X, Y, mesh_size=8e-3)
-    ratio = np.linalg.eigvalsh(got)[3:] / np.linalg.eigvalsh(want)[3:]
-    assert np.abs(ratio - 1).max() < 2e-3
-    assert np.abs(ratio[:6] - 1).max() < 1e-4
-    assert np.linalg.norm(got - want) < 2e-3 * np.linalg.norm(want)
+@pytest.mark.parametrize(
+    ("curvature", "sensor", "worst"), [(np.inf, None, 2e-3), (-0.7, Annulus(), 1.5e-3)]
+)
+def test_stiffness_is_that_of_the_semi_analytic_model(curvature, sensor, worst):
+    """The two models share their last step alone."""
+    shell = replace(FLAT, radius_of_curvature=curvature)
+    one = stiffness(shell, X, Y, sensor=sensor)
+    other = meshed_stiffness(shell, X, Y, mesh_size=8e-3, sensor=sensor)
+    stretches = [np.linalg.svd(K, compute_uv=False)[:-3] for K in (other, one)]
+    assert np.abs(stretches[0] / stretches[1] - 1).max() < worst
+    assert np.linalg.norm(other - one) < worst * np.linalg.norm(one)
 
 
-def test_stiffest_mode_converges_with_the_square_of_the_mesh_size():
-    top = np.linalg.eigvalsh(stiffness(GLASS, X, Y))[-1]
-    excess = [
-        np.linalg.eigvalsh(meshed_stiffness(GLASS, X, Y, mesh_size=h))[-1] / top - 1
-        for h in (24e-3, 12e-3, 6e-3)
-    ]
-    assert 2.5 < excess[0] / excess[1] < 8
-    assert 2.5 < excess[1] / excess[2] < 8
-    assert 0 < excess[2] < 1e-3
-
-
-def test_curved_stiffness_of_an_earlier_semi_analytic_model():
-    """Of the same with R = 2 m: 5434, 33190, ..., 2.3815e6 N/m."""
-    eigenvalues = np.linalg.eigvalsh(meshed_stiffness(SPHERE, X, Y, mesh_size=8e-3))
-    assert eigenvalues[[3, 4]] == pytest.approx([5434, 5434], rel=1e-4)
-    assert eigenvalues[[5, 6]] == pytest.approx([33190, 33190], rel=1e-4)
-    assert eigenvalues[-1] == pytest.approx(2.3815e6, rel=2e-3)
-    hollow = meshed_stiffness(replace(SPHERE, radius_of_curvature=-2.0), X, Y, mesh_size=16e-3)
-    bulging = meshed_stiffness(SPHERE, X, Y, mesh_size=16e-3)
-    assert hollow == pytest.approx(bulging, abs=1e-7 * bulging.max())
-
-
-@pytest.mark.parametrize("shell", [GLASS, SPHERE], ids=["flat", "curved"])
 @pytest.mark.parametrize("sensor", [None, Annulus()], ids=["points", "sensors"])
-def test_rigid_motions_are_free_and_forces_balance(shell, sensor):
-    K = meshed_stiffness(shell, X, Y, mesh_size=16e-3, sensor=sensor)
-    tilts = np.array([np.ones(X.size), X, Y])
-    assert np.abs(K @ tilts.T).max() < 2e-8
-    assert np.abs(tilts @ K).max() < 2e-8
+def test_rigid_motions_are_free_and_forces_balance(sensor):
+    K = meshed_stiffness(SPHERE, X, Y, mesh_size=16e-3, sensor=sensor)
+    assert np.abs(K @ TILTS.T).max() < 2e-8
+    assert np.abs(TILTS @ K).max() < 2e-8
     skew = np.abs(K - K.T).max() / K.max()
     assert skew == 0 if sensor is None else 1e-4 < skew < 1e-2
 
 
-def test_a_gentle_sphere_is_flat():
-    K = meshed_stiffness(GLASS, X, Y, mesh_size=16e-3)
-    gentle = meshed_stiffness(replace(GLASS, radius_of_curvature=2e3), X, Y, mesh_size=16e-3)
-    assert gentle == pytest.approx(K, abs=1e-5 * K.max())
-
-
-def test_sensors_read_means():
-    """By another rule: 8 rings of equal areas, 40 points each, and the bordered system."""
-    sensor = Annulus(6e-3, 11e-3)
-    mesh = shell_mesh(SPHERE, X, Y, mesh_size=16e-3)
-    radii = np.sqrt(6e-3**2 + (11e-3**2 - 6e-3**2) * (np.arange(8) + 0.5) / 8)
-    around = np.concatenate([curl(2 * np.pi * np.arange(40) / 40, r) for r in radii])
-    at = (np.stack([X, Y], axis=1)[:, None] + around).reshape(-1, 2).T
-    compliance = influence(SPHERE, mesh, tuple(at), (X, Y)).reshape(X.size, -1, X.size).mean(axis=1)
-    tilts = np.array([np.ones(X.size), X, Y])
-    free = np.linalg.svd(tilts)[2][3:].T
-    want = free @ np.linalg.inv(free.T @ compliance @ free) @ free.T
-    got = meshed_stiffness(SPHERE, X, Y, mesh_size=16e-3, sensor=sensor)
-    assert got == pytest.approx(want, abs=2e-4 * want.max())
-    points = meshed_stiffness(SPHERE, X, Y, mesh_size=16e-3)
-    assert got != pytest.approx(points, abs=0.2 * want.max())
-
-
-def test_influence_is_that_of_the_semi_analytic_model():
-    random = np.random.default_rng(11)
-    x, y = curl(random.uniform(0, 2 * np.pi, 7), 1.0).T * random.uniform(40e-3, 110e-3, 7)
-    angle = np.linspace(0, 6, 40)
-    at = tuple(curl(angle, 1.0).T * np.append(np.linspace(20e-3, 125e-3, 39), 125e-3))
-    mesh = shell_mesh(GLASS, x, y, mesh_size=8e-3)
-    f = np.linalg.svd(np.array([np.ones(7), x, y]))[2][3:].T
-    gap = (influence(GLASS, mesh, at, (x, y)) - round_influence(GLASS, at, (x, y))) @ f
-    tilts = np.array([np.ones(40), *at]).T
-    gap -= tilts @ np.linalg.lstsq(tilts, gap, rcond=None)[0]
-    bent = round_influence(GLASS, at, (x, y)) @ f
-    bent -= tilts @ np.linalg.lstsq(tilts, bent, rcond=None)[0]
-    assert np.abs(gap).max() < 1e-3 * np.abs(bent).max()
-
-
 # --- any outline -----------------------------------------------------------------------------
-
-
-def test_an_outline_may_be_a_circle_and_run_either_way():
-    outline, hole = (curl(2 * np.pi * np.arange(n) / n, r) for n, r in ((80, 0.125), (40, 0.02)))
-    outline, hole = outline * 1.00051, hole * 1.0021  # of the circles' areas
-    ring = np.linalg.eigvalsh(meshed_stiffness(SPHERE, X, Y, mesh_size=12e-3))[3:]
-    one = meshed_stiffness(cut_to(SPHERE, outline, [hole]), X, Y, mesh_size=12e-3)
-    other = meshed_stiffness(cut_to(SPHERE, outline[::-1], [hole]), X, Y, mesh_size=12e-3)
-    for K in (one, other):
-        assert np.linalg.eigvalsh(K)[3:] == pytest.approx(ring, rel=2e-3)
 
 
 def test_turning_shifting_and_scaling_an_outline():
@@ -377,7 +218,7 @@ def test_turning_shifting_and_scaling_an_outline():
     angle, radius = np.meshgrid(np.radians([12, 30, 48]), [48e-3, 77e-3, 106e-3])
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
-    for shell in (GLASS, SPHERE):
+    for shell in (FLAT, SPHERE):
         K = np.linalg.eigvalsh(meshed_stiffness(cut_to(shell, PETAL), x, y, mesh_size=8e-3))[3:]
         moved = 2 * PETAL @ turn + [0.1, -0.2]
         u, v = (2 * np.stack([x, y], axis=1) @ turn + [0.1, -0.2]).T
@@ -390,34 +231,6 @@ def test_turning_shifting_and_scaling_an_outline():
         assert again == pytest.approx(2 * K, rel=3e-3)
 
 
-def test_a_slender_outline_along_either_axis():
-    diamond = np.array([[0.1, 0.0], [0.0, 0.05], [-0.1, 0.0], [0.0, -0.05]])
-    x, y = np.array([[0.06, 0.0], [0.02, 0.02], [-0.05, 0.01], [-0.01, -0.03], [0.0, 0.0]]).T
-    one = meshed_stiffness(cut_to(SPHERE, diamond), x, y, mesh_size=10e-3)
-    other = meshed_stiffness(cut_to(SPHERE, diamond[:, ::-1]), y, x, mesh_size=10e-3)
-    assert other == pytest.approx(one, abs=5e-3 * one.max())
-
-
-@pytest.mark.parametrize("shell", [GLASS, SPHERE], ids=["flat", "curved"])
-def test_cutting_a_glass_into_petals_softens_it(shell):
-    """Weyl: less continuity, less energy, every eigenvalue lower; 18 rigid motions, not 3."""
-    thirds = [petal(first, first + 2 * np.pi / 3, n=20) for first in 2 * np.pi / 3 * np.arange(3)]
-    turned = (X + 1j * Y) * np.exp(0.07j)  # off the cuts
-    which = (np.angle(turned) % (2 * np.pi) // (2 * np.pi / 3)).astype(int)
-    cut = np.zeros((X.size, X.size))
-    for k, third in enumerate(thirds):
-        mine = np.flatnonzero(which == k)
-        x, y = turned[mine].real, turned[mine].imag
-        cut[np.ix_(mine, mine)] = meshed_stiffness(cut_to(shell, third), x, y, mesh_size=10e-3)
-    rim, hole = (np.concatenate([t[:20] for t in thirds]) * s for s in (1.0, 20 / 125))
-    whole = meshed_stiffness(cut_to(shell, rim, [hole]), turned.real, turned.imag, mesh_size=10e-3)
-    soft, stiff = np.linalg.eigvalsh(cut), np.linalg.eigvalsh(whole)
-    assert np.abs(soft[:9]).max() < 1e-7
-    assert np.all(soft[9:] > 100)
-    assert np.all(soft[9:] < stiff[9:] * (1 + 2e-3))
-    assert np.mean(soft[9:] / stiff[9:]) < 0.97
-
-
 # --- what cannot be --------------------------------------------------------------------------
 
 BOW = np.array([[0.0, 0.0], [0.1, 0.1], [0.1, 0.0], [0.0, 0.1]])
@@ -428,29 +241,20 @@ WEDGE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.03]])
     ("change", "words"),
     [
         ({"mesh_size": 0.0}, "mesh size"),
-        ({"mesh_size": -1e-3}, "mesh size"),
-        ({"mesh_size": np.nan}, "mesh size"),
         ({"mesh_size": 1e-5}, r"makes some 1.1e\+09 triangles"),
-        ({"x": [0.03, 0.05, 0.2]}, "actuator 2 .* off the glass"),
         ({"x": [0.0, 0.05, -0.05], "y": [0.01, 0.05, 0.05]}, "actuator 0 .* off the glass"),
-        ({"x": [0.03, 0.05, np.nan]}, "actuator 2 .* off the glass"),
         ({"x": [0.1249, 0.05, -0.05], "y": [0.0, 0.05, 0.05]}, "actuator 0 .* on an edge"),
         ({"x": [0.05, 0.05, 0.0], "y": [0.05, 0.05, 0.05]}, "actuators 0 and 1 .* one place"),
         ({"x": [0.03, 0.05, 0.07], "y": [0.03, 0.05, 0.07]}, "on one line"),
-        ({"shell": replace(GLASS, inner_radius=0.2)}, "reaches from"),
-        ({"shell": replace(GLASS, thickness=0.0)}, "thickness is 0 m"),
-        ({"shell": replace(GLASS, thickness=-1e-3, young_modulus=-1.0)}, "thickness is -0.001"),
-        ({"shell": replace(GLASS, young_modulus=-1.0)}, "Young's modulus -1 Pa"),
-        ({"shell": replace(GLASS, poisson_ratio=0.5)}, "Poisson ratio"),
-        ({"shell": replace(GLASS, radius_of_curvature=0.0)}, "radius of curvature"),
-        ({"shell": replace(GLASS, radius_of_curvature=np.nan)}, "radius of curvature"),
-        ({"shell": replace(GLASS, radius_of_curvature=0.1)}, "shallow"),
+        ({"shell": replace(FLAT, thickness=-1e-3, young_modulus=-1.0)}, "thickness is -0.001"),
+        ({"shell": replace(FLAT, young_modulus=-1.0)}, "Young's modulus -1 Pa"),
+        ({"shell": replace(FLAT, radius_of_curvature=0.1)}, "shallow"),
         ({"sensor": Annulus(8e-3, 60e-3)}, "sensor reaches over an edge"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_refused(change, words):
-    given = {"shell": GLASS, "x": [0.03, 0.05, -0.05], "y": [0.03, -0.05, 0.05], "mesh_size": 2e-2}
+    given = {"shell": FLAT, "x": [0.03, 0.05, -0.05], "y": [0.03, -0.05, 0.05], "mesh_size": 2e-2}
     with pytest.raises(GeometryError, match=words):
         meshed_stiffness(**(given | change))
 

@@ -4,30 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import eigh
-from scipy.optimize import brentq
-from scipy.special import iv, ivp, jv, jvp
 
-from helpers.shells import condense, influence, stiffness, uniform_influence
+from helpers.shells import (
+    FLAT,
+    LAYOUT,
+    SPHERE,
+    TILTS,
+    X,
+    Y,
+    circle,
+    influence,
+    stiffness,
+    uniform_influence,
+)
 from truenewton.errors import GeometryError
-from truenewton.mirrors.glass import Annulus, Shell
+from truenewton.mirrors.glass import Annulus
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
-from truenewton.statics.layout import layout, rings
+from truenewton.statics.layout import layout
 
-FLAT = Shell(inner_radius=20e-3, outer_radius=125e-3, thickness=1.6e-3)
-GLASS = replace(FLAT, radius_of_curvature=2.0)
-COUNTS = np.array([9, 15, 21])
-LAYOUT = rings(list(COUNTS * 30.5e-3 / (2 * np.pi)), list(COUNTS))
-X, Y = LAYOUT.x, LAYOUT.y
-TILTS = np.array([np.ones(LAYOUT.n), X, Y])
 ELECTRODE = Annulus(8e-3, 12.5e-3)
-
-
-def circle(radius, n):
-    angle = 2 * np.pi * np.arange(n) / n
-    return radius * np.cos(angle), radius * np.sin(angle)
 
 
 # --- sensors and pucks -----------------------------------------------------------------------
@@ -47,7 +44,7 @@ def over_annulus(shell, sensor, centre, forces):
     return gauss * radii @ np.array(means) / (gauss @ radii)
 
 
-@pytest.mark.parametrize("shell", [FLAT, replace(FLAT, radius_of_curvature=1e3), GLASS])
+@pytest.mark.parametrize("shell", [FLAT, SPHERE])
 def test_sensor_reads_the_mean(shell):
     """Its own force in its middle, others beside it, near both edges."""
     forces = (np.array([60e-3, 105e-3, 38e-3]), np.array([10e-3, 30e-3, -5e-3]))
@@ -56,23 +53,21 @@ def test_sensor_reads_the_mean(shell):
     assert got == pytest.approx(want, abs=1e-11 * np.abs(want).max())
 
 
-@pytest.mark.parametrize("shell", [FLAT, GLASS])
-def test_a_sensor_off_its_puck_reads_the_mean(shell):
-    """Round its own force, not in its middle, and beside others."""
-    forces = (np.array([60e-3, 95e-3, 40e-3]), np.array([10e-3, 30e-3, -5e-3]))
+def test_a_sensor_off_its_puck_reads_the_mean():
+    """Round its own force, not in its middle, and beside another near the edge."""
+    forces = (np.array([60e-3, 40e-3]), np.array([10e-3, -5e-3]))
     at = tuple(place + off for place, off in zip(forces, (2e-3, -1e-3), strict=True))
-    got = influence(shell, at, forces, sensor=ELECTRODE, puck_radius=5e-3)
-    centres = zip(*forces, strict=True)
-    rims = [np.array(around(centre, 5e-3, 32)) for centre in centres]
+    got = influence(SPHERE, at, forces, sensor=ELECTRODE, puck_radius=5e-3)
+    rims = [np.array(around(centre, 5e-3, 32)) for centre in zip(*forces, strict=True)]
     rims = tuple(np.concatenate(rims, axis=1))
     want = [
-        over_annulus(shell, ELECTRODE, centre, rims).reshape(3, 32).mean(axis=1)
+        over_annulus(SPHERE, ELECTRODE, centre, rims).reshape(2, 32).mean(axis=1)
         for centre in zip(*at, strict=True)
     ]
     assert got == pytest.approx(np.array(want), abs=1e-10 * np.abs(want).max())
 
 
-@pytest.mark.parametrize("shell", [FLAT, GLASS])
+@pytest.mark.parametrize("shell", [FLAT, SPHERE])
 def test_even_load_is_read_as_the_mean(shell):
     xi, gauss = np.polynomial.legendre.leggauss(6)
     radii = 10.25e-3 + 2.25e-3 * xi
@@ -86,7 +81,7 @@ def test_even_load_is_read_as_the_mean(shell):
     assert got == pytest.approx(want, rel=1e-9)
 
 
-@pytest.mark.parametrize("shell", [FLAT, GLASS])
+@pytest.mark.parametrize("shell", [FLAT, SPHERE])
 def test_puck_presses_with_its_rim(shell):
     """Read beside the puck, under it, on its axis and by a sensor round it."""
     centre, puck = (70e-3, 20e-3), 5e-3
@@ -101,26 +96,14 @@ def test_puck_presses_with_its_rim(shell):
 
 
 def test_symmetric_only_where_read_as_pressed():
-    alike = stiffness(GLASS, X, Y, sensor=Annulus(6e-3, 6e-3), puck_radius=6e-3)
-    assert np.array_equal(alike, alike.T)
-    G = influence(GLASS, (X, Y), (X, Y), sensor=Annulus(6e-3, 6e-3), puck_radius=6e-3)
+    G = influence(SPHERE, (X, Y), (X, Y), sensor=Annulus(6e-3, 6e-3), puck_radius=6e-3)
     apart = np.eye(LAYOUT.n) - TILTS.T @ np.linalg.pinv(TILTS.T)
     elastic = apart @ G @ apart
     assert np.abs(elastic - elastic.T).max() < 1e-12 * np.abs(elastic).max()
-    unlike = stiffness(GLASS, X, Y, sensor=ELECTRODE)
+    unlike = stiffness(SPHERE, X, Y, sensor=ELECTRODE)
     assert np.abs(unlike - unlike.T).max() > 1e-4 * np.abs(unlike).max()
     assert np.abs(unlike @ TILTS.T).max() < 2e-8
     assert np.abs(TILTS @ unlike).max() < 2e-8
-
-
-def test_stiffness_by_readings_is_that_by_displacements_read():
-    """K_read S = K_point, with S the readings of the shapes of unit displacement."""
-    G = influence(GLASS, (X, Y), (X, Y))
-    read = influence(GLASS, (X, Y), (X, Y), sensor=ELECTRODE)
-    point = condense(G, TILTS)
-    S = read @ point.stiffness + TILTS.T @ point.motion
-    got = stiffness(GLASS, X, Y, sensor=ELECTRODE) @ S
-    assert got == pytest.approx(point.stiffness, abs=1e-8 * point.stiffness.max())
 
 
 # --- shapes and mass -------------------------------------------------------------------------
@@ -139,11 +122,11 @@ def moved(shell, at, sensor, puck, magnet_mass):
     return glass.stiffness, *moving_mass(glass, static_shapes(glass))
 
 
-@pytest.mark.parametrize(("sensor", "puck"), [(None, 0.0), (ELECTRODE, 0.0), (ELECTRODE, 5e-3)])
+@pytest.mark.parametrize(("sensor", "puck"), [(None, 0.0), (ELECTRODE, 5e-3)])
 def test_mass_of_rigid_motions_is_that_of_glass_and_magnets(sensor, puck):
-    _, M, S = moved(GLASS, LAYOUT, sensor, puck, 2.75e-3)
-    a, b = GLASS.inner_radius, GLASS.outer_radius
-    glass = GLASS.mass * np.diag([1.0, (a**2 + b**2) / 4, (a**2 + b**2) / 4])
+    _, M, S = moved(SPHERE, LAYOUT, sensor, puck, 2.75e-3)
+    a, b = SPHERE.inner_radius, SPHERE.outer_radius
+    glass = SPHERE.mass * np.diag([1.0, (a**2 + b**2) / 4, (a**2 + b**2) / 4])
     assert pytest.approx(glass + 2.75e-3 * TILTS @ TILTS.T, abs=1e-12) == TILTS @ M @ TILTS.T
     assert np.array_equal(M, M.T)
     assert np.linalg.eigvalsh(M).min() > 0
@@ -155,59 +138,22 @@ def test_magnets_stand_on_the_diagonal_where_points_are_read():
     assert with_magnets - without == pytest.approx(3e-3 * np.eye(LAYOUT.n), abs=1e-15)
 
 
-def free_disc_frequencies(n, nu, low, high):
-    """Return omega b^2 sqrt(rho t / D) from Kirchhoff's free edge at r = 1 (Leissa, NASA SP-160).
-
-    W = J_n(k r) + c I_n(k r): moment and shear of both vanish together.
-    """
-
-    def free(k):
-        rows = []
-        for function, slope, lap in ((jv, jvp, -1.0), (iv, ivp, 1.0)):
-            W, dW = function(n, k), k * slope(n, k)
-            moment = lap * k**2 * W - (1 - nu) * (dW - n**2 * W)
-            shear = lap * k**2 * dW - (1 - nu) * n**2 * (dW - W)
-            rows.append([moment / function(n, k + 1j).real, shear / function(n, k + 1j).real])
-        return rows[0][0] * rows[1][1] - rows[0][1] * rows[1][0]
-
-    return brentq(free, low, high) ** 2
-
-
-def test_frequencies_of_a_free_disc():
-    """K and M against the closed form, from above as Rayleigh and Ritz want it."""
-    disc = Shell(inner_radius=1e-4, outer_radius=0.12, thickness=1.6e-3, poisson_ratio=0.33)
-    many = rings(list(np.linspace(0.008, 0.1185, 8)), list(6 * np.arange(1, 9)))
-    K, M, _ = moved(disc, many, None, 0.0, 0.0)
-    K = 0.5 * (K + K.T)
-    per_mass = disc.density * disc.thickness / disc.bending_stiffness
-    got = np.sqrt(eigh(K, M, eigvals_only=True)[3:8] * per_mass) * disc.outer_radius**2
-    between = {2: (2.0, 2.6), 0: (2.6, 3.3), 3: (3.2, 3.8)}
-    want = [free_disc_frequencies(n, 0.33, *k) for n, k in between.items()]
-    assert want == pytest.approx([5.253, 9.084, 12.23], rel=2e-3)  # Leissa, table 2.7
-    excess = got[[0, 1, 2, 3, 4]] / np.array(want)[[0, 0, 1, 2, 2]] - 1
-    assert np.all((excess > -1e-6) & (excess < 3e-4)), excess
-
-
 # --- refusals --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("radius", "sensor", "puck", "fault"),
+    ("sensor", "puck", "fault"),
     [
-        (0.0, None, 0.0, "radius of curvature 0 m"),
-        (np.nan, None, 0.0, "radius of curvature nan"),
-        (0.12, None, 0.0, "taken as shallow"),
-        (2.0, Annulus(8e-3, 30e-3), 0.0, "0.03 m round it is off the glass"),
-        (2.0, ELECTRODE, 9e-3, "over the place where a force acts"),
-        (2.0, None, 40e-3, "0.04 m round it is off the glass"),
-        (2.0, None, -1e-3, "puck radius of -0.001 m"),
-        (2.0, None, np.nan, "puck radius of nan"),
+        (Annulus(8e-3, 30e-3), 0.0, "0.03 m round it is off the glass"),
+        (ELECTRODE, 9e-3, "over the place where a force acts"),
+        (None, 40e-3, "0.04 m round it is off the glass"),
+        (None, -1e-3, "puck radius of -0.001 m"),
+        (None, np.nan, "puck radius of nan"),
     ],
 )
-def test_bad_shells_sensors_and_pucks_are_refused(radius, sensor, puck, fault):
-    shell = replace(GLASS, radius_of_curvature=radius)
+def test_bad_sensors_and_pucks_are_refused(sensor, puck, fault):
     with pytest.raises(GeometryError, match=fault) as refusal:
-        stiffness(shell, X, Y, sensor=sensor, puck_radius=puck)
+        stiffness(SPHERE, X, Y, sensor=sensor, puck_radius=puck)
     assert refusal.value.remedy
     assert "\n" not in str(refusal.value)
 
