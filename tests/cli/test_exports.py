@@ -20,7 +20,6 @@ from truenewton.calibration import words as calibration_words
 from truenewton.calibration.words import warning_lines
 from truenewton.errors import OutputFailed
 from truenewton.modal import words as modal_words
-from truenewton.report.figures import still_figures
 from truenewton.tracking import words as tracking_words
 
 ROOT = Path(__file__).parents[2]
@@ -119,15 +118,6 @@ def test_what_a_backend_sets_up_stays(calibration, monkeypatch):
         monkeypatch.setattr(pyplot, "figure", first)
         calibration.plot_map()
         assert mpl.rcParams["interactive"]
-
-
-@pytest.mark.study
-def test_files_and_pages_leave_no_figure_open(calibration, tmp_path):
-    findings = tn.investigate(calibration)
-    tn.write_report(tmp_path / "report.html", findings)
-    assert "<svg" in (tmp_path / "report.html").read_text()
-    tn.write_figures(findings.calibration, tmp_path / "figures", more=still_figures(findings))
-    assert pyplot.get_fignums() == []
 
 
 def text_of(html):

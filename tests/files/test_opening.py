@@ -80,12 +80,6 @@ def test_what_is_no_file_is_not_waited_for(tmp_path, make, said):
             read_toml(path)
 
 
-def test_a_folder_with_a_loop_is_one_line(inside, tmp_path):
-    loop(tmp_path / "x.fits")
-    code, out, error = inside("calibrate", tmp_path)
-    assert (code, out, error.count("\n")) == (2, "", 1)
-
-
 def test_what_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(opening, "MOST_UNPACKED", 2**20)
     path = tmp_path / "x.fits.gz"
@@ -120,9 +114,7 @@ def test_a_text_file_that_is_too_long_is_refused(tmp_path, monkeypatch):
     [
         ("X,Y\n0.1,0.2\n,0.3\n", "line 3: X is empty; give a number"),
         ("ID,X,Y\n1.5,0.1,0.2\n2,0.2,0.3\n", "ID holds float64"),
-        ("ID,X,Y\n99999999999999999999,0.1,0.2\n2,0.2,0.3\n", "ID holds"),
         ("ENABLED,X,Y\nmaybe,0.1,0.2\nTrue,0.2,0.3\n", "ENABLED holds other words"),
-        ("ENABLED,X,Y\n2,0.1,0.2\n1,0.2,0.3\n", "ENABLED holds other words"),
         ("X,Y\none,0.2\ntwo,0.3\n", "line 2: X is 'one'; give a number"),
         ("X,Y\n0.1\n", "line 2: Y is empty"),
         ("X,Y\n1e400,0.2\n0.1,0.3\n", "line 2: X is inf"),
@@ -220,12 +212,9 @@ SQUARE = [[[0, 0], [1, 0], [1, 1], [0, 1]]]
         (lambda: layout(np.linspace(0, 1, 20001), np.zeros(20001)), GeometryError, "are 20001 act"),
         (lambda: check_shell(Shell(0.02, 0.1, 1e-12)), GeometryError, "thickness is 1e-12 m"),
         (lambda: checked_sides(SQUARE, 1e-300), GeometryError, "mesh size"),
-        (lambda: checked_sides(SQUARE, 0.0), GeometryError, "mesh size"),
-        (lambda: checked_sides(SQUARE, -1.0), GeometryError, "mesh size"),
         (lambda: checked_sides(SQUARE, np.inf), GeometryError, "mesh size"),
         (lambda: off_and_slaved(layout([0.0, 0.1], [0.1, 0.0]), [10**30], ()), UnknownName, "ID 1"),
         (lambda: Atmosphere(1e-320), FormatError, None),
-        (lambda: Atmosphere(0.8, 1e-320), FormatError, None),
         (lambda: Budget(power=1e-320), FormatError, None),
         (lambda: Pupil(1e-320, 8.0), FormatError, None),
     ],

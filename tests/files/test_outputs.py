@@ -134,31 +134,11 @@ main()
 """
 
 
-@pytest.mark.parametrize(
-    ("module", "name", "words"),
-    [
-        pytest.param(
-            "figures.writing",
-            "write_drawn",
-            ["modes", "DATA", "-o", "m.fits", "--figures", "f"],
-            marks=pytest.mark.study,
-        ),
-        ("bench.simulated.truth", "write_truth", ["simulate", "ring8", "-o", "s", "--cycles", "1"]),
-        pytest.param(
-            "files.outputs",
-            "to_disk",
-            ["calibrate", "DATA", "-o", "a.fits"],
-            marks=pytest.mark.study,
-        ),
-    ],
-    ids=["modes", "simulate", "calibrate"],
-)
-def test_sigterm_leaves_nothing(tmp_path, p45_folder, module, name, words):
-    words = [str(p45_folder) if word == "DATA" else word for word in words]
-    code = STOPPED.format(module=module, name=name)
+def test_sigterm_leaves_nothing(tmp_path):
+    code = STOPPED.format(module="bench.simulated.truth", name="write_truth")
     done = subprocess.run(
-        [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True,
-        timeout=120, check=False,
+        [sys.executable, "-c", code, "simulate", "ring8", "-o", "s", "--cycles", "1"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     said = "truenewton: interrupted; nothing was left half-written\n"
     assert (done.returncode, done.stderr) == (130, said)
@@ -197,7 +177,6 @@ def test_nothing_prints_but_the_one_place():
     ("old", "new", "said"),
     [
         ('name = "bare"', 'name = "b\\u001b[31m"', "cannot stand in a FITS header"),
-        ('name = "bare"', 'name = "bar\u00e9"', "cannot stand in a FITS header"),
         ("force_noise = 0.0001\n", "force_noise = 1e-320\n", "give a positive number, 1e-12 to"),
         ("settling = 0.15", "settling = 1e300", "give zero or more, to 1e+09"),
     ],

@@ -127,37 +127,13 @@ def test_rows_are_those_of_the_array(tiny, tmp_path, left_on_disk, form, far):
     assert (np.asarray(stored) == stored[:]).all()
 
 
-def test_rows_that_cannot_stay_are_read(tiny, tmp_path, left_on_disk):
-    """Gzipped files, and columns with TSCAL, are arrays."""
+def test_rows_of_a_gzipped_file_are_read(tiny, tmp_path, left_on_disk):
     cycle = tiny.cycles[0]
     write_cycle(cycle, tmp_path / "c.fits")
     (tmp_path / "packed.fits.gz").write_bytes(gzip.compress((tmp_path / "c.fits").read_bytes()))
     packed = read(tmp_path / "packed.fits.gz").cycles[0]
     assert isinstance(packed.force, np.ndarray)
     assert (packed.force == cycle.force).all()
-    with fits.open(tmp_path / "c.fits") as hdus:
-        table = hdus["MEASUREMENTS"]
-        number = table.columns.names.index("FORCE") + 1
-        table.header[f"TSCAL{number}"] = 0.5
-        del table.header["CHECKSUM"], table.header["DATASUM"]
-        (tmp_path / "scaled.fits").write_bytes(
-            b"".join(h.header.tostring().encode() + raw for h, raw in raw_data(tmp_path, hdus))
-        )
-    scaled = read(tmp_path / "scaled.fits").cycles[0]
-    assert isinstance(scaled.force, np.ndarray)
-    assert isinstance(scaled.position, StoredRows)
-    assert scaled.force == pytest.approx(0.5 * cycle.force, rel=1e-15)
-    assert (np.asarray(scaled.position) == cycle.position).all()
-
-
-def raw_data(folder, hdus):
-    """Return HDUs with the bytes of their data in c.fits."""
-    raw = (folder / "c.fits").read_bytes()
-    infos = [hdu.fileinfo() for hdu in hdus]
-    return [
-        (hdu, raw[i["datLoc"] : i["datLoc"] + i["datSpan"]])
-        for hdu, i in zip(hdus, infos, strict=True)
-    ]
 
 
 def test_a_campaign_written_from_disk_is_the_same_file(tiny, tmp_path, left_on_disk):

@@ -11,8 +11,9 @@ import pytest
 from astropy.io import fits
 
 from helpers.comparison import same
+from truenewton import reading
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import FormatError, OutputExists, OutputFailed
+from truenewton.errors import FormatError
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign, write_cycle, write_stiffness
@@ -393,7 +394,9 @@ def test_optional_columns_may_be_absent(tiny, bare_file):
     assert same(cycle, bare)
 
 
-def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(tiny, tmp_path):
+def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(
+    tiny, tmp_path, monkeypatch
+):
     cycle = tiny.cycles[0]
     header = {
         "INSTRUME": "TINY", "DATE-OBS": "2026-05-04T11:30:00+02:00", "LOAD": "bare", "CYCLE": 1,
@@ -420,7 +423,9 @@ def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(tiny, 
     )
     hdus[1].header["TSCAL1"], hdus[1].header["TZERO1"] = 0.05, 100.0
     hdus.writeto(tmp_path / "c.fits")
+    monkeypatch.setattr(reading, "IN_MEMORY", -1)  # scaled columns are read all the same
     [back] = read(tmp_path / "c.fits").cycles
+    assert isinstance(back.force, np.ndarray)
     with fits.open(tmp_path / "c.fits") as hdus:
         assert hdus[1].columns["Force"].format == "12I"  # scaled integers on disk indeed
         assert (hdus[1].header["TSCAL1"], hdus[1].header["TZERO1"]) == (0.05, 100.0)
@@ -451,28 +456,6 @@ def test_text_that_fits_cannot_hold_is_refused(tiny, tmp_path, name):
     cycle = dataclasses.replace(tiny.cycles[0], instrument=name)
     with pytest.raises(FormatError, match=r"INSTRUME .* ASCII"):
         write_cycle(cycle, tmp_path / "c.fits")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_is_replaced_only_if_all_in_it_is_ours(tiny, tmp_path):
-    folder = tmp_path / "c"
-    write_campaign(tiny.cycles, folder)
-    write_campaign(tiny.cycles[:1], folder, overwrite=True)
-    assert [p.name for p in folder.iterdir()] == ["bare-001.fits"]
-    (folder / "notes.txt").write_text("mine")
-    with pytest.raises(OutputExists, match=r"notes\.txt"):
-        write_campaign(tiny.cycles, folder, overwrite=True)
-    assert (folder / "notes.txt").read_text() == "mine"
-    assert list(tmp_path.iterdir()) == [folder]
-
-
-def test_a_campaign_cut_short_leaves_nothing(tiny, tmp_path):
-    def cut_short():
-        yield tiny.cycles[0]
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(OutputFailed, match="No space left"):
-        write_campaign(cut_short(), tmp_path / "c")
     assert not list(tmp_path.iterdir())
 
 
