@@ -497,9 +497,9 @@ def test_folders_and_missing_files(tmp_path):
 
 
 def test_the_command_says_what_it_found_and_alpha_is_right(tmp_path, inside, monkeypatch):
-    made = []
+    made, calibrate = [], methods.calibrate
     monkeypatch.setattr(
-        methods, "calibrate", lambda *given: made.append(tn.calibrate(*given)) or made[0]
+        methods, "calibrate", lambda *given: made.append(calibrate(*given)) or made[0]
     )
     path, _ = matrix_file(tmp_path, "csv")
     xy = positions_file(tmp_path, "csv")
