@@ -128,13 +128,11 @@ def named(table, name):
 
 
 A, M = "ACTUATORS", "MEASUREMENTS"
-REQUIRED = ("INSTRUME", "DATE-OBS", "LOAD", "CYCLE", "WEIGHT", "E_WEIGHT", "ADDED", "E_ADDED")
 
 FILE_FAULTS = {
-    **{f"no {key}": (no_keyword(key), f"no {key}") for key in REQUIRED},
+    **{f"no {key}": (no_keyword(key), f"no {key}") for key in ("DATE-OBS", "WEIGHT")},
     "WEIGHT is text": (keyword("WEIGHT", "-3.0"), "WEIGHT is '-3.0' .. store a number"),
     "GAP is text": (keyword("GAP", "-3.0"), "GAP is '-3.0' .. store a number"),
-    "WEIGHT is logical": (keyword("WEIGHT", True), "WEIGHT is True"),
     "LOAD is a number": (keyword("LOAD", 5), "LOAD is 5"),
     "DATE-OBS is no date": (keyword("DATE-OBS", "4 May"), "DATE-OBS is '4 May' .. write ISO 8601"),
     "DATE-OBS is of no century": (keyword("DATE-OBS", "0001-01-01"), "is '0001 .. 1950 to"),
@@ -142,14 +140,13 @@ FILE_FAULTS = {
     "CYCLE is zero": (keyword("CYCLE", 0), "CYCLE is 0"),
     "LOAD is blank": (keyword("LOAD", "   "), "LOAD is blank"),
     "WEIGHT is positive": (keyword("WEIGHT", 3.0), "WEIGHT is 3 N .. store -3"),
-    "ADDED is positive": (keyword("ADDED", 0.5), "ADDED is 0.5 N .. store -0.5"),
     "E_ADDED is negative": (keyword("E_ADDED", -0.1), "E_ADDED is -0.1"),
     "FORCERR is below all sense": (keyword("FORCERR", 1e-155), "FORCERR is 1e-155 N"),
     "TILT is upright": (keyword("TILT", 90.0), "TILT is 90 deg"),
     "WEIGHT is huge": (keyword("WEIGHT", -1e300), "WEIGHT is -1e+300 N"),
+    "COILGRAD is huge": (keyword("COILGRAD", 1e300), "COILGRAD is 1e+300"),
     "E_WEIGHT is a huge integer": (keyword("E_WEIGHT", 10**60), "E_WEIGHT is 1e+60"),
     # tables
-    "no ACTUATORS": (no_extension(A), "no table ACTUATORS"),
     "MEASUREMENTS misnamed": (
         named(M, "MEASUREMENT"),
         "no table MEASUREMENTS .. there is ACTUATORS, MEASUREMENT;",
@@ -160,18 +157,14 @@ FILE_FAULTS = {
     ),
     "no actuator is enabled": (disabled, "no actuator is ENABLED .. set ENABLED to T"),
     "two ACTUATORS": (doubled(A), "two ACTUATORS"),
-    **{f"no {n}": (no_column(A, n), f"ACTUATORS has no column {n}") for n in ("ID", "X", "Y")},
-    **{
-        f"no {name}": (no_column(M, name), f"MEASUREMENTS has no column {name}")
-        for name in ("TIME", "SHAPE", "SIGN", "FORCE")
-    },
+    "no X": (no_column(A, "X"), "ACTUATORS has no column X"),
+    "no SIGN": (no_column(M, "SIGN"), "MEASUREMENTS has no column SIGN"),
     "two columns X": (
         columns(A, lambda parts: parts["Y"].update(name="x")),
         "two columns X",
     ),
     # types and widths
     "ID is real": (column(A, "ID", format="D"), "column ID of ACTUATORS holds float64"),
-    "X is text": (column(A, "X", format="4A", array=["0.01"] * 12), "column X of ACTUATORS holds"),
     "X is a pair": (column(A, "X", format="2D", array=np.zeros((12, 2))), "instead of 1"),
     "ENABLED is a number": (
         column(A, "ENABLED", format="J", array=np.ones(12)),
@@ -184,22 +177,16 @@ FILE_FAULTS = {
     ),
     "ACTUATORS lacks a row": (rows(A, slice(11)), "12 values a row instead of 11"),
     # units
+    "FORCE declares no unit": (
+        column(M, "FORCE", unit=None),
+        "column FORCE of MEASUREMENTS declares no unit",
+    ),
     **{
-        f"{name} declares no unit": (
-            column(table, name, unit=None),
-            f"column {name} of {table} declares no unit",
+        f"FORCE in {unit}": (
+            column(M, "FORCE", unit=unit),
+            f"FORCE of MEASUREMENTS is in '{unit}' .. store it in",
         )
-        for table, name in ((A, "X"), (M, "TEMPERATURE"), (M, "FORCE"))
-    },
-    **{
-        f"{name} in {unit}": (
-            column(table, name, unit=unit),
-            f"{name} of {table} is in '{unit}' .. store it in",
-        )
-        for table, name, unit in (
-            (A, "X", "N"), (M, "TEMPERATURE", "C"), (M, "FORCE", "counts"),
-            (M, "FORCE", "nonsense"), (M, "FORCE", "mag(N)"),
-        )
+        for unit in ("m", "counts", "mag(N)")
     },
     # values that count
     **{
@@ -256,6 +243,7 @@ def test_a_cycle_file_with_a_fault_is_refused_by_name(
 
 
 def test_what_does_not_count_may_hold_anything(folder, inside, tiny):
+    edit(folder / "ring-001.fits", lambda hdus: hdus[A].data["X"].__iadd__(5e-10))  # of no account
     for name in ("bare-001.fits", "ring-001.fits"):
         edit(
             folder / name,
@@ -286,23 +274,13 @@ def test_a_truncated_file_is_refused_at_every_length(folder, refused, suffix):
         line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
         assert f"{path.name}: " in line
         assert any(w in line for w in ("truncated", "damaged", "not a FITS", "no table")), length
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"time,force\n1,2\n", b"\x1f\x8b", b"\x1f\x8b" + b"x" * 999,
-     b"SIMPLE  = " + b"\0" * 2870, b"\x1f\x8b" + gzip.compress(b"x")[2:]],
-    ids=["empty", "text", "gzip head", "bad gzip", "nulls", "gzip"],
-)  # fmt: skip
-def test_what_is_not_fits_is_refused(folder, refused, content):
-    (folder / "ring-001.fits").write_bytes(content)
-    line = refused("calibrate", folder)
-    assert "ring-001.fits: is " in line
-    assert any(words in line for words in ("not a FITS file", "damaged", "truncated"))
+    for content in (b"time,force\n1,2\n", b"\x1f\x8b" + b"x" * 999, b"SIMPLE  = " + b"\0" * 2870):
+        path.write_bytes(content)
+        assert f"{path.name}: is " in refused("calibrate", folder)
 
 
 @pytest.mark.parametrize("in_memory", MEMORY)
-@pytest.mark.parametrize("place", ["comment", "header padding", "data", "data padding"])
+@pytest.mark.parametrize("place", ["comment", "data", "padding"])
 def test_a_changed_byte_anywhere_breaks_the_checksum(
     folder, refused, monkeypatch, in_memory, place
 ):
@@ -311,19 +289,14 @@ def test_a_changed_byte_anywhere_breaks_the_checksum(
     raw = bytearray(path.read_bytes())
     with fits.open(path) as hdus:
         start, size = hdus[M].fileinfo()["datLoc"], hdus[M].data.nbytes
-    raw[{
-        "comment": raw.index(b"name of the load"), "header padding": start - 1,
-        "data": start + 100, "data padding": start + size,
-    }[place]] ^= 1  # fmt: skip
+    raw[
+        {"comment": raw.index(b"name of the load"), "data": start + 100, "padding": start + size}[
+            place
+        ]
+    ] ^= 1
     path.write_bytes(raw)
     line = refused("calibrate", folder)
     assert "ring-001.fits: a CHECKSUM or DATASUM does not match; " in line
-
-
-def test_bytes_after_the_end_are_refused(folder, refused):
-    with (folder / "ring-001.fits").open("ab") as file:
-        file.write(b"x" * 2880)
-    assert "ring-001.fits: is damaged" in refused("calibrate", folder)
 
 
 def test_a_column_count_beyond_all_reason_is_refused(folder, refused):
@@ -336,7 +309,6 @@ def test_a_column_count_beyond_all_reason_is_refused(folder, refused):
 # --- files that do not belong together ------------------------------------------------------------
 
 DISAGREEMENTS = {
-    "INSTRUME": (keyword("INSTRUME", "P46"), "on INSTRUME (P46 and TINY) .. of one campaign only"),
     "WEIGHT": (keyword("WEIGHT", -3.0000001), "on WEIGHT (-3.0000001 and -3.0)"),
     "ACTUATORS, order": (rows(A, np.arange(12)[::-1]), "on the ACTUATORS table"),
     "ACTUATORS, place": (
@@ -345,7 +317,6 @@ DISAGREEMENTS = {
     ),
     "ACTUATORS, enabled": (cells(A, "ENABLED", 3, False), "on the ACTUATORS table"),
     "ADDED": (keyword("ADDED", -0.51), "on ADDED (-0.51 and -0.5)"),
-    "TILT": (keyword("TILT", 1.0), "on TILT (1.0 and 0.0)"),
     "CYCLE": (keyword("CYCLE", 1), "LOAD 'ring' has CYCLE 1 twice .. leave one out, or"),
     "LOAD": (keyword("LOAD", "bare"), "on ADDED (-0.5 .. correct it, or LOAD: both say 'bare'"),
     "FORCE in mN": (
@@ -362,11 +333,6 @@ def test_files_that_disagree_are_refused(folder, refused, tiny, fault, words):
     line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
     assert "ring-002.fits" in line
     assert_told(words, line)
-
-
-def test_positions_that_agree_to_a_nanometre_are_accepted(folder, inside, tiny):
-    edit(folder / "ring-001.fits", lambda hdus: hdus[A].data["X"].__iadd__(5e-10))
-    assert inside("calibrate", folder)[0] == 0
 
 
 @pytest.fixture
@@ -415,13 +381,11 @@ def element(value):
 STIFFNESS_FAULTS = {
     "not square": (matrix(np.ones((12, 11))), "12 x 11"),
     "empty": (matrix(None), "an image STIFFNESS"),
-    "zero": (matrix(np.zeros((12, 12))), "STIFFNESS is zero throughout"),
     "next to nothing": (matrix(np.full((12, 12), 1e-300)), "or next to it"),
     "NaN": (element(np.nan), "STIFFNESS holds NaN"),
     "no unit": (lambda hdus: hdus["STIFFNESS"].header.remove("BUNIT"), "declares no unit"),
     "N": (lambda hdus: hdus["STIFFNESS"].header.set("BUNIT", "N"), "STIFFNESS is in 'N'"),
     "no INSTRUME": (no_keyword("INSTRUME"), "no INSTRUME"),
-    "NaN in X": (cells(A, "X", 3, np.nan), "X of actuator 4 is not finite"),
     "two": (doubled("STIFFNESS"), "two STIFFNESS"),
 }
 
@@ -487,10 +451,6 @@ COMMAND_LINES = {
     "no option like it": (["calibrate", "x", "--jsno"], "--json"),
     "no output": (["figures", "x"], "Missing option '-o' / '--output'; see 'truenewton figures"),
     "no number": (["simulate", "p45", "-o", "x", "--seed", "one"], "Invalid value for '--seed'"),
-    "number out of range": (
-        ["simulate", "p45", "-o", "x", "--cycles", 0],
-        "Invalid value for '--cycles'",
-    ),
     "words for IDs": (
         ["recalibrate", "x", "--known", "y", "--actuators", "three"],
         "'three'; give IDs, as 17,18",

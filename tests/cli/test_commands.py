@@ -90,10 +90,10 @@ def test_prove_prints_the_paper_and_passes(inside):
     code, out, _ = inside("prove", "p45", "--seed", "3")
     assert code == 0
     assert out.splitlines()[-1].startswith("alpha comes back to machine precision")
-    _, out, _ = inside("prove", "--json", "--seeds", "3")
+    _, out, _ = inside("prove", "--json", "--seeds", "2")
     values = json.loads(out)
     assert values["passed"] is True
-    assert len(values["proofs"]) == 3 * 8
+    assert len(values["proofs"]) == 2 * 8
     assert values["worst"] == max(p["ratio"] for p in values["proofs"]) <= 20
 
 
@@ -237,7 +237,6 @@ def full_disk():
 @pytest.mark.parametrize(
     ("words", "output", "errors", "code"),
     [
-        ("calibrat", None, closed_pipe, 2),
         ("calibrat", None, full_disk, 2),
         ("--version", full_disk, None, 2),
         ("mirrors", closed_pipe, closed_pipe, 0),
@@ -288,7 +287,6 @@ def test_ctrl_c_while_loading_leaves_no_traceback():
     ("words", "expected"),
     [
         ("truenewton re", ["recalibrate", "report"]),
-        ("truenewton calibrate --meth", ["--method"]),
         ("truenewton calibrate --method r", ["reciprocity"]),
     ],
 )

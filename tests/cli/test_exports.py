@@ -2,7 +2,6 @@
 
 import ast
 import datetime
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -68,15 +67,11 @@ def test_a_table_holds_every_digit(calibration, tmp_path, suffix):
 
 def test_the_command_says_what_a_form_leaves_out(campaign, inside, tmp_path):
     tn.write_campaign(campaign, tmp_path / "day")
-    for suffix in (".csv", ".npy", ".fits"):
+    for suffix in (".csv", ".fits"):
         words = "calibrate", tmp_path / "day", "-o", tmp_path / f"a{suffix}", "--method", "svd"
         code, out, _ = inside(*words)
         assert code == 0
-        assert (tmp_path / f"a{suffix}").stat().st_size
         assert (f"a{suffix} holds" in out) == (suffix != ".fits")
-    code, out, _ = inside(*words, "--json", "--overwrite")
-    assert code == 0
-    assert json.loads(out)["verdict"]
 
 
 @pytest.mark.parametrize("name", ["alpha.txt", "alpha", "alpha.csv.gz"])

@@ -70,10 +70,14 @@ def load(cycle, **parts):
     return replace(cycle, load=replace(cycle.load, **parts))
 
 
-def of_another_mirror():
-    """Return cycles of which one is of a mirror of the same name, whose actuators are others."""
-    other = run_cycles(replace(static_bench(p45_mirror(), 8), force_noise=1e-4), 4)
-    return [*quiet()[:ONE], list(other)[ONE], quiet()[ONE + 1]]
+def poles(cycle):
+    return replace(cycle, force=np.array(cycle.force) * np.where(np.arange(45) == 7, -1, 1))
+
+
+def of_another_mirror(*places):
+    """Return cycles some of which are of a mirror of the same name, whose actuators are others."""
+    other = list(run_cycles(replace(static_bench(p45_mirror(), 8), force_noise=1e-4), 4))
+    return [other[k] if k in places else cycle for k, cycle in enumerate(quiet())]
 
 
 def never_on():
@@ -114,15 +118,10 @@ FAULTS = {
     "kN": (times(1e-3), NOT, "FORCE looks as if in kN, or WEIGHT and ADDED look as if in mN",
            FORCE_IN),
     "counts": (times(1e5), NOT, "as if in counts or volts of the electronics", FORCE_IN),
-    "lbf": (times(1 / 4.448), NOT, "FORCE looks as if in lbf", FORCE_IN),
     "all in grams": (weights(101.97), NOT, "WEIGHT and ADDED look as if in g", WEIGHTS_IN),
     "the mirror in ADDED": (
         changed(lambda c: added(c, c.weight + c.load.added), 4, 5, 6, 7),
         NOT, "ADDED looks as if the weight of the mirror were in it", "store what was added alone",
-    ),
-    "E_ADDED in per cent": (
-        changed(lambda c: load(c, added_error=5.0), 4, 5, 6, 7),
-        LIMITED, "the common scale is known to"
     ),
     # columns, of one file
     **{
@@ -131,7 +130,7 @@ FAULTS = {
             f"exchanged columns of {what}", f"actuators {a + 1} and {b + 1} in ring 3", IN_ORDER,
         )
         for a, b, what in (
-            (3, 30, "FORCE"), (10, 11, "POSITION"), (20, 44, "FORCE and POSITION"),
+            (10, 11, "POSITION"), (20, 44, "FORCE and POSITION"),
         )
     },
     "under the ring": (
@@ -142,8 +141,9 @@ FAULTS = {
         columns(np.roll(np.arange(45), 1), "force"),
         REFUSED, "another order of FORCE: 45 of 45 actuators in ring 3", IN_ORDER,
     ),
-    "FORCE turned in one file": (
-        times(-1, ONE), REFUSED, "FORCE of the other sign: ring 3", "turn the sign of FORCE",
+    "poles in one file": (
+        changed(poles, ONE), REFUSED, "FORCE of the other sign: actuator 8 in ring 3",
+        "turn the sign",
     ),
     "um in one file": (
         changed(lambda c: replace(c, position=3.0 * c.position), ONE),
@@ -158,11 +158,14 @@ FAULTS = {
         LIMITED, "frozen sensor (POSITION of actuator 8", "all rows of ring 3",
     ),
     # places
-    "a place a centimetre off": (
-        changed(lambda c: replace(c, layout=elsewhere(c.layout, 22, 0.01))),
-        NOT, "actuator stands elsewhere than at its X and Y (actuator 23, about x = 0.05",
-        "correct X and Y in that row",
-    ),
+    **{
+        f"a place {far} m off": (
+            changed(lambda c, far=far: replace(c, layout=elsewhere(c.layout, 22, far))),
+            NOT, "actuator stands elsewhere than at its X and Y (actuator 23, about x = 0.05",
+            "correct X and Y in that row",
+        )
+        for far in (0.01, 1.0)
+    },
     # labels
     "LOAD 'rign'": (
         changed(lambda c: load(c, name="rign"), ONE), LIMITED,
@@ -171,8 +174,12 @@ FAULTS = {
     ),
     # files that do not belong together
     "one of another mirror": (
-        of_another_mirror, REFUSED, "files of two mirrors", "ring 3 against bare 1",
+        lambda: of_another_mirror(ONE), REFUSED, "files of two mirrors", "ring 3 against bare 1",
         "of one mirror",
+    ),
+    "bare of one, ring of another mirror": (
+        lambda: of_another_mirror(4, 5, 6, 7),
+        NOT, "files of two mirrors", "against ring 1", "of one mirror",
     ),
     "one file everywhere": (
         one_file_everywhere, REFUSED + NOT, "copy of another file", "leave the copy out",
@@ -209,7 +216,6 @@ SOUND = {
     "shapes 3 % larger under the ring": lambda: [
         c if k < 4 else larger(c) for k, c in enumerate(quiet())
     ],
-    "one file each": lambda: quiet(1),
     "other shapes in one file": changed(lambda c: replace(c, shape=c.shape + 1000), ONE),
     "files of different days": lambda: [
         replace(c, date=c.date + datetime.timedelta(days=2 * k)) for k, c in enumerate(quiet(2))

@@ -20,11 +20,9 @@ from truenewton.files.fits import read_fits
 from truenewton.files.sizes import BLOCK, CARD, check_sizes
 from truenewton.files.toml import read_toml
 from truenewton.linalg import covariance_fault, inverse_of_positive
-from truenewton.mirrors.glass import Shell, check_shell
 from truenewton.mirrors.shell.finite_elements.outline import checked_sides
 from truenewton.mirrors.tables import layout_in
 from truenewton.modal.actuator_roles import off_and_slaved
-from truenewton.modal.dissipation import Budget
 from truenewton.modal.pupil import Pupil
 from truenewton.modal.turbulence import Atmosphere
 from truenewton.records.file import write_stiffness
@@ -63,7 +61,6 @@ def sparse(path):
     ("make", "said"),
     [
         (pipe, "is a pipe or a device"),
-        (device, "is a pipe or a device"),
         (loop, "cannot be read (Too many levels of symbolic links)"),
         (sparse, "is damaged"),
     ],
@@ -112,7 +109,6 @@ def test_a_text_file_that_is_too_long_is_refused(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("table", "said"),
     [
-        ("X,Y\n0.1,0.2\n,0.3\n", "line 3: X is empty; give a number"),
         ("ID,X,Y\n1.5,0.1,0.2\n2,0.2,0.3\n", "ID holds float64"),
         ("ENABLED,X,Y\nmaybe,0.1,0.2\nTrue,0.2,0.3\n", "ENABLED holds other words"),
         ("X,Y\none,0.2\ntwo,0.3\n", "line 2: X is 'one'; give a number"),
@@ -183,10 +179,7 @@ def test_a_port_that_is_taken_leaves_no_keys(inside, tmp_path):
     assert not (tmp_path / "keys").exists()
 
 
-@pytest.mark.parametrize(
-    "broken",
-    [lambda: np.linalg.inv(np.zeros((2, 2))), lambda: 1.0 / 0.0, lambda: np.ones(1) / np.zeros(1)],
-)
+@pytest.mark.parametrize("broken", [lambda: np.linalg.inv(np.zeros((2, 2))), lambda: 1.0 / 0.0])
 def test_a_calculation_that_breaks_down_is_one_line(inside, monkeypatch, broken):
     main = sys.modules["truenewton.cli.main"]
     monkeypatch.setattr(main, "app", lambda *_, **__: broken())
@@ -210,12 +203,9 @@ SQUARE = [[[0, 0], [1, 0], [1, 1], [0, 1]]]
     ("make", "kind", "said"),
     [
         (lambda: layout(np.linspace(0, 1, 20001), np.zeros(20001)), GeometryError, "are 20001 act"),
-        (lambda: check_shell(Shell(0.02, 0.1, 1e-12)), GeometryError, "thickness is 1e-12 m"),
         (lambda: checked_sides(SQUARE, 1e-300), GeometryError, "mesh size"),
-        (lambda: checked_sides(SQUARE, np.inf), GeometryError, "mesh size"),
         (lambda: off_and_slaved(layout([0.0, 0.1], [0.1, 0.0]), [10**30], ()), UnknownName, "ID 1"),
         (lambda: Atmosphere(1e-320), FormatError, None),
-        (lambda: Budget(power=1e-320), FormatError, None),
         (lambda: Pupil(1e-320, 8.0), FormatError, None),
     ],
 )
