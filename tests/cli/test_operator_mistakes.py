@@ -129,9 +129,7 @@ FAULTS = {
             columns(exchanged(a, b), *what.lower().split(" and ")), NOT + REFUSED,
             f"exchanged columns of {what}", f"actuators {a + 1} and {b + 1} in ring 3", IN_ORDER,
         )
-        for a, b, what in (
-            (10, 11, "POSITION"), (20, 44, "FORCE and POSITION"),
-        )
+        for a, b, what in ((10, 11, "POSITION"), (20, 44, "FORCE and POSITION"))
     },
     "under the ring": (
         columns(exchanged(10, 11), "force", files=range(4, 8)),
@@ -206,7 +204,6 @@ def test_the_first_finding_names_the_mistake_its_place_and_the_remedy(made, leve
 
 
 SOUND = {
-    "as it is": changed(lambda c: c),
     "other cases and blanks": changed(lambda c: load(c, name=" Ring "), ONE),
     "a ring put on elsewhere, by its name": lambda: [
         c if k < 6 else load(replace(c, force=c.force + 2e-3 * p45_bench().truth.layout.x / 0.1),

@@ -86,6 +86,16 @@ FAULTS = {
         )[0].cycles,
         "usable", "the loads differ by no more than 0.0029 N of 2.9 N", "more shapes do not help",
     ),
+    "loads as good as the same": (
+        lambda: campaign_of(5, 1e-3, loads=(Load("bare"), Load("ring", 1e-4 * WEIGHT, 5e-5)))[
+            0
+        ].cycles,
+        None, "the loads differ by no more than 0.00029 N", "take a load that differs",
+    ),
+    "E_ADDED is 0": (
+        lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
+        "usable", "the weights are given without errors (E_ADDED of 'ring' is 0)", "give E_WEIGHT",
+    ),
     "WEIGHT ten times too large": (
         lambda: p45(weight=-29.2),
         "doubtful", "WEIGHT is -29.2 N, 0.65 N for each actuator", "check WEIGHT and its unit",
@@ -237,6 +247,11 @@ DATA = {
 def test_every_command_answers_alike(inside, tmp_path, name, method):
     write_campaign(DATA[name](), tmp_path / "c")
     check_alike(inside, tmp_path / "c", "--method", method)
+
+
+def test_svd_says_that_it_takes_rows_that_do_not_fit():
+    found = tn.calibrate(Campaign(tuple(spiked())), "svd")
+    assert any(each.code is tn.Code.SVD_USES_ALL_ROWS for each in found.verdict.faults)
 
 
 @pytest.mark.parametrize(("change", "options"), [
