@@ -80,16 +80,14 @@ def test_weights_leave_the_header(path):
         cycle_from(read_fits(path))
 
 
-def changed(path, name, change):
-    """Rewrite a file with a table changed, or without it."""
+def change_segments(path, change):
+    """Rewrite a file with its table SEGMENTS changed, or without it."""
     with fits.open(path) as hdus:
-        kept = [hdu.copy() for hdu in hdus if hdu.name != name]
-        data = None if change is None else change(hdus[name].data.copy())
-    if data is not None:
-        kept.append(fits.BinTableHDU(data, name=name))
-    if name == "SEGMENTS" and data is not None:
-        for column in ("WEIGHT", "E_WEIGHT", "ADDED", "E_ADDED"):
-            kept[-1].columns[column].unit = "N"
+        kept = [hdu.copy() for hdu in hdus if hdu.name != "SEGMENTS"]
+        if change is not None:
+            kept.append(fits.BinTableHDU(change(hdus["SEGMENTS"].data.copy()), name="SEGMENTS"))
+            for column in ("WEIGHT", "E_WEIGHT", "ADDED", "E_ADDED"):
+                kept[-1].columns[column].unit = "N"
     fits.HDUList(kept).writeto(path, overwrite=True)
 
 
@@ -115,7 +113,7 @@ def with_value(column, row, value):
     ],
 )
 def test_weights_that_cannot_be_are_refused_in_one_line(path, change, words):
-    changed(path, "SEGMENTS", change)
+    change_segments(path, change)
     with pytest.raises(FormatError, match=words) as refused:
         cycle_from(read_fits(path))
     assert str(refused.value).startswith(str(path))
