@@ -60,18 +60,6 @@ def test_calibrate_writes_a_calibration_near_the_truth(inside, folder, tmp_path)
         assert np.abs(table["ALPHA"] - true).max() > 1e-9  # it never saw the truth
 
 
-def test_calibrate_as_json_is_for_scripts(inside, p45_folder):
-    code, out, _ = inside("calibrate", p45_folder, "--json")
-    values = json.loads(out)
-    assert code == 0
-    assert inside("calibrate", *sorted(p45_folder.iterdir(), reverse=True), "--json")[1] == out
-    assert len(values["actuators"]["alpha"]) == 45
-    assert values["method"] == "ml"
-    assert values["scale"] == "weights"
-    assert values["noise"] == pytest.approx(1e-4, rel=0.05)
-    assert [load["load"] for load in values["loads"]] == ["bare", "ring"]
-
-
 def test_info_says_what_files_hold_and_what_they_lack(inside, p45_folder):
     code, out, _ = inside("info", p45_folder)
     assert code == 0

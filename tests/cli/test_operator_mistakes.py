@@ -2,7 +2,6 @@
 
 import datetime
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ from truenewton.errors import RankDeficient, TooManyOutliers
 from truenewton.estimation.sifted import sift
 from truenewton.mirrors.known import p45 as p45_mirror
 from truenewton.records.campaign import Campaign
-from truenewton.rounding import counted, listed, named
 
 BARE, RING = slice(0, 4), slice(4, 8)  # of four cycles a load
 ONE = 6  # the third under the ring
@@ -241,16 +239,6 @@ def test_sound_data_give_no_finding_of_a_mistake(made):
 
 
 @pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
-def test_a_short_run_after_a_replacement_says_it_too():
-    earlier = tn.calibrate(Campaign(tuple(quiet())))
-    for name, level in (("POSITION of 11 and 12 exchanged", NOT), ("LOAD 'rign'", LIMITED)):
-        made, _, *words = FAULTS[name]
-        verdict = tn.recalibrate(Campaign(tuple(made())), earlier, [17]).calibration.verdict
-        assert verdict.level in level
-        assert words[0] in verdict.faults[0].fault
-
-
-@pytest.mark.filterwarnings("ignore::truenewton.errors.TrueNewtonWarning")
 def test_frozen_sensors_are_named_where_a_stiffness_is_made_of_their_rows():
     alone, five = (Campaign(tuple(changed(holding(*at))())) for at in ((7,), (3, 7, 9, 20, 30)))
     good = tn.calibrate(Campaign(tuple(quiet())))
@@ -374,34 +362,6 @@ def test_an_output_that_cannot_be_is_refused_in_a_line_that_names_it(
     kinds = {"empty folder", "folder of text", "campaign", "below a file"} - {*OUTPUTS[command]}
     for path in (*(paths[kind] for kind in kinds), tmp_path / "nowhere" / "x.fits"):
         refused(inside, monkeypatch, tmp_path, command, path, paths)
-
-
-def test_a_file_that_may_not_be_read_is_refused_by_name(inside, monkeypatch, tmp_path, paths):
-    """Who runs the tests may read everything: the system's answer is played."""
-    sound = Path.open
-
-    def denied(path, *arguments, **options):
-        if path == paths["cycle"]:
-            raise PermissionError(13, "Permission denied", str(path))
-        return sound(path, *arguments, **options)
-
-    monkeypatch.setattr(Path, "open", denied)
-    for command in COMMANDS:
-        if "stiffness" in COMMANDS[command] or "PATH -" not in command:
-            line = refused(inside, monkeypatch, tmp_path, command, paths["cycle"], paths)
-            assert "Permission denied" in line or "FITS" in line, command
-
-
-# --- as people count ----------------------------------------------------------------------------
-
-
-def test_things_are_counted_and_listed():
-    assert counted([], "row") == "0 rows"
-    assert counted(np.int64(1), "elastic mode") == "1 elastic mode"
-    assert counted(2, "degree of freedom", "degrees of freedom") == "2 degrees of freedom"
-    assert listed([3, 5], 3) == "3 and 5"
-    assert named("actuator", [3], 3) == "actuator 3"
-    assert named("actuator", [3, 5, 8, 9], 3) == "actuators 3, 5, 8 and 1 more"
 
 
 def test_a_column_of_zeros_in_one_file_is_no_crash():

@@ -23,7 +23,7 @@ from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.systems import system_c
 from truenewton.files import stored_rows
-from truenewton.files.stored_rows import StoredRows, blocks, largest_in_rows
+from truenewton.files.stored_rows import StoredRows, largest_in_rows
 from truenewton.reading import read, read_data
 from truenewton.records.file import write_campaign, write_cycle
 from truenewton.statics.layout import rings
@@ -188,15 +188,6 @@ def test_memory_does_not_grow_with_repeats(tmp_path, left_on_disk, monkeypatch):
         peaks.append(min(peak_of_reading_twice(tmp_path / str(cycles)) for _ in range(2)))
     assert peaks[1] - peaks[0] < 0.1 * rows
     assert peaks[0] > 2 * 2 * layout.n**2 * 8  # the means
-
-
-def test_blocks_hold_every_row_once():
-    for rows, width in ((0, 8), (1, 2**30), (10_000, 2**13), (5, 0)):
-        slices = list(blocks(rows, width))
-        assert [i for s in slices for i in range(s.start, s.stop)] == list(range(rows))
-        assert all(
-            (s.stop - s.start) * width <= max(stored_rows.BLOCK_BYTES, width) for s in slices
-        )
 
 
 def test_the_largest_of_a_row_is_nan_where_one_that_counts_is():

@@ -2,7 +2,6 @@
 
 import dataclasses
 import datetime
-import gzip
 import hashlib
 import warnings
 
@@ -269,15 +268,6 @@ def test_the_same_data_give_the_same_bytes_with_checksums_that_astropy_confirms(
     write_cycle(tiny.cycles[0], tmp_path / "one" / "x.fits.gz")
     write_cycle(tiny.cycles[0], tmp_path / "two" / "x.fits.gz")
     assert (tmp_path / "one/x.fits.gz").read_bytes() == (tmp_path / "two/x.fits.gz").read_bytes()
-
-
-def test_gzipped_files_are_read(tiny, tmp_path):
-    write_cycle(tiny.cycles[0], tmp_path / "ours.fits.gz")
-    write_cycle(tiny.cycles[1], tmp_path / "plain.fits")
-    (tmp_path / "theirs.fits.gz").write_bytes(gzip.compress((tmp_path / "plain.fits").read_bytes()))
-    (tmp_path / "plain.fits").unlink()
-    campaign = read(tmp_path)
-    assert all(map(same, campaign.cycles, tiny.cycles))
 
 
 def test_a_folder_is_read_by_suffix_and_other_files_are_ignored(tiny, tmp_path):
