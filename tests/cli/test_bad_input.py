@@ -270,7 +270,8 @@ def test_a_truncated_file_is_refused_at_every_length(folder, refused, suffix):
         line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
         assert f"{path.name}: " in line
         assert any(w in line for w in ("truncated", "damaged", "not a FITS", "no table")), length
-    for content in (b"time,force\n1,2\n", b"\x1f\x8b" + b"x" * 999, b"SIMPLE  = " + b"\0" * 2870):
+    nulls, of_one_byte = b"SIMPLE  = " + b"\0" * 2870, gzip.compress(b"x")
+    for content in (b"time,force\n1,2\n", b"\x1f\x8b" + b"x" * 999, nulls, of_one_byte):
         path.write_bytes(content)
         assert f"{path.name}: is " in refused("calibrate", folder)
 
@@ -409,13 +410,14 @@ def test_an_output_that_stands_is_refused_and_kept(folder, refused, inside):
     assert target.read_bytes() == sound
 
 
-def test_a_folder_that_stands_is_refused_and_kept(refused, tmp_path):
+def test_a_folder_that_stands_is_refused_and_kept(folder, refused, tmp_path):
     target = tmp_path / "out"
     target.mkdir()
     (target / "notes.txt").write_text("mine")
-    assert "out: exists already; " in refused("simulate", "ring8", "-o", target)
-    line = refused("simulate", "ring8", "-o", target, "--overwrite")
-    assert "out: holds notes.txt, which is not ours; choose another name" in line
+    for words in (("simulate", "ring8"), ("figures", folder)):
+        assert "out: exists already; " in refused(*words, "-o", target)
+        line = refused(*words, "-o", target, "--overwrite")
+        assert "out: holds notes.txt, which is not ours; choose another name" in line
     assert (target / "notes.txt").read_text() == "mine"
 
 

@@ -317,7 +317,7 @@ COMMANDS = {
 }
 # Which kinds of path are tried: all where a kind of file is read, of other commands a few.
 READERS = "calibrate PATH", "track PATH", "plan PATH", "mirrors PATH"
-FEW = {"empty folder", "nothing", "text", "table", "calibration", "plan", "campaign"}
+FEW = {"empty folder", "nothing", "cycle", "text", "table", "calibration", "plan", "campaign"}
 OUTPUTS = {  # where a command would write: a folder that is not its own, below a file, nowhere
     "calibrate CAMPAIGN -o PATH --overwrite": (),
     "figures ALPHA -o PATH --overwrite": ("empty folder",),

@@ -15,7 +15,6 @@ import truenewton as tn
 from helpers.foreign_files import (
     CHANNELS_IN_ALL,
     OFF,
-    RINGS,
     TRACK,
     N,
     R,
@@ -26,6 +25,7 @@ from helpers.foreign_files import (
     supervisor_folder,
 )
 from studies.matrices import measured_or_made, noisy, true_stiffness, with_faults
+from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration import methods
 from truenewton.errors import (
     CampaignMismatch,
@@ -38,6 +38,7 @@ from truenewton.foreign.choice import places_in
 from truenewton.foreign.soundness import judge
 from truenewton.foreign.stored import read_stored
 from truenewton.foreign.supervisor import supervisor_order
+from truenewton.mirrors.known import ring
 from truenewton.rounding import percent
 from truenewton.statics.groups import ring_of
 
@@ -433,6 +434,7 @@ def scrambled():
         ({"matrix": CASE.k + 1e40 * np.eye(N)}, "holds an element of 1e[+]40; measure it again"),
         ({"matrix": np.full((N, N), np.inf)}, "holds no finite number; measure it again"),
         ({"coordinates": XY + np.where(np.arange(N), 0.0, np.inf)}, "actuator 1 is not finite"),
+        ({"coordinates": XY * np.inf}, "holds no finite positions; give X and Y"),
         ({"curvature": np.inf}, "curvature radius is inf m"),
         ({"curvature": 0.1}, "from the axis of a surface of R = 0.1 m"),
     ],
@@ -555,12 +557,15 @@ def test_after_a_matrix_that_gives_no_alpha_calibrate_is_not_the_next(tmp_path, 
 
 
 def test_a_slightly_wrong_numbering_is_doubted():
-    """Every other ring is numbered clockwise."""
-    order, ring = np.arange(N), ring_of(CASE.layout)
-    for r in range(0, RINGS, 2):
-        some = np.flatnonzero(ring == r)
+    """Every other ring of six is numbered clockwise."""
+    truth = static_bench(ring(144), 7).truth
+    k = truth.stiffness / truth.alpha[:, None]
+    k *= 1.0 + 1e-4 * np.random.default_rng(11).standard_normal(k.shape)
+    order, at = np.arange(144), ring_of(truth.layout)
+    for r in range(0, 6, 2):
+        some = np.flatnonzero(at == r)
         order[some] = some[::-1]
-    made = tn.stiffness_from(CASE.k, XY[:, order])
+    made = tn.stiffness_from(k, np.stack([truth.layout.x, truth.layout.y])[:, order])
     assert "LOW, check numbering" in text(made)
 
 
