@@ -72,10 +72,6 @@ def no_keyword(name):
     return lambda hdus: hdus[0].header.remove(name)
 
 
-def no_extension(name):
-    return lambda hdus: hdus.pop(name)
-
-
 def cells(table, name, where, value):
     def change(hdus):
         hdus[table].data[name][where] = value
@@ -128,126 +124,72 @@ def named(table, name):
 
 
 A, M = "ACTUATORS", "MEASUREMENTS"
-REQUIRED = ("INSTRUME", "DATE-OBS", "LOAD", "CYCLE", "WEIGHT", "E_WEIGHT", "ADDED", "E_ADDED")
-NUMBERS = ("WEIGHT", "E_WEIGHT", "ADDED", "E_ADDED", "TILT", "E_TILT", "COILGRAD", "BIASGRAD",
-           "GAP", "FORCERR")  # fmt: skip
-NOT_ONE = "instead of 1"
 
 FILE_FAULTS = {
-    **{f"no {key}": (no_keyword(key), f"no {key}") for key in REQUIRED},
-    **{
-        f"{key} is text": (keyword(key, "-3.0"), f"{key} is '-3.0' .. store a number")
-        for key in NUMBERS
-    },
-    **{f"{key} is logical": (keyword(key, True), f"{key} is True") for key in NUMBERS},
-    **{f"{key} is a number": (keyword(key, 5), f"{key} is 5") for key in ("INSTRUME", "LOAD")},
-    "TOOL is a number": (keyword("TOOL", 3), "TOOL is 3"),
-    "DATE-OBS is a number": (keyword("DATE-OBS", 2026.5), "DATE-OBS is 2026.5"),
+    **{f"no {key}": (no_keyword(key), f"no {key}") for key in ("DATE-OBS", "WEIGHT")},
+    "WEIGHT is text": (keyword("WEIGHT", "-3.0"), "WEIGHT is '-3.0' .. store a number"),
+    "GAP is text": (keyword("GAP", "-3.0"), "GAP is '-3.0' .. store a number"),
+    "LOAD is a number": (keyword("LOAD", 5), "LOAD is 5"),
     "DATE-OBS is no date": (keyword("DATE-OBS", "4 May"), "DATE-OBS is '4 May' .. write ISO 8601"),
     "DATE-OBS is of no century": (keyword("DATE-OBS", "0001-01-01"), "is '0001 .. 1950 to"),
     "CYCLE is real": (keyword("CYCLE", 1.0), "CYCLE is 1.0"),
-    "CYCLE is text": (keyword("CYCLE", "1"), "CYCLE is '1'"),
-    "CYCLE is logical": (keyword("CYCLE", True), "CYCLE is True"),
     "CYCLE is zero": (keyword("CYCLE", 0), "CYCLE is 0"),
     "LOAD is blank": (keyword("LOAD", "   "), "LOAD is blank"),
     "WEIGHT is positive": (keyword("WEIGHT", 3.0), "WEIGHT is 3 N .. store -3"),
-    "WEIGHT is zero": (keyword("WEIGHT", 0.0), "WEIGHT is 0 N"),
-    "ADDED is positive": (keyword("ADDED", 0.5), "ADDED is 0.5 N .. store -0.5"),
-    "E_WEIGHT is negative": (keyword("E_WEIGHT", -0.1), "E_WEIGHT is -0.1"),
     "E_ADDED is negative": (keyword("E_ADDED", -0.1), "E_ADDED is -0.1"),
-    "FORCERR is zero": (keyword("FORCERR", 0.0), "FORCERR is 0 N"),
     "FORCERR is below all sense": (keyword("FORCERR", 1e-155), "FORCERR is 1e-155 N"),
     "TILT is upright": (keyword("TILT", 90.0), "TILT is 90 deg"),
     "WEIGHT is huge": (keyword("WEIGHT", -1e300), "WEIGHT is -1e+300 N"),
-    "ADDED is huge": (keyword("ADDED", -1e300), "ADDED is -1e+300 N"),
-    "E_WEIGHT is huge": (keyword("E_WEIGHT", 1e300), "E_WEIGHT is 1e+300"),
-    "E_WEIGHT is a huge integer": (keyword("E_WEIGHT", 10**60), "E_WEIGHT is 1e+60"),
     "COILGRAD is huge": (keyword("COILGRAD", 1e300), "COILGRAD is 1e+300"),
-    "TILT is huge": (keyword("TILT", 1e300), "TILT is 1e+300"),
+    "E_WEIGHT is a huge integer": (keyword("E_WEIGHT", 10**60), "E_WEIGHT is 1e+60"),
     # tables
-    "no ACTUATORS": (no_extension(A), "no table ACTUATORS"),
-    "no MEASUREMENTS": (no_extension(M), "no table MEASUREMENTS"),
     "MEASUREMENTS misnamed": (
         named(M, "MEASUREMENT"),
         "no table MEASUREMENTS .. there is ACTUATORS, MEASUREMENT;",
     ),
-    "ACTUATORS misnamed": (named(A, "ACTUATOR"), "no table ACTUATORS .. or name it so: there is"),
     "FORCE misnamed": (
         columns(M, lambda parts: parts["FORCE"].update(name="FORCES")),
         "MEASUREMENTS has no column FORCE .. name it so: there is TIME, SHAPE, SIGN",
     ),
     "no actuator is enabled": (disabled, "no actuator is ENABLED .. set ENABLED to T"),
     "two ACTUATORS": (doubled(A), "two ACTUATORS"),
-    "two MEASUREMENTS": (doubled(M), "two MEASUREMENTS"),
-    **{f"no {n}": (no_column(A, n), f"ACTUATORS has no column {n}") for n in ("ID", "X", "Y")},
-    **{
-        f"no {name}": (no_column(M, name), f"MEASUREMENTS has no column {name}")
-        for name in ("TIME", "SHAPE", "SIGN", "FORCE")
-    },
+    "no X": (no_column(A, "X"), "ACTUATORS has no column X"),
+    "no SIGN": (no_column(M, "SIGN"), "MEASUREMENTS has no column SIGN"),
     "two columns X": (
         columns(A, lambda parts: parts["Y"].update(name="x")),
         "two columns X",
     ),
     # types and widths
     "ID is real": (column(A, "ID", format="D"), "column ID of ACTUATORS holds float64"),
-    "ID is text": (column(A, "ID", format="2A", array=["a"] * 12), "column ID of ACTUATORS holds"),
-    "X is text": (column(A, "X", format="4A", array=["0.01"] * 12), "column X of ACTUATORS holds"),
-    "X is a pair": (column(A, "X", format="2D", array=np.zeros((12, 2))), NOT_ONE),
+    "X is a pair": (column(A, "X", format="2D", array=np.zeros((12, 2))), "instead of 1"),
     "ENABLED is a number": (
         column(A, "ENABLED", format="J", array=np.ones(12)),
         "column ENABLED of ACTUATORS holds int32",
-    ),
-    "VALID is a number": (
-        column(M, "VALID", format="B", array=np.ones(24)),
-        "column VALID of MEASUREMENTS holds uint8",
-    ),
-    "SHAPE is real": (column(M, "SHAPE", format="D"), "column SHAPE of MEASUREMENTS holds"),
-    "SIGN is logical": (
-        column(M, "SIGN", format="L", array=np.ones(24, dtype=bool)),
-        "column SIGN of MEASUREMENTS holds bool",
     ),
     "FORCE is complex": (column(M, "FORCE", format="12M"), "FORCE of MEASUREMENTS holds complex"),
     "FORCE varies in length": (
         column(M, "FORCE", format="PD()", array=np.array([np.ones(k) for k in range(24)], object)),
         "FORCE of MEASUREMENTS holds object",
     ),
-    "FORCE lacks an actuator": (
-        column(M, "FORCE", format="11D", array=np.ones((24, 11))),
-        "11 values a row instead of 12",
-    ),
     "ACTUATORS lacks a row": (rows(A, slice(11)), "12 values a row instead of 11"),
-    "POSITION is one": (column(M, "POSITION", format="D", array=np.zeros(24)), "instead of 12"),
-    "FORCE is a matrix": (
-        column(M, "FORCE", dim="(4,3)", array=np.ones((24, 3, 4))),
-        "FORCE of MEASUREMENTS",
-    ),
     # units
+    "FORCE declares no unit": (
+        column(M, "FORCE", unit=None),
+        "column FORCE of MEASUREMENTS declares no unit",
+    ),
     **{
-        f"{name} declares no unit": (
-            column(table, name, unit=None),
-            f"column {name} of {table} declares no unit",
+        f"FORCE in {unit}": (
+            column(M, "FORCE", unit=unit),
+            f"FORCE of MEASUREMENTS is in '{unit}' .. store it in",
         )
-        for table, name in (
-            (A, "X"), (A, "Y"), (M, "TIME"), (M, "TEMPERATURE"), (M, "FORCE"), (M, "POSITION"),
-        )
-    },
-    **{
-        f"{name} in {unit}": (
-            column(table, name, unit=unit),
-            f"{name} of {table} is in '{unit}' .. store it in",
-        )
-        for table, name, unit in (
-            (A, "X", "N"), (A, "Y", "arcsec"), (M, "TIME", "m"), (M, "TEMPERATURE", "C"),
-            (M, "FORCE", "kg"), (M, "FORCE", "counts"), (M, "FORCE", "nonsense"),
-            (M, "FORCE", "mag(N)"), (M, "POSITION", "V"),
-        )
+        for unit in ("m", "counts", "mag(N)")
     },
     # values that count
     **{
         f"{value} in {name}": (cells(table, name, where, value), words)
-        for value in (np.nan, np.inf, -np.inf, 1e300)
+        for value in (np.nan, 1e300)
         for table, name, where, words in (
-            (A, "X", 2, "actuator"), (A, "Y", 2, "actuator"), (A, "NZ", 2, "NZ"),
+            (A, "X", 2, "actuator"), (A, "NZ", 2, "NZ"),
             (M, "TIME", 7, "TIME in row 8"), (M, "TEMPERATURE", 7, "TEMPERATURE in row 8"),
             (M, "FORCE", (7, 3), "FORCE in row 8"),
             (M, "POSITION", (7, 3), "POSITION in row 8"),
@@ -257,31 +199,21 @@ FILE_FAULTS = {
         cells(M, "FORCE", (7, 3), np.nan),
         "FORCE in row 8 is nan for actuator 4 .. set ENABLED of the actuator to F",
     ),
-    "FORCE overflows in its unit": (
-        lambda hdus: (
-            cells(M, "FORCE", (7, 3), 1e308)(hdus),
-            column(M, "FORCE", unit="kN")(hdus),
-        ),
-        "FORCE in row 8 is inf",
-    ),
     "FORCE is next to nothing": (
         cells(M, "FORCE", slice(None), 1e-300),
         "FORCE is below 1e-09 N throughout",
     ),
     "SIGN is 2": (cells(M, "SIGN", 4, 2), "SIGN in row 5 is 2"),
-    "SIGN is 0": (cells(M, "SIGN", 4, 0), "SIGN in row 5 is 0"),
     "SHAPE is 0": (cells(M, "SHAPE", 4, 0), "SHAPE in row 5 is 0"),
     "no rows": (rows(M, slice(0)), "MEASUREMENTS has no rows"),
     "no actuators": (rows(A, slice(0)), "there are no actuators"),
     "no row is valid": (cells(M, "VALID", slice(None), False), "MEASUREMENTS has no valid rows"),
-    "FORCE is zero": (cells(M, "FORCE", slice(None), 0.0), "FORCE is zero throughout"),
     "an ID stands twice": (cells(A, "ID", 3, 1), "ID 1 stands 2 times"),
     "two actuators at one place": (
         lambda hdus: (cells(A, "X", 3, 0.01)(hdus), cells(A, "X", 4, 0.01)(hdus),
                       cells(A, "Y", 3, 0.01)(hdus), cells(A, "Y", 4, 0.01)(hdus)),
         "two actuators stand at x = 0.01 m, y = 0.01 m",
     ),
-    "NZ is negative": (cells(A, "NZ", 3, -1.0), "NZ lies outside"),
     "NZ is beyond 1": (cells(A, "NZ", 3, 1.1), "NZ lies outside"),
     "X in mm is called m": (cells(A, "X", slice(None), np.arange(12) * 30.0), "check their unit"),
 }  # fmt: skip
@@ -307,6 +239,7 @@ def test_a_cycle_file_with_a_fault_is_refused_by_name(
 
 
 def test_what_does_not_count_may_hold_anything(folder, inside, tiny):
+    edit(folder / "ring-001.fits", lambda hdus: hdus[A].data["X"].__iadd__(5e-10))  # of no account
     for name in ("bare-001.fits", "ring-001.fits"):
         edit(
             folder / name,
@@ -326,49 +259,25 @@ def test_what_does_not_count_may_hold_anything(folder, inside, tiny):
 # --- damaged files -----------------------------------------------------------------------------
 
 
-def lengths(whole):
-    edges = [k * 2880 + d for k in range(whole // 2880 + 1) for d in (-1, 0, 1, 80)]
-    return sorted({n for n in (*range(0, whole, 613), *edges, whole - 1) if 0 <= n < whole})
-
-
-@pytest.mark.parametrize("in_memory", MEMORY)
-def test_a_truncated_file_is_refused_at_every_length(folder, refused, monkeypatch, in_memory):
-    monkeypatch.setattr(reading, "IN_MEMORY", in_memory)
-    path = folder / "ring-001.fits"
-    sound = path.read_bytes()
-    cuts = lengths(len(sound))
-    assert len(cuts) > 50
-    for length in cuts:
+@pytest.mark.parametrize("suffix", ["", ".gz"])
+def test_a_truncated_file_is_refused_at_every_length(folder, refused, suffix):
+    plain, path = folder / "ring-001.fits", folder / f"ring-001.fits{suffix}"
+    sound = plain.read_bytes()
+    sound = gzip.compress(sound, mtime=0) if suffix else sound
+    plain.unlink()
+    for length in (*range(0, len(sound), 1 + len(sound) // 15), len(sound) - 1):
         path.write_bytes(sound[:length])
         line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
-        assert "ring-001.fits: " in line
+        assert f"{path.name}: " in line
         assert any(w in line for w in ("truncated", "damaged", "not a FITS", "no table")), length
-
-
-def test_a_truncated_gzip_file_is_refused_at_every_length(folder, refused):
-    plain, path = folder / "ring-001.fits", folder / "ring-001.fits.gz"
-    packed = gzip.compress(plain.read_bytes(), mtime=0)
-    plain.unlink()
-    for length in range(0, len(packed), 211):
-        path.write_bytes(packed[:length])
-        assert "ring-001.fits.gz: is " in refused("calibrate", folder)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [b"", b"\n", b"SIMPLE", b"time,force\n1,2\n", b"\x1f\x8b", b"\x1f\x8b" + b"x" * 999,
-     b"SIMPLE  = " + b"\0" * 2870, bytes(range(256)) * 90, b"\x1f\x8b" + gzip.compress(b"x")[2:]],
-    ids=["empty", "newline", "SIMPLE", "text", "gzip head", "bad gzip", "nulls", "noise", "gzip"],
-)  # fmt: skip
-def test_what_is_not_fits_is_refused(folder, refused, content):
-    (folder / "ring-001.fits").write_bytes(content)
-    line = refused("calibrate", folder)
-    assert "ring-001.fits: is " in line
-    assert any(words in line for words in ("not a FITS file", "damaged", "truncated"))
+    nulls, of_one_byte = b"SIMPLE  = " + b"\0" * 2870, gzip.compress(b"x")
+    for content in (b"time,force\n1,2\n", b"\x1f\x8b" + b"x" * 999, nulls, of_one_byte):
+        path.write_bytes(content)
+        assert f"{path.name}: is " in refused("calibrate", folder)
 
 
 @pytest.mark.parametrize("in_memory", MEMORY)
-@pytest.mark.parametrize("place", ["keyword", "comment", "header padding", "data", "data padding"])
+@pytest.mark.parametrize("place", ["comment", "data", "padding"])
 def test_a_changed_byte_anywhere_breaks_the_checksum(
     folder, refused, monkeypatch, in_memory, place
 ):
@@ -376,25 +285,12 @@ def test_a_changed_byte_anywhere_breaks_the_checksum(
     path = folder / "ring-001.fits"
     raw = bytearray(path.read_bytes())
     with fits.open(path) as hdus:
-        table = hdus[M].fileinfo()
-        size = hdus[M].data.nbytes
-    at = {
-        "keyword": raw.index(b"ring A"),
-        "comment": raw.index(b"name of the load"),
-        "header padding": table["datLoc"] - 1,
-        "data": table["datLoc"] + 100,
-        "data padding": table["datLoc"] + size,
-    }[place]
-    raw[at] ^= 1
+        start, size = hdus[M].fileinfo()["datLoc"], hdus[M].data.nbytes
+    comment = raw.index(b"name of the load")
+    raw[{"comment": comment, "data": start + 100, "padding": start + size}[place]] ^= 1
     path.write_bytes(raw)
     line = refused("calibrate", folder)
     assert "ring-001.fits: a CHECKSUM or DATASUM does not match; " in line
-
-
-def test_bytes_after_the_end_are_refused(folder, refused):
-    with (folder / "ring-001.fits").open("ab") as file:
-        file.write(b"x" * 2880)
-    assert "ring-001.fits: is damaged" in refused("calibrate", folder)
 
 
 def test_a_column_count_beyond_all_reason_is_refused(folder, refused):
@@ -407,19 +303,14 @@ def test_a_column_count_beyond_all_reason_is_refused(folder, refused):
 # --- files that do not belong together ------------------------------------------------------------
 
 DISAGREEMENTS = {
-    "INSTRUME": (keyword("INSTRUME", "P46"), "on INSTRUME (P46 and TINY) .. of one campaign only"),
     "WEIGHT": (keyword("WEIGHT", -3.0000001), "on WEIGHT (-3.0000001 and -3.0)"),
-    "E_WEIGHT": (keyword("E_WEIGHT", 0.006), "on E_WEIGHT (0.006 and 0.005)"),
     "ACTUATORS, order": (rows(A, np.arange(12)[::-1]), "on the ACTUATORS table"),
     "ACTUATORS, place": (
         lambda hdus: hdus[A].data["X"].__iadd__(2e-6),
         "2 um apart; and 11",
     ),
-    "ACTUATORS, name": (cells(A, "ID", 3, 99), "on the ACTUATORS table"),
     "ACTUATORS, enabled": (cells(A, "ENABLED", 3, False), "on the ACTUATORS table"),
     "ADDED": (keyword("ADDED", -0.51), "on ADDED (-0.51 and -0.5)"),
-    "E_ADDED": (keyword("E_ADDED", 0.006), "on E_ADDED (0.006 and 0.005)"),
-    "TILT": (keyword("TILT", 1.0), "on TILT (1.0 and 0.0)"),
     "CYCLE": (keyword("CYCLE", 1), "LOAD 'ring' has CYCLE 1 twice .. leave one out, or"),
     "LOAD": (keyword("LOAD", "bare"), "on ADDED (-0.5 .. correct it, or LOAD: both say 'bare'"),
     "FORCE in mN": (
@@ -436,11 +327,6 @@ def test_files_that_disagree_are_refused(folder, refused, tiny, fault, words):
     line = refused("calibrate", folder, "-o", folder.parent / "alpha.fits")
     assert "ring-002.fits" in line
     assert_told(words, line)
-
-
-def test_positions_that_agree_to_a_nanometre_are_accepted(folder, inside, tiny):
-    edit(folder / "ring-001.fits", lambda hdus: hdus[A].data["X"].__iadd__(5e-10))
-    assert inside("calibrate", folder)[0] == 0
 
 
 @pytest.fixture
@@ -478,12 +364,6 @@ def test_a_fits_file_without_measurements_among_cycle_files_is_refused(folder, r
     assert "FFMATRIX; a campaign holds cycle files only" in refused("calibrate", folder)
 
 
-def test_an_array_of_numpy_is_refused(tmp_path, refused):
-    np.save(tmp_path / "k.npy", np.eye(12))
-    line = refused("calibrate", tmp_path / "k.npy")
-    assert_told("k.npy: is not a FITS file .. campaign in your own format", line)
-
-
 def matrix(values):
     return lambda hdus: setattr(hdus["STIFFNESS"], "data", values)
 
@@ -494,20 +374,12 @@ def element(value):
 
 STIFFNESS_FAULTS = {
     "not square": (matrix(np.ones((12, 11))), "12 x 11"),
-    "a vector": (matrix(np.ones(144)), "144 for 12"),
-    "too small": (matrix(np.ones((5, 5))), "5 x 5 for 12"),
     "empty": (matrix(None), "an image STIFFNESS"),
-    "zero": (matrix(np.zeros((12, 12))), "STIFFNESS is zero throughout"),
     "next to nothing": (matrix(np.full((12, 12), 1e-300)), "or next to it"),
     "NaN": (element(np.nan), "STIFFNESS holds NaN"),
-    "inf": (element(np.inf), "STIFFNESS holds"),
-    "huge": (element(1e300), "STIFFNESS holds"),
     "no unit": (lambda hdus: hdus["STIFFNESS"].header.remove("BUNIT"), "declares no unit"),
     "N": (lambda hdus: hdus["STIFFNESS"].header.set("BUNIT", "N"), "STIFFNESS is in 'N'"),
     "no INSTRUME": (no_keyword("INSTRUME"), "no INSTRUME"),
-    "no DATE-OBS": (no_keyword("DATE-OBS"), "no DATE-OBS"),
-    "no ACTUATORS": (no_extension(A), "no table ACTUATORS"),
-    "NaN in X": (cells(A, "X", 3, np.nan), "X of actuator 4 is not finite"),
     "two": (doubled("STIFFNESS"), "two STIFFNESS"),
 }
 
@@ -519,13 +391,6 @@ def test_a_stiffness_file_with_a_fault_is_refused(tmp_path, refused, stiffness, 
     line = refused("calibrate", tmp_path / "k.fits", "-o", tmp_path / "alpha.fits")
     assert "k.fits: " in line
     assert_told(words, line)
-
-
-def test_data_that_leave_alpha_free_are_refused(tmp_path, tiny, refused):
-    three = dataclasses.replace(tiny.layout, enabled=np.arange(12) < 3)
-    write_campaign([dataclasses.replace(c, layout=three) for c in tiny.cycles], tmp_path / "c")
-    line = refused("calibrate", tmp_path / "c", "-o", tmp_path / "alpha.fits")
-    assert_told("only 3 actuators enabled .. enable four", line)
 
 
 # --- paths, outputs, the command line itself ------------------------------------------------------
@@ -545,15 +410,14 @@ def test_an_output_that_stands_is_refused_and_kept(folder, refused, inside):
     assert target.read_bytes() == sound
 
 
-@pytest.mark.parametrize("command", ["simulate", "figures"])
-def test_a_folder_that_stands_is_refused_and_kept(folder, refused, tmp_path, command):
+def test_a_folder_that_stands_is_refused_and_kept(folder, refused, tmp_path):
     target = tmp_path / "out"
     target.mkdir()
     (target / "notes.txt").write_text("mine")
-    what = "p45" if command == "simulate" else folder
-    assert "out: exists already; " in refused(command, what, "-o", target)
-    line = refused(command, what, "-o", target, "--overwrite")
-    assert "out: holds notes.txt, which is not ours; choose another name" in line
+    for words in (("simulate", "ring8"), ("figures", folder)):
+        assert "out: exists already; " in refused(*words, "-o", target)
+        line = refused(*words, "-o", target, "--overwrite")
+        assert "out: holds notes.txt, which is not ours; choose another name" in line
     assert (target / "notes.txt").read_text() == "mine"
 
 
@@ -570,7 +434,7 @@ def test_a_full_disk_leaves_no_half_written_output(folder, refused, monkeypatch)
     target = folder.parent / "alpha.fits"
     line = refused("calibrate", folder, "-o", target)
     assert f"{target}: cannot be written (No space left on device); " in line
-    line = refused("simulate", "p45", "--cycles", 1, "-o", folder.parent / "sim")
+    line = refused("simulate", "ring8", "--cycles", 1, "-o", folder.parent / "sim")
     assert f"{folder.parent / 'sim'}: cannot be written (No space left on device); " in line
 
 
@@ -580,20 +444,13 @@ COMMAND_LINES = {
         "No such command 'calibrat'. Did you mean 'calibrate', 'recalibrate'?",
     ),
     "no option like it": (["calibrate", "x", "--jsno"], "--json"),
-    "no paths": (["calibrate"], "Missing argument 'PATH...'; see 'truenewton calibrate --help'"),
     "no output": (["figures", "x"], "Missing option '-o' / '--output'; see 'truenewton figures"),
-    "option without value": (["calibrate", "x", "-o"], "requires an argument"),
     "no number": (["simulate", "p45", "-o", "x", "--seed", "one"], "Invalid value for '--seed'"),
-    "number out of range": (
-        ["simulate", "p45", "-o", "x", "--cycles", 0],
-        "Invalid value for '--cycles'",
-    ),
     "words for IDs": (
         ["recalibrate", "x", "--known", "y", "--actuators", "three"],
         "'three'; give IDs, as 17,18",
     ),
     "no mirror like it": (["simulate", "p54", "-o", "x"], "p54"),
-    "no mirror to prove": (["prove", "p54"], "p54"),
 }
 
 
@@ -601,12 +458,6 @@ COMMAND_LINES = {
 def test_a_wrong_command_line_is_refused(refused, tmp_path, monkeypatch, arguments, words):
     monkeypatch.chdir(tmp_path)
     assert words in refused(*arguments)
-
-
-def test_an_unknown_method_is_refused_with_those_there_are(folder, refused):
-    line = refused("calibrate", folder, "--method", "magic", "-o", folder.parent / "a.fits")
-    assert "there is no method 'magic'; choose " in line
-    assert "svd" in line
 
 
 def test_a_name_with_line_breaks_still_makes_one_line(tmp_path, refused):

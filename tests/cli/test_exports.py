@@ -2,7 +2,6 @@
 
 import ast
 import datetime
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from xml.etree import ElementTree
 import matplotlib as mpl
 import numpy as np
 import pytest
-from astropy.table import QTable, Table
+from astropy.table import QTable
 from matplotlib import pyplot
 
 import truenewton as tn
@@ -20,7 +19,6 @@ from truenewton.calibration import words as calibration_words
 from truenewton.calibration.words import warning_lines
 from truenewton.errors import OutputFailed
 from truenewton.modal import words as modal_words
-from truenewton.report.figures import still_figures
 from truenewton.tracking import words as tracking_words
 
 ROOT = Path(__file__).parents[2]
@@ -47,43 +45,33 @@ def columns(calibration):
 def test_a_table_holds_every_digit(calibration, tmp_path, suffix):
     path = tmp_path / f"alpha{suffix}"
     calibration.write(path)
-    table = Table.read(path)
+    table = QTable.read(path)
     assert table.colnames == NAMES
     for name, values in zip(NAMES, columns(calibration), strict=True):
-        assert np.array_equal(table[name], values, equal_nan=name != "ID"), name
+        assert np.array_equal(np.asarray(table[name]), values, equal_nan=name != "ID"), name
     assert np.isnan(table["ALPHA"]).sum() == 1
     calibration.write(tmp_path / "alpha.npy")
     assert np.array_equal(np.load(tmp_path / "alpha.npy"), table["ALPHA"], equal_nan=True)
     if suffix == ".csv":  # without astropy
         plain = np.genfromtxt(path, delimiter=",", names=True)
         assert np.array_equal(plain["ALPHA"], table["ALPHA"], equal_nan=True)
-
-
-def test_an_ecsv_tells_units_and_the_verdict(calibration, tmp_path):
-    calibration.write(tmp_path / "alpha.ecsv")
-    table = QTable.read(tmp_path / "alpha.ecsv")
-    assert np.array_equal(table["X"].to_value("m"), calibration.layout.x)
+        return
+    assert table["X"].unit == "m"
     assert table.meta["VERDICT"] == str(calibration.verdict.level)
     assert table.meta["INSTRUME"] == calibration.instrument
     assert table.meta["WEIGHT"] == calibration.weight
     told = [each.fault for each in calibration.verdict.faults]
-    faults = table.meta["FAULTS"]
-    assert len(faults) == len(told) > 0
+    assert len(told) > 0
     assert all(fault[1:] in text for text, fault in zip(table.meta["FAULTS"], told, strict=True))
 
 
 def test_the_command_says_what_a_form_leaves_out(campaign, inside, tmp_path):
     tn.write_campaign(campaign, tmp_path / "day")
-    for suffix in (".csv", ".ecsv", ".npy", ".fits"):
-        code, out, _ = inside("calibrate", tmp_path / "day", "-o", tmp_path / f"a{suffix}")
+    for suffix in (".csv", ".fits"):
+        words = "calibrate", tmp_path / "day", "-o", tmp_path / f"a{suffix}", "--method", "svd"
+        code, out, _ = inside(*words)
         assert code == 0
-        assert (tmp_path / f"a{suffix}").stat().st_size
         assert (f"a{suffix} holds" in out) == (suffix != ".fits")
-    code, out, _ = inside(
-        "calibrate", tmp_path / "day", "-o", tmp_path / "a.csv", "--json", "--overwrite"
-    )
-    assert code == 0
-    assert json.loads(out)["verdict"]
 
 
 @pytest.mark.parametrize("name", ["alpha.txt", "alpha", "alpha.csv.gz"])
@@ -95,17 +83,6 @@ def test_another_suffix_is_refused_before_anything_is_read(calibration, inside, 
     assert code == 2
     assert said in err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_existing_export_is_kept_unless_overwritten(calibration, tmp_path):
-    for suffix in (".csv", ".npy"):
-        path = tmp_path / f"alpha{suffix}"
-        path.write_text("mine")
-        with pytest.raises(tn.errors.OutputExists):
-            calibration.write(path)
-        assert path.read_text() == "mine"
-        calibration.write(path, overwrite=True)
-    assert {path.name for path in tmp_path.iterdir()} == {"alpha.csv", "alpha.npy"}
 
 
 def test_plots_of_a_result_are_figures_of_pyplot(calibration):
@@ -136,15 +113,6 @@ def test_what_a_backend_sets_up_stays(calibration, monkeypatch):
         monkeypatch.setattr(pyplot, "figure", first)
         calibration.plot_map()
         assert mpl.rcParams["interactive"]
-
-
-@pytest.mark.study
-def test_files_and_pages_leave_no_figure_open(calibration, tmp_path):
-    findings = tn.investigate(calibration)
-    tn.write_report(tmp_path / "report.html", findings)
-    assert "<svg" in (tmp_path / "report.html").read_text()
-    tn.write_figures(findings.calibration, tmp_path / "figures", more=still_figures(findings))
-    assert pyplot.get_fignums() == []
 
 
 def text_of(html):
@@ -229,12 +197,6 @@ def test_paths_come_one_by_one_or_in_lists(campaign, kinds):
         assert [cycle.name for cycle in read] == [cycle.name for cycle in read.cycles]
         assert len(read) == 4
     assert len(tn.read_campaign(files[:2])) == 2
-
-
-def test_a_campaign_is_as_long_as_its_cycles_and_true(campaign):
-    assert list(campaign) == list(campaign.cycles)
-    assert bool(campaign)
-    assert tn.Campaign(tuple(campaign)).cycles == campaign.cycles
 
 
 def test_pages_import_nothing_from_below():

@@ -1,6 +1,5 @@
 """What is wrong with data gets a remedy that fits, and the same one from every command."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -39,10 +38,9 @@ def hung(k, force):
     return force[:1] + 0 * force if k == 0 else force
 
 
-def bent(power, size, each=False, noise=5e-5):
+def bent(power, size, noise=5e-5):
     """Return cycles whose coils are not linear: so much at 0.4 N."""
     bench = SmallBench(3, noise)
-    size = size * (np.random.default_rng(2).standard_normal(14) if each else 1.0)
     bench.law = lambda c: 1 + size * (c / 0.4) ** (power - 1)
     return bench.campaign().cycles
 
@@ -63,10 +61,6 @@ FAULTS = {
         lambda: with_forces(p45(), stuck(7, (1,))),
         "doubtful", "frozen reading (actuator 8 in bare 2)", "leave the file out, or mark the rows",
     ),
-    "frozen for half of a file": (
-        lambda: with_forces(p45(), stuck(7, (1,), slice(45, 90))),
-        "doubtful", "frozen reading (actuator 8 in bare 2)", "leave the file out, or mark the rows",
-    ),
     "a recorder that hung": (
         lambda: with_forces(p45(), hung),
         None, "frozen readings: all actuators in bare 1", "leave the file out",
@@ -81,10 +75,6 @@ FAULTS = {
     ),
     "quadratic coils": (
         lambda: bent(2, 0.01), "usable", "quadratic coil", "at half of which it is half",
-    ),
-    "each quadratic": (
-        lambda: bent(2, 0.05, each=True),
-        "usable", "quadratic coil of each", "at half of which it is half",
     ),
     "cubic coils": (
         lambda: bent(3, 0.05), "usable", "cubic coil", "at half of which it is a quarter",
@@ -101,6 +91,10 @@ FAULTS = {
         ].cycles,
         None, "the loads differ by no more than 0.00029 N", "take a load that differs",
     ),
+    "E_ADDED is 0": (
+        lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
+        "usable", "the weights are given without errors (E_ADDED of 'ring' is 0)", "give E_WEIGHT",
+    ),
     "WEIGHT ten times too large": (
         lambda: p45(weight=-29.2),
         "doubtful", "WEIGHT is -29.2 N, 0.65 N for each actuator", "check WEIGHT and its unit",
@@ -108,14 +102,6 @@ FAULTS = {
     "WEIGHT ten times too small": (
         lambda: p45(weight=-0.292),
         "doubtful", "WEIGHT is -0.292 N, several times less", "check WEIGHT and its unit",
-    ),
-    "E_ADDED is 0": (
-        lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
-        "usable", "the weights are given without errors (E_ADDED of 'ring' is 0)", "give E_WEIGHT",
-    ),
-    "all of the other sign": (
-        lambda: with_forces(p45(), lambda _, f: -f),
-        "rejected", "alpha is negative for all 45", "reverse the sign of FORCE",
     ),
 }  # fmt: skip
 
@@ -129,7 +115,7 @@ def test_a_fault_is_said_first_with_what_mends_it(made, level, fault, remedy):
 
 
 @pytest.mark.parametrize("made", [
-    lambda: p45(1e-5), lambda: p45(0.0),
+    lambda: p45(0.0),
     lambda: with_forces(p45(0.0), lambda _, f: np.round(f, 3)),  # far actuators hardly move
     lambda: with_forces(p45(), lambda _, f: np.clip(f, -0.3951, 0.3951)),  # a reading or two
 ])  # fmt: skip
@@ -162,9 +148,8 @@ def test_an_order_that_balances_as_well_is_told_by_position(tmp_path):
 
 
 @pytest.mark.parametrize("method", ["ml", "svd"])
-@pytest.mark.parametrize("noise", [1e-4, 1e-3])
-def test_an_actuator_with_alpha_0_within_its_error_is_called_dead(method, noise):
-    bench = SmallBench(4, noise)
+def test_an_actuator_with_alpha_0_within_its_error_is_called_dead(method):
+    bench = SmallBench(4, 1e-3)
     bench.arms[:, 5] = 0.0  # whatever it is commanded, it does nothing
     verdict = tn.calibrate(bench.campaign(), method).verdict
     assert verdict.level >= (tn.Level.USABLE if method == "ml" else tn.Level.DOUBTFUL)
@@ -182,9 +167,8 @@ def rounded(cycles, step=STEP):
 
 @pytest.mark.parametrize(
     "stored",
-    [lambda f: f, lambda f: f + 0.01, lambda f: f.astype(np.float32).astype(float),
-     lambda f: 1e-3 * (1e3 * f).astype(np.float32)],
-    ids=["as they are", "with an offset", "in single precision", "in mN"],
+    [lambda f: f + 0.01, lambda f: 1e-3 * (1e3 * f).astype(np.float32)],
+    ids=["with an offset", "in mN in single precision"],
 )  # fmt: skip
 def test_the_step_of_forces_is_found(stored):
     force = np.random.default_rng(1).normal(0.0, 0.12, (40, 50))
@@ -193,7 +177,7 @@ def test_the_step_of_forces_is_found(stored):
     assert found == pytest.approx(STEP, rel=1e-3)
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.05, 0.1, 0.2, 0.3, 0.5])
+@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.3])
 def test_what_repeats_do_not_show_of_rounding(sigma):
     """Against 4000 forces all over a step, 400 readings of each."""
     random = np.random.default_rng(2)
@@ -205,9 +189,7 @@ def test_what_repeats_do_not_show_of_rounding(sigma):
     assert seen + hidden == pytest.approx(sigma**2 + 1 / 12, abs=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("noise", "count"), [(0.0, 2), (0.0, 4), (1e-6, 4), (5e-6, 4), (1e-5, 1), (1e-5, 2)]
-)
+@pytest.mark.parametrize(("noise", "count"), [(0.0, 2), (5e-6, 4), (1e-5, 1)])
 def test_rounding_is_noise_and_no_outlier(noise, count):
     """Steps of 41.6 uN: none of the shapes goes, and alpha is covered by what it adds."""
     bench = p45_bench()
@@ -227,11 +209,6 @@ def test_rounding_is_noise_and_no_outlier(noise, count):
         assert "E_STAT includes 0.012 mN, step / root 12" in text
 
 
-def test_rounding_that_hardly_adds_is_not_said():
-    found = tn.calibrate(Campaign(tuple(rounded(p45(1e-4)))))
-    assert not any("steps" in each.fault for each in found.verdict.faults)
-
-
 def test_rounding_is_added_to_a_smaller_declared_force_error():
     made = Campaign(tuple(rounded([replace(c, force_error=1e-5) for c in p45(1e-5, 1)])))
     noise = reading_noise(made, sift(made).moments)
@@ -248,67 +225,41 @@ def spiked():
     return with_forces(p45(), lambda k, f: f + 0.3 * (rows == 4 + k) * (np.arange(45) == 3))
 
 
-def one_label():
-    """Return cycles of which one under the ring says that it is bare."""
-    made = p45(count=3)
-    return [*made[:2], replace(made[3], number=3, load=made[0].load), *made[4:]]
-
-
-def neighbours(k, force):
-    return force[:, [1, 0, *range(2, 45)]]
-
-
 DATA = {
     "sound": p45,
     "spikes": spiked,
     "one load": lambda: p45()[:2],
-    "five shapes": lambda: [shortened(c) for c in p45()],
-    "a wrong label": one_label,
     "a copy": lambda: with_forces(p45(), lambda k, f: f if k != 1 else np.array(p45()[0].force)),
-    "poles": lambda: with_forces(p45(), lambda _, f: f * np.where(np.arange(45) == 20, -1, 1)),
-    "neighbours": lambda: with_forces(p45(), neighbours),
-    **{name: FAULTS[name][0] for name in (
-        "stuck", "frozen in one file", "the same in all rows", "cut off",
-        "WEIGHT ten times too large", "all of the other sign",
-    )},
-}  # fmt: skip
-
-
-def shortened(cycle):
-    keep = slice(10)
-    return replace(cycle, **{
-        name: getattr(cycle, name)[keep]
-        for name in ("time", "shape", "sign", "force", "valid", "temperature", "position")
-        if getattr(cycle, name) is not None
-    })  # fmt: skip
+    "stuck": FAULTS["stuck"][0],
+    "frozen in one file": FAULTS["frozen in one file"][0],
+}
 
 
 @pytest.mark.parametrize(
     ("name", "method"),
     [
-        ("sound", "ml"),
-        ("a copy", "ml"),
-        ("one load", "ml"),
-        ("spikes", "svd"),
-        *(
-            pytest.param(name, "ml", marks=pytest.mark.study)
-            for name in DATA
-            if name not in ("sound", "a copy", "one load")
-        ),
-        *(pytest.param(name, "svd", marks=pytest.mark.study) for name in ("a copy", "poles")),
+        ("sound", "ml"), ("a copy", "ml"), ("one load", "ml"), ("spikes", "svd"),
+        *(pytest.param(name, "ml", marks=pytest.mark.study)
+          for name in DATA if name not in ("sound", "a copy", "one load")),
     ],
-)
+)  # fmt: skip
 def test_every_command_answers_alike(inside, tmp_path, name, method):
     write_campaign(DATA[name](), tmp_path / "c")
     check_alike(inside, tmp_path / "c", "--method", method)
 
 
-@pytest.mark.parametrize("options", [(), ("--population",), ("--method", "svd")])
-@pytest.mark.parametrize("change", [
-    pytest.param(lambda k: k, marks=pytest.mark.study),
-    pytest.param(lambda k: -k, marks=pytest.mark.study),
-    lambda k: np.roll(k, 1, axis=0), lambda k: np.eye(45),
-    lambda k: k * (1 + 0.1 * np.random.default_rng(3).standard_normal(k.shape)),
+def test_svd_says_that_it_takes_rows_that_do_not_fit():
+    found = tn.calibrate(Campaign(tuple(spiked())), "svd")
+    assert any(each.code is tn.Code.SVD_USES_ALL_ROWS for each in found.verdict.faults)
+
+
+@pytest.mark.parametrize(("change", "options"), [
+    (lambda k: np.roll(k, 1, axis=0), ("--population",)),
+    (lambda k: np.eye(45), ()),
+    (lambda k: k * (1 + 0.1 * np.random.default_rng(3).standard_normal(k.shape)),
+     ("--method", "svd")),
+    pytest.param(lambda k: k, (), marks=pytest.mark.study),
+    pytest.param(lambda k: -k, ("--population",), marks=pytest.mark.study),
 ])  # fmt: skip
 def test_every_command_answers_alike_of_a_matrix(inside, tmp_path, change, options):
     truth = p45_bench().truth
@@ -318,26 +269,10 @@ def test_every_command_answers_alike_of_a_matrix(inside, tmp_path, change, optio
     check_alike(inside, tmp_path / "k.fits", *options)
 
 
-def test_the_page_says_the_same(inside, tmp_path):
-    write_campaign(DATA["stuck"](), tmp_path / "c")
-    _, out, _ = inside("info", tmp_path / "c", "--json")
-    verdict = json.loads(out)["verdict"]
-    code, out, _ = inside("report", tmp_path / "c", "-o", tmp_path / "page.html")
-    assert code == 0
-    assert out.startswith(verdict["level"].capitalize())
-    assert verdict["findings"][0]["fault"][1:] in out
-    assert verdict["findings"][0]["remedy"][1:] in out
-
-
-def test_svd_says_that_it_takes_rows_that_do_not_fit():
-    found = tn.calibrate(Campaign(tuple(spiked())), "svd")
-    assert any(each.code is tn.Code.SVD_USES_ALL_ROWS for each in found.verdict.faults)
-
-
 def test_alpha_that_worsens_the_balance_is_the_first_finding():
     truth = p45_bench().truth
     k = truth.stiffness / truth.alpha[:, None]
-    made = tn.calibrate(StiffnessMatrix("P45", START, truth.layout, k))
+    made = tn.calibrate(StiffnessMatrix("P45", START, truth.layout, k), "svd")
     line = made.imbalances[0]
     unseen = (replace(line, before=0.02, after=0.03),) * 2
     doubtful = replace(made, imbalances=(line, *unseen), reading_error=np.ones(45))

@@ -23,7 +23,7 @@ from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.systems import system_c
 from truenewton.files import stored_rows
-from truenewton.files.stored_rows import StoredRows, blocks, largest_in_rows
+from truenewton.files.stored_rows import StoredRows, largest_in_rows
 from truenewton.reading import read, read_data
 from truenewton.records.file import write_campaign, write_cycle
 from truenewton.statics.layout import rings
@@ -74,6 +74,7 @@ def folder(tmp_path_factory, method):
 
 
 def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
+    """From memory and from disk; blocks of another size change rounding only."""
     monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 800)
     monkeypatch.setattr(repeats, "BLOCK_BYTES", 800)
     one = calibrate(read_data(folder), method)
@@ -88,37 +89,23 @@ def test_a_calibration_is_the_same_bit_for_bit(folder, monkeypatch, method):
     assert one.invalid == 12
     assert np.isnan(one.alpha[5])
     assert np.isfinite(one.cycle_error).sum() == 13
-
-
-def test_the_size_of_a_block_changes_rounding_only(folder, method, left_on_disk):
-    small = calibrate(read_data(folder), method)
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (stored_rows, repeats):
-            patch.setattr(module, "BLOCK_BYTES", 2**24)
-        large = calibrate(read_data(folder), method)
-    assert len(small.rejected_rows) == len(large.rejected_rows)
+    monkeypatch.setattr(stored_rows, "BLOCK_BYTES", 2**24)
+    monkeypatch.setattr(repeats, "BLOCK_BYTES", 2**24)
+    large = calibrate(campaign, method)
+    assert len(other.rejected_rows) == len(large.rejected_rows)
     for name in ("alpha", "reading_error", "cycle_error"):
-        assert getattr(small, name) == pytest.approx(getattr(large, name), rel=1e-8, nan_ok=True)
+        assert getattr(other, name) == pytest.approx(getattr(large, name), rel=1e-8, nan_ok=True)
 
 
-INDICES = {
-    "all": slice(None),
-    "a slice": slice(3, 11),
-    "every third": slice(1, None, 3),
-    "backwards": slice(None, None, -1),
-    "none": slice(4, 4),
-    "beyond the end": slice(20, 99),
-    "a row": 5,
-    "the last": -1,
-    "rows in any order": np.array([7, 8, 9, 3, 3, 23, 0, 1]),
-    "a mask": np.arange(24) % 5 < 2,
-}
+INDICES = (
+    slice(None), slice(3, 11), slice(1, None, 3), slice(None, None, -1), slice(4, 4), slice(20, 99),
+    5, -1, np.array([7, 8, 9, 3, 3, 23, 0, 1]), np.arange(24) % 5 < 2,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("form", ["D", "E"])
 @pytest.mark.parametrize("far", [True, False], ids=["far apart", "side by side"])
-@pytest.mark.parametrize("rows", INDICES.values(), ids=INDICES)
-def test_rows_are_those_of_the_array(tiny, tmp_path, left_on_disk, form, far, rows):
+def test_rows_are_those_of_the_array(tiny, tmp_path, left_on_disk, form, far):
     cycle = tiny.cycles[0]
     write_cycle(cycle, tmp_path / "c.fits")
     with fits.open(tmp_path / "c.fits") as hdus:
@@ -133,43 +120,20 @@ def test_rows_are_those_of_the_array(tiny, tmp_path, left_on_disk, form, far, ro
     stored = read(tmp_path / "other.fits").cycles[0].force
     assert isinstance(stored, StoredRows)
     wanted = 1e-3 * force.astype(float)
-    assert stored[rows].dtype == np.float64
-    assert stored[rows].shape == wanted[rows].shape
-    assert stored[rows] == pytest.approx(wanted[rows], rel=1e-15)
+    for rows in INDICES:
+        assert stored[rows].dtype == np.float64
+        assert stored[rows].shape == wanted[rows].shape
+        assert stored[rows] == pytest.approx(wanted[rows], rel=1e-15)
     assert (np.asarray(stored) == stored[:]).all()
 
 
-def test_rows_that_cannot_stay_are_read(tiny, tmp_path, left_on_disk):
-    """Gzipped files, and columns with TSCAL, are arrays."""
+def test_rows_of_a_gzipped_file_are_read(tiny, tmp_path, left_on_disk):
     cycle = tiny.cycles[0]
     write_cycle(cycle, tmp_path / "c.fits")
     (tmp_path / "packed.fits.gz").write_bytes(gzip.compress((tmp_path / "c.fits").read_bytes()))
     packed = read(tmp_path / "packed.fits.gz").cycles[0]
     assert isinstance(packed.force, np.ndarray)
     assert (packed.force == cycle.force).all()
-    with fits.open(tmp_path / "c.fits") as hdus:
-        table = hdus["MEASUREMENTS"]
-        number = table.columns.names.index("FORCE") + 1
-        table.header[f"TSCAL{number}"] = 0.5
-        del table.header["CHECKSUM"], table.header["DATASUM"]
-        (tmp_path / "scaled.fits").write_bytes(
-            b"".join(h.header.tostring().encode() + raw for h, raw in raw_data(tmp_path, hdus))
-        )
-    scaled = read(tmp_path / "scaled.fits").cycles[0]
-    assert isinstance(scaled.force, np.ndarray)
-    assert isinstance(scaled.position, StoredRows)
-    assert scaled.force == pytest.approx(0.5 * cycle.force, rel=1e-15)
-    assert (np.asarray(scaled.position) == cycle.position).all()
-
-
-def raw_data(folder, hdus):
-    """Return HDUs with the bytes of their data in c.fits."""
-    raw = (folder / "c.fits").read_bytes()
-    infos = [hdu.fileinfo() for hdu in hdus]
-    return [
-        (hdu, raw[i["datLoc"] : i["datLoc"] + i["datSpan"]])
-        for hdu, i in zip(hdus, infos, strict=True)
-    ]
 
 
 def test_a_campaign_written_from_disk_is_the_same_file(tiny, tmp_path, left_on_disk):
@@ -224,15 +188,6 @@ def test_memory_does_not_grow_with_repeats(tmp_path, left_on_disk, monkeypatch):
         peaks.append(min(peak_of_reading_twice(tmp_path / str(cycles)) for _ in range(2)))
     assert peaks[1] - peaks[0] < 0.1 * rows
     assert peaks[0] > 2 * 2 * layout.n**2 * 8  # the means
-
-
-def test_blocks_hold_every_row_once():
-    for rows, width in ((0, 8), (1, 2**30), (10_000, 2**13), (5, 0)):
-        slices = list(blocks(rows, width))
-        assert [i for s in slices for i in range(s.start, s.stop)] == list(range(rows))
-        assert all(
-            (s.stop - s.start) * width <= max(stored_rows.BLOCK_BYTES, width) for s in slices
-        )
 
 
 def test_the_largest_of_a_row_is_nan_where_one_that_counts_is():

@@ -13,6 +13,8 @@ from astropy.table import QTable
 
 import truenewton as tn
 from helpers.foreign_files import (
+    CHANNELS_IN_ALL,
+    OFF,
     TRACK,
     N,
     R,
@@ -23,6 +25,7 @@ from helpers.foreign_files import (
     supervisor_folder,
 )
 from studies.matrices import measured_or_made, noisy, true_stiffness, with_faults
+from truenewton.calibration import methods
 from truenewton.errors import (
     CampaignMismatch,
     FormatError,
@@ -62,7 +65,7 @@ def matrix_file(folder, kind):
     elif kind == "csv":
         path.write_text(semicolons(k))
     elif kind == "txt":
-        np.savetxt(path, k, header="forces of actuators, N/m")
+        np.savetxt(path, k, header="forces of actuators, N/m\nsaved by me, act1, act2", comments="")
     elif kind == "tsv":
         lines = ["\t".join(["", *map(str, range(N))])]
         lines += ["\t".join([str(i), *(f"{v:.17g}" for v in row)]) for i, row in enumerate(k)]
@@ -102,23 +105,12 @@ def positions_file(folder, kind):
     elif kind == "mat":
         scipy.io.savemat(path, {"x": XY[0], "y": XY[1], "id": CASE.layout.id})
     elif kind == "table.fits":
-        table = QTable({"X": XY[0] * u.m, "Y": XY[1] * u.m})
-        table.write(path)
+        QTable({"X": XY[0] * u.m, "Y": XY[1] * u.m}).write(path)
+    elif kind == "yml":
+        lines = [f"  - {{id: {i}, x: {a:.9f}, y: {b:.9f}}}"
+                 for i, a, b in zip(CASE.layout.id, x, y, strict=True)]  # fmt: skip
+        path.write_text("name: DSM\nactuators:\n" + "\n".join(lines))
     return path
-
-
-def check(made, rows=slice(None)):
-    """Hold alpha of an import against the truth; return the calibration."""
-    calibration = tn.calibrate(made.matrix)
-    expected = CASE.alpha[rows]
-    some = np.isfinite(expected)
-    assert np.array_equal(calibration.layout.enabled, some)
-    expected = expected[some] / expected[some].mean()
-    found = calibration.alpha[some] / calibration.alpha[some].mean()
-    assert np.std(found - expected) < 0.01  # alpha scatters by 6 %
-    z = (found - expected) / calibration.error[some]
-    assert np.sqrt(np.mean(z**2)) < 1.6
-    return calibration
 
 
 def text(made):
@@ -126,7 +118,7 @@ def text(made):
 
 
 KINDS = ["fits", "fits.gz", "npy", "npz", "csv", "txt", "tsv", "idl", "mat", "sav", "yaml"]
-PLACES = ["csv", "txt", "dat", "ecsv", "fits", "npy", "mat", "table.fits"]
+PLACES = ["csv", "txt", "dat", "ecsv", "fits", "npy", "mat", "table.fits", "yml"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -136,7 +128,7 @@ def test_the_matrix_is_the_same_from_every_kind_of_file(tmp_path, kind):
     np.testing.assert_allclose(made.matrix.stiffness, -CASE.k, rtol=1e-12)
     assert np.array_equal(~made.matrix.layout.enabled, CASE.off)
     assert "negative: turned" in text(made)
-    off = f"20 with rows and columns of zeros, disabled: {CASE.layout.id[CASE.off][0]}"
+    off = f"{OFF} with rows and columns of zeros, disabled: {CASE.layout.id[CASE.off][0]}"
     assert off in text(made)
     assert "orientation  as it should be" in text(made)
     assert len(made.lines) <= 10
@@ -151,17 +143,7 @@ def test_positions_are_the_same_from_every_kind_of_file(tmp_path, kind):
     assert np.array_equal(layout.id, CASE.layout.id)
 
 
-def test_alpha_is_right_from_a_matrix_and_text_of_somebody_else(tmp_path):
-    path, _ = matrix_file(tmp_path, "csv")
-    made = tn.stiffness_from(path, positions_file(tmp_path, "csv"), curvature=R)
-    check(made)
-    assert "mm as declared" in text(made)
-    assert all(str(CASE.layout.id[b]) in text(made).split("do not fit")[1] for b in CASE.bad)
-
-
-@pytest.mark.parametrize(
-    "positions", ["coordinates", pytest.param("rings", marks=pytest.mark.study)]
-)
+@pytest.mark.parametrize("positions", ["coordinates", "rings"])
 def test_a_supervisors_folder(tmp_path, positions):
     rows = supervisor_folder(tmp_path / "meas", positions=positions)
     made = tn.stiffness_from(tmp_path / "meas", curvature=R if positions == "coordinates" else None)
@@ -171,13 +153,11 @@ def test_a_supervisors_folder(tmp_path, positions):
     assert made.matrix.date.isoformat() == "2011-03-11T13:05:23+00:00"
     if positions == "coordinates":
         table = positions_file(tmp_path, "ecsv")
-        with pytest.raises(
-            FormatError, match="no position of actuator"
-        ):  # 1 .. 144 are no channels
+        with pytest.raises(FormatError, match="no position of actuator"):  # these are no channels
             tn.stiffness_from(tmp_path / "meas", table)
     channels = fits.getdata(tmp_path / "meas" / "ff_list.fits")
     assert np.array_equal(layout.id, channels)
-    check(made, rows)
+    np.testing.assert_allclose(made.matrix.stiffness, -CASE.k[np.ix_(rows, rows)], rtol=1e-12)
 
 
 def test_a_supervisors_folder_with_a_known_mirror(tmp_path):
@@ -221,7 +201,7 @@ def test_opticalibs_simulated_prototype(tmp_path):
     fits.PrimaryHDU(k).writeto(tmp_path / "dp_ffwd.fits")
     fits.PrimaryHDU(positions).writeto(tmp_path / "dp_coords.fits")
     fits.PrimaryHDU(np.eye(2 * N)).writeto(tmp_path / "dp_cmdmat.fits")
-    with pytest.raises(FormatError, match="2 separate shells, of 124, 124 actuators"):
+    with pytest.raises(FormatError, match="2 separate shells, of 39, 39 actuators"):
         tn.stiffness_from(tmp_path)
     made = tn.stiffness_from(tmp_path, shell=2)
     x, y = XY[:, ~CASE.off]
@@ -232,14 +212,12 @@ def test_opticalibs_simulated_prototype(tmp_path):
     )
 
 
-@pytest.mark.study
 def test_opticalibs_configuration_folder(tmp_path):
     fits.PrimaryHDU(np.float32(-CASE.k)).writeto(tmp_path / "ff_matrix.fits")
     fits.PrimaryHDU(1e3 * XY.T).writeto(tmp_path / "ActuatorsCoordinates.fits")
     made = tn.stiffness_from(tmp_path, curvature=R)
     np.testing.assert_allclose(made.matrix.layout.x, XY[0], atol=1e-9)
     assert "opticalib's configuration" in made.lines[0]
-    check(made)
 
 
 def test_opticalibs_simulated_m4(tmp_path):
@@ -249,7 +227,7 @@ def test_opticalibs_simulated_m4(tmp_path):
         file["coordinates"] = np.concatenate([XY.T, XY.T + 2.0])
         file["IM0"] = np.ones((N, 300))
         file["mirrorModes"] = np.ones((2 * N, 2 * N))
-    with pytest.raises(FormatError, match="2 separate shells, of 144, 144 actuators"):
+    with pytest.raises(FormatError, match="2 separate shells, of 45, 45 actuators"):
         tn.stiffness_from(tmp_path / "m4_data.h5")
     made = tn.stiffness_from(tmp_path / "m4_data.h5", shell=2)
     x = XY[0] - XY[0].mean()
@@ -267,24 +245,16 @@ def test_positions_in_another_order_are_put_in_that_of_their_numbers(tmp_path):
     np.testing.assert_allclose([made.matrix.layout.x, made.matrix.layout.y], XY, atol=1e-6)
     assert "put in the order of their IDs" in text(made)
     path.write_text("x y\n" + "\n".join(line.partition(" ")[2] for line in lines))
-    with pytest.raises(FormatError, match="another order than rows and columns: 0 %"):
+    with pytest.raises(FormatError, match="another order than rows and columns: 1 %"):
         tn.stiffness_from(CASE.k, path)
     path.write_text("act x y\n" + "\n".join(f"{i} {x} {y}" for i, (x, y) in enumerate(XY.T)))
     assert "put in" not in text(tn.stiffness_from(CASE.k, path))
 
 
-def test_a_list_of_actuators_in_yaml(tmp_path):
-    lines = [f"  - {{id: {i}, x: {x:.9f}, y: {y:.9f}}}" for i, (x, y) in enumerate(1e3 * XY.T, 1)]
-    path = tmp_path / "mirror.yml"
-    path.write_text("name: DSM\nactuators:\n" + "\n".join(lines))
-    layout = tn.stiffness_from(CASE.k, path).matrix.layout
-    np.testing.assert_allclose([layout.x, layout.y], XY, atol=1e-9)
-
-
 @pytest.mark.parametrize("order", ["channels", "rings"])
-def test_positions_of_all_channels_may_stand_ring_by_ring(tmp_path, order):
+def test_positions_of_all_channels_may_come_ring_by_ring(tmp_path, order):
     rows = supervisor_folder(tmp_path / "meas", positions="rings")
-    by_number = np.zeros((200, 2))
+    by_number = np.zeros((CHANNELS_IN_ALL, 2))
     by_number[:N] = 1e3 * XY.T[numbers_of(CASE.layout)]
     path = tmp_path / "coordinates.txt"
     np.savetxt(path, by_number if order == "rings" else by_number[electronics()])
@@ -294,7 +264,7 @@ def test_positions_of_all_channels_may_stand_ring_by_ring(tmp_path, order):
 
 
 def test_one_sensor_without_numbers_is_left_out():
-    k, bad = CASE.k.copy(), int(np.flatnonzero(~CASE.off)[40])
+    k, bad = CASE.k.copy(), int(np.flatnonzero(~CASE.off)[20])
     k[[3, 9], bad] = np.nan
     made = tn.stiffness_from(k, XY)
     assert f"2 elements of sensor {bad + 1} are no numbers" in text(made)
@@ -320,30 +290,18 @@ def test_a_mat_file_of_version_73_has_its_axes_reversed(tmp_path):
     np.testing.assert_array_equal(made.matrix.stiffness, -CASE.k)
 
 
-@pytest.mark.study
-def test_a_few_bad_sensors_do_not_make_a_sound_matrix_look_transposed():
-    sound = tn.stiffness_from(CASE.k, CASE.layout)
-    assert "as it should be" in text(sound)
-    turned = tn.stiffness_from(CASE.k.T, CASE.layout)
-    assert "LOOKS TRANSPOSED" in text(turned)
-    back = tn.stiffness_from(CASE.k.T, CASE.layout, transpose=True)
-    np.testing.assert_array_equal(back.matrix.stiffness, sound.matrix.stiffness)
-    noticed = tn.calibrate(sound.matrix).diagnosis.warnings
-    assert not any("transposed" in warning.fault for warning in noticed)
-
-
 def test_names_choose_positions_of_more_actuators(tmp_path):
-    rows = np.random.default_rng(2).permutation(N)[:120]
+    rows = np.random.default_rng(2).permutation(N)[:40]
     k = -CASE.k[np.ix_(rows, rows)]
     path = positions_file(tmp_path, "dat")
-    with pytest.raises(FormatError, match=r"144 positions for 120 rows and columns; .*--ids"):
+    with pytest.raises(FormatError, match=r"45 positions for 40 rows and columns; .*--ids"):
         tn.stiffness_from(k, path)
     made = tn.stiffness_from(k, path, ids=CASE.layout.id[rows])
     np.testing.assert_allclose(made.matrix.layout.x, XY[0, rows], atol=1e-9)
     assert np.array_equal(made.matrix.layout.id, CASE.layout.id[rows])
 
 
-@pytest.mark.parametrize("rows", [4, 12, N])
+@pytest.mark.parametrize("rows", [4, N])
 def test_a_spreadsheet_names_rows_and_columns_and_may_hold_remarks(tmp_path, rows):
     ids = CASE.layout.id[:rows]
     lines = ["# Messung", ";" + "".join(f"S{i};" for i in ids)]
@@ -369,7 +327,7 @@ def test_a_spreadsheet_names_rows_and_columns_and_may_hold_remarks(tmp_path, row
     [
         *(
             [f"{name},{name.replace('x', 'y').replace('X', 'Y')}", "1,2", "3,4", "5,6"]
-            for name in ("x [mm]", "x / mm", "X(mm)", "pos_x_mm", "Pos x in mm", "x_mm")
+            for name in ("X(mm)", "Pos x in mm", "x_mm")
         ),
         ["Y [mm],X [mm],remark", "2,1,", "4,3,", "6,5,"],
         ["ID,Y,X", "-,mm,mm", "8,2,1", "9,4,3", "7,6,5"],
@@ -383,15 +341,12 @@ def test_names_and_units_of_columns_are_never_lost(tmp_path, lines):
     assert (found.unit, found.x.tolist(), found.y.tolist()) == ("mm", [1, 3, 5], [2, 4, 6])
 
 
-@pytest.mark.parametrize("rows", [4, N])
-def test_rows_may_have_names_where_columns_have_none(tmp_path, rows):
-    named = [
-        f"A{i}," + ",".join(map(repr, row)) for i, row in enumerate(CASE.k[:rows, :rows].tolist())
-    ]
-    for header in ([], ["row," + ",".join(map(str, range(1, rows + 1)))]):
+def test_rows_may_have_names_where_columns_have_none(tmp_path):
+    named = [f"A{i}," + ",".join(map(repr, row)) for i, row in enumerate(CASE.k[:4, :4].tolist())]
+    for header in ([], ["row,1,2,3,4"]):
         (tmp_path / "k.csv").write_text("\n".join(header + named))
         kept = read_stored(tmp_path / "k.csv").arrays[""].values
-        np.testing.assert_array_equal(kept, CASE.k[:rows, :rows])
+        np.testing.assert_array_equal(kept, CASE.k[:4, :4])
 
 
 def test_positions_without_ids_are_told_which_columns_there_are(tmp_path):
@@ -418,14 +373,8 @@ def test_hdf5_declares_units_and_it_is_said_which_of_two_was_taken(tmp_path):
         file["run7/FF"].attrs["unit"], file["xy"].attrs["units"] = "N/um", np.bytes_("mm")
     made = tn.stiffness_from(tmp_path / "k.h5", curvature=R)
     np.testing.assert_allclose(made.matrix.stiffness, -CASE.k, rtol=1e-12)
-    assert "144 x 144, 'run7/FF' of intmat, run7/FF, N/um as declared: a median own" in text(made)
+    assert "45 x 45, 'run7/FF' of intmat, run7/FF, N/um as declared: a median own" in text(made)
     assert "mm as declared" in text(made)
-
-
-def test_an_unlikely_unit_is_marked():
-    slipped = tn.stiffness_from(CASE.k, CASE.layout, unit="mN/m")
-    assert "N/m, UNLIKELY of a mirror: check it" in text(slipped)
-    assert "UNLIKELY" not in text(tn.stiffness_from(CASE.k, CASE.layout, unit="N/m"))
 
 
 def test_disabled_actuators_need_no_position():
@@ -437,11 +386,11 @@ def test_disabled_actuators_need_no_position():
     k[at[2]] = k[:, at[2]] = np.nan
     made = tn.stiffness_from(np.ma.masked_invalid(k), np.stack([x, y]), ids=CASE.layout.id)
     assert made.matrix.layout.n == N - 2
-    assert np.count_nonzero(~made.matrix.layout.enabled) == 18
+    assert np.count_nonzero(~made.matrix.layout.enabled) == OFF - 2
     assert "2 that are off and stand nowhere" in text(made)
 
 
-def test_steps_of_electronics_give_the_same_alpha():
+def test_units_of_electronics_and_unlikely_units():
     steps = tn.stiffness_from(CASE.k / 41.6, CASE.layout, unit="unknown")
     newton = tn.stiffness_from(CASE.k, CASE.layout)
     for made in (steps, newton):
@@ -449,6 +398,9 @@ def test_steps_of_electronics_give_the_same_alpha():
     ratio = steps.matrix.used_stiffness / newton.matrix.used_stiffness
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
     assert "unit unknown" in text(steps)
+    assert "UNLIKELY" not in text(newton)
+    slipped = tn.stiffness_from(CASE.k, CASE.layout, unit="mN/m")
+    assert "N/m, UNLIKELY of a mirror: check it" in text(slipped)
     counted = tn.stiffness_from(CASE.k / 41.6, CASE.layout, unit="41.6 N/m")
     np.testing.assert_allclose(counted.matrix.stiffness, newton.matrix.stiffness, rtol=1e-12)
 
@@ -461,9 +413,9 @@ def scrambled():
     ("change", "said"),
     [
         ({"coordinates": scrambled()}, "positions are in another order than rows and columns"),
-        ({"coordinates": XY[:, :-1]}, "143 positions for 144 rows and columns"),
+        ({"coordinates": XY[:, :-1]}, "44 positions for 45 rows and columns"),
         ({"coordinates": None}, "no positions with it; give positions"),
-        ({"coordinates": XY[:, [*range(N - 1), 0]]}, r"two actuators stand at x = .* m: 1 and 144"),
+        ({"coordinates": XY[:, [*range(N - 1), 0]]}, r"two actuators stand at x = .* m: 1 and 45"),
         ({"coordinates": XY * 100}, "in no unit that is declared; say which by --lengths"),
         ({"coordinates": XY * u.s}, "unit of positions is 's'; give one as mm"),
         ({"matrix": 1e-6 * CASE.k}, "no unit, .* is no mirror's; say which by --unit .*, as N/um"),
@@ -472,18 +424,17 @@ def scrambled():
         ({"matrix": 1j * CASE.k}, "holds no real numbers"),
         ({"matrix": np.where(np.eye(N, k=5), np.nan, CASE.k)}, "elements are NaN or infinite"),
         ({"matrix": np.triu(CASE.k)}, "zero below its diagonal: half of it is not there; store"),
-        ({"matrix": np.clip(CASE.k, -1e5, 1e5)}, "144 own elements of STIFFNESS are the same"),
+        ({"matrix": np.clip(CASE.k, -1e5, 1e5)}, "45 own elements of STIFFNESS are the same"),
         ({"matrix": np.linalg.pinv(CASE.k), "unit": "unknown"}, "looks like a compliance, disp"),
-        ({"ids": [1] * N}, "actuator ID 1 stands 144 times"),
-        ({"ids": [1, 2]}, "2 IDs for 144 rows"),
+        ({"ids": [1] * N}, "actuator ID 1 stands 45 times"),
+        ({"ids": [1, 2]}, "2 IDs for 45 rows"),
         ({"shell": 2}, "there is no shell 2"),
         ({"matrix": CASE.k + 1e40 * np.eye(N)}, "holds an element of 1e[+]40; measure it again"),
         ({"matrix": np.full((N, N), np.inf)}, "holds no finite number; measure it again"),
-        ({"coordinates": XY * np.inf}, "holds no finite positions; give X and Y"),
         ({"coordinates": XY + np.where(np.arange(N), 0.0, np.inf)}, "actuator 1 is not finite"),
+        ({"coordinates": XY * np.inf}, "holds no finite positions; give X and Y"),
         ({"curvature": np.inf}, "curvature radius is inf m"),
         ({"curvature": 0.1}, "from the axis of a surface of R = 0.1 m"),
-        ({"curvature": -2.0}, "curvature radius is -2 m"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_said_in_one_line(change, said):
@@ -491,12 +442,6 @@ def test_what_is_wrong_is_said_in_one_line(change, said):
     with pytest.raises(TrueNewtonError, match=said) as caught:
         tn.stiffness_from(given.pop("matrix"), given.pop("coordinates"), **given)
     assert "\n" not in str(caught.value)
-
-
-def test_a_header_of_several_lines_is_passed_over(tmp_path):
-    k = tmp_path / "k.csv"
-    np.savetxt(k, CASE.k, delimiter=",", header="Feed forward, saved by me\nact1,...", comments="")
-    np.testing.assert_array_equal(tn.stiffness_from(k, XY).matrix.stiffness, -CASE.k)
 
 
 def test_polar_coordinates_are_no_x_and_y(tmp_path):
@@ -517,8 +462,6 @@ def test_polar_coordinates_are_no_x_and_y(tmp_path):
             b"1,2,3\n4,5\n7,8,9\n",
             "line 2 has 2 cells, line 1 has 3: '4,5'; give",
         ),
-        ("a.csv", b"1,2,3\n4,5,six\n7,8,9\n", "holds no square matrix; give as many rows as col"),
-        ("a.csv", b"1,2\n" * 4, "holds no square matrix; give as many rows as columns; there"),
         ("a.csv", b"1,5,2,5,3,5\n" * 3, "are decimal ones too, put semicolons between columns"),
         ("a.csv", b"a,b,c\n", "holds a header and no numbers"),
         ("a.txt", b"# nothing\n", "holds no numbers"),
@@ -553,33 +496,41 @@ def test_folders_and_missing_files(tmp_path):
         tn.stiffness_from(tmp_path / "meas")
 
 
-def test_the_command_says_what_it_found_and_writes_what_calibrate_reads(tmp_path, inside):
+def test_the_command_says_what_it_found_and_alpha_is_right(tmp_path, inside, monkeypatch):
+    made, calibrate = [], methods.calibrate
+    monkeypatch.setattr(
+        methods, "calibrate", lambda *given: made.append(calibrate(*given)) or made[0]
+    )
     path, _ = matrix_file(tmp_path, "csv")
     xy = positions_file(tmp_path, "csv")
     command = ["import", path, xy, "-o", tmp_path / "k.fits", "--curvature", R, "--instrument",
                "X9", "--date", "2026-01-02T03:04:05"]  # fmt: skip
     code, out, error = inside(*command)
     assert (code, error) == (0, "")
-    assert out.startswith("X9: 144 actuators, from ")
+    assert out.startswith("X9: 45 actuators, from ")
+    assert "mm as declared" in out
+    assert all(str(CASE.layout.id[b]) in out.split("do not fit")[1] for b in CASE.bad)
     assert "2026-01-02 03:04:05 (as told)" in out
     assert f"truenewton calibrate {tmp_path / 'k.fits'}" in out
     assert "  verdict      usable" in out
-    read = tn.read(tmp_path / "k.fits")
-    np.testing.assert_array_equal(read.stiffness, -CASE.k)
+    np.testing.assert_array_equal(tn.read(tmp_path / "k.fits").stiffness, -CASE.k)
     code, _, error = inside(*command)
     assert code == 2
     assert "exists already" in error
-    found = json.loads(inside("import", path, xy, "--curvature", R, "--json")[1])
-    assert found["actuators"] == N
-    assert found["found"]["sign"].startswith("negative: turned")
-    table = found["calibration"]["actuators"]
-    alpha, error = (np.array(table[name], dtype=float) for name in ("alpha", "e_alpha"))
-    assert f"  error        {percent(np.nanmedian(error / alpha))}, " in out
-    np.testing.assert_array_equal(np.isfinite(alpha), np.isfinite(CASE.alpha))
+    [found] = made
+    assert f"  error        {percent(np.nanmedian(found.error / found.alpha))}, " in out
+    some = np.isfinite(CASE.alpha)
+    assert np.array_equal(found.layout.enabled, some)
+    expected = CASE.alpha[some] / CASE.alpha[some].mean()
+    apart = found.alpha[some] / found.alpha[some].mean() - expected
+    assert np.std(apart) < 0.01  # alpha scatters by 6 %
+    assert np.sqrt(np.mean((apart / found.error[some]) ** 2)) < 1.6
 
 
-@pytest.mark.study
-def test_the_command_gives_no_answer_of_a_transposed_matrix(tmp_path, inside):
+def test_a_transposed_matrix_is_named_and_gets_no_alpha(tmp_path, inside):
+    sound = tn.stiffness_from(CASE.k, CASE.layout)
+    back = tn.stiffness_from(CASE.k.T, CASE.layout, transpose=True)
+    np.testing.assert_array_equal(back.matrix.stiffness, sound.matrix.stiffness)
     np.save(tmp_path / "k.npy", CASE.k.T)
     command = "import", tmp_path / "k.npy", positions_file(tmp_path, "csv")
     code, out, _ = inside(*command)
@@ -593,7 +544,8 @@ def test_the_command_gives_no_answer_of_a_transposed_matrix(tmp_path, inside):
 
 
 def test_after_a_matrix_that_gives_no_alpha_calibrate_is_not_the_next(tmp_path, inside):
-    np.save(tmp_path / "k.npy", (CASE.k + CASE.k.T) / 2)
+    noise = 0.1 * np.random.default_rng(3).standard_normal((N, N))
+    np.save(tmp_path / "k.npy", CASE.k * (1.0 + noise))
     where = positions_file(tmp_path, "csv")
     code, out, _ = inside("import", tmp_path / "k.npy", where, "-o", tmp_path / "k.fits")
     assert code == 0
@@ -603,31 +555,31 @@ def test_after_a_matrix_that_gives_no_alpha_calibrate_is_not_the_next(tmp_path, 
 
 
 def test_a_slightly_wrong_numbering_is_doubted():
-    """Every other ring is numbered clockwise."""
-    order, ring = np.arange(N), ring_of(CASE.layout)
+    """Every other ring of six is numbered clockwise."""
+    case = measured(144, 20, (30, 120))
+    order, at = np.arange(144), ring_of(case.layout)
     for r in range(0, 6, 2):
-        some = np.flatnonzero(ring == r)
+        some = np.flatnonzero(at == r)
         order[some] = some[::-1]
-    made = tn.stiffness_from(CASE.k, XY[:, order])
+    made = tn.stiffness_from(case.k, np.stack([case.layout.x, case.layout.y])[:, order])
     assert "LOW, check numbering" in text(made)
 
 
-@pytest.mark.study
 def test_a_supervisors_files_come_back_with_alpha_in(tmp_path):
     """What the supervisor reads: its checks, its singular vectors, and the forces are true."""
     rows = supervisor_folder(tmp_path / "meas", positions="rings")
-    imported = tn.stiffness_from(tmp_path / "meas")
-    calibration = tn.calibrate(imported.matrix)
+    calibration = tn.calibrate(tn.stiffness_from(tmp_path / "meas").matrix, "svd")
+    known = np.isfinite(CASE.alpha[rows])
+    layout = replace(calibration.layout, enabled=known)
+    calibration = replace(calibration, layout=layout, alpha=CASE.alpha[rows])
     told = tn.export_supervisor(tmp_path / "meas", calibration, tmp_path / "20261122_101500")
     new = {name: fits.getdata(tmp_path / "20261122_101500" / f"{name}.fits")
            for name in ("ff_matrix", "ff_list", "ff_f_svec", "ff_p_svec", "ff_sval")}  # fmt: skip
     old = fits.getdata(tmp_path / "meas" / "ff_matrix.fits")
     assert new["ff_list"].dtype.kind == "i"
     np.testing.assert_array_equal(new["ff_list"], calibration.layout.id)
-    known = np.isfinite(CASE.alpha[rows])
-    ratio = (new["ff_matrix"] / old)[:, 0]
-    expected = CASE.alpha[rows] / np.nanmean(CASE.alpha[rows])
-    assert np.std(ratio[known] - expected[known]) < 0.01
+    ratio = new["ff_matrix"][known] / old[known] / CASE.alpha[rows][known, None]
+    np.testing.assert_allclose(ratio, 1.0, rtol=1e-12)
     np.testing.assert_array_equal(new["ff_matrix"][~known], old[~known])
     assert "without alpha, as they were" in told[-1]
     assert (np.diag(new["ff_matrix"]) < 0.0).all()  # the sign of the electronics

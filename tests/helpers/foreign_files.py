@@ -9,29 +9,30 @@ from astropy.io import fits
 from truenewton.bench.simulated.static import static_bench
 from truenewton.mirrors.known import ring
 
-N, RINGS, R = 144, 6, 1.955  # the first rings of LBT672
-CHANNELS_IN_ALL = 200
+N, RINGS, R = 45, 3, 1.955  # the first rings of LBT672
+OFF = 6  # actuators
+CHANNELS_IN_ALL = 60
 TRACK = "20110311_130523"
 
 
 @cache
-def measured():
-    """Return a truth and its matrix: of negative sign, two bad sensors, 20 actuators off, noise."""
-    truth = static_bench(ring(N), 7).truth
+def measured(n=N, away=OFF, bad=(33,)):
+    """Return a truth and its matrix: of negative sign, bad sensors, actuators off, noise."""
+    truth = static_bench(ring(n), 7).truth
     random = np.random.default_rng(11)
-    off = np.zeros(N, dtype=bool)
-    off[random.choice(np.arange(20, N), 20, replace=False)] = True
+    off = np.zeros(n, dtype=bool)
+    off[random.choice(np.arange(10 if n < 100 else 20, n), away, replace=False)] = True
     on = ~off
     true = truth.stiffness
     free = true[np.ix_(on, on)] - true[np.ix_(on, off)] @ np.linalg.solve(
         true[np.ix_(off, off)], true[np.ix_(off, on)]
     )
-    k = np.zeros((N, N))
+    k = np.zeros((n, n))
     k[np.ix_(on, on)] = free
-    k = k / truth.alpha[:, None] * (1.0 + 0.004 * random.standard_normal(N))
+    k = k / truth.alpha[:, None] * (1.0 + 0.004 * random.standard_normal(n))
     k *= 1.0 + 1e-4 * random.standard_normal(k.shape)
-    bad = np.flatnonzero(on)[[30, 120]]
-    k[:, bad] *= 3.0 * (1.0 + 0.3 * random.standard_normal((N, 2)))
+    bad = np.flatnonzero(on)[list(bad)]
+    k[:, bad] *= 3.0 * (1.0 + 0.3 * random.standard_normal((n, len(bad))))
     expected = np.where(on, truth.alpha, np.nan)
     expected[bad] = np.nan
     return SimpleNamespace(
@@ -40,7 +41,7 @@ def measured():
 
 
 def electronics():
-    """Return (200,) which number of the supervisor stands at each channel; some are spare."""
+    """Return (60,) which number of the supervisor stands at each channel; some are spare."""
     return np.random.default_rng(5).permutation(CHANNELS_IN_ALL)
 
 

@@ -2,19 +2,17 @@
 
 import dataclasses
 import datetime
-import gzip
 import hashlib
 import warnings
-from pathlib import Path
 
-import astropy.units as u
 import numpy as np
 import pytest
 from astropy.io import fits
 
 from helpers.comparison import same
+from truenewton import reading
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import FormatError, OutputExists, OutputFailed
+from truenewton.errors import FormatError
 from truenewton.reading import read
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign, write_cycle, write_stiffness
@@ -30,12 +28,6 @@ def edited(path, edit, target=None):
             hdu.data  # noqa: B018 - astropy loads late
         edit(hdus)
         hdus.writeto(target or path, overwrite=True, checksum=True)
-
-
-def without(hdu, *names):
-    """Return a table without some of its columns."""
-    columns = [c for c in hdu.columns if c.name not in names]
-    return fits.BinTableHDU.from_columns(columns, name=hdu.name)
 
 
 @pytest.fixture
@@ -98,7 +90,7 @@ def test_what_a_cycle_does_not_know_is_neither_written_nor_read(tiny, tmp_path):
     assert back.load.tool is None
 
 
-def test_a_stiffness_file_gives_every_bit_back(tiny, tmp_path):
+def test_a_stiffness_file_gives_every_bit_back_and_is_converted(tiny, tmp_path):
     stiffness = np.random.default_rng(1).standard_normal((12, 12)) * 1e5
     matrix = StiffnessMatrix("TINY", tiny.cycles[0].date, tiny.layout, stiffness)
     write_stiffness(matrix, tmp_path / "k.fits")
@@ -106,6 +98,13 @@ def test_a_stiffness_file_gives_every_bit_back(tiny, tmp_path):
     with fits.open(tmp_path / "k.fits") as hdus:
         assert hdus["STIFFNESS"].data[2, 9] == stiffness[2, 9]  # numpy order, actuator first
         assert hdus["STIFFNESS"].header["BUNIT"] == "N/m"
+
+    def in_other_unit(hdus):
+        hdus["STIFFNESS"].data *= 1e-3
+        hdus["STIFFNESS"].header["BUNIT"] = "kN m-1"
+
+    edited(tmp_path / "k.fits", in_other_unit)
+    np.testing.assert_allclose(read(tmp_path / "k.fits").stiffness, stiffness, rtol=1e-14)
 
 
 def contract(hdu):
@@ -140,7 +139,7 @@ def test_a_cycle_file_is_as_the_contract_says(full_cycle, tmp_path):
         ]  # fmt: skip
 
 
-def test_the_calibration_file_is_as_the_contract_says(p45_folder, tmp_path):
+def test_a_calibration_file_is_as_the_contract_says_and_read_as_written(p45_folder, tmp_path):
     calibration = calibrate(read(p45_folder), "svd")
     calibration.write(tmp_path / "a.fits")
     with fits.open(tmp_path / "a.fits") as hdus:
@@ -190,24 +189,13 @@ def test_the_calibration_file_is_as_the_contract_says(p45_folder, tmp_path):
         digests = [hashlib.sha256((p45_folder / f).read_bytes()).hexdigest() for f in files]
         assert list(sources.data["SHA256"]) == digests
         assert list(sources.data["ROWS"]) == [90] * 4
-
-
-def test_a_calibration_is_read_as_it_was_written(p45_folder, tmp_path):
-    calibration = calibrate(read(p45_folder), "svd")
-    calibration.write(tmp_path / "a.fits")
-    assert same(
-        read(tmp_path / "a.fits"),
-        dataclasses.replace(calibration, diagnosis=None),
-    )
-
-
-def test_a_calibration_without_tools_is_read_all_the_same(p45_folder, tmp_path):
-    calibrate(read(p45_folder), "svd").write(tmp_path / "a.fits")
-    with fits.open(tmp_path / "a.fits") as hdus:
-        loads = hdus["LOADS"]
-        columns = [c for c in loads.columns if c.name != "TOOL"]
+        columns = [c for c in hdus["LOADS"].columns if c.name != "TOOL"]
         hdus["LOADS"] = fits.BinTableHDU.from_columns(columns, name="LOADS")
         hdus.writeto(tmp_path / "b.fits")
+    table = calibration.table
+    assert table["X"].unit == "m"
+    np.testing.assert_array_equal(table["ALPHA"].value, calibration.alpha)
+    assert same(read(tmp_path / "a.fits"), dataclasses.replace(calibration, diagnosis=None))
     assert [load.tool for load in read(tmp_path / "b.fits").loads] == [None, None]
 
 
@@ -263,34 +251,23 @@ def write_each(tiny, p45_folder, folder):
     return sorted(folder.iterdir())
 
 
-def test_astropy_finds_the_checksums_sound(tiny, p45_folder, tmp_path):
-    for path in write_each(tiny, p45_folder, tmp_path):
-        with warnings.catch_warnings(), fits.open(path, checksum=True) as hdus:
-            warnings.simplefilter("error")
-            hdus.verify("exception")
-            assert [(hdu.verify_checksum(), hdu.verify_datasum()) for hdu in hdus] == [
-                (1, 1)
-            ] * len(hdus)
-
-
-def test_the_same_data_give_the_same_bytes(tiny, p45_folder, tmp_path):
+def test_the_same_data_give_the_same_bytes_with_checksums_that_astropy_confirms(
+    tiny, p45_folder, tmp_path
+):
     (tmp_path / "one").mkdir()
     (tmp_path / "two").mkdir()
     one = write_each(tiny, p45_folder, tmp_path / "one")
     two = write_each(tiny, p45_folder, tmp_path / "two")
     assert [p.read_bytes() for p in one] == [p.read_bytes() for p in two]
+    for path in one:
+        with warnings.catch_warnings(), fits.open(path, checksum=True) as hdus:
+            warnings.simplefilter("error")
+            hdus.verify("exception")
+            sums = [(hdu.verify_checksum(), hdu.verify_datasum()) for hdu in hdus]
+            assert sums == [(1, 1)] * len(hdus)
     write_cycle(tiny.cycles[0], tmp_path / "one" / "x.fits.gz")
     write_cycle(tiny.cycles[0], tmp_path / "two" / "x.fits.gz")
     assert (tmp_path / "one/x.fits.gz").read_bytes() == (tmp_path / "two/x.fits.gz").read_bytes()
-
-
-def test_gzipped_files_are_read(tiny, tmp_path):
-    write_cycle(tiny.cycles[0], tmp_path / "ours.fits.gz")
-    write_cycle(tiny.cycles[1], tmp_path / "plain.fits")
-    (tmp_path / "theirs.fits.gz").write_bytes(gzip.compress((tmp_path / "plain.fits").read_bytes()))
-    (tmp_path / "plain.fits").unlink()
-    campaign = read(tmp_path)
-    assert all(map(same, campaign.cycles, tiny.cycles))
 
 
 def test_a_folder_is_read_by_suffix_and_other_files_are_ignored(tiny, tmp_path):
@@ -309,20 +286,6 @@ def test_loads_whose_names_hold_dots_and_slashes_are_written_and_read(tiny, tmp_
     assert list(tmp_path.iterdir()) == [tmp_path / "c"]
 
 
-def test_loads_are_compared_without_case_and_blanks(tiny, tmp_path):
-    bare, ring = tiny.cycles
-    write_campaign([bare, ring], tmp_path / "c")
-    write_cycle(dataclasses.replace(ring, number=2), tmp_path / "c" / "again.fits")
-
-    def rename(hdus):
-        hdus[0].header["LOAD"] = "  RiNG "
-
-    edited(tmp_path / "c" / "again.fits", rename)
-    campaign = read(tmp_path / "c")
-    assert [load.key for load in campaign.loads] == ["bare", "ring"]
-    assert campaign.load_index == (0, 1, 1)
-
-
 def test_a_campaign_does_not_depend_on_the_order_of_its_files(tiny, tmp_path):
     write_campaign(tiny.cycles, tmp_path / "c")
     one = read(tmp_path / "c" / "bare-001.fits", tmp_path / "c" / "ring-001.fits")
@@ -330,57 +293,31 @@ def test_a_campaign_does_not_depend_on_the_order_of_its_files(tiny, tmp_path):
     assert same(one, other)
     twice = read(tmp_path / "c", tmp_path / "c" / "ring-001.fits")
     assert same(one, twice)
+    assert same(one, Campaign(tiny.cycles))
 
 
 @pytest.mark.parametrize(
     ("table", "name", "unit", "factor"),
     [
         ("ACTUATORS", "X", "mm", 1e3),
-        ("ACTUATORS", "Y", "um", 1e6),
         ("MEASUREMENTS", "FORCE", "mN", 1e3),
-        ("MEASUREMENTS", "FORCE", "kN", 1e-3),
         ("MEASUREMENTS", "FORCE", "kg m s-2", 1.0),
         ("MEASUREMENTS", "POSITION", "um", 1e6),
-        ("MEASUREMENTS", "TIME", "ms", 1e3),
         ("MEASUREMENTS", "TIME", "min", 1 / 60),
+        *(("MEASUREMENTS", "TEMPERATURE", unit, 1.0) for unit in ("K", "Celsius", "degC", "deg C")),
     ],
 )
 def test_units_are_converted(tiny, bare_file, table, name, unit, factor):
     def store(hdus):
         hdus[table].data[name] *= factor
+        hdus[table].data[name] += 273.15 if unit == "K" else 0.0
         hdus[table].columns[name].unit = unit
 
     edited(bare_file, store)
     [cycle] = read(bare_file).cycles
     got = getattr(cycle.layout if table == "ACTUATORS" else cycle, name.lower())
     want = getattr(tiny.layout if table == "ACTUATORS" else tiny.cycles[0], name.lower())
-    np.testing.assert_allclose(got, want, rtol=1e-15)
-
-
-@pytest.mark.parametrize("unit", ["K", "Celsius", "celsius", "deg_C", "degC", "deg C"])
-def test_temperatures_are_read_in_kelvin_and_every_spelling_of_celsius(tiny, bare_file, unit):
-    def store(hdus):
-        hdus["MEASUREMENTS"].data["TEMPERATURE"] += 273.15 if unit == "K" else 0.0
-        hdus["MEASUREMENTS"].columns["TEMPERATURE"].unit = unit
-
-    edited(bare_file, store)
-    assert fits.getval(bare_file, "TUNIT4", "MEASUREMENTS") == unit
-    [cycle] = read(bare_file).cycles
-    np.testing.assert_allclose(cycle.temperature, tiny.cycles[0].temperature, atol=1e-12)
-
-
-@pytest.mark.parametrize(("unit", "factor"), [("N/mm", 1e-3), ("N/um", 1e-6), ("kN m-1", 1e-3)])
-def test_a_stiffness_is_converted(tiny, tmp_path, unit, factor):
-    stiffness = np.random.default_rng(1).standard_normal((12, 12)) * 1e5
-    matrix = StiffnessMatrix("TINY", tiny.cycles[0].date, tiny.layout, stiffness)
-    write_stiffness(matrix, tmp_path / "k.fits")
-
-    def store(hdus):
-        hdus["STIFFNESS"].data *= factor
-        hdus["STIFFNESS"].header["BUNIT"] = unit
-
-    edited(tmp_path / "k.fits", store)
-    np.testing.assert_allclose(read(tmp_path / "k.fits").stiffness, stiffness, rtol=1e-14)
+    np.testing.assert_allclose(got, want, rtol=1e-15, atol=1e-12 if unit == "K" else 0.0)
 
 
 def test_unknown_keywords_columns_and_extensions_are_left_alone(tiny, bare_file):
@@ -407,20 +344,9 @@ def test_unknown_keywords_columns_and_extensions_are_left_alone(tiny, bare_file)
     assert same(cycle, tiny.cycles[0])
 
 
-def test_optional_columns_may_be_absent(tiny, bare_file):
-    def strip(hdus):
-        hdus["ACTUATORS"] = without(hdus["ACTUATORS"], "NZ", "ENABLED")
-        hdus["MEASUREMENTS"] = without(hdus["MEASUREMENTS"], "VALID", "TEMPERATURE", "POSITION")
-        for key in ("TILT", "E_TILT"):
-            del hdus[0].header[key]
-
-    edited(bare_file, strip)
-    [cycle] = read(bare_file).cycles
-    bare = dataclasses.replace(tiny.cycles[0], temperature=None, position=None)
-    assert same(cycle, bare)
-
-
-def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(tiny, tmp_path):
+def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(
+    tiny, tmp_path, monkeypatch
+):
     cycle = tiny.cycles[0]
     header = {
         "INSTRUME": "TINY", "DATE-OBS": "2026-05-04T11:30:00+02:00", "LOAD": "bare", "CYCLE": 1,
@@ -447,7 +373,9 @@ def test_a_file_from_plain_astropy_with_narrow_and_scaled_columns_is_read(tiny, 
     )
     hdus[1].header["TSCAL1"], hdus[1].header["TZERO1"] = 0.05, 100.0
     hdus.writeto(tmp_path / "c.fits")
+    monkeypatch.setattr(reading, "IN_MEMORY", -1)  # scaled columns are read all the same
     [back] = read(tmp_path / "c.fits").cycles
+    assert isinstance(back.force, np.ndarray)
     with fits.open(tmp_path / "c.fits") as hdus:
         assert hdus[1].columns["Force"].format == "12I"  # scaled integers on disk indeed
         assert (hdus[1].header["TSCAL1"], hdus[1].header["TZERO1"]) == (0.05, 100.0)
@@ -479,71 +407,6 @@ def test_text_that_fits_cannot_hold_is_refused(tiny, tmp_path, name):
     with pytest.raises(FormatError, match=r"INSTRUME .* ASCII"):
         write_cycle(cycle, tmp_path / "c.fits")
     assert not list(tmp_path.iterdir())
-
-
-def test_the_calibration_keeps_alpha_through_the_files(tiny, tmp_path):
-    write_campaign(tiny.cycles, tmp_path / "c")
-    calibration = calibrate(read(tmp_path / "c"), "svd")
-    np.testing.assert_allclose(calibration.alpha, tiny.alpha, rtol=1e-10)
-    np.testing.assert_allclose(calibration.bias_force, tiny.bias_force, rtol=1e-9)
-    np.testing.assert_allclose(calibration.torque_y, tiny.torques[:, 0], rtol=1e-9)
-    np.testing.assert_allclose(calibration.torque_x, tiny.torques[:, 1], rtol=1e-9)
-    table = calibration.table
-    assert table["X"].unit == u.m
-    np.testing.assert_array_equal(table["ALPHA"].value, calibration.alpha)
-
-
-def test_a_campaign_of_records_is_the_campaign_of_their_files(tiny, tmp_path):
-    write_campaign(tiny.cycles[::-1], tmp_path / "c")
-    assert same(read(tmp_path / "c"), Campaign(tiny.cycles))
-
-
-def test_an_output_that_stands_is_left_alone_unless_told(tiny, tmp_path):
-    target = tmp_path / "c.fits"
-    target.write_text("mine")
-    with pytest.raises(OutputExists, match="overwrite"):
-        write_cycle(tiny.cycles[0], target)
-    assert target.read_text() == "mine"
-    write_cycle(tiny.cycles[0], target, overwrite=True)
-    assert same(read(target).cycles[0], tiny.cycles[0])
-
-
-def test_a_folder_is_replaced_only_if_all_in_it_is_ours(tiny, tmp_path):
-    folder = tmp_path / "c"
-    write_campaign(tiny.cycles, folder)
-    write_campaign(tiny.cycles[:1], folder, overwrite=True)
-    assert [p.name for p in folder.iterdir()] == ["bare-001.fits"]
-    (folder / "notes.txt").write_text("mine")
-    with pytest.raises(OutputExists, match=r"notes\.txt"):
-        write_campaign(tiny.cycles, folder, overwrite=True)
-    assert (folder / "notes.txt").read_text() == "mine"
-    assert list(tmp_path.iterdir()) == [folder]
-
-
-def test_a_campaign_cut_short_leaves_nothing(tiny, tmp_path):
-    def cut_short():
-        yield tiny.cycles[0]
-        raise OSError(28, "No space left on device")
-
-    with pytest.raises(OutputFailed, match="No space left"):
-        write_campaign(cut_short(), tmp_path / "c")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_folder_comes_back_where_its_replacement_fails(tiny, tmp_path, monkeypatch):
-    write_campaign(tiny.cycles, tmp_path / "c")
-    replace = Path.replace
-
-    def stuck(path, target):
-        if path.name == "c":
-            raise OSError(5, "Input/output error")
-        return replace(path, target)
-
-    monkeypatch.setattr(Path, "replace", stuck)
-    with pytest.raises(OutputFailed, match="Input/output error"):
-        write_campaign(tiny.cycles[:1], tmp_path / "c", overwrite=True)
-    assert same(read(tmp_path / "c"), Campaign(tiny.cycles))
-    assert list(tmp_path.iterdir()) == [tmp_path / "c"]
 
 
 def test_degrees_of_freedom_may_be_a_float(tiny, tmp_path):

@@ -15,7 +15,7 @@ from truenewton.bench.choice import BenchChoice
 from truenewton.errors import FormatError
 from truenewton.files.format import FileFormat, ImageFormat, TableFormat
 from truenewton.mirrors.glass import Annulus, Shell
-from truenewton.mirrors.known import MirrorNumbers, p45
+from truenewton.mirrors.known import MirrorNumbers, ring
 from truenewton.records.formats import CYCLE, STIFFNESS
 from truenewton.statics.layout import rings, spherical_rings
 
@@ -186,6 +186,6 @@ def test_functions_convert_too():
     np.testing.assert_allclose([made.x, made.nz], [same.x, same.nz], rtol=1e-12)
     with pytest.raises(FormatError, match="RADIUS is in N; give it in m"):
         spherical_rings([0.1], [9], 2 * u.N)
-    bench = tn.static_bench(p45(), 3, stroke=1.5 * u.um, force_noise=0.1 * u.mN)
-    same = tn.static_bench(p45(), 3, stroke=1.5e-6, force_noise=1e-4)
+    bench = tn.static_bench(ring(8), 3, stroke=1.5 * u.um, force_noise=0.1 * u.mN)
+    same = tn.static_bench(ring(8), 3, stroke=1.5e-6, force_noise=1e-4)
     np.testing.assert_allclose(bench.shapes, same.shapes, rtol=1e-12)
