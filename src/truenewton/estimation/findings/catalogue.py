@@ -268,7 +268,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.ROWS_REJECTED: _fact(
         Level.USABLE,
         "{count:count row} did not fit and {was} left out{farthest}",
-        "look at the residuals in the report, and at an actuator that is named repeatedly",
+        "look at the residuals, and at an actuator that is named repeatedly",
     ),
     Code.MANY_ROWS_REJECTED: _fact(
         Level.DOUBTFUL,
