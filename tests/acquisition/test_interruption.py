@@ -263,14 +263,6 @@ def test_a_finished_campaign_is_left_alone(complete, whole):
     assert len(list(complete.glob("run-*.jsonl"))) == 1
 
 
-def test_a_cycle_that_is_lost_is_taken_again(complete, whole):
-    (complete / "bare-002.fits").unlink()
-    bench = StubBench()
-    tn.acquire(bench, small_plan(), complete)
-    assert {place[:2] for place in bench.read_of} == {("bare", 2)}
-    assert contents(complete) == whole
-
-
 def test_a_cycle_that_is_damaged_stops_the_run_before_a_command(complete):
     path = complete / "bare-002.fits"
     path.write_bytes(path.read_bytes()[:-2880])

@@ -371,6 +371,9 @@ def test_serve_that_cannot_is_one_line_and_code_2(inside, keys_folder, tmp_path)
     assert err.startswith(f"truenewton: {empty}/server.der: cannot be read (No such file")
     assert err.count("\n") == 1
     assert list(empty.iterdir()) == []
+    code, _, err = inside("serve", "p45", "--fidelity", "dynamic", "-o", keys_folder)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "there is no fidelity 'dynamic'; choose static, loop" in err
 
 
 def test_without_the_extra_its_name_is_told(inside, keys_folder, monkeypatch):
