@@ -84,7 +84,7 @@ def bytes_of(pick: random.Random, path: Path) -> str:
         for _ in range(pick.choice((1, 1, 5))):
             raw[pick.randrange(len(raw))] ^= 1 << pick.randrange(8)
     elif kind == "insert":
-        odd = (b"\0", b"\xff", b" " * BLOCK, b"\0" * BLOCK, b"\r\n", os.urandom(9))
+        odd = (b"\0", b"\xff", b" " * BLOCK, b"\0" * BLOCK, b"\r\n", pick.randbytes(9))
         raw[at:at] = pick.choice(odd)
     elif kind == "append":
         raw += pick.choice((b"\0", b"x", b"\0" * BLOCK, b"x" * BLOCK, raw[:BLOCK], bytes(raw)))
