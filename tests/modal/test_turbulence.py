@@ -101,16 +101,6 @@ def test_series_and_bessel_function_meet():
 # --- covariance over the pupil -------------------------------------------------------------------
 
 
-def test_covariance_is_symmetric_without_piston_and_positive():
-    x, y = points("ring120", 4.0)
-    for outer_scale in (25.0, np.inf):
-        C = wavefront_covariance(x, y, Atmosphere(0.8, outer_scale))
-        values = np.linalg.eigvalsh(C)
-        assert np.array_equal(C, C.T)
-        assert np.abs(C.sum(axis=0)).max() < 1e-11 * values[-1]
-        assert values[1] > 1e-6 * values[-1]
-
-
 def test_noll_residuals(covariance, grid):
     """Within 1 %, and to the last printed digit with the constant that Noll used."""
     ours = published.residuals(covariance[0.0], *grid)
