@@ -178,8 +178,6 @@ def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("--seeing", "0", "seeing"),
-        ("--power", "-1", "power"),
         ("--off", "3,x", "IDs"),
         ("--off", "99", "99"),
         ("--diameter", "8200", "diameter"),
