@@ -139,6 +139,7 @@ FILE_FAULTS = {
     "FORCERR is below all sense": (keyword("FORCERR", 1e-155), "FORCERR is 1e-155 N"),
     "TILT is upright": (keyword("TILT", 90.0), "TILT is 90 deg"),
     "WEIGHT is huge": (keyword("WEIGHT", -1e300), "WEIGHT is -1e+300 N"),
+    "COILGRAD is huge": (keyword("COILGRAD", 1e300), "COILGRAD is 1e+300"),
     "E_WEIGHT is a huge integer": (keyword("E_WEIGHT", 10**60), "E_WEIGHT is 1e+60"),
     # tables
     "MEASUREMENTS misnamed": (

@@ -22,13 +22,13 @@ from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
 
 
-def edited(path, edit, target=None):
+def edited(path, edit):
     """Rewrite a FITS file after an edit of its HDUs, with new checksums."""
     with fits.open(path) as hdus:
         for hdu in hdus:
             hdu.data  # noqa: B018 - astropy loads late
         edit(hdus)
-        hdus.writeto(target or path, overwrite=True, checksum=True)
+        hdus.writeto(path, overwrite=True, checksum=True)
 
 
 @pytest.fixture
