@@ -11,7 +11,7 @@ import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
 from helpers.stub_bench import SMALL, GoneBench, Hands, Looker, StubBench, altered, at
 from truenewton.acquisition import taker
-from truenewton.acquisition.benches import chosen_bench, simulated_bench
+from truenewton.acquisition.benches import chosen_bench
 from truenewton.acquisition.load_check import judge, mean_sum
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
 from truenewton.acquisition.run import ASKED, IN_A_ROW
@@ -20,7 +20,6 @@ from truenewton.bench.protocol import Status
 from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.bench import SimulatedBench
 from truenewton.bench.simulated.static import run_cycles, static_bench
-from truenewton.bench.simulated.truth import read_truth
 from truenewton.errors import BenchFault, CampaignMismatch, FormatError, LimitExceeded
 from truenewton.files.fits import read_fits
 from truenewton.files.toml import toml_text
@@ -162,14 +161,6 @@ def test_elastic_forces_cancel_in_the_sum_whichever_rows_are_valid():
         total = mean_sum(SMALL.layout, force, shape, sign, np.array(valid))
         assert total == (pytest.approx(rest, abs=1e-12) if known else None)
     assert mean_sum(SMALL.layout, force[:5], shape[:5], sign[:5], np.ones(5)) == pytest.approx(rest)
-
-
-def test_a_load_that_is_not_on_is_asked_for_again(tmp_path):
-    tries = iter([LOADS[0], LOADS[0], LOADS[1]])
-    bench = StubBench(put=lambda load: next(tries))  # bare; ring forgotten; ring
-    tn.acquire(bench, small_plan(), tmp_path / "c")
-    assert bench.asked == ["bare", "ring", "ring"]
-    assert [event["on"] for event in events(tmp_path / "c", "load")] == [None, False, True]
 
 
 def test_a_load_that_never_comes_stops_the_run_and_the_same_call_goes_on(tmp_path):
@@ -510,16 +501,3 @@ def test_a_plan_is_kept_as_it_is_read(tmp_path):
     )
     (tmp_path / "plan.toml").write_text(toml_text(plan), encoding="utf-8")
     assert read_plan(tmp_path / "plan.toml") == plan
-
-
-def test_a_day_at_the_simulated_bench_ends_at_the_truth(tmp_path):
-    """Plan, acquire, calibrate: gradients of coils and magnets declared, and taken out."""
-    loads = (LOADS[0], tn.Load("ring", -0.289, 0.005, tool="ring"))
-    plan = tn.CampaignPlan(mirror="p45", loads=loads, cycles=2)
-    tn.acquire(chosen_bench(plan), plan, tmp_path / "p45")
-    simulated_bench(plan).write_truth(tmp_path / "p45")
-    truth = read_truth(tmp_path / "p45.truth.fits")
-    found = tn.calibrate(tn.read(tmp_path / "p45"))
-    assert 0.8 < found.goodness.reduced < 1.2
-    expected = truth.alpha * loads[1].added / truth.added[1]
-    assert np.sqrt(np.mean(((found.alpha - expected) / found.reading_error) ** 2)) < 1.5

@@ -227,13 +227,3 @@ def test_no_command_beyond_a_limit_reaches_a_bench(
         assert len(bench.read_of) >= 2 * (1 + 2 * 8)
     assert not beyond
     assert bench.shape is None or not bench.commanded
-
-
-def test_stiffer_glass_than_planned_is_found_out_by_one_command(tmp_path):
-    bench = StubBench(stiffer=40.0, noise=1e-9)
-    plan = limited(force=0.1)
-    with pytest.raises(LimitExceeded, match=r"beyond its limit of 0\.1"):
-        tn.acquire(bench, plan, tmp_path / "c")
-    beyond = [s for s in bench.commanded if np.abs(bench.exact(s)).max() > 0.1]
-    assert len(beyond) <= 1
-    assert bench.load is LOADS[0]

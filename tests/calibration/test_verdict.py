@@ -92,7 +92,7 @@ def test_what_is_not_to_be_used_is_written_only_by_force_and_says_so(inside, tmp
     assert (code, out) == (2, "")
     assert "rejected" in error
     assert "copy of another file" in error
-    assert "leave the copy out" in error
+    assert "restore the original of the copy" in error
     assert not alpha.exists()
     code, out, _ = inside("calibrate", folder, "-o", alpha, "--force")
     assert code == 0

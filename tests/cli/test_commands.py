@@ -64,7 +64,7 @@ def test_info_says_what_files_hold_and_what_they_lack(inside, p45_folder):
     code, out, _ = inside("info", p45_folder)
     assert code == 0
     assert "a campaign of P45: 45 actuators, 4 cycle files, 45 shapes" in out
-    assert "enough for alpha, which stands apart by" in out
+    assert "enough for alpha, uniqueness " in out
     code, out, _ = inside("info", p45_folder / "bare-001.fits")
     assert code == 0
     assert "not enough for alpha: there is only one load, 'bare'" in out

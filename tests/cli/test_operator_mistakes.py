@@ -178,7 +178,7 @@ FAULTS = {
         NOT, "files of two mirrors", "against ring 1", "of one mirror",
     ),
     "one file everywhere": (
-        one_file_everywhere, REFUSED + NOT, "copy of another file", "leave the copy out",
+        one_file_everywhere, REFUSED + NOT, "copy of another file", "restore the original",
     ),
     "a load that was never on": (
         never_on, NOT + REFUSED, "the forces are the same under all loads", "lay on the mirror",

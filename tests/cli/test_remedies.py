@@ -93,7 +93,7 @@ FAULTS = {
     ),
     "E_ADDED is 0": (
         lambda: [replace(c, load=replace(c.load, added_error=0.0)) for c in p45()],
-        "usable", "the weights are given without errors (E_ADDED of 'ring' is 0)", "give E_WEIGHT",
+        "usable", "the weights are given without errors (E_ADDED of 'ring' is 0)", "E_WEIGHT",
     ),
     "WEIGHT ten times too large": (
         lambda: p45(weight=-29.2),

@@ -108,7 +108,12 @@ def test_an_actuator_that_often_spikes_does_not_hide_in_its_own_noise():
 
 
 @pytest.mark.parametrize(
-    ("declared", "low", "high"), [(None, 0.02, 0.2), (None, 0.1, 0.5), (SIGMA, 0.1, 0.5)]
+    ("declared", "low", "high"),
+    [
+        pytest.param(None, 0.02, 0.2, marks=pytest.mark.study),
+        pytest.param(None, 0.1, 0.5, marks=pytest.mark.study),
+        (SIGMA, 0.1, 0.5),
+    ],
 )
 def test_without_repeats_a_tenth_of_bad_rows_cannot_drag_the_start(declared, low, high):
     """Six campaigns of one cycle; errors all but as without bad rows."""

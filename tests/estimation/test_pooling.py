@@ -109,6 +109,30 @@ def test_sums_are_those_of_the_rows(pooled):
     assert sums.known_square == pytest.approx(q.T @ q, rel=1e-9, abs=1e-20)
 
 
+@pytest.mark.study
+@pytest.mark.parametrize("kind", ["plain", "one sign under a load", "unbalanced"])
+def test_alpha_from_pooled_rows_is_as_sure_as_it_says_and_surer_than_without(kind):
+    """Of 14 shapes the groups of two signs and two loads say four times the same."""
+    z, ratio = [], []
+    for seed in range(30):
+        bench = SmallBench([seed, 7], 1e-2, order=(0, 0, 0, 1) if kind == "unbalanced" else (0, 1))
+        lost = 1 if kind == "one sign under a load" else None
+        campaign = changed(
+            bench.campaign(),
+            force_error=1e-2,
+            valid=lambda k, c, lost=lost: c.sign > 0 if k == lost else c.valid,
+        )
+        alone = campaign_moments(campaign)
+        problem = problem_of(campaign, reading_noise(campaign, alone))
+        one, other = (problem.fitted(replace(alone, pooled=pooled)) for pooled in (True, False))
+        error = np.sqrt(np.diag(one.reading_covariance)[:14])
+        z.append((one.values[:14] - bench.alpha) / error)
+        ratio.append(np.mean(error**2) / np.mean(np.diag(other.reading_covariance)[:14]))
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.25)
+    assert np.mean(ratio) <= 1.0
+    assert max(ratio) < 1.02
+
+
 def resized(has_position):
     """Return a bench whose shapes are 3 % larger under the load."""
     bench = SmallBench(8, 1e-4)

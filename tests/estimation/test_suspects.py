@@ -34,7 +34,7 @@ def named(cycles, *words):
 def test_a_file_under_another_name_is_named(noise, cycles, at):
     files = p45(noise, cycles)
     files[at] = replace(files[at], load=files[-1 - at].load, number=9)
-    named(files, "load is another", f"{files[at].load.name} 9")
+    named(files, "wrong LOAD", f"{files[at].load.name} 9")
 
 
 @pytest.mark.parametrize("noise", NOISE)

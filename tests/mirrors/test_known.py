@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from truenewton.errors import FormatError, GeometryError, UnknownName, UnreadableFile
-from truenewton.files.toml import read_toml
 from truenewton.mirrors import known
 from truenewton.mirrors.checks import CHECKS
 from truenewton.mirrors.file import mirror_from
@@ -144,12 +143,6 @@ def test_what_is_wrong_with_a_table_names_it_and_the_line(mine, old, new, said):
     with pytest.raises((FormatError, GeometryError)) as refused:
         mirror_from(mine)
     assert said in str(refused.value)
-
-
-def test_a_folder_or_nothing_is_no_toml(tmp_path):
-    for path in (tmp_path, tmp_path / "nothing.toml"):
-        with pytest.raises(UnreadableFile):
-            read_toml(path)
 
 
 def test_the_command_lists_tells_and_draws(inside, tmp_path, monkeypatch, mine):

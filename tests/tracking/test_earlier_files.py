@@ -83,10 +83,8 @@ CALIBRATIONS = [
 LAWS = [
     (put("TRACKING", "ALPHA", np.nan, slice(None)), "ALPHA"),
     (put("TRACKING", "ALPHA", 5e-324), "ALPHA"),
-    (put("TRACKING", "ALPHA", 1e300), "ALPHA"),
     (put("TRACKING", "K", np.inf), "K holds no usable"),
     (put("TRACKING", "DRIFT", np.nan), "DRIFT holds no usable"),
-    (put("TRACKING", "SCATTER", np.nan), "SCATTER holds no usable"),
     (without_temperature, "TEMPERAT is missing"),
     (put("DAYS", "TEMPERATURE", np.nan, 1), "TEMPERATURE of DAYS"),
     (put("DAYS", "DATE", "yesterday"), "DATE in DAYS"),

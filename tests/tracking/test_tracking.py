@@ -185,19 +185,6 @@ def test_the_family_pulls_what_the_days_hardly_hold(tracking):
     assert family.spread_interval[0] < SPREAD_K < family.spread_interval[1]
 
 
-def test_alpha_is_linear_and_knows_its_errors(tracking):
-    at = tracking.alpha_at()
-    assert np.array_equal(at.alpha, tracking.alpha)
-    assert at.error == pytest.approx(tracking.errors[0])
-    year = tracking.date + datetime.timedelta(days=365.25)
-    warm, late = tracking.alpha_at(tracking.temperature + 1), tracking.alpha_at(time=year)
-    assert warm.alpha == pytest.approx(tracking.alpha * (1 + tracking.coefficient), rel=1e-13)
-    assert late.alpha == pytest.approx(tracking.alpha + tracking.drift, rel=1e-13)
-    far = tracking.alpha_at(tracking.temperature + 100)
-    reading_covariance = np.sqrt(np.diag(far.covariance - far.systematic_covariance))
-    assert reading_covariance == pytest.approx(100 * tracking.alpha * tracking.errors[1], rel=0.1)
-
-
 def test_the_order_of_days_does_not_matter(tracking):
     days = drawn(1, K, R, gap=90.0)
     turned = tn.track(*(days[k] for k in (3, 0, 5, 1, 4, 2)))
@@ -446,6 +433,9 @@ def test_the_command_tells_people_and_scripts(inside, tmp_path):
                   "serves 0.4 % from", f"written: {tmp_path / 't.fits'}", "0.fits"):  # fmt: skip
         assert words in out
     assert inside("track", *files, "-o", tmp_path / "t.fits")[0] == 2
+    code, out, err = inside("track", *files, "--accuracy", "-1")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "--accuracy" in err
     code, out, _ = inside("track", *files, "--json", "--accuracy", "0.004", "-o",
                           tmp_path / "t.fits", "--overwrite")  # fmt: skip
     assert code == 0
@@ -467,22 +457,3 @@ def test_a_campaign_and_a_calibration_are_tracked_together(inside, tmp_path):
     assert kinds == {"track-temperature", "track-family-temperature"}
     assert "one\n" in out
     assert "LIMIT: temperature and time went together" in out
-
-
-@pytest.mark.parametrize(
-    ("names", "options", "said"),
-    [
-        (["one"], [], "add one of another day or temperature"),
-        (["one", "lost"], [], "lost.fits: cannot be read"),
-        (["one", "two"], ["--accuracy", "-1"], "--accuracy"),
-    ],
-)
-def test_bad_input_is_refused_in_one_line(inside, tmp_path, names, options, said):
-    for name, one in zip(("one", "two"), drawn(1, K), strict=False):
-        one.write(tmp_path / f"{name}.fits")
-    paths = [tmp_path / f"{name}.fits" for name in names]
-    code, out, err = inside("track", *paths, *options, "-o", tmp_path / "out.fits")
-    assert (code, out) == (2, "")
-    assert err.count("\n") == 1
-    assert said in err
-    assert not (tmp_path / "out.fits").exists()

@@ -81,7 +81,7 @@ def survey(
         lines += [f"  not enough for alpha: {each.fault}; {each.remedy}" for each in verdict.faults]
     else:
         apart = diagnosis.separation
-        enough = "enough for alpha" + (f", which stands apart by {apart:.3g}" if apart > 0 else "")
+        enough = "enough for alpha" + (f", uniqueness {apart:.3g}" if apart > 0 else "")
         if verdict.level == Level.REJECTED:
             enough = "not enough for alpha that is to be used"
         lines.append(f"  {enough}")

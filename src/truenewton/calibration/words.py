@@ -23,7 +23,7 @@ from truenewton.rounding import counted, percent, significant, to_digits, with_e
 
 MEANINGS = {
     Level.SOUND: "the stated errors are valid",
-    Level.USABLE: "the stated errors are valid, with the limits listed below",
+    Level.USABLE: "alpha can be used, within the limits listed below",
     Level.DOUBTFUL: "the stated errors may be too small: do not load alpha before the checks below",
     Level.REJECTED: "do not use alpha",
 }

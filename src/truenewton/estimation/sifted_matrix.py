@@ -280,7 +280,7 @@ def _effects(
             corrected=True,
             remedy="correct X and Y of these rows of ACTUATORS, in m"
             if elsewhere
-            else "look at coil, driver, cable, sensor and place; set ENABLED to F while it is off",
+            else "check its coil, driver, cable, sensor and position; set ENABLED to F until then",
         )
     if off.any():
         yield Finding(

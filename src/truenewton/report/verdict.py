@@ -183,7 +183,11 @@ def _numbers(c: Calibration) -> tuple[tuple[str, str, str], ...]:
     low, high = int(np.nanargmin(c.alpha)), int(np.nanargmax(c.alpha))
     ends = [to_digits(float(c.alpha[k]), float(c.error[k])) for k in (low, high)]
     readings = percent(typical(c.reading_error, c.alpha))
-    scale = ("common scale", "free", "the mean of alpha is set to 1; weights would fix it")
+    scale = (
+        "common scale",
+        "not measured",
+        "mean alpha is 1; cycles under known weights would determine it",
+    )
     if c.scale != Scale.MEAN_ONE:
         part = (
             scale_total(c.scale_errors) if c.scale_errors else typical(c.systematic_error, c.alpha)

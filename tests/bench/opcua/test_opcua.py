@@ -326,7 +326,7 @@ def test_keys_are_the_owners_alone_and_made_once(keys_folder):
     assert keys.read_password(keys_folder / keys.PASSWORD) == before
 
 
-def test_keys_that_cannot_be_used_are_refused_in_one_line(tmp_path, keys_folder):
+def test_keys_that_cannot_be_used_are_refused_in_one_line(tmp_path, keys_folder, monkeypatch):
     loose = tmp_path / "password.txt"
     loose.write_text("secret\n")
     loose.chmod(0o640)
@@ -344,9 +344,8 @@ def test_keys_that_cannot_be_used_are_refused_in_one_line(tmp_path, keys_folder)
         keys.read_password(loose)
     with pytest.raises(BenchFault, match=r"needs bench\.server_certificate"):
         connect(choice("opc.tcp://127.0.0.1:1", server_certificate=""), keys_folder)
-
-
-def test_a_certificate_that_has_run_out_is_refused(tmp_path, monkeypatch):
+    with pytest.raises(BenchFault, match="cannot be reached"):
+        connect(choice("opc.tcp://"), keys_folder)
     monkeypatch.setattr(keys, "YEARS", 0)
     keys.make_keys(tmp_path / "keys")
     with pytest.raises(FormatError, match=r"is valid from .* only; make new keys"):
@@ -371,6 +370,9 @@ def test_serve_that_cannot_is_one_line_and_code_2(inside, keys_folder, tmp_path)
     assert err.startswith(f"truenewton: {empty}/server.der: cannot be read (No such file")
     assert err.count("\n") == 1
     assert list(empty.iterdir()) == []
+    code, _, err = inside("serve", "p45", "--fidelity", "dynamic", "-o", keys_folder)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "there is no fidelity 'dynamic'; choose static, loop" in err
 
 
 def test_without_the_extra_its_name_is_told(inside, keys_folder, monkeypatch):
@@ -380,8 +382,3 @@ def test_without_the_extra_its_name_is_told(inside, keys_folder, monkeypatch):
     code, _, err = inside("serve", "p45", "-o", keys_folder)
     assert (code, err.count("\n")) == (2, 1)
     assert "pip install 'truenewton[opcua]'" in err
-
-
-def test_an_address_that_names_no_host_is_one_fault(keys_folder):
-    with pytest.raises(BenchFault, match="cannot be reached"):
-        connect(choice("opc.tcp://"), keys_folder)

@@ -10,7 +10,7 @@ from scipy.signal import cont2discrete, lfilter
 from helpers.shells import condense, influence
 from studies.step_response import settling_time, step_responses
 from truenewton.bench.simulated.coils import Coils
-from truenewton.bench.simulated.control import Control, ramp
+from truenewton.bench.simulated.control import Control
 from truenewton.bench.simulated.loop import (
     Loop,
     _single_threaded,
@@ -170,10 +170,6 @@ def test_the_slowest_creep_is_the_slowest_motion_of_the_loop_without_its_integra
         slowest = radii[~np.isclose(radii, 1 - without.slow)].max()
         creep = slowest_creep(loop) * -np.log(slowest) / PERIOD
         assert 1.0 < creep < 1 + inertia
-
-
-def test_a_ramp_is_half_a_cosine():
-    assert [ramp(t, 1.0) for t in (0.0, 0.5, 1.0, 9.0)] == pytest.approx([0.0, 0.5, 1.0, 1.0])
 
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
@@ -347,33 +343,6 @@ def test_noise_of_sensor_and_driver_enter_where_they_should(source):
     assert found == pytest.approx(expected, abs=1e-4 * expected.std())
 
 
-def test_a_mirror_at_rest_on_its_load_stays_there(p45_loop):
-    quiet = replace(
-        p45_loop,
-        coils=replace(p45_loop.coils, **SMOOTH),
-        sensors=replace(p45_loop.sensors, **SHARP),
-    )
-    walk = list(samples_of(quiet, np.zeros((45, 1)), LOAD, (), 200))
-    moved = np.array([z for _, _, z in walk]) - walk[0][2]
-    assert np.abs(walk[0][2]).max() > 1e-8
-    assert np.abs(moved).max() < 1e-13
-
-
-def test_a_shape_alone_is_the_same_shape_among_others(p45_loop, p45_shapes):
-    signs = np.where(np.arange(45) % 2, 1, -1)
-
-    def taken(columns):
-        noise = [row_noise(5, "ring", 2, int(c) + 1, int(signs[c])) for c in columns]
-        return record(p45_loop, (p45_shapes * signs)[:, columns], LOAD, noise, samples=64)
-
-    together = taken(np.arange(45))
-    for c in (0, 44):
-        one = taken(np.array([c]))
-        assert one.force[:, 0] == pytest.approx(together.force[:, c], rel=0, abs=1e-12)
-        assert one.position[:, 0] == pytest.approx(together.position[:, c], rel=0, abs=1e-15)
-        assert one.force_scatter[:, 0] == pytest.approx(together.force_scatter[:, c], rel=1e-9)
-
-
 def test_products_of_small_mirrors_stay_on_one_thread_and_give_every_column():
     few = _single_threaded(np.broadcast_to(1.0, (146, 219)), 146)
     assert [k for part in few for k in np.arange(146)[part]] == list(range(146))
@@ -422,9 +391,3 @@ def test_soft_middle_and_stiff_modes_settle_in_one_and_a_half_and_in_less_than_o
     assert steps.position.max() < 1.05
     assert steps.stiffness == pytest.approx([4632, 6.92e5, 2.23e6], rel=0.01)
     assert steps.position[0] == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_response_that_leaves_the_band_has_not_settled():
-    time = np.arange(5.0)
-    responses = np.array([[0, 0.5, 0.95, 1.2, 1.05], [0, 0, 0, 0, 0.5], [1, 1, 1, 1, 1]]).T
-    assert np.array_equal(settling_time(time, responses, 0.1), [4.0, np.inf, 0.0])

@@ -35,13 +35,6 @@ def test_the_law_gives_back_the_distance_within_half_a_count():
     assert error.max() > 0.4 * count_step(120e-6)
 
 
-def test_one_count_is_2_2_nanometres_at_68_micrometres():
-    near = counts(IDEAL, np.zeros((1, 1)))
-    step = (reading(IDEAL, near + 1) - reading(IDEAL, near)).item()
-    assert step == pytest.approx(2.17e-9, abs=0.01e-9)  # up, toward the plate: more counts
-    assert count_step(GAP) == pytest.approx(step, rel=1e-4)
-
-
 def test_true_displacement_is_gain_times_what_the_reading_changes_by():
     sensors = Sensors(gain=np.array([0.98, 1.03]), offset=np.array([1e-6, -2e-6]), gap=GAP)
     flat = reading(sensors, counts(sensors, np.zeros((2, 1))))

@@ -49,9 +49,8 @@ def test_true_forces_balance_weight_bias_and_torques_in_every_shape(mirror):
         assert total == pytest.approx(np.tile(-k[place], (len(total), 1)), abs=1e-10 * size)
 
 
-@pytest.mark.parametrize("seed", [0, 3])
-def test_stroke_and_force_stay_within_their_limits_and_reach_them(seed):
-    bench = static_bench(p45(), seed)
+def test_stroke_and_force_stay_within_their_limits_and_reach_them():
+    bench = static_bench(p45(), 3)
     campaign = Campaign(tuple(run_cycles(bench, 1)))
     largest = max(np.abs(c.force).max() for c in campaign.cycles)
     assert np.abs(bench.shapes).max() <= 1e-6
@@ -72,12 +71,6 @@ def test_shapes_are_the_stiffness_modes_softest_first():
     assert np.abs(force[3:] - expected).max() < 0.01 * np.abs(expected).max()
 
 
-def test_a_cycle_is_every_shape_with_both_signs():
-    cycle = p45_campaign().cycles[0]
-    pairs = sorted(zip(cycle.shape.tolist(), cycle.sign.tolist(), strict=True))
-    assert pairs == [(k, s) for k in range(1, 46) for s in (-1, 1)]
-
-
 def test_noise_is_as_declared_and_its_readings_are_independent():
     quiet = Campaign(tuple(run_cycles(replace(p45_bench(), force_noise=0.0), 4)))
     noise = np.array(
@@ -92,14 +85,6 @@ def test_noise_is_as_declared_and_its_readings_are_independent():
     assert between.std() == pytest.approx(1 / np.sqrt(45), rel=0.05)
 
 
-def test_noise_of_a_row_depends_on_its_labels_only():
-    """So that a campaign cut off and resumed equals one that was not."""
-    few = tuple(run_cycles(p45_bench(), 2))
-    many = tuple(run_cycles(p45_bench(), 4))
-    assert np.array_equal(few[1].force, many[1].force)
-    assert np.array_equal(few[2].force, many[4].force)  # the ring's first cycle
-
-
 def test_a_seed_gives_the_same_bytes_and_another_seed_another_truth(tmp_path):
     for name in ("one", "two"):
         bench = static_bench(ring(8), seed=7)
@@ -111,20 +96,13 @@ def test_a_seed_gives_the_same_bytes_and_another_seed_another_truth(tmp_path):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
     one, two = (tmp_path / f"{name}.truth.fits" for name in ("one", "two"))
     assert one.read_bytes() == two.read_bytes()
-    assert np.any(static_bench(ring(8), seed=8).truth.alpha != read_truth(one).alpha)
-
-
-def test_the_truth_is_kept_beside_the_folder_and_comes_back(tmp_path):
-    truth = p45_bench().truth
-    path = truth_path(tmp_path / "p45")
-    assert path == tmp_path / "p45.truth.fits"
-    write_truth(truth, path)
-    back = read_truth(path)
+    back, truth = read_truth(one), bench.truth
     for name in ("alpha", "stiffness", "added", "tilt", "torque_y", "torque_x"):
         assert np.array_equal(getattr(back, name), getattr(truth, name))
     assert (back.weight, back.bias_force, back.loads, back.seed) == (
         truth.weight, truth.bias_force, truth.loads, truth.seed,
     )  # fmt: skip
+    assert np.any(static_bench(ring(8), seed=8).truth.alpha != back.alpha)
 
 
 @pytest.mark.study
@@ -151,19 +129,14 @@ def test_a_load_too_heavy_for_the_limit_is_refused():
         static_bench(p45(), seed=1, loads=(Load("bare"), Load("anvil", -9.0)))
 
 
-def test_stiffness_modes_are_eigenmodes_of_unit_length():
-    stiffness = symmetric(p45_bench().truth.stiffness)
-    found = stiffness_modes(stiffness)
-    assert np.all(np.diff(np.abs(found.stiffness)) >= 0)
-    assert found.modes.T @ found.modes == pytest.approx(np.eye(45), abs=1e-12)
-    error = stiffness @ found.modes - found.modes * found.stiffness
-    assert np.abs(error).max() < 1e-6 * found.stiffness[-1]  # equals are taken together
-
-
-def test_rounding_does_not_choose_the_modes():
+def test_stiffness_modes_are_eigenmodes_that_rounding_does_not_choose():
     """Pairs of equal stiffness keep their modes when the matrix is rounded otherwise."""
     stiffness = symmetric(p45_bench().truth.stiffness)
     noise = 1e-9 * np.random.default_rng(0).standard_normal(stiffness.shape)
     once, again = stiffness_modes(stiffness), stiffness_modes(stiffness + noise)
     assert np.diff(once.stiffness[3:5]) < 1e-6  # a pair
     assert again.modes == pytest.approx(once.modes, abs=1e-7)
+    assert np.all(np.diff(np.abs(once.stiffness)) >= 0)
+    assert once.modes.T @ once.modes == pytest.approx(np.eye(45), abs=1e-12)
+    error = stiffness @ once.modes - once.modes * once.stiffness
+    assert np.abs(error).max() < 1e-6 * once.stiffness[-1]  # equals are taken together

@@ -16,7 +16,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.estimation.effects import score_test
 from truenewton.estimation.effects.catalogue import CATALOGUE
 from truenewton.estimation.effects.correction import correction
-from truenewton.estimation.effects.derivative import scored
+from truenewton.estimation.effects.derivative import scored, variance_at_least
 from truenewton.estimation.effects.examined import chi2_probability
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.unknown_force import unknown_force
@@ -149,6 +149,60 @@ def test_alpha_moves_as_told_if_an_effect_is_taken_out(name):
         moved = (values[0] - values[1]) / (2 * step)
         told = -result.moves[k] / scale
         assert moved / scale == pytest.approx(told, abs=2e-3 * np.abs(told).max() + 1e-3 * unit)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize(("name", "pooled"), [("gain by hour of each", False), ("positions", True)])
+def test_the_score_that_noise_alone_makes_is_as_computed(name, pooled):
+    """D_te: how the score of an effect changes with alpha, at the truth, over drawn noises.
+
+    Its mean is M_te - D_te; of M_te alone it would be off by many standard errors.
+    """
+    order, step = (0, 1, 1, 1, 1), 1e-4
+    quiet = fit_of(SmallBench(30, 1e-7, order=order).campaign(), pooled=pooled)
+    noise, off, feigned = 0.15, [], []
+
+    def score(problem, moments, values):
+        fit = FittedRows(problem, moments, replace(quiet.minimum, values=values), True)
+        derivative = OF[name].derivative(fit)
+        return fit, derivative, scored(fit, derivative)
+
+    for seed in range(40):
+        bench = SmallBench(30, 0.0, order=order)
+        bench.error = noise * np.random.default_rng([seed, 31]).standard_normal(bench.error.shape)
+        moments = replace(campaign_moments(bench.campaign()), pooled=pooled)
+        known = replace(quiet.problem.noise, variance=np.full(14, noise**2))
+        problem = replace(quiet.problem, noise=known)
+        fit, derivative, result = score(problem, moments, quiet.minimum.values)
+        information = mirrored(fit.minimum.information[: fit.free, : fit.free])
+        change = np.empty((len(result.score), 14))
+        for k, way in enumerate(step * np.eye(len(quiet.minimum.values))[:14]):
+            ends = (score(problem, moments, quiet.minimum.values + s * way) for s in (1, -1))
+            up, down = (end.score - at.score for _, at, end in ends)
+            change[:, k] = (up - down) / (2 * step)
+        off.append(change - (result.moves @ information)[:, :14])  # M_te - D_te
+        feigned.append(derivative.feigns()[0])
+    direction = np.mean(feigned, axis=0)
+    size = np.linalg.norm(direction)
+    along = np.sum(off * direction, axis=(1, 2)) / size
+    error = np.std(along) / np.sqrt(len(along))
+    assert size > 5 * error
+    assert abs(np.mean(along)) < 3 * error
+
+
+@pytest.mark.parametrize("pooled", [True, False])
+@pytest.mark.parametrize("name", [name for name in NAMES if "each" in name or name == "positions"])
+def test_a_score_varies_no_less_than_its_cheap_bound(name, pooled):
+    for fit in (uneven(pooled), fit_of(SmallBench(8, 3e-2).campaign(), pooled=pooled)):
+        derivative = OF[name].derivative(fit)
+        score, whole, variance = variance_at_least(fit, derivative)
+        exact = scored(fit, derivative)
+        assert score == pytest.approx(exact.score, rel=1e-9, abs=1e-9 * np.abs(exact.score).max())
+        assert whole == pytest.approx(exact.whole, rel=1e-9)
+        diagonal = np.diag(exact.variance)
+        assert (variance <= diagonal + 1e-9 * exact.whole).all()
+        if name == "positions":
+            assert variance == pytest.approx(diagonal, rel=1e-6, abs=1e-9 * whole.max())
 
 
 # ------------------------------------------------------------------------------ score and chance
@@ -434,8 +488,8 @@ def other_gains(bench):
 @pytest.mark.parametrize(
     ("change", "name", "tolerance"),
     [
-        (support, "something else bears 5 mN of a load", 0.05),
-        (other_gains, "the gain of each coil is 1 % another for elastic forces", 0.6),
+        (support, "5 mN of an added weight rests on something else", 0.05),
+        (other_gains, "coil gains differ by 1 % between static and elastic forces", 0.6),
     ],
 )
 def test_what_no_data_show_moves_the_scale_as_stated(change, name, tolerance):

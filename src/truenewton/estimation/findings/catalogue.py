@@ -206,8 +206,8 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.WEIGHTS_WITHOUT_ERRORS: _fact(
         Level.USABLE,
-        "the weights are given without errors{which}: E_SYST is too small, and alpha is wrong by"
-        " as many per cent as the weights",
+        "the weights are given without errors{which}: the common scale has no stated error, and 1 %"
+        " in the added weight is 1 % in every alpha",
         "write the standard uncertainties of the weighing into the files (E_WEIGHT and E_ADDED in"
         " N, E_TILT in degrees)",
     ),
@@ -268,7 +268,7 @@ ENTRIES: dict[Code, Entry] = {
     Code.ROWS_REJECTED: _fact(
         Level.USABLE,
         "{count:count row} did not fit and {was} left out{farthest}",
-        "look at the residuals in the report, and at an actuator that is named repeatedly",
+        "look at the residuals, and at an actuator that is named repeatedly",
     ),
     Code.MANY_ROWS_REJECTED: _fact(
         Level.DOUBTFUL,
@@ -408,8 +408,8 @@ ENTRIES: dict[Code, Entry] = {
     Code.GAINS_FOLLOW_ALPHA: _fact(
         Level.DOUBTFUL,
         "the sensor gains that follow from the symmetry of the matrix are correlated with alpha"
-        " ({correlation:+.2f}), as if rigid motions had been partly removed from the matrix"
-        " (positive), or the matrix averaged with its transpose (negative)",
+        " ({correlation:+.2f}), as if {correlation:sign rigid motions had been partly removed from"
+        " the matrix/the matrix had been averaged with its transpose}",
         "find out how the matrix was processed, and use it as it was measured",
     ),
     Code.SEGMENTS_COUPLED: _fact(

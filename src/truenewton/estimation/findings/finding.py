@@ -20,7 +20,7 @@ class Words(string.Formatter):
     """Formats the values of a finding: numbers as Python does, and some formats more.
 
     'percent', 'count NOUN' (1 row, 2 rows), 'names NOUN' (actuators 3, 5 and 2 more), 'numbers
-    NOUN' (segments 1 to 3), 'list'.
+    NOUN' (segments 1 to 3), 'list', 'sign A/B' (A if positive, else B).
     """
 
     def format_field(self, value: Any, format_spec: str) -> str:
@@ -36,6 +36,8 @@ class Words(string.Formatter):
             return numbered(noun, value)
         if kind == "list":
             return listed(value, MAX_NAMES)
+        if kind == "sign":
+            return noun.split("/")[int(value <= 0.0)]
         return str(super().format_field(value, format_spec))
 
 
