@@ -128,7 +128,6 @@ A, M = "ACTUATORS", "MEASUREMENTS"
 FILE_FAULTS = {
     **{f"no {key}": (no_keyword(key), f"no {key}") for key in ("DATE-OBS", "WEIGHT")},
     "WEIGHT is text": (keyword("WEIGHT", "-3.0"), "WEIGHT is '-3.0' .. store a number"),
-    "GAP is text": (keyword("GAP", "-3.0"), "GAP is '-3.0' .. store a number"),
     "LOAD is a number": (keyword("LOAD", 5), "LOAD is 5"),
     "DATE-OBS is no date": (keyword("DATE-OBS", "4 May"), "DATE-OBS is '4 May' .. write ISO 8601"),
     "DATE-OBS is of no century": (keyword("DATE-OBS", "0001-01-01"), "is '0001 .. 1950 to"),
@@ -154,7 +153,6 @@ FILE_FAULTS = {
     "no actuator is enabled": (disabled, "no actuator is ENABLED .. set ENABLED to T"),
     "two ACTUATORS": (doubled(A), "two ACTUATORS"),
     "no X": (no_column(A, "X"), "ACTUATORS has no column X"),
-    "no SIGN": (no_column(M, "SIGN"), "MEASUREMENTS has no column SIGN"),
     "two columns X": (
         columns(A, lambda parts: parts["Y"].update(name="x")),
         "two columns X",

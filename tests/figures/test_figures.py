@@ -1,7 +1,5 @@
 """The figures show what they should, in files a journal takes."""
 
-from functools import partial
-
 import matplotlib
 import numpy as np
 import pytest
@@ -22,7 +20,6 @@ from truenewton.figures.maps import (
     plot_map,
 )
 from truenewton.figures.style import COLUMN
-from truenewton.figures.writing import write_drawn
 from truenewton.mirrors.known import p45
 from truenewton.statics.groups import ring_centre, ring_of
 from truenewton.statics.layout import layout, rings
@@ -101,17 +98,6 @@ def test_alpha_stands_in_the_map_as_a_number_where_asked(calibration):
     assert [float(value) for _, value in told] == pytest.approx(calibration.alpha, abs=0.0051)
 
 
-def test_the_layout_says_from_where_it_is_seen(calibration):
-    assert r"$z$, seen along $-z$" in {t.get_text() for t in plot_layout(calibration.layout).texts}
-
-
-def test_axes_are_taken_and_returned(calibration):
-    for draw in (calibration.plot_map, calibration.plot_actuators,
-                 partial(plot_layout, calibration.layout)):  # fmt: skip
-        ax = Figure().add_subplot()
-        assert draw(ax) is ax
-
-
 def test_figures_2_5_and_6_as_pdf_and_png_at_column_width(calibration, tmp_path):
     paths = write_figures(calibration, tmp_path / "figures")
     names = {path.name for path in paths}
@@ -156,15 +142,3 @@ def test_fig_2_shows_the_edges_of_the_glass_where_they_are_known():
 def test_the_same_calibration_draws_the_same_bytes(calibration, tmp_path):
     one, two = (write_figures(calibration, tmp_path / name) for name in ("one", "two"))
     assert [p.read_bytes() for p in one] == [p.read_bytes() for p in two]
-
-
-def test_figures_are_not_overwritten_unless_told(tmp_path):
-    figures = {"one": lambda: Figure(figsize=(1, 1)).add_subplot()}
-    write_drawn(figures, tmp_path / "figures")
-    with pytest.raises(OutputExists):
-        write_drawn(figures, tmp_path / "figures")
-    write_drawn(figures, tmp_path / "figures", overwrite=True)
-    (tmp_path / "figures" / "mine.txt").write_text("keep me")
-    with pytest.raises(OutputExists, match=r"mine\.txt, which is not ours"):
-        write_drawn(figures, tmp_path / "figures", overwrite=True)
-    assert (tmp_path / "figures" / "mine.txt").read_text() == "keep me"

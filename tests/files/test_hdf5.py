@@ -261,18 +261,6 @@ def test_means_left_in_the_file_are_those_of_one_reading(cycles, tmp_path, monke
     assert np.array_equal(moved[:3], whole.position[:3] - 1.0)
 
 
-def test_samples_may_be_counts(cycles, tmp_path):
-    """Integers in a small unit, as a converter gives them, are left in the file like others."""
-    samples, rows = stream(cycles[0], tmp_path / "raw.h5")
-    counts = np.clip(np.nan_to_num(samples["FORCE"]) * 1e6, -1e9, 1e9).astype(np.int32)
-    with h5py.File(tmp_path / "raw.h5", "r+") as file:
-        del file["SAMPLES/FORCE"]
-        file.create_dataset("SAMPLES/FORCE", data=counts).attrs["unit"] = "uN"
-    left = open_by_worker((str(tmp_path / "raw.h5"), "raw.h5")).require_cycle().force
-    assert isinstance(left, AveragedRows)
-    assert left[2] == pytest.approx(1e-6 * counts[rows[2]].mean(axis=0), rel=1e-9)
-
-
 def without_shapes(file):
     file["SAMPLES/SHAPE"][...] = 0
 

@@ -23,7 +23,7 @@ from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.systems import system_c
 from truenewton.files import stored_rows
-from truenewton.files.stored_rows import StoredRows, largest_in_rows
+from truenewton.files.stored_rows import StoredRows
 from truenewton.reading import read, read_data
 from truenewton.records.file import write_campaign, write_cycle
 from truenewton.statics.layout import rings
@@ -188,14 +188,6 @@ def test_memory_does_not_grow_with_repeats(tmp_path, left_on_disk, monkeypatch):
         peaks.append(min(peak_of_reading_twice(tmp_path / str(cycles)) for _ in range(2)))
     assert peaks[1] - peaks[0] < 0.1 * rows
     assert peaks[0] > 2 * 2 * layout.n**2 * 8  # the means
-
-
-def test_the_largest_of_a_row_is_nan_where_one_that_counts_is():
-    values = np.array([[1.0, -3.0, 2.0], [np.nan, 1.0, 1.0], [1.0, np.nan, 1.0], [0, np.inf, 0]])
-    found = largest_in_rows(values, np.array([True, False, True]))
-    assert found.tolist()[0::2] == [2.0, 1.0]
-    assert np.isnan(found[1])
-    assert largest_in_rows(values, np.ones(3, dtype=bool))[3] == np.inf
 
 
 def test_a_cycle_near_rank_deficiency_is_solved_from_its_rows(monkeypatch):

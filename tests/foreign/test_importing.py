@@ -237,20 +237,6 @@ def test_opticalibs_simulated_m4(tmp_path):
     np.testing.assert_array_equal(folder.matrix.stiffness, made.matrix.stiffness)
 
 
-def test_positions_in_another_order_are_put_in_that_of_their_numbers(tmp_path):
-    order, path = np.random.default_rng(2).permutation(N), tmp_path / "xy.txt"
-    lines = [f"{i} {XY[0, i]:.6f} {XY[1, i]:.6f}" for i in order]
-    path.write_text("act x y\n" + "\n".join(lines))
-    made = tn.stiffness_from(CASE.k, path)
-    np.testing.assert_allclose([made.matrix.layout.x, made.matrix.layout.y], XY, atol=1e-6)
-    assert "put in the order of their IDs" in text(made)
-    path.write_text("x y\n" + "\n".join(line.partition(" ")[2] for line in lines))
-    with pytest.raises(FormatError, match="another order than rows and columns: 1 %"):
-        tn.stiffness_from(CASE.k, path)
-    path.write_text("act x y\n" + "\n".join(f"{i} {x} {y}" for i, (x, y) in enumerate(XY.T)))
-    assert "put in" not in text(tn.stiffness_from(CASE.k, path))
-
-
 @pytest.mark.parametrize("order", ["channels", "rings"])
 def test_positions_of_all_channels_may_come_ring_by_ring(tmp_path, order):
     rows = supervisor_folder(tmp_path / "meas", positions="rings")
@@ -299,27 +285,6 @@ def test_names_choose_positions_of_more_actuators(tmp_path):
     made = tn.stiffness_from(k, path, ids=CASE.layout.id[rows])
     np.testing.assert_allclose(made.matrix.layout.x, XY[0, rows], atol=1e-9)
     assert np.array_equal(made.matrix.layout.id, CASE.layout.id[rows])
-
-
-@pytest.mark.parametrize("rows", [4, N])
-def test_a_spreadsheet_names_rows_and_columns_and_may_hold_remarks(tmp_path, rows):
-    ids = CASE.layout.id[:rows]
-    lines = ["# Messung", ";" + "".join(f"S{i};" for i in ids)]
-    for i, row in zip(ids, CASE.k, strict=False):
-        lines += [f"A{i};" + "".join(f"{v:.17g};".replace(".", ",") for v in row[:rows])]
-    (tmp_path / "k.csv").write_text("\r\n".join(lines))
-    kept = read_stored(tmp_path / "k.csv").arrays[""].values
-    np.testing.assert_array_equal(kept, CASE.k[:rows, :rows])
-    table = ["# CAD", "Aktuator;Ring;x / mm;y / mm;Bemerkung"]
-    for i, (x, y) in zip(ids, 1e3 * XY.T, strict=False):
-        table += [f"A{i};1;{x:.12g};{y:.12g};{'neu' if i == 3 else ''}".replace(".", ",")]
-    (tmp_path / "xy.csv").write_text("\n".join(table))
-    found = places_in(read_stored(tmp_path / "xy.csv"))
-    np.testing.assert_allclose([found.x, found.y], 1e3 * XY[:, :rows], rtol=1e-11)
-    assert (found.unit, found.ids) == ("mm", None)
-    if rows == N:
-        made = tn.stiffness_from(tmp_path / "k.csv", tmp_path / "xy.csv", curvature=R)
-        np.testing.assert_array_equal(made.matrix.stiffness, -CASE.k)
 
 
 @pytest.mark.parametrize(

@@ -178,8 +178,6 @@ def test_the_command_tells_how_many_modes_a_power_allows(p45, inside, tmp_path):
 @pytest.mark.parametrize(
     ("option", "value", "words"),
     [
-        ("--seeing", "0", "seeing"),
-        ("--power", "-1", "power"),
         ("--off", "3,x", "IDs"),
         ("--off", "99", "99"),
         ("--diameter", "8200", "diameter"),
@@ -206,22 +204,6 @@ def test_what_does_not_belong_together_is_refused(p45):
     for wrong in ({"off": [3], "slaved": [3]}, {"off": ["5", "17"]}, {"slaved": [5.5]}):
         with pytest.raises(UnknownName):
             find_modes(campaign, found.calibration, **wrong)
-
-
-def test_the_command_uses_the_gains_of_the_sensors(p45, inside, tmp_path):
-    bench, _, found = p45
-    tn.write_stiffness(found.measured.matrix, tmp_path / "s.fits")
-    gain = bench.truth.sensor_gain
-    sensors = tuple(Sensor(k + 1, g, 1e-3, 0, 0, 0, 0, "fitted") for k, g in enumerate(gain))
-    replace(found.calibration, sensors=sensors).write(tmp_path / "alpha.fits")
-    asked = ("modes", tmp_path / "s.fits", "--calibration", tmp_path / "alpha.fits")
-    assert "modes are in true displacement" in inside(*asked)[1]
-    with_gains = json.loads(inside(*asked, "--json")[1])
-    np.testing.assert_allclose(with_gains["sensor_gain"], gain)
-    by_hand = find_modes(found.measured.matrix, found.calibration, sensor_gain=gain).after
-    np.testing.assert_allclose(with_gains["stiffness"], by_hand.modes.stiffness)
-    # True gains leave less asymmetry.
-    assert with_gains["asymmetry"][1] < 0.7 * found.after.stiffness.asymmetry
 
 
 def test_what_sensors_see_counts_once_in_files_written_and_read_again(p45, tmp_path):

@@ -180,18 +180,6 @@ def test_rigid_motions_that_no_shape_holds_cost_no_force():
     assert apart(found, bench) == pytest.approx(found.relative_error, rel=0.25)
 
 
-def test_the_scatter_of_sensor_gains_breaks_that_assumption_a_little():
-    bench = static_bench(p45(), 1)
-    cycles = tuple(run_cycles(bench, 2))
-    whole = measured_stiffness(Campaign(cycles))
-    less = measured_stiffness(
-        Campaign(tuple(replace(c, valid=c.shape > 3) for c in cycles))  # rigid motions come first
-    )
-    assert (whole.rigid_assumed, less.rigid_assumed) == (0, 3)
-    assert apart(whole, bench) == pytest.approx(5e-4, rel=0.2)
-    assert apart(less, bench) == pytest.approx(9e-4, rel=0.2)
-
-
 def test_elastic_motions_that_no_shape_holds_are_refused():
     _, campaign = quiet()
     fewer = tuple(replace(c, valid=~np.isin(c.shape, (2, 10, 40))) for c in campaign.cycles)
@@ -415,21 +403,6 @@ def test_alpha_is_matched_by_id():
     assert np.array_equal(once.stiffness, again.stiffness)
 
 
-def test_without_a_calibration_only_symmetry_is_used():
-    k, matrix, _, _ = known()
-    found = true_stiffness(matrix, None)
-    assert found.stiffness == pytest.approx(0.5 * (matrix.stiffness + matrix.stiffness.T))
-    assert (found.enabled_alpha == 1).all()
-    assert not found.calibrated
-    assert found.asymmetry == pytest.approx(
-        np.linalg.norm(matrix.stiffness - matrix.stiffness.T)
-        / np.linalg.norm(matrix.stiffness + matrix.stiffness.T)
-    )
-    assert found.asymmetry > 0.03
-    assert found.imbalance > 0.01
-    assert np.abs(found.stiffness - k).max() > 0.01 * np.abs(k).max()
-
-
 def test_what_couples_rigid_motions_to_the_rest_is_dropped_and_told():
     k, matrix, gain, calibration = known()
     random = np.random.default_rng(5)
@@ -480,6 +453,8 @@ def test_actuators_that_are_off_leave_the_stiffness_of_a_mirror_without_them():
     # A disabled actuator is not there: what it would feel is left out, not condensed.
     disabled = replace(matrix, layout=Layout(layout.id, layout.x, layout.y, layout.nz, kept))
     left = true_stiffness(disabled, None)
+    assert not left.calibrated
+    assert (left.enabled_alpha == 1).all()
     raw = matrix.stiffness[np.ix_(kept, kept)]
     assert left.stiffness == pytest.approx(0.5 * (raw + raw.T))
 
@@ -612,15 +587,6 @@ def test_angles_are_those_between_subspaces():
     assert 0.5 < found.distance < 0.9
     same = compare_modes(one, -3 * one)
     assert same.distance < 1e-14
-
-
-def test_of_many_modes_the_largest_angle_is_taken_at_some_orders():
-    random = np.random.default_rng(3)
-    one, other = (np.linalg.qr(random.standard_normal((100, 100)))[0] for _ in range(2))
-    found = compare_modes(one, other, np.arange(1.0, 101.0))
-    assert 20 < len(found.orders) == len(found.largest_angle) <= 32
-    assert (found.orders[0], found.orders[-1]) == (1, 98)  # 99 and 100 differ by a hundredth
-    assert found.distance == pytest.approx(np.sqrt(0.5), abs=0.02)
 
 
 def test_modes_that_cannot_be_compared_are_refused():

@@ -448,16 +448,16 @@ def test_the_figure_has_two_panels_with_the_plan_on_its_curve(ready):
         ("cycles = 4", "cycles = 4.0", "cycles is 4.0; give an integer"),
         ("cycles = 4", "cyclse = 4", "knows no 'cyclse'; did you mean 'cycles'?"),
         ("cycles = 4", "cycles = ", "is not TOML"),
-        ("settling = 0.15", "settling = -1", "settling is -1.0; give zero or more"),
-        ("force_noise = 1e-4 ", "force_noise = 0", "force_noise is 0.0; give a positive number"),
+        ("settling = 0.15", "settling = 1e300", "give zero or more, to 1e+09"),
+        ("force_noise = 1e-4 ", "force_noise = 1e-320", "give a positive number, 1e-12 to"),
         ("stroke = 1e-6", "stroke = 6e-6", "shapes.stroke is 6e-06, beyond its limit of 5e-06"),
-        ("count = 0", "count = 9", "too few shapes: 9 for 45 actuators; apply 45"),
         ("force = 0.3", "force = 0.59", "N under load 'ring', beyond its limit of 0.6; plan"),
         ("gap = 30e-6", "gap = 67.5e-6", "gap closes to 6.7e-05 m, beyond its limit of 6.75e-05"),
         ("[-10.0, 40.0]", "[40.0, -10.0]", "limits.temperature is [40.0, -10.0]; lowest first"),
         ('source = "modes"', 'source = "no.fits"', "no.fits: "),
         ('name = "ring"', 'name = "Bare"', "give every load once, with a name of its own"),
         ('name = "ring"', 'name = " "', "load ' ': LOAD is blank; name the load"),
+        ('name = "ring"', 'name = "r\\u001b[31m"', "cannot stand in a FITS header"),
         ("added = -0.289", "added = 0.289", "load 'ring': ADDED is 0.289 N; z points up"),
         ("added_error = 0.005", "added_error = -1", "load 'ring': E_ADDED is -1; give a standard"),
         ('tool = "ring"', "tilt = 90", "load 'ring': TILT is 90 deg; give the angle"),
@@ -471,7 +471,7 @@ def test_what_is_wrong_with_a_plan_is_said_in_one_line(inside, file, old, new, s
     code, out, err = inside("plan", file)
     assert (code, out) == (2, "")
     assert err.startswith("truenewton: ")
-    assert err.count("\n") == 1
+    assert err[:-1].isprintable()
     assert said in err
     assert ".toml: " in err or ".fits: " in err
     assert "; " in err

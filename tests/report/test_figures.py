@@ -114,6 +114,11 @@ def test_sensors_are_drawn_where_they_are_known(p45_findings):
         dots.get_array(), [1e3 * s.x for s in found.calibration.sensors if s.state == "fitted"]
     )
     assert sum(dots.get_clim()) == 0.0
+    # What reciprocity was not asked has no error, and no map.
+    calibration = found.calibration
+    unasked = tuple(replace(s, x_error=0.0, y_error=0.0) for s in calibration.sensors)
+    known = maps & set(still_figures(investigate(replace(calibration, sensors=unasked))))
+    assert known == {"map-sensor-gain"}
 
 
 def test_a_calibration_alone_has_no_residuals_to_draw(p45_findings):

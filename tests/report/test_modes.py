@@ -10,8 +10,6 @@ from helpers.balanced import p45_bench, p45_campaign
 from truenewton.bench.simulated.static import START
 from truenewton.modal import words
 from truenewton.modal.comparison import compare_modes
-from truenewton.modal.dissipation import Budget
-from truenewton.modal.figures import plot_power
 from truenewton.modal.findings import find_modes
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -161,17 +159,6 @@ def test_what_the_data_lack_for_modes_is_said(p45_findings, monkeypatch):
     )
 
 
-def test_a_calibration_alone_tells_nothing_of_modes(p45_findings):
-    alone = investigate(p45_findings.calibration)
-    assert sections(alone) == {}
-    text = page(alone)
-    assert "Stiffness modes" not in text
-    assert "Dissipation" not in text
-    no_alpha = investigate(Campaign(p45_campaign(2).cycles[:2]))
-    assert no_alpha.calibration is None
-    assert sections(no_alpha) == {}
-
-
 @pytest.mark.parametrize(
     ("value", "text"),
     [(-21.9, "-22 N/m"), (999.4, "1.0 kN/m"), (4632.0, "4.6 kN/m"), (110e3, "110 kN/m"),
@@ -185,17 +172,3 @@ def test_equal_modes_are_not_told_apart():
     compared = compare_modes(np.eye(4), np.eye(4)[:, ::-1], np.ones(4))
     alike = SimpleNamespace(compares=True, comparison=compared)
     assert words.comparison_text(alike).startswith("not to be told from the calibrated")
-
-
-def test_an_axis_of_power_begins_at_what_is_drawn(p45_findings, by_matrix):
-    """Static force heats every coil; without it a piston costs next to nothing, and is left out."""
-    for found, drawn_whole in ((p45_findings.modes, True), (by_matrix.modes, False)):
-        costs = found.after.costs
-        least = min(cost.power.mean(axis=0).min() for cost in costs)
-        most = max(cost.power.max() for cost in costs)
-        start = plot_power(found.after, Budget()).get_ylim()[0]
-        if drawn_whole:
-            assert 0.5 * least < start < least
-        else:
-            assert least < 1e-8 * most
-            assert start == pytest.approx(1e-5 * most)

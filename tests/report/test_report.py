@@ -12,15 +12,15 @@ from bokeh.resources import Resources
 import truenewton as tn
 from helpers import report_data
 from helpers.balanced import arms_of, p45_campaign
-from helpers.report_data import HOSTILE, changed_by, hostile_campaign, with_sensors
+from helpers.report_data import HOSTILE, changed_by, hostile_campaign
 from truenewton.calibration.methods import calibrate
-from truenewton.errors import CampaignMismatch, OutputExists, UnknownName
+from truenewton.errors import CampaignMismatch, UnknownName
 from truenewton.records.campaign import Campaign
 from truenewton.records.source import Source
 from truenewton.report.change import change
 from truenewton.report.investigate import investigate
 from truenewton.report.layers import calibration_layers
-from truenewton.report.page.page import page, write_report
+from truenewton.report.page.page import page
 from truenewton.report.verdict import verdict, verdict_on_change
 from truenewton.statics.arms import external_load
 
@@ -120,30 +120,6 @@ def test_leverage_is_that_of_the_readings(p45):
     [even] = [one for one in calibration_layers(read_back, None) if one.key == "leverage"]
     assert even.values == pytest.approx(layer.values, rel=0.4)  # noise taken as even
     assert even.values.sum() == pytest.approx(3.0)
-
-
-def keys_of(calibration):
-    return [layer.key for layer in calibration_layers(calibration, None)]
-
-
-def test_sensors_are_layers_of_the_map_where_they_are_known(p45):
-    c = with_sensors(p45.calibration)
-    gain, *offsets = layers = calibration_layers(c, None)[-3:]
-    assert [layer.key for layer in layers] == ["sensor_gain", "sensor_dx", "sensor_dy"]
-    assert not any(key.startswith("sensor") for key in keys_of(p45.calibration))
-    np.testing.assert_array_equal(gain.values, [sensor.gain for sensor in c.sensors])
-    np.testing.assert_allclose(offsets[1].values, [1e3 * sensor.y for sensor in c.sensors])
-    assert np.isnan(gain.values[7])
-    assert offsets[0].limits[0] == -offsets[0].limits[1]
-    assert "findings" not in keys_of(p45.calibration)
-    # What reciprocity was not asked has no error, and no map.
-    unasked = tuple(replace(s, x_error=0.0, y_error=0.0) for s in c.sensors)
-    keys = keys_of(replace(c, sensors=unasked))
-    assert keys[-1] == "sensor_gain"
-    assert not any("dx" in key for key in keys)
-    text = page(investigate(c))
-    assert "the mirror moves by more than the sensor says" in text
-    assert "Place of the actuator less that of its sensor" in text
 
 
 def test_a_changed_actuator_stands_out_by_as_many_sigmas():
@@ -251,14 +227,6 @@ def test_a_page_of_a_large_mirror_is_little_longer_than_bokeh():
     text = page(investigate(report_data.large(1002)))
     bokeh = sum(len(part) for part in Resources(mode="inline", components=["bokeh"]).js_raw)
     assert bokeh < len(text.encode()) < bokeh + 5e5
-
-
-def test_a_report_is_not_overwritten_unless_told(tmp_path):
-    found = investigate(report_data.one_load())
-    write_report(tmp_path / "report.html", found)
-    with pytest.raises(OutputExists):
-        write_report(tmp_path / "report.html", found)
-    write_report(tmp_path / "report.html", found, overwrite=True)
 
 
 def test_the_command_takes_data_a_calibration_and_a_pair(inside, p45_folder, tmp_path):
