@@ -21,7 +21,6 @@ import pytest
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
 from helpers.stub_bench import Hands, Looker, StubBench, altered, at
-from truenewton.acquisition.clock import SteadyClock, instant_of
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal
 from truenewton.acquisition.lock import locked
@@ -347,17 +346,6 @@ def test_time_grows_whatever_the_clock_does(tmp_path, whole):
     assert leapt == pytest.approx([-3600.0, 60 * 365 * 86400.0, -1e9], abs=2.0)
 
 
-def test_intervals_are_those_of_the_bench_before_and_after_a_leap():
-    start, clock = datetime.datetime(2026, 3, 1, tzinfo=datetime.UTC), SteadyClock()
-    half = datetime.timedelta(seconds=0.5)
-    times = [start, start + half, start - 100 * half, start - 99 * half]
-    instants = [clock.instant(when) for when in times]
-    assert instants[0] == instant_of(start)
-    assert np.diff(instants)[[0, 2]].tolist() == [500_000, 500_000]
-    assert 0 < instants[2] - instants[1] < 1e6
-    assert clock.instant(start.replace(tzinfo=None)) - instants[3] == 99 * 500_000  # UTC
-
-
 def test_a_clock_that_stands_still_is_said_once_and_ours_counts_on(tmp_path):
     when, looker = datetime.datetime(2026, 5, 4, 9, 30, tzinfo=datetime.UTC), Looker()
 
@@ -373,18 +361,6 @@ def test_a_clock_that_stands_still_is_said_once_and_ours_counts_on(tmp_path):
     assert (np.diff(times) > 0).all()
     assert times[-1] - times[0] < 60
     assert cycles[0].date == when
-
-
-def test_a_clock_of_whole_seconds_is_followed(monkeypatch):
-    """It stands between two readings, and is right all the same."""
-    clock, start = SteadyClock(), datetime.datetime(2026, 5, 4, tzinfo=datetime.UTC)
-    found, seconds = [], 0.3 * np.arange(40)
-    for now in seconds:
-        monkeypatch.setattr(time, "monotonic", lambda now=now: now)
-        found.append(clock.instant(start + datetime.timedelta(seconds=int(now))))
-        assert clock.leap == 0
-    assert (np.diff(found) > 0).all()
-    assert np.abs(np.array(found) * 1e-6 - start.timestamp() - seconds).max() < 1
 
 
 # The command

@@ -13,7 +13,6 @@ from helpers.stub_bench import Looker, StubBench, at
 from truenewton.acquisition.drift import (
     mounting_variance,
     order_cost,
-    order_costs,
     scale_balance,
     turns_that_pay,
     with_turns,
@@ -156,14 +155,6 @@ def test_the_estimator_moves_the_scale_as_predicted(loads, cycles, turns, drift)
     cost, block = (order_cost(replace(plan, turns=t), p45(), 45) for t in (turns, 1))
     predicted, whole = cost.gain + cost.zero, abs(block.gain + block.zero)
     assert np.median(moved) == pytest.approx(predicted, rel=0.02, abs=0.003 * whole)
-
-
-def test_loads_that_do_not_differ_have_no_scale_to_lose():
-    for loads in (RING[:1], (Load("bare"), Load("again"))):
-        plan = replace(PLAN, loads=loads, turns=0)
-        assert scale_balance(plan, p45(), 45) is None
-        assert order_costs(plan, p45(), 45) == ()
-        assert with_turns(plan, p45(), 45).turns == 1
 
 
 def test_loads_are_mounted_again_where_drift_costs_more_than_that():

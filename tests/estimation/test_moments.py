@@ -1,15 +1,12 @@
 """Moments: the same however the rows are split, equal to two passes of plain numpy."""
 
 from dataclasses import replace
-from functools import cache, reduce
+from functools import cache
 
 import numpy as np
 import pytest
 
-from helpers.balanced import campaign_of, changed, gradients
-from truenewton.errors import CampaignMismatch
-from truenewton.estimation.displaced_rows import common_reference
-from truenewton.estimation.moments import merge
+from helpers.balanced import campaign_of, changed
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.records.campaign import Campaign
 
@@ -89,54 +86,3 @@ def test_moments_are_those_of_two_passes(made, weights):
     check(moments, *two_passes(campaign, weights))
     assert moments.mean.shape[1] == 13
     assert moments.rows.sum() == sum(c.valid.sum() for c in campaign.cycles)
-
-
-@cache
-def with_positions():
-    return gradients(seed=3, noise=1e-3, offset=1e-5, moved=3e-8)[0]
-
-
-WHOLE = {
-    "plain": noisy,
-    "repeated": with_repeats_in_a_cycle,
-    "of unequal noise": lambda: with_noises(noisy(), [1e-3, 2e-3, 5e-4]),
-    "with positions": with_positions,
-}
-
-
-@pytest.mark.parametrize("by_cycle", [True, False])
-@pytest.mark.parametrize("kind", WHOLE)
-def test_rows_split_in_any_way_and_merged_in_any_order_give_the_same(kind, by_cycle):
-    """Even where a part has but one sign of a shape: its own mean would be no rest."""
-    whole, random = WHOLE[kind](), np.random.default_rng(1)
-    owner, rest = random.integers(0, 4, (6, 1 if by_cycle else 28)), common_reference(whole)
-    parts = []
-    for part in random.permutation(4):
-        mine = [c.valid & (owner[k] == part) for k, c in enumerate(whole.cycles)]
-        cycles = [replace(c, valid=v) for c, v in zip(whole.cycles, mine, strict=True) if v.any()]
-        if cycles:
-            parts.append(campaign_moments(Campaign(tuple(cycles)), rest))
-    assert len(parts) > 2
-    if not by_cycle:
-        parts = [merge(parts[0], parts[1]), reduce(merge, parts[2:])]
-    merged, expected = reduce(merge, parts), campaign_moments(whole)
-    check(
-        merged, expected.labels.tolist(), expected.rows, expected.weight, expected.mean,
-        expected.scatter,
-    )  # fmt: skip
-    assert [load.name for load in merged.loads] == ["bare", "ring"]
-    assert merged.known == pytest.approx(expected.known, rel=1e-9, abs=1e-15)
-    if kind == "with positions":
-        assert (merged.reference == rest).all()
-        assert np.abs(expected.known).max() > 1e-6  # there is something to merge
-
-
-def test_parts_that_count_from_different_readings_are_not_merged():
-    campaign = with_positions()
-    bare, ring = (Campaign(campaign.cycles[k : k + 3]) for k in (0, 3))
-    with pytest.raises(CampaignMismatch, match=r"different readings; give .* the common_reference"):
-        merge(campaign_moments(bare), campaign_moments(ring))
-    anew, _ = gradients(seed=3, noise=1e-3, offset=1e-5, zeros=1e-5)
-    parts = [campaign_moments(Campaign((c,)), common_reference(anew)) for c in anew.cycles]
-    merged, expected = reduce(merge, parts), campaign_moments(anew)
-    assert merged.mean == pytest.approx(expected.mean, rel=1e-12, abs=1e-14)

@@ -185,13 +185,6 @@ def test_the_family_pulls_what_the_days_hardly_hold(tracking):
     assert family.spread_interval[0] < SPREAD_K < family.spread_interval[1]
 
 
-def test_the_order_of_days_does_not_matter(tracking):
-    days = drawn(1, K, R, gap=90.0)
-    turned = tn.track(*(days[k] for k in (3, 0, 5, 1, 4, 2)))
-    assert np.array_equal(turned.covariance, tracking.covariance)
-    assert [day.date for day in turned.days] == sorted(day.date for day in turned.days)
-
-
 # Who leaves the family
 
 

@@ -1,14 +1,12 @@
 """What a campaign boils down to: repeats put together, then sums over shapes.
 
 Rows with the same load, SHAPE and SIGN share their true forces, so their number, mean and scatter
-hold all that they say of alpha; these merge over files, processes and machines in any order (the
-update of Chan, Golub and LeVeque). From the means, everything the likelihood needs of a load is
+contain all that they say of alpha. From the means, everything the likelihood needs of a load is
 their number, sum and second moment: one symmetric rank-k update by BLAS.
 
 Where POSITION and the gradients are given, c becomes c (1 + COILGRAD z), and the bias magnets'
 change BIASGRAD z is kept as a known part of the balance (docs/files.md). Displacements count from
-one reading of each sensor for the whole campaign (`displaced_rows.common_reference`): parts of one
-that shall merge must be given it.
+one reading of each sensor for the whole campaign (`displaced_rows.common_reference`).
 """
 
 from __future__ import annotations
@@ -21,7 +19,6 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.chance import normal_isf
-from truenewton.errors import CampaignMismatch
 from truenewton.estimation.pooling import Pooling, each_by_itself, over_loads_and_signs
 from truenewton.estimation.shape_sums import ShapeSums, shape_sums
 from truenewton.statics.load import Load
@@ -207,47 +204,3 @@ def chosen_groups(moments: Moments, chosen: NDArray[np.bool_]) -> Moments:
     """
     rows, weight = np.where(chosen, moments.rows, 0), np.where(chosen, moments.weight, 0.0)
     return replace(moments, rows=rows, weight=weight)
-
-
-def merge(one: Moments, other: Moments) -> Moments:
-    """Put the moments of two sets of rows of one campaign together.
-
-    Loads are told apart by name; the order in which parts are merged changes rounding only.
-
-    Raises
-    ------
-    CampaignMismatch
-        Their displacements count from different readings.
-    """
-    if not np.array_equal(one.reference, other.reference, equal_nan=True):
-        raise CampaignMismatch(
-            "the displacements of the two parts count from different readings",
-            remedy="give campaign_moments of every part the common_reference of the whole campaign",
-        )
-    loads = tuple({load.key: load for load in (*one.loads, *other.loads)}.values())
-    loads = tuple(sorted(loads, key=lambda load: (load.added != 0.0, load.tilt != 0.0, load.key)))
-    both = np.concatenate([_relabelled(one, loads), _relabelled(other, loads)])
-    labels, group = np.unique(both, axis=0, return_inverse=True)
-    first, second = np.split(group.ravel(), [len(one.labels)])
-    groups, n = len(labels), one.mean.shape[1]
-    rows, weight = np.zeros(groups, dtype=np.int64), np.zeros(groups)
-    mean, known = np.zeros((groups, n)), np.zeros((groups, 3))
-    rows[first], weight[first], mean[first], known[first] = (
-        one.rows, one.weight, one.mean, one.known,
-    )  # fmt: skip
-    total = weight[second] + other.weight
-    share = other.weight / np.where(total > 0.0, total, 1.0)
-    apart = other.mean - mean[second]
-    scatter = one.scatter + other.scatter + (weight[second] * share) @ apart**2
-    mean[second] += share[:, None] * apart
-    known[second] += share[:, None] * (other.known - known[second])
-    weight[second] += other.weight
-    rows[second] += other.rows
-    step = np.maximum(one.step, other.step)
-    return Moments(loads, labels, rows, weight, mean, known, scatter, one.reference, step=step)
-
-
-def _relabelled(moments: Moments, loads: tuple[Load, ...]) -> NDArray[np.int64]:
-    keys = [load.key for load in loads]
-    index = np.array([keys.index(load.key) for load in moments.loads])
-    return np.column_stack([index[moments.labels[:, 0]], moments.labels[:, 1:]])

@@ -20,7 +20,6 @@ from truenewton.estimation.effects.derivative import scored, variance_at_least
 from truenewton.estimation.effects.examined import chi2_probability
 from truenewton.estimation.effects.fitted import FittedRows
 from truenewton.estimation.effects.unknown_force import unknown_force
-from truenewton.estimation.moments import merge
 from truenewton.estimation.multiple_tests import OF_EACH_KIND
 from truenewton.estimation.noise import reading_noise
 from truenewton.estimation.problem import problem_of
@@ -28,7 +27,6 @@ from truenewton.estimation.sifted import campaign_moments, sift
 from truenewton.estimation.structure import FITS
 from truenewton.linalg import mirrored
 from truenewton.mirrors.known import p45
-from truenewton.records.campaign import Campaign
 from truenewton.statics.layout import rings
 
 SIGMA = 1e-3
@@ -651,28 +649,6 @@ def test_noise_with_long_tails_loses_few_rows():
 
 
 # --------------------------------------------------------------------------------- less than usual
-
-
-def test_merged_moments_know_no_rows_but_all_else():
-    bench, _ = bench_with("contact in one sign", 2)
-    campaign = bench.campaign()
-    parts = [campaign_moments(Campaign(campaign.cycles[k : k + 4])) for k in (0, 4)]
-    merged = replace(merge(*parts), pooled=True)
-    assert merged.within is None
-    assert merged.displacement is None
-    problem = problem_of(campaign, reading_noise(campaign, merged))
-    fit = FittedRows(problem, merged, problem.fitted(merged), independent=True)
-    found = score_test.tests(fit)
-    names = {test.effect.name for test in found}
-    assert not any("hour" in name or "file" in name or "gradient" in name for name in names)
-    assert {"contact in one sign", "quadratic coil", "positions"} <= names
-    assert found[0].effect.name == "contact in one sign"
-    # The same as of all rows at once.
-    whole = {t.effect.name: t.log_probability for t in score_test.tests(fit_of(campaign))}
-    for test in found:
-        assert test.log_probability == pytest.approx(whole[test.effect.name], rel=1e-6, abs=1e-9)
-    corrected = correction(fit, found[0].effect)
-    assert corrected.theta[0] == pytest.approx(CONTACT[0], rel=0.2)
 
 
 def test_files_of_the_same_time_have_hours_all_the_same():
