@@ -148,7 +148,8 @@ ENTRIES: dict[Code, Entry] = {
     Code.NO_LOAD_SEEN: _fact(
         Level.REJECTED,
         "the forces are the same under all loads: no added weight is seen in them",
-        "check that each load lay on the mirror in the files of its name, and ADDED, in N",
+        "check that each load lay on the mirror in the files of its name, and the keywords ADDED,"
+        " BIASGRAD and COILGRAD",
     ),
     Code.ONE_LOAD: _fact(
         Level.NONE,
