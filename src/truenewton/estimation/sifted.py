@@ -230,7 +230,7 @@ def campaign_moments(campaign: Campaign, reference: Array | None = None) -> Mome
         The campaign, or a part of it.
     reference
         (n,) readings from which displacements count [m]: of a part the `common_reference` of the
-        whole campaign, else no `merge` is exact. Where it is NaN, a part must hold whole cycles.
+        whole campaign. Where it is NaN, a part must hold whole cycles.
     """
     return RepeatSums(campaign, reference).moments
 

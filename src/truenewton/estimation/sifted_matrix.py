@@ -280,7 +280,8 @@ def _effects(
             corrected=True,
             remedy="correct X and Y of these rows of ACTUATORS, in m"
             if elsewhere
-            else "check its coil, driver, cable, sensor and position; set ENABLED to F until then",
+            else "check its coil, driver, cable, sensor and position; until it is repaired, set"
+            " ENABLED to F",
         )
     if off.any():
         yield Finding(
