@@ -6,9 +6,9 @@ P45 with alpha of 5 % scatter: laws of noise in an exact stiffness, and the shel
 sensors, at their magnets and 0.3 mm off, its glass not given. Columns: the stated error of alpha;
 its rms error in units of that; the share of the imbalance of the columns that one pattern
 explains; how far alpha moves with it, in units of the stated error; the correlation of gains with
-alpha; their gradient in sigma; held-out in terms of fitted imbalance; the grade. At the end: sound
-matrices that are doubtful, and mistakes that are not although alpha is wrong by more than twice
-its error. The measured LBT672 comes last if TRUENEWTON_REAL_DATA names its folder.
+alpha, and in sigma; their gradient in sigma; held-out in terms of fitted imbalance; the grade. At
+the end: sound matrices that are doubtful, and mistakes that are not although alpha is wrong by more
+than twice its error. The measured LBT672 comes last if TRUENEWTON_REAL_DATA names its folder.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import truenewton as tn
 from studies.matrices import LAWS, measured_lbt672, measured_or_made, noisy, true_stiffness
 from studies.simulated_matrices import by_glass, drawn
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation.coherent_imbalance import coherent_imbalance, gain_correlations
+from truenewton.estimation.coherent_imbalance import coherent_imbalance, sensor_gains
 from truenewton.estimation.sifted_matrix import as_calibrated
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.shell.held_glass import held_glass
@@ -118,10 +118,11 @@ def judged(name, matrix, truth, method):
     after = [line.after for line in found.imbalances] or [np.nan]
     pattern = coherent_imbalance(commanded, comparable_arms(layout), alpha)
     moved = float(np.sqrt(np.mean(pattern.shift**2) / np.mean((error / alpha) ** 2)))
-    follows, leans = gain_correlations(commanded, comparable_arms(layout), alpha, covariance)
+    gains = sensor_gains(commanded, comparable_arms(layout), alpha, covariance)
     print(
         f"{name:62s}{100 * np.sqrt(np.mean(error**2)):8.3f}{size:8.2f}"
-        f"{pattern.share:8.2f}{moved:8.2f}{follows:8.2f}{leans:8.2f}{max(after) / after[0]:9.2f}"
+        f"{pattern.share:8.2f}{moved:8.2f}{gains.with_alpha:8.2f}{gains.sigmas:8.2f}"
+        f"{gains.gradient_sigmas:8.2f}{max(after) / after[0]:9.2f}"
         f"  {found.verdict.level!s:9s} {pattern.names[0]}",
         flush=True,
     )
@@ -136,7 +137,7 @@ def main():
     parser.add_argument("--method", nargs="+", default=["ml"])
     parser.add_argument("--only", choices=("sound",))
     options = parser.parse_args()
-    heads = ("stated %", "error", "share", "moves", "gains", "lean", " held out")
+    heads = ("stated %", "error", "share", "moves", "gains", "sigma", "lean", " held out")
     print(f"{'':62s}{''.join(f'{head:>8s}' for head in heads)}  grade")
     sound, false, missed, wrong = 0, [], [], 0
     seeds = range(options.first, options.first + options.seeds)

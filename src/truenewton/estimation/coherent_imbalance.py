@@ -189,42 +189,60 @@ def doubts_of_balance(
         yield Finding.of(Code.COLUMNS_UNBALANCED, actuators=ids[far])
     if coherent:  # wrong alpha makes wrong gains
         return
-    least = max(LIMITS.gain_correlation, LIMITS.gain_sigmas / np.sqrt(len(alpha)))
-    with_alpha, gradient_sigmas = gain_correlations(commanded, arms, alpha, covariance)
-    if abs(with_alpha) > least:
-        yield Finding.of(Code.GAINS_FOLLOW_ALPHA, correlation=with_alpha)
-    elif gradient_sigmas > LIMITS.gradient_sigmas:
-        yield Finding.of(Code.GAINS_HAVE_GRADIENT, sigmas=gradient_sigmas)
+    gains = sensor_gains(commanded, arms, alpha, covariance)
+    if abs(gains.with_alpha) > LIMITS.gain_correlation and gains.sigmas > LIMITS.gain_sigmas:
+        yield Finding.of(Code.GAINS_FOLLOW_ALPHA, correlation=gains.with_alpha)
+    elif gains.gradient_sigmas > LIMITS.gradient_sigmas:
+        yield Finding.of(Code.GAINS_HAVE_GRADIENT, sigmas=gains.gradient_sigmas)
 
 
-def gain_correlations(
-    commanded: Array, arms: Array, alpha: Array, covariance: Array
-) -> tuple[float, float]:
-    """Return how gains by symmetry are correlated with (n,) alpha, and how sure a gradient is.
+class SensorGains(NamedTuple):
+    """What is odd about the gains of the sensors that symmetry implies.
 
-    The correlation is 0 if alpha varies no more than its error; what errors of alpha do to both is
-    taken out. The gradient is in units of its standard deviation.
+    Attributes
+    ----------
+    with_alpha
+        Their correlation with alpha; 0 if alpha varies no more than its error.
+    sigmas
+        Its size in units of its standard deviation.
+    gradient_sigmas
+        Their gradient across the mirror in units of its standard deviation.
+    """
+
+    with_alpha: float
+    sigmas: float
+    gradient_sigmas: float
+
+
+def sensor_gains(commanded: Array, arms: Array, alpha: Array, covariance: Array) -> SensorGains:
+    """Return whether gains by symmetry follow (n,) alpha, or have a gradient.
+
+    What errors of alpha do to both is taken out. Few smooth patterns make up most of these errors,
+    so a correlation of gains with alpha scatters far more than by 1 / root n.
     """
     if (alpha <= 0.0).any() or len(alpha) < MIN_ACTUATORS:
-        return 0.0, 0.0
+        return SensorGains(0.0, 0.0, 0.0)
     log_alpha = np.log(alpha) - np.mean(np.log(alpha))
     log_ratio, misfit = pair_ratios(commanded)
     log_gain = log_ratio - log_alpha
     log_gain = log_gain - np.mean(log_gain)
     relative = covariance / np.outer(alpha, alpha)
+    of_gains = _covariance_of_ratios(commanded, misfit) + relative
     noise = float(np.mean(np.diag(relative)))
     own = max(float(np.mean(log_gain**2)) - noise, noise, 1e-300)
     spread = float(np.mean(log_alpha**2)) - noise
-    with_alpha = 0.0
+    with_alpha = sigmas = 0.0
     if spread > MIN_SPREAD**2 * noise:
         together = float(np.mean(log_gain * log_alpha)) + noise
         with_alpha = together / float(np.sqrt(spread * own))
+        scatter = max(float(np.mean(log_gain**2) - np.mean(np.diag(of_gains))), 0.0)
+        variance = log_alpha @ of_gains @ log_alpha + scatter * (log_alpha @ log_alpha)
+        sigmas = len(alpha) * abs(together) / float(np.sqrt(variance))
     position = arms[1:].T - arms[1:].T.mean(axis=0)
     position = np.linalg.qr(position)[0]
     gradient = position.T @ log_gain
-    variance = position.T @ (_covariance_of_ratios(commanded, misfit) + relative) @ position
-    sigmas = float(np.sqrt(gradient @ np.linalg.solve(variance, gradient) / 2.0))
-    return with_alpha, sigmas
+    chi2 = gradient @ np.linalg.solve(position.T @ of_gains @ position, gradient)
+    return SensorGains(with_alpha, sigmas, float(np.sqrt(chi2 / 2.0)))
 
 
 def _covariance_of_ratios(commanded: Array, misfit: Array) -> Array:

@@ -54,7 +54,7 @@ class Thresholds:
     gain_correlation: float = _at(
         0.3, Level.DOUBTFUL, "correlation of sensor gains with alpha: more, and"
     )
-    gain_sigmas: float = _at(3.5, Level.DOUBTFUL, "the same in terms of 1 / root n: more")
+    gain_sigmas: float = _at(3.5, Level.DOUBTFUL, "the same in sigma: more")
     gradient_sigmas: float = _at(
         7.0, Level.DOUBTFUL, "gradient of the sensor gains across the mirror in sigma: more"
     )
