@@ -96,6 +96,9 @@ def test_a_mistake_that_the_errors_do_not_cover_is_doubtful_or_rejected(p45, nam
     found = tn.calibrate(dict(mistakes(p45[1]))[name], method)
     assert found.verdict.level <= Level.DOUBTFUL
     assert code in {each.code for each in found.findings}
+    if code is Code.COHERENT_IMBALANCE:  # the errors include how far the pattern moves alpha
+        error = found.alpha - p45[2] / p45[2].mean()
+        assert np.mean(error**2) < 2.0 * np.mean(found.error**2)
 
 
 @pytest.mark.parametrize("method", ["svd", pytest.param("ml", marks=pytest.mark.study)])

@@ -27,22 +27,19 @@ def from_stiffness(
 ) -> Calibration:
     """Return an estimate from a stiffness matrix as a calibration."""
     on = matrix.layout.enabled
-    # B is not to be had from elastic forces.
-    reading, systematic = (
-        np.pad(covariance, (0, 1), constant_values=np.nan)
-        for covariance in (estimate.reading_covariance, estimate.systematic_covariance)
-    )
     n = int(on.sum())
     alpha, gain = estimate.values[:n], None
     if estimate.sensors:
         gain = np.array([each.gain if each.state == "fitted" else 1.0 for each in estimate.sensors])
     k, arms, ids = matrix.used_stiffness, comparable_arms(matrix.layout), matrix.layout.id[on]
     facts, covariance = matrix_facts(k, alpha, gain), estimate.reading_covariance[:n, :n]
-    doubts = (
-        *doubts_of(k, alpha, facts),
-        *doubts_of_balance(k, arms, alpha, covariance, ids),
+    of_balance, covariance = doubts_of_balance(k, arms, alpha, covariance, ids)
+    estimate = with_warnings(estimate, (*doubts_of(k, alpha, facts), *of_balance))
+    # B is not to be had from elastic forces.
+    reading, systematic = (
+        np.pad(each, (0, 1), constant_values=np.nan)
+        for each in (covariance, estimate.systematic_covariance)
     )
-    estimate = with_warnings(estimate, doubts)
     estimate = replace(estimate, reading_covariance=reading, systematic_covariance=systematic)
     return Calibration(
         instrument=matrix.instrument,

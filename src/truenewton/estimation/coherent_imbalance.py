@@ -168,16 +168,21 @@ def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
 
 def doubts_of_balance(
     commanded: Array, arms: Array, alpha: Array, covariance: Array, ids: NDArray[np.int64]
-) -> Iterator[Finding]:
-    """Yield which mistakes the balance of a matrix shows; (n,) alpha and its (n, n) covariance."""
+) -> tuple[tuple[Finding, ...], Array]:
+    """Return which mistakes the balance of a matrix shows, and the (n, n) covariance with them.
+
+    If one mistake explains much of the imbalance, alpha may be wrong by as much as it moves where
+    the mistake is fitted as well: that much is added to the (n, n) ``covariance`` of (n,) alpha.
+    """
+    said = list[Finding]()
     found = coherent_imbalance(commanded, arms, alpha)
     stated = float(np.sqrt(np.mean(np.diag(covariance) / alpha**2)))
-    coherent = False
+    if found is not None and (far := found.column_noise > LIMITS.column_noise).any():
+        said.append(Finding.of(Code.COLUMNS_UNBALANCED, actuators=ids[far]))
     if found is not None and found.share > LIMITS.pattern_share:
         moved = float(np.sqrt(np.mean(found.shift**2)))
-        coherent = moved > LIMITS.pattern_shift * stated
-        if coherent:
-            yield Finding.of(
+        if moved > LIMITS.pattern_shift * stated:
+            mistake = Finding.of(
                 Code.COHERENT_IMBALANCE,
                 pattern=" or ".join(found.names[:3]),
                 share=found.share,
@@ -185,15 +190,15 @@ def doubts_of_balance(
                 ratio=moved / stated,
                 remedy=found.remedy,
             )
-    if found is not None and (far := found.column_noise > LIMITS.column_noise).any():
-        yield Finding.of(Code.COLUMNS_UNBALANCED, actuators=ids[far])
-    if coherent:  # wrong alpha makes wrong gains
-        return
+            shift = alpha * found.shift
+            # wrong alpha makes wrong gains, so these are not asked
+            return (mistake, *said), covariance + np.outer(shift, shift)
     gains = sensor_gains(commanded, arms, alpha, covariance)
     if abs(gains.with_alpha) > LIMITS.gain_correlation and gains.sigmas > LIMITS.gain_sigmas:
-        yield Finding.of(Code.GAINS_FOLLOW_ALPHA, correlation=gains.with_alpha)
+        said.append(Finding.of(Code.GAINS_FOLLOW_ALPHA, correlation=gains.with_alpha))
     elif gains.gradient_sigmas > LIMITS.gradient_sigmas:
-        yield Finding.of(Code.GAINS_HAVE_GRADIENT, sigmas=gains.gradient_sigmas)
+        said.append(Finding.of(Code.GAINS_HAVE_GRADIENT, sigmas=gains.gradient_sigmas))
+    return tuple(said), covariance
 
 
 class SensorGains(NamedTuple):

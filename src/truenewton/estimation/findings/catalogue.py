@@ -392,7 +392,7 @@ ENTRIES: dict[Code, Entry] = {
         Level.DOUBTFUL,
         "{share:percent} of the imbalance of the columns is not noise: it has the pattern of an"
         " error in {pattern}. If this error is fitted as well, alpha changes by {shift:percent}"
-        " rms, {ratio:.2g} times its stated error",
+        " rms, {ratio:.2g} times its error from noise. E_ALPHA includes this change",
     ),
     Code.COLUMNS_UNBALANCED: _fact(
         Level.USABLE,
@@ -444,6 +444,9 @@ ENTRIES: dict[Code, Entry] = {
     ),
     Code.EFFECT_PRESENT: _fact(Level.DOUBTFUL, "the data show {effect}", "correct that first"),
     Code.ESTIMATE_FAILED: _fact(Level.DOUBTFUL, "{fault}"),
+    Code.INTERRUPTED: _fact(
+        Level.USABLE, "it was interrupted", "let it run to its end, or choose --method ml"
+    ),
     Code.MISFIT_ACTUATORS: _fact(
         Level.DOUBTFUL, "it does not hold for {count:count actuator} or more", _GIVE_MIRROR
     ),

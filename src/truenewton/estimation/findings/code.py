@@ -139,6 +139,7 @@ class Code(StrEnum):
     BALANCE_CONTRADICTS_SYMMETRY = "balance-contradicts-symmetry"
     EFFECT_PRESENT = "effect-present"
     ESTIMATE_FAILED = "estimate-failed"
+    INTERRUPTED = "interrupted"
     MISFIT_ACTUATORS = "misfit-actuators"
     TRANSPOSED = "transposed"
     SHARED_NOISE = "shared-noise"
