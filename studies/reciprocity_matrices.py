@@ -83,7 +83,7 @@ def gate(seeds):
             truth = alpha - alpha.mean()
             alone = np.nan
             try:
-                alone = np.std(modes.fit(Asked(), reciprocity=False).values.log_alpha - truth)
+                alone = np.std(modes.fit(Asked(), balance=True).values.log_alpha - truth)
                 found = examined(modes, USUAL)
             except TrueNewtonError:
                 rows.append((np.nan, alone, np.nan, False))

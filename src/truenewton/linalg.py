@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri
+from scipy.linalg.lapack import dpotrf, dpotri, dtrtri
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
@@ -205,8 +205,15 @@ def inverse_of_positive(matrix: Array) -> Array:
     if not (np.diag(matrix) > 0.0).all():
         raise np.linalg.LinAlgError("an element of the diagonal is not positive")
     size = np.sqrt(np.diag(matrix))
-    factor = scipy.linalg.cho_factor(matrix / size / size[:, None], lower=True)
-    return np.asarray(scipy.linalg.cho_solve(factor, np.diag(1.0 / size)) / size[:, None])
+    scaled = matrix / size
+    scaled /= size[:, None]
+    factor, fails = dpotrf(scaled.T, lower=True, overwrite_a=True, clean=False)
+    if fails:
+        raise np.linalg.LinAlgError("the matrix is not positive definite")
+    inverse = mirrored(dpotri(factor, lower=True, overwrite_c=True)[0].T)
+    inverse /= size
+    inverse /= size[:, None]
+    return inverse
 
 
 @dataclass(frozen=True, eq=False)

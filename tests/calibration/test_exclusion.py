@@ -1,6 +1,8 @@
 """Actuators that a user excludes: the others are as right as without them."""
 
+import re
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import truenewton as tn
 from helpers.balanced import campaign_of, rms_z
 from studies.matrices import measured_or_made, noisy, true_stiffness
 from truenewton.errors import UnknownName
+from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 
 BAD = np.array([3, 7, 8, 12, 18, 19, 25, 30, 31, 36, 40, 44])
 
@@ -74,7 +77,9 @@ def test_an_actuator_that_is_stuck_can_be_excluded_and_an_unknown_one_is_refused
         tn.calibrate(campaign, exclude=[99])
 
 
-def test_the_file_keeps_who_was_excluded(inside, spoilt, tmp_path):
+def test_the_file_keeps_who_was_excluded_and_an_interruption_the_balance(
+    inside, spoilt, tmp_path, monkeypatch
+):
     matrix, _ = spoilt
     tn.write_stiffness(matrix, tmp_path / "k.fits")
     ids = ",".join(map(str, matrix.layout.id[BAD]))
@@ -84,3 +89,6 @@ def test_the_file_keeps_who_was_excluded(inside, spoilt, tmp_path):
     assert "(12 disabled)" in out
     back = tn.read(tmp_path / "alpha.fits")
     assert np.flatnonzero(~back.layout.enabled).tolist() == BAD.tolist()
+    monkeypatch.setattr(reciprocity_of_matrix, "find", Mock(side_effect=KeyboardInterrupt))
+    out = inside("calibrate", tmp_path / "k.fits", "--exclude", ids)[1]
+    assert re.search(r"\(12 disabled\)(?s:.*)not from reciprocity: it was interrupted", out)

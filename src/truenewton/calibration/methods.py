@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, overload
+
+import numpy as np
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.exclusion import disabled, require_known, without
@@ -32,12 +34,15 @@ from truenewton.estimation.sifted import Sifted, campaign_moments, sift
 from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
 from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
+from truenewton.estimation.weights import typical
 from truenewton.linalg import one_thread
+from truenewton.progress import kept_as, tell
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.rounding import percent
 
 Data = Campaign | StiffnessMatrix | SegmentedData
 
@@ -90,25 +95,45 @@ def _with_imbalances(
         return with_warnings(estimate, (alone,)), ()
 
 
-def _reciprocal(
-    sifted: SiftedMatrix, known: Known, *, where_it_holds: bool = False
-) -> tuple[Estimate, Imbalances]:
-    """Return the estimate of reciprocity; of `ml`, with the reason, only where that is allowed."""
+def _reciprocal(sifted: SiftedMatrix, known: Known) -> tuple[Estimate, Imbalances]:
+    """Return the estimate of reciprocity, and what speaks against it."""
     base = stiffness_svd.find(sifted, stiffness_ml.column_fit)
-    if not where_it_holds:
-        with advising_ml():
-            estimate, of_modes, against = reciprocity_of_matrix.find(
-                sifted.matrix, base, known.motion
-            )
-        return with_warnings(estimate, doubts(against)), of_modes
-    try:
+    with advising_ml():
         estimate, of_modes, against = reciprocity_of_matrix.find(sifted.matrix, base, known.motion)
+    return with_warnings(estimate, doubts(against)), of_modes
+
+
+def _where_reciprocity_holds(sifted: SiftedMatrix, known: Known) -> tuple[Estimate, Imbalances]:
+    """Return the estimate of reciprocity, or that of `ml` with the reason.
+
+    That of `ml` comes first, for whoever does not want to wait.
+    """
+    base = stiffness_svd.find(sifted, stiffness_ml.column_fit)
+
+    def of_balance(against: Iterable[Finding]) -> tuple[Estimate, Imbalances]:
+        told = with_warnings(base, instead(against))
+        return _with_imbalances(sifted, stiffness_ml.column_fit, told)
+
+    tell(_in_short(base), keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
+    try:
+        estimate, of_modes, against = reciprocity_of_matrix.find(
+            sifted.matrix, base, known.motion, where_it_holds=True
+        )
         if not against:
             return estimate, of_modes
     except (RankDeficient, NotConverged) as error:
         against = (failed(error),)
-    base = with_warnings(base, instead(against))
-    return _with_imbalances(sifted, stiffness_ml.column_fit, base)
+    return of_balance(against)
+
+
+def _in_short(base: Estimate) -> str:
+    """Return the alpha of an estimate of `ml` and its error, in words."""
+    alpha = base.values[: len(base.reading_covariance)]
+    error = typical(np.sqrt(np.diag(base.reading_covariance)), alpha)
+    return (
+        f"by the balance of forces alone (ml): alpha {alpha.min():.3g} .. {alpha.max():.3g},"
+        f" typical error {percent(error)}"
+    )
 
 
 METHODS = {
@@ -126,7 +151,7 @@ METHODS = {
     ),
     "auto": Method(
         lambda sifted, known: reciprocity_of_cycles.find_where_it_holds(sifted, known.motion),
-        partial(_reciprocal, where_it_holds=True),
+        _where_reciprocity_holds,
     ),
 }
 
@@ -219,22 +244,28 @@ def calibrate(
     left = disabled(data, ids)
     if isinstance(left, Campaign):
         estimate = METHODS[method].of_cycles(sift(left, client), known)
-        made = calibration_of(left, estimate, client=client)
+        made = without(calibration_of(left, estimate, client=client), ids)
     else:
-        made = _of_matrix(left, method, known)
-    made = without(made, ids)
+        made = _of_matrix(left, method, known, ids)
     warn_of(made)
     return made
 
 
-def _of_matrix(matrix: StiffnessMatrix, method: str, known: Known) -> Calibration:
+def _of_matrix(
+    matrix: StiffnessMatrix, method: str, known: Known, excluded: Sequence[int]
+) -> Calibration:
+    """Calibrate; what is found before the end can be kept as a calibration, too."""
+
+    def made_of(found: tuple[Estimate, Imbalances]) -> Calibration:
+        return without(from_stiffness(sifted.matrix, *found), excluded)
+
     try:
-        with one_thread():
+        with one_thread(), kept_as(made_of):
             sifted = sift_matrix(matrix)
             found = METHODS[method].of_stiffness(sifted, known)
     except (RankDeficient, NotConverged) as error:
         raise located(error, matrix.source and Path(matrix.source.file).name) from None
-    return from_stiffness(sifted.matrix, *found)
+    return made_of(found)
 
 
 def _of_segment(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import replace
 from functools import partial
 from typing import Any, Protocol, TypeVar
@@ -22,6 +20,7 @@ from truenewton.errors import RankDeficient, TrueNewtonError, UnreadableFile
 from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
+from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData, segment_couplings
@@ -32,9 +31,7 @@ LARGE = 200  # actuators of a segment: below, it is solved before a process has 
 Solve = Callable[..., Calibration]
 Body = TypeVar("Body")
 Found = TypeVar("Found")
-Given = TypeVar("Given")
 BodyOf = TypeVar("BodyOf", covariant=True)
-Tell = Callable[[int, int], None]
 Seen = Array | Mapping[int, Array]  # by sensors: by those of all segments, or of each by its number
 
 
@@ -130,32 +127,6 @@ def frozen_again(calibration: Calibration) -> Calibration:
     return replace(calibration, layout=replace(calibration.layout))
 
 
-@contextmanager
-def telling(tell: Tell) -> Iterator[None]:
-    """Have somebody told, inside, how many segments are done, and of how many."""
-    token = _TELL.set(tell)
-    try:
-        yield
-    finally:
-        _TELL.reset(token)
-
-
-def _nobody(done: int, total: int) -> None:
-    """Tell nobody."""
-
-
-_TELL: ContextVar[Tell] = ContextVar("tell", default=_nobody)
-
-
-def telling_of(items: Iterable[Given], total: int) -> Iterator[Given]:
-    """Yield what there is of each of so many segments, and tell how many are done."""
-    tell = _TELL.get()
-    tell(0, total)
-    for done, item in enumerate(items, 1):
-        yield item
-        tell(done, total)
-
-
 def of_each(
     data: InSegments[Body],
     solver: Callable[[int], Callable[[Body], Found]],
@@ -189,7 +160,7 @@ def of_each(
         answers = side_by_side(calls, min(processes, len(calls)))
     else:
         answers = (attempt(given) for attempt, given in (call() for call in calls))
-    yield from telling_of(answers, len(calls))
+    yield from telling_of(answers, len(calls), "segments")
 
 
 def _same(fault: Fault) -> Fault:

@@ -15,7 +15,7 @@ from truenewton.calibration.methods import (
     find_alpha,
     refusals,
 )
-from truenewton.calibration.segments import Seen, seen_of, telling_of
+from truenewton.calibration.segments import Seen, seen_of
 from truenewton.calibration.verdict import Verdict, no_alpha
 from truenewton.calibration.words import rejected_lines, rejected_values, row, verdict_lines
 from truenewton.errors import (
@@ -30,6 +30,7 @@ from truenewton.estimation.findings.code import Level
 from truenewton.estimation.identifiability import diagnose
 from truenewton.estimation.sifted import sift
 from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, elastic_count, modal_stiffness
+from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
@@ -102,7 +103,7 @@ def survey_segments(
     """
     parts, lines = [], [f"data of {data.instrument}: {counted(data.numbers, 'segment')}"]
     levels = []
-    for number in telling_of(data.numbers, len(data.numbers)):
+    for number in telling_of(data.numbers, len(data.numbers), "segments"):
         of_it = seen_of(motion, data.layout, number)
         try:
             body = data.segment(number)
@@ -204,6 +205,9 @@ def _survey_stiffness(
         row("elastic modes", f"{values['used_modes']} stiffer than {SOFTEST:g} of the stiffest"),
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
+    if method == "auto" and known.motion is None:  # reciprocity would keep people waiting
+        method, note = "ml", "calibrate uses symmetry as well, which may settle doubts"
+        lines.append(row("judged by", "the balance of forces (ml)", note))
     try:
         made = calibrate(matrix, method, **known._asdict())
     except (RankDeficient, NotConverged) as error:

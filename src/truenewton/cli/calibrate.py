@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import typer
@@ -62,8 +63,9 @@ def run(
         data = data if segment is None else of_segment(data, segment, paths[0])
         with about(paths):
             motion = options.motion_of(mirror, data)
-            with busy("calibrating"):
-                found: Calibration | SegmentedCalibration = calibrate(
+            with busy("calibrating") as waiting:
+                work = partial(
+                    calibrate,
                     data,
                     method,
                     population=population,
@@ -72,6 +74,7 @@ def run(
                     client=client,
                     processes=processes,
                 )
+                found: Calibration | SegmentedCalibration = waiting.end_of(work)
             refuse_unusable(found, force=force)
             if isinstance(found, SegmentedCalibration):
                 found = found if force else found.without_unusable()

@@ -37,7 +37,7 @@ def run(
         return
     if output is not None:
         raise typer.BadParameter("-o goes with --new; --plot FILE writes the figure")
-    from truenewton.cli.terminal import print_result
+    from truenewton.cli.terminal import busy, print_result
     from truenewton.figures.writing import write_figure
     from truenewton.files.outputs import refuse_existing
     from truenewton.planning.figures import plot_outlook
@@ -46,9 +46,10 @@ def run(
     from truenewton.planning.words import lines, values, way_lines
 
     refuse_existing(plot, overwrite=overwrite)
-    outlook = read_outlook(path)
-    missed = target is not None and outlook.prediction.typical > target
-    ways = ways_to(outlook.ready, target) if target is not None and missed else ()
+    with busy("planning"):
+        outlook = read_outlook(path)
+        missed = target is not None and outlook.prediction.typical > target
+        ways = ways_to(outlook.ready, target) if target is not None and missed else ()
     if plot is not None:
         write_figure(plot_outlook(outlook, target), plot, overwrite=overwrite)
     said = (*lines(outlook), *way_lines(target, ways))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
@@ -87,28 +88,66 @@ def track(items: Sequence[Item], what: str) -> Iterator[Item]:
     yield from rich_track(items, description=what, console=Console(stderr=True), transient=True)
 
 
-@contextlib.contextmanager
-def busy(what: str) -> Iterator[None]:
-    """Show on standard error that something takes its time, where a person looks at it.
+@dataclass
+class Waiting:
+    """What someone at the terminal waits for.
 
-    Of a mirror in several segments a bar shows how many are done.
+    Attributes
+    ----------
+    keep
+        Makes a complete result of what has been found so far; None before anything has.
     """
-    if not sys.stderr.isatty():
-        yield
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
 
-    from truenewton.calibration.segments import telling
+    keep: Callable[[], Any] | None = None
 
-    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False)
-    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task(what, total=None)
+    def end_of(self, work: Callable[[], Any]) -> Any:
+        """Return the result of some work; what there is, if it is interrupted and something is."""
+        try:
+            return work()
+        except KeyboardInterrupt:
+            if self.keep is None:
+                raise
+            return self.keep()
 
-        def tell(done: int, total: int) -> None:
-            shown.columns = (*columns, BarColumn(bar_width=20))
-            of = f"{what}: {done} of {total} segments"
-            shown.update(task, completed=done, total=total, description=of)
 
-        with telling(tell):
-            yield
+@contextlib.contextmanager
+def busy(what: str) -> Iterator[Waiting]:
+    """Show on standard error what goes on, how far it is and what was found, where a person looks.
+
+    What was found already can be kept by whoever interrupts the rest.
+    """
+    from truenewton.progress import telling
+
+    waiting = Waiting()
+    with contextlib.ExitStack() as stack:
+        shown: Progress | None = None
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import (
+                BarColumn,
+                Progress,
+                SpinnerColumn,
+                TextColumn,
+                TimeRemainingColumn,
+            )
+
+            columns = SpinnerColumn(), TextColumn("{task.description}", markup=False)
+            shown = Progress(*columns, console=Console(stderr=True), transient=True)
+            stack.enter_context(shown)
+            task = shown.add_task(what, total=None)
+
+        def told(now: str, done: float, keep: Callable[[], Any] | None) -> None:
+            if keep is not None:
+                waiting.keep = keep
+            if shown is None:
+                return
+            if keep is not None:
+                shown.console.print(f"{now}; Ctrl+C keeps this", highlight=False)
+                return
+            if done:
+                shown.columns = (*columns, BarColumn(bar_width=20), TimeRemainingColumn())
+                shown.update(task, completed=done, total=1.0)
+            shown.update(task, description=f"{what}: {now}")
+
+        stack.enter_context(telling(told))
+        yield waiting

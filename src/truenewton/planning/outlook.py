@@ -36,6 +36,7 @@ from truenewton.planning.forces import (
     within_limits,
 )
 from truenewton.planning.third_load import ThirdLoad, third_load
+from truenewton.progress import tell
 from truenewton.records.campaign import Campaign
 
 
@@ -193,6 +194,7 @@ def read_outlook(path: str | os.PathLike[str]) -> Outlook:
     (45,)
     """
     plan = read_plan(path)
+    tell("forces and errors")
     try:
         bodies = map(outlook, prepared_bodies(plan, Path(path).parent))
         return max(bodies, key=lambda one: typical_errors(one.prediction))
@@ -220,6 +222,9 @@ def outlook(ready: Prepared) -> Outlook:
             ),
         )
     cycles = _cycles_around(ready.plan.cycles)
+    tell("what the sensors will see besides", 0.3)
+    sensors = with_sensors(ready, cycles)
+    tell("errors against cycles and weight", 0.9)
     return Outlook(
         ready,
         prediction,
@@ -230,7 +235,7 @@ def outlook(ready: Prepared) -> Outlook:
         warnings,
         order_costs(ready.plan, ready.mirror, len(ready.shapes)),
         third_load(ready),
-        with_sensors(ready, cycles),
+        sensors,
     )
 
 

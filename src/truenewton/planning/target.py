@@ -12,6 +12,7 @@ from truenewton.acquisition.plan import CampaignPlan
 from truenewton.errors import LimitExceeded
 from truenewton.planning.forces import Prepared, within_limits
 from truenewton.planning.outlook import duration, predicted, with_added
+from truenewton.progress import telling_of
 from truenewton.rounding import counted
 from truenewton.statics.load import Load
 
@@ -62,7 +63,8 @@ def ways_to(ready: Prepared, target: float) -> tuple[Way, ...]:
         ("tilt", _tilted(plan), ""),
         ("shapes", _larger(ready), "they are given, or at their limits"),
     )
-    return tuple(_smallest(ready, target, *ladder) for ladder in ladders)
+    tried = telling_of(ladders, len(ladders), "changes tried")
+    return tuple(_smallest(ready, target, *ladder) for ladder in tried)
 
 
 # Changes of a plan, each larger than those before it, and how to say them.

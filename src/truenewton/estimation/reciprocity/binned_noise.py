@@ -39,8 +39,8 @@ class BinnedNoise:
         (n, n) K_c, of the modes that are used alone [N/m].
     readings
         (n, m) V, as read; stiffest first.
-    statics, reciprocity
-        Whether the balance of forces counts, and the rest (rigid motions and reciprocity).
+    balance
+        Whether statics alone counts.
     leverage
         Of the last fit; None at first.
     times, before
@@ -49,8 +49,7 @@ class BinnedNoise:
 
     stiffness: Array
     readings: Array
-    statics: bool = True
-    reciprocity: bool = True
+    balance: bool = False
     leverage: Leverage | None = field(default=None)
     times: int = field(default=0)
     before: tuple[Array, Array, Array] | None = field(default=None)
@@ -62,7 +61,8 @@ class BinnedNoise:
     def __call__(self, places: Places, values: Values, seen: Sight) -> tuple[States, Weights]:
         """Return states and weights at some values."""
         states = self.states(places, values, seen)
-        return states, self.weights(states)
+        weights = self.weights(states)
+        return states, weights.of_balance if self.balance else weights
 
     def states(self, places: Places, values: Values, seen: Sight) -> States:
         """Return the states, W'W as it comes and Q orthonormal."""
@@ -120,9 +120,9 @@ class BinnedNoise:
         self.times, self.before = self.times + 1, found
         statics, rigid, variance = found
         return Weights(
-            statics=self.statics * np.repeat(1.0 / statics, sizes, axis=1),
-            rigid=self.reciprocity * np.repeat(1.0 / rigid, sizes, axis=0),
-            reciprocity=self.reciprocity / variance,
+            statics=np.repeat(1.0 / statics, sizes, axis=1),
+            rigid=np.repeat(1.0 / rigid, sizes, axis=0),
+            reciprocity=1.0 / variance,
             bins=bins,
             share=shares(variance, sizes),
         )

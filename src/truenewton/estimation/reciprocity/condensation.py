@@ -33,20 +33,20 @@ def odd_actuators(stiffness: Array) -> NDArray[np.int64]:
     absence leaves least.
     """
     at, rest = np.arange(len(stiffness)), stiffness
-    found, size = list[int](), _asymmetry(stiffness)
+    found, (size, ratios) = list[int](), _asymmetry(stiffness)
     while len(found) <= max(2, int(MOST * len(stiffness))):
         worst = np.argsort(-size)
         tried = worst[rest.diagonal()[worst] != 0.0][:CANDIDATES]  # one that yields can be free
         if not tried.size:
             break
-        left = [_asymmetry(_without(rest, int(k))) for k in tried]
-        best = int(np.argmin([np.sum(each**2) for each in left]))
+        left = [_asymmetry(_without(rest, int(k)), np.delete(ratios, k)) for k in tried]
+        best = int(np.argmin([np.sum(each**2) for each, _ in left]))
         usual = np.median(size)
-        if not (size.max() > FAR * usual or usual > CURED * np.median(left[best])):
+        if not (size.max() > FAR * usual or usual > CURED * np.median(left[best][0])):
             break
         found.append(int(at[tried[best]]))
         at, rest = np.delete(at, tried[best]), _without(rest, int(tried[best]))
-        size = left[best]
+        size, ratios = left[best]
     return np.sort(np.array(found, dtype=np.int64))
 
 
@@ -60,12 +60,16 @@ def kept(stiffness: Array) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
     return keep, ()
 
 
-def _asymmetry(stiffness: Array) -> Array:
-    """Return (n,) rms asymmetry of each row, made alike, in terms of a typical element."""
-    alike = np.exp(pair_ratios(stiffness)[0])[:, None] * stiffness
+def _asymmetry(stiffness: Array, start: Array | None = None) -> tuple[Array, Array]:
+    """Return (n,) rms asymmetry of each row, made alike, in terms of a typical element.
+
+    And the (n,) log alpha that makes them alike, found from one nearby where there is one.
+    """
+    ratios = pair_ratios(stiffness, start)[0]
+    alike = np.exp(ratios)[:, None] * stiffness
     own = np.median(np.abs(alike), axis=1)  # that of a bad one may be anything
     typical = np.median(own) or np.inf  # 0 where most do not feel each other
-    return np.asarray(np.sqrt(np.mean((alike - alike.T) ** 2, axis=1)) / typical)
+    return np.sqrt(np.mean((alike - alike.T) ** 2, axis=1)) / typical, ratios
 
 
 def _without(stiffness: Array, k: int) -> Array:

@@ -89,9 +89,10 @@ def refusals(evidence: Evidence) -> Iterator[Finding]:
         )
     if evidence.apart > APART:
         yield Finding.of(Code.ESTIMATES_APART, factor=np.sqrt(evidence.apart))
-    if evidence.as_stated > APART and evidence.error > evidence.error_by_balance:
+    if evidence.error > evidence.error_by_balance:
         sizes: dict[str, Any] = {"error": evidence.error, "of_balance": evidence.error_by_balance}
-        if evidence.error > SENSELESS and evidence.error_by_balance < SURE * evidence.error:
+        senseless = evidence.error > SENSELESS and evidence.error_by_balance < SURE * evidence.error
+        if evidence.as_stated > APART and senseless:
             yield Finding.of(Code.BALANCE_CONTRADICTS_SYMMETRY, **sizes)
         else:
             yield Finding.of(Code.ERRORS_LARGER, **sizes)

@@ -22,7 +22,7 @@ from truenewton.estimation.reciprocity.sight import Sight
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Values
 
-ROWS = 32  # of actuators at once, so that what is made of them stays in the cache
+ROWS = 64  # of actuators at once, so that what is made of them stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ def information(point: Point, before: Fitted | None = None) -> tuple[Array, Leve
     room = np.empty(
         (1 + 3 + 4 * len(kinds), bins, ROWS * n)
     )  # made once: memory is slow to come by
-    for start in range(0, n, ROWS):
+    for start in range(0, n if point.weights.reciprocity.any() else 0, ROWS):
         _add_reciprocity(total, point, slice(start, start + ROWS), before, taken, room)
     _add_statics(total, point, before, taken)
     _add_rigid(total, point, before, taken)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri
 
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
@@ -22,10 +21,11 @@ from truenewton.estimation.reciprocity.information import (
 from truenewton.estimation.reciprocity.sight import Places, Sight, sight
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind, Values, at_nominal
-from truenewton.linalg import mirrored, one_thread
+from truenewton.linalg import inverse_of_positive, one_thread
 
 STEPS = 40
 SETTLED = 0.02  # rms step of alpha over its rms error
+SLOW = 0.25  # step of alpha in terms of the one before, beyond which a kept factor is made anew
 LONGEST = 0.3  # step of any log alpha or log g
 # Spreads of log g and of offsets [m] below which they are none: where data do not hold them, each
 # step would find them smaller.
@@ -104,6 +104,7 @@ def fit(
     *,
     start: Values | None = None,
     told: Callable[[Leverage], None] | None = None,
+    fixed: bool = False,
 ) -> Fit:
     """Find the likeliest unknowns.
 
@@ -119,6 +120,9 @@ def fit(
         Where to begin; at nominal values unless given.
     told
         Is told the leverages after each step.
+    fixed
+        Weights and spreads stay as they are. One factor serves as long as steps become short, and
+        leverages are not asked for.
 
     Raises
     ------
@@ -128,19 +132,22 @@ def fit(
     """
     values = at_nominal(places.n) if start is None else start
     before: Fitted | None = None
+    size = last = np.inf
     for step in range(STEPS):
         point = point_at(places, values, asked, states_at)
-        gathered, leverage = information(point, before)
         known = asked.information(places.n)
-        gathered[np.diag_indices(len(known))] += known
-        covariance = _inverse(gathered, asked, places.n)
-        before = Fitted(covariance, point.weights)
+        if not (fixed and step and size < SLOW * last):
+            gathered, leverage = information(point, before)
+            gathered[np.diag_indices(len(known))] += known
+            covariance = _inverse(gathered, asked, places.n)
+        before = None if fixed else Fitted(covariance, point.weights)
         if leverage is not None and told is not None:
             told(leverage)
         move = -covariance @ (score(point) + known * asked.vector(values))
         n = places.n
         error = np.sqrt(np.mean(np.diag(covariance)[:n]))
-        settled = step > 0 and np.sqrt(np.mean(move[:n] ** 2)) < SETTLED * error
+        last, size = size, float(np.sqrt(np.mean(move[:n] ** 2)))
+        settled = step > 0 and size < SETTLED * error
         logs = move[: n * sum(kind not in OFFSETS for kind in asked.kinds)]
         move = move * min(1.0, LONGEST / max(float(np.abs(logs).max()), 1e-300))
         values = asked.moved(values, move)
@@ -151,7 +158,7 @@ def fit(
     raise NotConverged(
         f"reciprocity has not settled after {STEPS} steps",
         remedy="check gains and positions of the sensors",
-        got=float(np.sqrt(np.mean(move[:n] ** 2)) / error),
+        got=size / float(error),
         want=SETTLED,
     )
 
@@ -162,17 +169,14 @@ def _inverse(gathered: Array, asked: Asked, n: int) -> Array:
     held[:n, :n] += np.trace(held[:n, :n]) / n**2
     if np.isinf(asked.gain_spread):
         held[n : 2 * n, n : 2 * n] += np.trace(held[n : 2 * n, n : 2 * n]) / n**2
-    unit = 1.0 / np.sqrt(np.diag(held))
-    held *= unit[:, None] * unit
-    factor, fails = dpotrf(held.T, lower=True, overwrite_a=True, clean=False)
-    if fails:
+    try:
+        inverse = inverse_of_positive(held)
+    except np.linalg.LinAlgError:
         raise RankDeficient(
             "reciprocity does not hold all that is asked of it",
             remedy="give the sensor gains",
-        )
-    inverse = mirrored(dpotri(factor, lower=True, overwrite_c=True)[0].T)
-    inverse *= unit[:, None] * unit
-    scales = np.zeros((len(unit), 2 if np.isinf(asked.gain_spread) else 1))
+        ) from None
+    scales = np.zeros((len(held), 2 if np.isinf(asked.gain_spread) else 1))
     for k in range(scales.shape[1]):  # what the hold itself says of the scale is no knowledge
         scales[k * n : (k + 1) * n, k] = 1.0 / np.sqrt(n)
     inverse -= scales @ (scales.T @ inverse)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.response import beyond_noise, noise_of, stated_errors
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
+from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind, Values
 from truenewton.estimation.stiffness_svd import (
     EVEN,
@@ -35,6 +37,7 @@ from truenewton.estimation.stiffness_svd import (
     imbalances_of,
 )
 from truenewton.linalg import asymmetry, singular_values_and_vectors
+from truenewton.progress import tell
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms
 
@@ -75,15 +78,22 @@ class Modes:
         self,
         asked: Asked,
         *,
-        statics: bool = True,
-        reciprocity: bool = True,
+        balance: bool = False,
         start: Values | None = None,
+        weights: Weights | None = None,
     ) -> Fit:
-        """Find alpha and the sensors, by the balance of forces, by reciprocity, or by both."""
-        noise = BinnedNoise(
-            (self.forces * self.values) @ self.readings.T, self.readings, statics, reciprocity
-        )
-        return fit(self.places, asked, noise, start=start, told=noise.told)
+        """Find alpha and the sensors by balance and reciprocity, or by balance alone.
+
+        Unless weights are given, they are found as well.
+        """
+        noise = BinnedNoise((self.forces * self.values) @ self.readings.T, self.readings, balance)
+        if weights is None:
+            return fit(self.places, asked, noise, start=start, told=noise.told)
+
+        def weighted(*at: Any) -> tuple[States, Weights]:
+            return noise.states(*at), weights
+
+        return fit(self.places, asked, weighted, start=start, fixed=True)
 
 
 def modes_of(
@@ -152,24 +162,33 @@ class Examined:
 def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     """Fit all modes and every second one, by balance and reciprocity together and apart.
 
+    Noise and scatter of the sensors are those of the fit to all, except by balance alone.
+
     Raises
     ------
     RankDeficient, NotConverged
     """
+    tell("reciprocity", 0.02)
     joint = modes.fit(asked)
-    halves = modes.every(EVEN), modes.every(ODD)
-    fits = [half.fit(asked, start=joint.values) for half in halves]
-    known = replace(joint.values, log_alpha=np.zeros(modes.places.n))
+    tell("reciprocity, of halves of the modes", 0.5)
+    again, weights = joint.asked_again, joint.point.weights
+    halves = [(modes.every(some), weights.every(some)) for some in (EVEN, ODD)]
+    fits = [half.fit(again, start=joint.values, weights=own) for half, own in halves]
     lines = modes.imbalances(joint, *fits)
     by_balance = between = as_stated = np.nan
+    tell("reciprocity, the noise", 0.65)
     noise = noise_of(modes.stiffness, joint, modes.places)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS
     excess = beyond_noise(fits, noise, alike=True, doubtful=doubtful)
     ways = (np.full(modes.places.n, np.nan),) * 2
+    tell("reciprocity, against the balance", 0.75)
     try:  # alpha only: the balance knows nothing of sensors
-        alone = [one.fit(Asked(), reciprocity=False, start=known) for one in (modes, *halves)]
+        alone = [
+            one.fit(Asked(), balance=True, start=joint.values)
+            for one in (modes, *(half for half, _ in halves))
+        ]
         by_balance = _unseen(modes.imbalances(*alone))
-        reciprocity = modes.fit(joint.asked_again, statics=False, start=joint.values)
+        reciprocity = modes.fit(again, start=joint.values, weights=weights.of_symmetry)
         pair = (alone[0], reciprocity)
         excess = max(excess, beyond_noise(pair, noise, alike=False, doubtful=doubtful))
         between = as_stated = apart(*pair, disagreement(*alone[1:]), disagreement(*fits))
@@ -211,7 +230,11 @@ def _unseen(imbalances: tuple[Imbalance, ...]) -> float:
 
 
 def find(
-    matrix: StiffnessMatrix, base: Estimate, motion: Array | None = None
+    matrix: StiffnessMatrix,
+    base: Estimate,
+    motion: Array | None = None,
+    *,
+    where_it_holds: bool = False,
 ) -> tuple[Estimate, tuple[Imbalance, ...], tuple[Finding, ...]]:
     """Find relative alpha and the sensors; return what speaks against them, too.
 
@@ -227,6 +250,8 @@ def find(
         The estimate of `ml`, which says what is odd about the matrix itself.
     motion
         (n, n) as for `modes_of`.
+    where_it_holds
+        Leave it at ``base`` where too many actuators are odd: nothing fitted would be believed.
 
     Raises
     ------
@@ -240,6 +265,9 @@ def find(
             remedy="use the matrix as it was measured",
         )
     keep, odd = kept(matrix.used_stiffness)
+    transposed = looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout))
+    if odd and where_it_holds:
+        return base, (), tuple(refusals(Evidence(odd=odd, transposed=transposed)))
     modes = modes_of(matrix, motion, keep)
     found = examined(modes)
     joint, n = found.joint, len(keep)
@@ -267,7 +295,6 @@ def find(
         said.append(Finding.of(Code.RECIPROCITY_EXCLUDED, actuators=ids[~keep]))
     diagnosis = replace(base.diagnosis, warnings=tuple(said))
     estimate = replace(estimate, diagnosis=diagnosis)
-    transposed = looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout))
     stated, of_balance = (
         float(np.median((np.sqrt(np.diag(each.reading_covariance)[:n]) / each.values[:n])[keep]))
         for each in (estimate, base)

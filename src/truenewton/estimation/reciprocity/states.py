@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -78,6 +78,28 @@ class Weights:
     bins: tuple[slice, ...]
     share: Array | None = None
     exact: Array | None = None
+
+    def every(self, some: slice) -> Weights:
+        """Return those of some of the states, in the same bins."""
+        kept = np.arange(self.statics.shape[1])[some]
+        edges = np.searchsorted(kept, [0, *(each.stop for each in self.bins)]).tolist()
+        return replace(
+            self,
+            statics=self.statics[:, some],
+            rigid=self.rigid[some],
+            bins=tuple(slice(*pair) for pair in itertools.pairwise(edges)),
+            share=None if self.share is None else self.share[some, some],
+        )
+
+    @property
+    def of_balance(self) -> Weights:
+        """Those of statics, nothing else counting."""
+        return replace(self, rigid=0.0 * self.rigid, reciprocity=0.0 * self.reciprocity)
+
+    @property
+    def of_symmetry(self) -> Weights:
+        """Those of rigid motions and reciprocity, statics not counting."""
+        return replace(self, statics=0.0 * self.statics)
 
     @property
     def of_pairs(self) -> Array:
