@@ -4,7 +4,6 @@
     python -m studies.reciprocity --gate [--seeds 12]
     python -m studies.reciprocity --foreign [--seeds 3]
     python -m studies.reciprocity --large
-    python -m studies.reciprocity --time 1170
     TRUENEWTON_REAL_DATA=FOLDER python -m studies.reciprocity --measured
 
 The first prints, for campaigns of P45 (4 cycles under each of two loads), the relative error of
@@ -16,8 +15,8 @@ reciprocity without a model of the glass, as a user without one has it. --loop h
 closed loop. The second prints how often the gate accepts stiffnesses of P45 with faults,
 and whether it should; --foreign what `ml`, `auto` and `reciprocity` make of matrices of many other
 kinds. --large prints error, bound and coverage of stiffnesses of 650 actuators of LBT672, sensors
-0.5 mm off; --time what time and memory `auto` takes. The last prints what is left out of balance on
-held-out modes of a measured LBT672, FOLDER holding lbt672/lbt672-feedforward.fits.
+0.5 mm off. The last prints what is left out of balance on held-out modes of a measured LBT672,
+FOLDER holding lbt672/lbt672-feedforward.fits.
 """
 
 import argparse
@@ -26,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 
 from studies.joint_bound import BruteForce
-from studies.reciprocity_matrices import foreign_matrices, gate, large, real, timed
+from studies.reciprocity_matrices import foreign_matrices, gate, large, real
 from truenewton.bench.simulated.static import (
     SENSOR_NOISE,
     loop_of,
@@ -171,14 +170,11 @@ def main():
     parser.add_argument("--loop", action="store_true", help="in closed loop")
     parser.add_argument("--gate", action="store_true")
     parser.add_argument("--foreign", action="store_true")
-    parser.add_argument("--time", type=int, default=0, metavar="ACTUATORS")
     parser.add_argument("--large", action="store_true")
     parser.add_argument("--measured", action="store_true")
     options = parser.parse_args()
     if options.measured:
         real()
-    elif options.time:
-        timed(options.time)
     elif options.foreign:
         foreign_matrices(options.seeds)
     elif options.large:

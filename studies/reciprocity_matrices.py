@@ -1,6 +1,5 @@
 """What reciprocity makes of matrices: simulated, foreign, large and measured (`reciprocity.py`)."""
 
-import resource
 import time
 import warnings
 from collections import Counter
@@ -19,7 +18,7 @@ from truenewton.estimation.reciprocity.gate import refusals
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind
-from truenewton.mirrors.known import lbt672, p45, ring
+from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import seen_by
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -246,26 +245,6 @@ def large():
             f" apart {found.evidence.apart:.2f}",
             flush=True,
         )
-
-
-def timed(actuators):
-    """Print time and memory of `auto` on a stiffness of so many actuators."""
-    mirror = ring(actuators)
-    random, layout = np.random.default_rng(5), mirror.layout
-    values = drawn(random, layout.n, offset=5e-4)
-    exact = by_plate(layout, held_glass(mirror).stiffness, values)
-    made = with_noise(random, exact, values, stroke=np.inf)
-    matrix = StiffnessMatrix("RING", START, layout, made.stiffness)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    begin, cpu = time.perf_counter(), time.process_time()
-    found = calibrate(matrix, "auto")
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    print(
-        f"{layout.n} actuators, {4 * layout.n} unknowns: {found.method} in"
-        f" {time.perf_counter() - begin:.0f} s, {time.process_time() - cpu:.0f} s of processor;"
-        f" at most {after / 1e6:.2f} GB, {before / 1e6:.2f} GB before; rms error of alpha"
-        f" {np.std(np.log(found.alpha) - values.log_alpha):.5f}"
-    )
 
 
 def asymmetry_of(matrix):

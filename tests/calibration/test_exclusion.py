@@ -77,9 +77,7 @@ def test_an_actuator_that_is_stuck_can_be_excluded_and_an_unknown_one_is_refused
         tn.calibrate(campaign, exclude=[99])
 
 
-def test_the_file_keeps_who_was_excluded_and_an_interruption_the_balance(
-    inside, spoilt, tmp_path, monkeypatch
-):
+def test_excluded_are_kept_and_so_is_an_interrupted_answer(inside, spoilt, tmp_path, monkeypatch):
     matrix, _ = spoilt
     tn.write_stiffness(matrix, tmp_path / "k.fits")
     ids = ",".join(map(str, matrix.layout.id[BAD]))

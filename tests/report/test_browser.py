@@ -16,12 +16,8 @@ from truenewton.report.investigate import investigate
 from truenewton.report.page.page import write_report
 
 pytest.importorskip("selenium", reason="selenium is not installed")
-pytestmark = [
-    pytest.mark.study,
-    pytest.mark.skipif(
-        not (CHROMIUM and DRIVER), reason="chromium and chromedriver are not installed"
-    ),
-]
+none = pytest.mark.skipif(not (CHROMIUM and DRIVER), reason="chromium or its driver is missing")
+pytestmark = [pytest.mark.study, none]
 needs_axe = pytest.mark.skipif(not AXE.exists(), reason="axe-core is not installed in .browser")
 SELECTED = "return [...Bokeh.documents[0].get_model_by_name('actuators').selected.indices]"
 ROWS = (
