@@ -8,6 +8,7 @@ Printed are seconds of processor, of the clock, GB at most, and the ratio of pro
 """
 
 import argparse
+import datetime
 import os
 import subprocess
 import sys
@@ -20,10 +21,9 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 import numpy as np
 
 import truenewton as tn
-from studies.matrices import measured_or_made, noisy
 from truenewton.acquisition.plan import template
 from truenewton.bench.simulated.static import static_bench
-from truenewton.mirrors.known import ring
+from truenewton.mirrors.known import lbt672, ring
 
 COMMANDS = """calibrate p45 -o p45.fits; info p45; report p45 -o p45.html;
 plan p45.toml --target .001; plan mmt336.toml --target .001; plan lbt672.toml --target .001;
@@ -48,12 +48,13 @@ def main() -> None:
     parser.add_argument("--other", help="interpreter of the other release")
     parser.add_argument("--ring", type=int, help="actuators of a simulated matrix")
     options = parser.parse_args()
-    matrix = measured_or_made("lbt672")
-    if options.ring:
-        truth = static_bench(ring(options.ring), 1).truth
-        matrix = tn.StiffnessMatrix("RING", matrix.date, truth.layout, truth.stiffness)
-    if matrix.source is None:
-        matrix = noisy(matrix, matrix.stiffness, 1, "equal", 2e-4)[1]
+    if (data := os.environ.get("TRUENEWTON_REAL_DATA")) and not options.ring:
+        matrix = tn.read(Path(data) / "lbt672" / "lbt672-feedforward.fits")
+    else:
+        truth = static_bench(ring(options.ring) if options.ring else lbt672(), 1).truth
+        noise = 2e-4 * np.random.default_rng(1).standard_normal(truth.stiffness.shape)
+        k = truth.stiffness * (1.0 + noise) / truth.alpha[:, None]
+        matrix = tn.StiffnessMatrix("MADE", datetime.datetime.now(datetime.UTC), truth.layout, k)
     with tempfile.TemporaryDirectory() as folder:
         taken(sys.executable, "simulate p45 -o p45", folder)
         for name in ("p45", "mmt336", "lbt672"):
