@@ -36,7 +36,7 @@ from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import typical
 from truenewton.linalg import one_thread
-from truenewton.progress import kept_as, tell
+from truenewton.progress import kept_as, tell, telling
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
 from truenewton.records.segmented import SegmentedData
@@ -273,7 +273,8 @@ def _of_segment(
 ) -> Calibration:
     """Calibrate a segment without those of the excluded actuators that stand behind it."""
     own = set(body.layout.id.tolist())
-    made: Calibration = calibrate(body, exclude=own.intersection(exclude), **options)
+    with telling(lambda *_: None):  # what is found of one segment is no result of all
+        made: Calibration = calibrate(body, exclude=own.intersection(exclude), **options)
     return made
 
 

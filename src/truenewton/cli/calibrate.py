@@ -63,7 +63,7 @@ def run(
         data = data if segment is None else of_segment(data, segment, paths[0])
         with about(paths):
             motion = options.motion_of(mirror, data)
-            with busy("calibrating") as waiting:
+            with busy("calibrating", keeping=True) as waiting:
                 work = partial(
                     calibrate,
                     data,

@@ -111,10 +111,10 @@ class Waiting:
 
 
 @contextlib.contextmanager
-def busy(what: str) -> Iterator[Waiting]:
-    """Show on standard error what goes on, how far it is and what was found, where a person looks.
+def busy(what: str, *, keeping: bool = False) -> Iterator[Waiting]:
+    """Show on standard error what goes on and how far it is, where a person looks.
 
-    What was found already can be kept by whoever interrupts the rest.
+    If ``keeping``, also what was found: it can be kept by whoever interrupts the rest.
     """
     from truenewton.progress import telling
 
@@ -138,11 +138,12 @@ def busy(what: str) -> Iterator[Waiting]:
 
         def told(now: str, done: float, keep: Callable[[], Any] | None) -> None:
             if keep is not None:
-                waiting.keep = keep
-            if shown is None:
+                if keeping:
+                    waiting.keep = keep
+                    if shown is not None:
+                        shown.console.print(f"{now}; Ctrl+C keeps this", highlight=False)
                 return
-            if keep is not None:
-                shown.console.print(f"{now}; Ctrl+C keeps this", highlight=False)
+            if shown is None:
                 return
             if done:
                 shown.columns = (*columns, BarColumn(bar_width=20), TimeRemainingColumn())
