@@ -46,12 +46,12 @@ def test_noiseless_stiffness_gives_alpha_up_to_its_mean_and_no_imbalance(method)
 
 @pytest.mark.study
 @pytest.mark.parametrize("method", ["svd", "ml"])
-def test_stated_error_is_that_of_a_hundred_or_on_the_safe_side(method):
+def test_stated_error_is_that_of_fifty_or_on_the_safe_side(method):
     """Equal noise in all elements: the soft modes carry more of it, the columns the same."""
     truth = p45_bench().truth
     clean = truth.stiffness / truth.alpha[:, None]
     alphas, stated = [], []
-    for seed in range(100):
+    for seed in range(50):
         noise = np.random.default_rng([1, seed]).standard_normal(clean.shape)
         calibration = calibrate(
             StiffnessMatrix("P45", START, truth.layout, clean + 30 * noise), method

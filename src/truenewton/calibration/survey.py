@@ -54,6 +54,9 @@ def survey(
     method, population, motion
         As in `calibrate`; (6, n, n).
     """
+    # Reciprocity of a matrix would keep people waiting.
+    by_balance = isinstance(data, StiffnessMatrix) and method is None and motion is None
+    method = "ml" if by_balance else method
     method, known = asked(data, method, population=population, motion=motion)
     if isinstance(data, Campaign):
         holds, what = "campaign", "campaign"
@@ -78,6 +81,9 @@ def survey(
     off = f" ({disabled} disabled)" if disabled else ""
     headline = f"a {what} of {data.instrument}: {counted(data.layout.n, 'actuator')}{off}{contents}"
     lines.insert(0, headline)
+    if by_balance:
+        note = "calibrate uses symmetry as well, which may settle doubts"
+        lines.append(row("judged by", "the balance of forces (ml)", note))
     if refused:
         lines += [f"  not enough for alpha: {each.fault}; {each.remedy}" for each in verdict.faults]
     else:
@@ -205,9 +211,6 @@ def _survey_stiffness(
         row("elastic modes", f"{values['used_modes']} stiffer than {SOFTEST:g} of the stiffest"),
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
-    if method == "auto" and known.motion is None:  # reciprocity would keep people waiting
-        method, note = "ml", "calibrate uses symmetry as well, which may settle doubts"
-        lines.append(row("judged by", "the balance of forces (ml)", note))
     try:
         made = calibrate(matrix, method, **known._asdict())
     except (RankDeficient, NotConverged) as error:
