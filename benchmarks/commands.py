@@ -37,7 +37,9 @@ def taken(python: str, command: str, folder: str) -> tuple[float, float, float]:
     words = [python, "-m", "truenewton", *command.split(), "--quiet"]
     words += ["--overwrite"] * (" -o " in command)
     pid = subprocess.Popen(words, cwd=folder, stdout=subprocess.DEVNULL).pid
-    usage = os.wait4(pid, 0)[2]
+    _, status, usage = os.wait4(pid, 0)
+    if status:
+        print(f"{command} failed: its time is none", flush=True)
     seconds = usage.ru_utime + usage.ru_stime
     return seconds, time.perf_counter() - start, 1e-6 * usage.ru_maxrss
 
