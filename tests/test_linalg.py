@@ -10,11 +10,12 @@ from truenewton.errors import RankDeficient
 from truenewton.linalg import (
     CLOSE,
     MOST_STEPS,
+    inverse_of_positive,
     largest_eigenvalue,
     least_squares,
     mirrored,
-    one_thread,
     smallest_eigenvalue,
+    threads,
 )
 
 
@@ -72,13 +73,13 @@ def test_a_singular_matrix_has_the_eigenvalue_0(n):
 
 
 def test_small_products_keep_to_one_thread_and_others_get_theirs_back():
-    def threads():
+    def counts():
         return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
 
     with threadpool_limits(2, user_api="blas"):
-        with one_thread():
-            assert threads() == {1}
-        assert threads() == {2}
+        with threads(1):
+            assert counts() == {1}
+        assert counts() == {2}
 
 
 @pytest.mark.parametrize("n", [1, 5, 128, 300])
@@ -148,3 +149,12 @@ def test_eigenvectors_are_those_of_lapack_for_pairs_too(n):
     np.testing.assert_allclose(found, wanted, atol=1e-9 * values[-1])
     np.testing.assert_allclose(vectors.T @ vectors, np.eye(n), atol=1e-12)
     np.testing.assert_allclose(matrix @ vectors, vectors * found, atol=1e-8 * values[-1])
+
+
+@pytest.mark.parametrize(("dtype", "off"), [(np.float64, 1e-13), (np.float32, 1e-4)])
+def test_a_positive_matrix_is_inverted_in_its_own_precision(dtype, off):
+    units = np.logspace(-6, 6, 60)  # of unlike unknowns
+    plain = symmetric(np.logspace(0, 2, 60), 5)[0]
+    inverse = inverse_of_positive((plain * np.outer(units, units)).astype(dtype))
+    assert inverse.dtype == dtype
+    assert inverse * np.outer(units, units) == pytest.approx(np.linalg.inv(plain), abs=off)

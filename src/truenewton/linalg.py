@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dpotrf, dpotri, dtrtri
+from scipy.linalg.lapack import dpotrf, dpotri, dtrtri, spotrf, spotri
 
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
@@ -24,12 +25,21 @@ CLOSE = 1e-3  # of an eigenvalue, which it may be off by at most
 MOST_STEPS = 60  # beyond, a full decomposition is as fast
 
 
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep BLAS to one thread: small products cost more in several, most where others work too."""
+@functools.cache
+def thread_count() -> int:
+    """Return how many threads BLAS may use, by the number of cores and the environment."""
     import threadpoolctl  # not at each start
 
-    with threadpoolctl.threadpool_limits(1, user_api="blas"):
+    return int(max(each["num_threads"] for each in threadpoolctl.threadpool_info()))
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Let BLAS use so many threads. Small products cost more in several than in one."""
+    import threadpoolctl
+
+    thread_count()  # what it was before
+    with threadpoolctl.threadpool_limits(count, user_api="blas"):
         yield
 
 
@@ -191,8 +201,10 @@ def covariance_fault(matrix: Array, unit: Array | None = None) -> str:
     return ""
 
 
-def inverse_of_positive(matrix: Array) -> Array:
+def inverse_of_positive(matrix: Array, *, overwrite: bool = False) -> Array:
     """Return the inverse of an (n, n) symmetric positive definite matrix, whatever its units.
+
+    In the precision of the matrix, and in its place if that may be overwritten.
 
     Each row is taken in terms of the root of its diagonal first (van der Sluis, Numer. Math. 14,
     14, 1969: no other scale does much better).
@@ -205,12 +217,15 @@ def inverse_of_positive(matrix: Array) -> Array:
     if not (np.diag(matrix) > 0.0).all():
         raise np.linalg.LinAlgError("an element of the diagonal is not positive")
     size = np.sqrt(np.diag(matrix))
-    scaled = matrix / size
+    scaled = matrix if overwrite else matrix.copy()
+    scaled /= size
     scaled /= size[:, None]
-    factor, fails = dpotrf(scaled.T, lower=True, overwrite_a=True, clean=False)
+    single = scaled.dtype == np.float32
+    potrf, potri = (spotrf, spotri) if single else (dpotrf, dpotri)
+    factor, fails = potrf(scaled.T, lower=True, overwrite_a=True, clean=False)
     if fails:
         raise np.linalg.LinAlgError("the matrix is not positive definite")
-    inverse = mirrored(dpotri(factor, lower=True, overwrite_c=True)[0].T)
+    inverse = mirrored(potri(factor, lower=True, overwrite_c=True)[0].T)
     inverse /= size
     inverse /= size[:, None]
     return inverse

@@ -35,7 +35,7 @@ from truenewton.estimation.sifted_matrix import SiftedMatrix, sift_matrix
 from truenewton.estimation.structure import FITS
 from truenewton.estimation.unknowns import Unknowns
 from truenewton.estimation.weights import typical
-from truenewton.linalg import one_thread
+from truenewton.linalg import threads
 from truenewton.progress import kept_as, tell, telling
 from truenewton.records.campaign import Campaign, mean_temperature
 from truenewton.records.fault import Fault
@@ -260,7 +260,7 @@ def _of_matrix(
         return without(from_stiffness(sifted.matrix, *found), excluded)
 
     try:
-        with one_thread(), kept_as(made_of):
+        with threads(1), kept_as(made_of):
             sifted = sift_matrix(matrix)
             found = METHODS[method].of_stiffness(sifted, known)
     except (RankDeficient, NotConverged) as error:

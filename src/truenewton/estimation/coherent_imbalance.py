@@ -280,7 +280,7 @@ def _noise_root(q: Array, m: Array, e: Array, by_alpha: Array) -> Array:
     size, column = np.full(2, 0.5 * float(np.mean(e**2))), np.ones(n)
     for _ in range(NOISE_STEPS):
         root = _root(np.tensordot(size, laws, 1) * column[:, None, None])
-        basis, _ = scipy.linalg.qr(_whitened(root, by_alpha), mode="economic")
+        basis = _orthonormal(_whitened(root, by_alpha))
         r = _whitened(root, e)
         r = (r - basis @ (basis.T @ r)).reshape(n, 3)
         free = 1.0 - np.sum(basis**2, axis=1).reshape(n, 3).mean(axis=1)
@@ -293,6 +293,14 @@ def _noise_root(q: Array, m: Array, e: Array, by_alpha: Array) -> Array:
         column = column * np.sqrt(seen / (3.0 * free + PRIOR_READINGS))
         column /= np.exp(np.mean(np.log(column)))
     return _root(np.tensordot(size, laws, 1) * column[:, None, None])
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Return columns that span the same, by Cholesky: exact enough to find noise by."""
+    gram = columns.T @ columns
+    gram[np.diag_indices(len(gram))] *= 1.0 + 1e-12
+    factor = scipy.linalg.cholesky(gram, lower=True)
+    return np.asarray(scipy.linalg.solve_triangular(factor, columns.T, lower=True).T)
 
 
 def _root(variance: Array) -> Array:

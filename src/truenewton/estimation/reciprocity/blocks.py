@@ -70,9 +70,10 @@ class Likeliest:
 def likeliest(states: States, left: Residuals, weights: Weights) -> Likeliest:
     """Return the likeliest forces: what is wrong with the measured ones is shared by variance."""
     share = 0.5 if weights.share is None else weights.share
-    counts, balances = bool(weights.reciprocity.any()), bool(weights.statics.any())
-    correction = -share * left.reciprocity * counts  # what is not asked for corrects nothing
-    balance = states.balancing @ left.statics * balances
-    forces = states.forces - balance + states.displaced @ correction
-    work = left.work + correction
+    forces, work = states.forces, left.work
+    if weights.statics.any():  # what is not asked for corrects nothing
+        forces = forces - states.balancing @ left.statics
+    if weights.reciprocity.any():
+        correction = -share * left.reciprocity
+        forces, work = forces + states.displaced @ correction, work + correction
     return Likeliest(forces, states.dual @ work.T)

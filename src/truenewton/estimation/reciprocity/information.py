@@ -12,7 +12,8 @@ likelihood from which the unknown stiffness is eliminated, and noise does not me
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,8 +22,9 @@ from truenewton.estimation.reciprocity.blocks import Likeliest, Residuals
 from truenewton.estimation.reciprocity.sight import Sight
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Values
+from truenewton.linalg import thread_count
 
-ROWS = 64  # of actuators at once, so that what is made of them stays in the cache
+ROWS = 32  # of actuators at once, so that what is made of them stays in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +72,14 @@ def designs(
     length: float,
 ) -> dict[Kind, Design]:
     """Return the design of each kind; ``length`` is that of `sight.Places`."""
+    made = {Kind.ALPHA: Design(states.displacements.T, fitted.forces.T)}
+    if len(kinds) == 1:
+        return made
     gain = values.gain
-    made: dict[Kind, Design] = {}
     read = gain[:, None] * states.readings
     q = (seen.motion.T @ fitted.forces).T
-    for kind in kinds:
-        if kind == Kind.ALPHA:
-            made[kind] = Design(states.displacements.T, fitted.forces.T)
-        elif kind == Kind.GAIN:
+    for kind in kinds[1:]:
+        if kind == Kind.GAIN:
             made[kind] = Design(read.T, q, -states.rigid_readings)
         elif seen.slopes is not None:
             axis = OFFSETS.index(kind)
@@ -129,17 +131,30 @@ class Fitted:
     weights: Weights
 
 
-def information(point: Point, before: Fitted | None = None) -> tuple[Array, Leverage | None]:
-    """Return (u, u) the information, and the leverages of a fit before, if there was one."""
+def information(
+    point: Point, before: Fitted | None = None, *, single: bool = False
+) -> tuple[Array, Leverage | None]:
+    """Return (u, u) the information, and the leverages of a fit before, if there was one.
+
+    In ``single`` precision, which takes half the time, it is good enough for a step.
+    """
     kinds, n = list(point.designs), point.states.readings.shape[0]
     total = np.zeros((n * len(kinds), n * len(kinds)))
+    if single:
+        point, total = _in_single(point), _single(total)
     bins = len(point.weights.bins)
     taken = Leverage(np.zeros((3, bins)), np.zeros((bins, 3)), np.zeros((bins, bins)))
-    room = np.empty(
-        (1 + 3 + 4 * len(kinds), bins, ROWS * n)
-    )  # made once: memory is slow to come by
-    for start in range(0, n if point.weights.reciprocity.any() else 0, ROWS):
-        _add_reciprocity(total, point, slice(start, start + ROWS), before, taken, room)
+    blocks = range(0, n if point.weights.reciprocity.any() else 0, ROWS)
+
+    def add(starts: range) -> list[Array]:
+        room = np.empty((4 + 4 * len(kinds), bins, ROWS * n), total.dtype)  # made once: it is slow
+        blocks = (slice(start, start + ROWS) for start in starts)
+        return [_add_reciprocity(total, point, some, before, room) for some in blocks]
+
+    count = thread_count()
+    with ThreadPoolExecutor(count) as pool:
+        for each in pool.map(add, (blocks[k::count] for k in range(count))):
+            taken.reciprocity[:] += sum(each)
     _add_statics(total, point, before, taken)
     _add_rigid(total, point, before, taken)
     for k in range(1, len(kinds)):
@@ -147,15 +162,33 @@ def information(point: Point, before: Fitted | None = None) -> tuple[Array, Leve
     return total, None if before is None else taken
 
 
+def _single(values: Array) -> Array:
+    """Return values in single precision."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def _in_single(point: Point) -> Point:
+    """Return a point whose large matrices are in single precision; designs still share q."""
+    q = {id(design.q): _single(design.q) for design in point.designs.values()}
+    made = {
+        kind: replace(design, p=_single(design.p), q=q[id(design.q)])
+        for kind, design in point.designs.items()
+    }
+    fitted = Likeliest(_single(point.fitted.forces), _single(point.fitted.by_reading))
+    return replace(point, fitted=fitted, designs=made)
+
+
 def _add_reciprocity(
-    total: Array, point: Point, some: slice, before: Fitted | None, taken: Leverage, room: Array
-) -> None:
+    total: Array, point: Point, some: slice, before: Fitted | None, room: Array
+) -> Array:
     """Add sums over pairs of bins of w [(P'p) o (Q'q) - (P'q) o (Q'p)] to some rows of blocks.
 
-    To blocks of the upper triangle. All kinds of unknowns of the sensors share one q.
+    To blocks of the upper triangle. All kinds of unknowns of the sensors share one q. Returned is
+    the (b, b) part of the `Leverage` of these rows.
     """
     weights, designs = point.weights, [*point.designs.values()]
     w, bins, n = weights.reciprocity, len(weights.bins), designs[0].p.shape[1]
+    w = w.astype(total.dtype)
     forces = list({id(design.q): design.q for design in designs}.values())
     of = [next(k for k, q in enumerate(forces) if q is design.q) for design in designs]
     spare = iter(room[:, :, : len(range(*some.indices(n))) * n])
@@ -172,6 +205,7 @@ def _add_reciprocity(
     qp = [[grams(q, design.p) for q in forces] for design in designs]
     weighed_qq = {pair: w @ each for pair, each in qq.items()}
     weighed_qp = [[w @ each for each in row] for row in qp]
+    taken = np.zeros((bins, bins))
     for i, one in enumerate(designs):
         for j, other in enumerate(designs[i:], i):
             rows, columns = slice(i * n, (i + 1) * n), slice(j * n, (j + 1) * n)
@@ -186,18 +220,19 @@ def _add_reciprocity(
                 each *= before.weights.reciprocity * (1 + (i != j))
                 each = each + each.T
                 each[np.diag_indices(bins)] *= 0.5
-                taken.reciprocity[:] += each
+                taken += each
+    return taken
 
 
 def _add_statics(total: Array, point: Point, before: Fitted | None, taken: Leverage) -> None:
     """Add the (n, n) sum over the three equations of (Q_r Q_r') o (F^ diag(w) F^')."""
-    q, f, weights = point.states.rigid, point.fitted.forces, point.weights
-    n = len(f)
+    f, weights = point.fitted.forces, point.weights
+    q, n = point.states.rigid.astype(f.dtype), len(f)
     if Kind.ALPHA not in point.designs:
         return
     for r in range(3):
         scaled = q[:, r, None] * f
-        total[:n, :n] += (scaled * weights.statics[r]) @ scaled.T
+        total[:n, :n] += (scaled * weights.statics[r].astype(f.dtype)) @ scaled.T
         if before is not None:
             each = np.sum(scaled * (before.covariance[:n, :n] @ scaled), axis=0)
             taken.statics[r] += _by_bin(each * before.weights.statics[r], weights)
@@ -211,11 +246,12 @@ def _add_rigid(total: Array, point: Point, before: Fitted | None, taken: Leverag
     for r in range(3):
         if not felt:
             return
-        gram, met = (kv * weights.rigid[:, r]) @ kv.T, np.zeros((n, n))
+        gram = (kv * weights.rigid[:, r].astype(kv.dtype)) @ kv.T
+        met = np.zeros_like(gram)
         for k, (i, c) in enumerate(felt):
             for j, d in felt[k:]:
                 rows, columns = slice(i * n, (i + 1) * n), slice(j * n, (j + 1) * n)
-                both = np.outer(c[:, r], d[:, r])
+                both = np.outer(c[:, r], d[:, r]).astype(kv.dtype)
                 total[rows, columns] += both * gram
                 if before is not None:
                     met += (1 + (i != j)) * both * before.covariance[rows, columns]

@@ -21,7 +21,7 @@ from truenewton.estimation.reciprocity.information import (
 from truenewton.estimation.reciprocity.sight import Places, Sight, sight
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind, Values, at_nominal
-from truenewton.linalg import inverse_of_positive, one_thread
+from truenewton.linalg import inverse_of_positive, thread_count, threads
 
 STEPS = 40
 SETTLED = 0.02  # rms step of alpha over its rms error
@@ -43,8 +43,6 @@ class Fit:
     ----------
     values, asked
         The unknowns; what was asked, with the spreads that the data gave.
-    information
-        (u, u) of the unknowns, that of the spreads added; free scales are left free.
     covariance
         (u, u) where mean log alpha is 0, and mean log g where it is free.
     chi2, equations
@@ -59,7 +57,6 @@ class Fit:
 
     values: Values
     asked: Asked
-    information: Array
     covariance: Array
     chi2: tuple[float, float, float]
     equations: tuple[int, int, int]
@@ -71,6 +68,19 @@ class Fit:
         """Return the (n, n) covariance of one kind of unknowns."""
         n, k = len(self.values.log_alpha), self.asked.kinds.index(kind)
         return self.covariance[k * n : (k + 1) * n, k * n : (k + 1) * n]
+
+    @property
+    def information(self) -> Array:
+        """(u, u) of the unknowns, that of the spreads added; free scales are left free."""
+        whole = information(self.point)[0]
+        whole[np.diag_indices(len(whole))] += self.asked.information(len(self.values.log_alpha))
+        return whole
+
+    @property
+    def of_alpha(self) -> Fit:
+        """The fit without the covariance of the sensors, (u, n): that of u unknowns is large."""
+        n = len(self.values.log_alpha)
+        return replace(self, covariance=self.covariance[:, :n].copy())
 
     @property
     def asked_again(self) -> Asked:
@@ -96,7 +106,7 @@ def point_at(places: Places, values: Values, asked: Asked, states_at: StatesAt) 
     return Point(states, left, weights, fitted, made)
 
 
-@one_thread()
+@threads(1)
 def fit(
     places: Places,
     asked: Asked,
@@ -124,6 +134,11 @@ def fit(
         Weights and spreads stay as they are. One factor serves as long as steps become short, and
         leverages are not asked for.
 
+    Notes
+    -----
+    Steps are taken in single precision: the score says where they end. The covariance is made in
+    double precision at the end, unless weights are fixed.
+
     Raises
     ------
     RankDeficient
@@ -137,9 +152,7 @@ def fit(
         point = point_at(places, values, asked, states_at)
         known = asked.information(places.n)
         if not (fixed and step and size < SLOW * last):
-            gathered, leverage = information(point, before)
-            gathered[np.diag_indices(len(known))] += known
-            covariance = _inverse(gathered, asked, places.n)
+            covariance, leverage = _covariance(point, asked, before, single=True)
         before = None if fixed else Fitted(covariance, point.weights)
         if leverage is not None and told is not None:
             told(leverage)
@@ -152,7 +165,10 @@ def fit(
         move = move * min(1.0, LONGEST / max(float(np.abs(logs).max()), 1e-300))
         values = asked.moved(values, move)
         if settled:
-            return _fit(values, asked, gathered, covariance, point, leverage, step + 1)
+            if not fixed:
+                before, covariance = None, np.empty(0)  # their memory is needed
+                covariance, _ = _covariance(point, asked, single=False)
+            return _fit(values, asked, covariance, point, leverage, step + 1)
         if asked.estimated:
             asked = _with_spreads(asked, values, covariance)
     raise NotConverged(
@@ -163,31 +179,40 @@ def fit(
     )
 
 
-def _inverse(gathered: Array, asked: Asked, n: int) -> Array:
-    """Return the covariance with the free scales held at mean log 0."""
-    held = gathered.copy()
+def _covariance(
+    point: Point, asked: Asked, before: Fitted | None = None, *, single: bool
+) -> tuple[Array, Leverage | None]:
+    """Return the covariance, and the leverages of a fit before.
+
+    The free scales are held at mean log 0.
+    """
+    held, leverage = information(point, before, single=single)
+    n = len(point.states.readings)
+    held[np.diag_indices(len(held))] += asked.information(n)
     held[:n, :n] += np.trace(held[:n, :n]) / n**2
     if np.isinf(asked.gain_spread):
         held[n : 2 * n, n : 2 * n] += np.trace(held[n : 2 * n, n : 2 * n]) / n**2
     try:
-        inverse = inverse_of_positive(held)
+        with threads(thread_count()):
+            inverse = inverse_of_positive(held, overwrite=True)
     except np.linalg.LinAlgError:
+        if single:
+            return _covariance(point, asked, before, single=False)
         raise RankDeficient(
             "reciprocity does not hold all that is asked of it",
             remedy="give the sensor gains",
         ) from None
-    scales = np.zeros((len(held), 2 if np.isinf(asked.gain_spread) else 1))
+    scales = np.zeros((len(held), 2 if np.isinf(asked.gain_spread) else 1), held.dtype)
     for k in range(scales.shape[1]):  # what the hold itself says of the scale is no knowledge
         scales[k * n : (k + 1) * n, k] = 1.0 / np.sqrt(n)
     inverse -= scales @ (scales.T @ inverse)
     inverse -= (inverse @ scales) @ scales.T
-    return np.asarray(inverse)
+    return inverse, leverage
 
 
 def _fit(
     values: Values,
     asked: Asked,
-    gathered: Array,
     covariance: Array,
     point: Point,
     leverage: Leverage | None,
@@ -201,7 +226,6 @@ def _fit(
     return Fit(
         values=values,
         asked=asked,
-        information=gathered,
         covariance=covariance,
         chi2=point.left.chi2(point.weights),
         equations=(3 * m, 3 * m, m * (m - 1) // 2),

@@ -24,7 +24,12 @@ from truenewton.estimation.reciprocity.gate import (
     refusals,
 )
 from truenewton.estimation.reciprocity.iteration import Fit, fit
-from truenewton.estimation.reciprocity.response import beyond_noise, noise_of, stated_errors
+from truenewton.estimation.reciprocity.response import (
+    Noise,
+    beyond_noise,
+    noise_of,
+    stated_errors,
+)
 from truenewton.estimation.reciprocity.sensors import sensors_of
 from truenewton.estimation.reciprocity.sight import Places, places_of
 from truenewton.estimation.reciprocity.states import States, Weights
@@ -170,57 +175,112 @@ def examined(modes: Modes, asked: Asked = USUAL) -> Examined:
     """
     tell("reciprocity", 0.02)
     joint = modes.fit(asked)
-    tell("reciprocity, of halves of the modes", 0.5)
-    again, weights = joint.asked_again, joint.point.weights
-    halves = [(modes.every(some), weights.every(some)) for some in (EVEN, ODD)]
-    fits = [half.fit(again, start=joint.values, weights=own) for half, own in halves]
-    lines = modes.imbalances(joint, *fits)
-    by_balance = between = as_stated = np.nan
-    tell("reciprocity, the noise", 0.65)
+    tell("reciprocity, the noise", 0.5)
     noise = noise_of(modes.stiffness, joint, modes.places)
     doubtful = modes.places.changes is None and joint.asked.offset_spread > AT_MAGNETS
-    excess = beyond_noise(fits, noise, alike=True, doubtful=doubtful)
-    ways = (np.full(modes.places.n, np.nan),) * 2
-    tell("reciprocity, against the balance", 0.75)
-    try:  # alpha only: the balance knows nothing of sensors
-        alone = [
-            one.fit(Asked(), balance=True, start=joint.values)
-            for one in (modes, *(half for half, _ in halves))
-        ]
-        by_balance = _unseen(modes.imbalances(*alone))
-        reciprocity = modes.fit(again, start=joint.values, weights=weights.of_symmetry)
-        pair = (alone[0], reciprocity)
-        excess = max(excess, beyond_noise(pair, noise, alike=False, doubtful=doubtful))
-        between = as_stated = apart(*pair, disagreement(*alone[1:]), disagreement(*fits))
-        if noise.variance is not None:  # what the fits state is not their error
-            between = beyond_noise(pair, noise, alike=False, doubtful=True)
-        ways = (alone[0].values.log_alpha, reciprocity.values.log_alpha)
+    tell("reciprocity, of halves of the modes", 0.65)
+    halves = _halves(modes, joint, noise, doubtful=doubtful)
+    tell("reciprocity, against the balance", 0.8)
+    try:
+        apart_by, ways, unequal = _against_balance(modes, joint, noise, halves, doubtful=doubtful)
     except (RankDeficient, NotConverged):
-        pass  # where balance alone gives no alpha, nothing speaks against reciprocity
+        # Where balance alone gives no alpha, nothing speaks against reciprocity.
+        apart_by, unequal = (np.nan,) * 3, 1.0
+        ways = (np.full(modes.places.n, np.nan),) * 2
+    by_balance, between, as_stated = apart_by
     evidence = Evidence(
-        held_out=_unseen(lines),
+        held_out=_unseen(halves.imbalances),
         by_balance=by_balance,
         apart=between,
         as_stated=as_stated,
         gain_spread=joint.asked.gain_spread,
         offset_spread=joint.asked.offset_spread,
     )
-    one, other = (half.values.log_alpha for half in fits)
+    one, other = (half.log_alpha for half in halves.values)
     covariance, of_sensors = stated_errors(joint, noise)
+    excess = max(halves.excess, unequal)
     if doubtful or excess > 1.0:
         # What a model leaves out is no better in the whole than in one half.
         of_one = 0.5 * float(np.var(one - other) / np.mean(np.diag(covariance)))
         covariance = covariance * max(excess, of_one)
         of_sensors = {
-            kind: np.maximum(error, error * _of_one(fits, kind) / np.sqrt(np.mean(error**2)))
+            kind: np.maximum(
+                error, error * _of_one(halves.values, kind) / np.sqrt(np.mean(error**2))
+            )
             for kind, error in of_sensors.items()
         }
-    return Examined(joint, lines, (one, other), covariance, of_sensors, ways, evidence)
+    return Examined(joint, halves.imbalances, (one, other), covariance, of_sensors, ways, evidence)
 
 
-def _of_one(halves: list[Fit], kind: Kind) -> float:
+@dataclass(frozen=True, eq=False)
+class Halves:
+    """What fits to every second mode give.
+
+    Attributes
+    ----------
+    values
+        The unknowns by each.
+    imbalances
+        Of all modes, and of those held out.
+    excess, disagreement
+        Variance between the two over that of noise, and over that which they state.
+    """
+
+    values: tuple[Values, Values]
+    imbalances: tuple[Imbalance, ...]
+    excess: float
+    disagreement: float
+
+
+def _halves(modes: Modes, joint: Fit, noise: Noise, *, doubtful: bool) -> Halves:
+    """Fit every second mode, with noise and scatter of the sensors as all modes give them."""
+    again, weights = joint.asked_again, joint.point.weights
+    one, other = (
+        modes.every(some).fit(again, start=joint.values, weights=weights.every(some)).of_alpha
+        for some in (EVEN, ODD)
+    )
+    return Halves(
+        values=(one.values, other.values),
+        imbalances=modes.imbalances(joint, one, other),
+        excess=beyond_noise((one, other), noise, alike=True, doubtful=doubtful),
+        disagreement=disagreement(one, other),
+    )
+
+
+def _against_balance(
+    modes: Modes, joint: Fit, noise: Noise, halves: Halves, *, doubtful: bool
+) -> tuple[tuple[float, float, float], tuple[Array, Array], float]:
+    """Fit balance alone and reciprocity alone.
+
+    Returns
+    -------
+    by_balance, apart, as_stated
+        For the `Evidence`.
+    ways
+        (n,) log alpha by each.
+    excess
+        Variance between them over that of noise.
+    """
+    alone = [  # alpha only: the balance knows nothing of sensors
+        each.fit(Asked(), balance=True, start=joint.values)
+        for each in (modes, modes.every(EVEN), modes.every(ODD))
+    ]
+    by_balance = _unseen(modes.imbalances(*alone))
+    own = disagreement(*alone[1:])
+    weights = joint.point.weights.of_symmetry
+    reciprocity = modes.fit(joint.asked_again, start=joint.values, weights=weights)
+    pair = (alone[0], reciprocity.of_alpha)
+    excess = beyond_noise(pair, noise, alike=False, doubtful=doubtful)
+    between = as_stated = apart(*pair, own, halves.disagreement)
+    if noise.variance is not None:  # what the fits state is not their error
+        between = beyond_noise(pair, noise, alike=False, doubtful=True)
+    ways = (pair[0].values.log_alpha, pair[1].values.log_alpha)
+    return (by_balance, between, as_stated), ways, excess
+
+
+def _of_one(halves: tuple[Values, Values], kind: Kind) -> float:
     """Return the rms error of one half of the modes, by how far two halves are apart."""
-    one, other = (half.values.of(kind) for half in halves)
+    one, other = (half.of(kind) for half in halves)
     return float(np.sqrt(0.5 * np.mean((one - other) ** 2)))
 
 

@@ -48,6 +48,11 @@ class Values:
         """(n,) true displacement / reading."""
         return np.exp(self.log_gain)
 
+    def same_sensors(self, other: Values) -> bool:
+        """Return whether gains and offsets are those of others."""
+        same_gain = np.array_equal(self.log_gain, other.log_gain)
+        return same_gain and np.array_equal(self.offset, other.offset)
+
     def of(self, kind: Kind) -> Array:
         """Return the (n,) unknowns of a kind."""
         if kind in OFFSETS:
