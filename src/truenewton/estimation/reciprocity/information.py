@@ -91,12 +91,17 @@ def designs(
 def score(point: Point) -> Array:
     """Return (u,) the gradient of half the sum of squares."""
     states, left, weights = point.states, point.left, point.weights
-    pull = weights.of_pairs * left.reciprocity
+    symmetric = bool(weights.reciprocity.any())
     by_rigid = point.fitted.by_reading @ (weights.rigid * left.rigid)
     parts = []
-    pulled = {id(design.q): pull @ design.q for design in point.designs.values()}
+    pulled = dict[int, Array]()
+    if symmetric:
+        pull = (weights.of_pairs * left.reciprocity).astype(left.work.dtype)
+        pulled = {id(design.q): pull @ design.q for design in point.designs.values()}
     for kind, design in point.designs.items():
-        part = np.sum(design.p * pulled[id(design.q)], axis=0)
+        part = np.zeros(design.p.shape[1])
+        if symmetric:
+            part += np.sum(design.p * pulled[id(design.q)], axis=0)
         if kind == Kind.ALPHA:
             on = (weights.statics * left.statics) @ point.fitted.forces.T
             part += np.sum(states.rigid * on.T, axis=1)
@@ -141,7 +146,7 @@ def information(
     kinds, n = list(point.designs), point.states.readings.shape[0]
     total = np.zeros((n * len(kinds), n * len(kinds)))
     if single:
-        point, total = _in_single(point), _single(total)
+        point, total = in_single(point), to_single(total)
     bins = len(point.weights.bins)
     taken = Leverage(np.zeros((3, bins)), np.zeros((bins, 3)), np.zeros((bins, bins)))
     blocks = range(0, n if point.weights.reciprocity.any() else 0, ROWS)
@@ -162,19 +167,19 @@ def information(
     return total, None if before is None else taken
 
 
-def _single(values: Array) -> Array:
+def to_single(values: Array) -> Array:
     """Return values in single precision."""
     return np.asarray(values, dtype=np.float32)
 
 
-def _in_single(point: Point) -> Point:
+def in_single(point: Point) -> Point:
     """Return a point whose large matrices are in single precision; designs still share q."""
-    q = {id(design.q): _single(design.q) for design in point.designs.values()}
+    q = {id(design.q): to_single(design.q) for design in point.designs.values()}
     made = {
-        kind: replace(design, p=_single(design.p), q=q[id(design.q)])
+        kind: replace(design, p=to_single(design.p), q=q[id(design.q)])
         for kind, design in point.designs.items()
     }
-    fitted = Likeliest(_single(point.fitted.forces), _single(point.fitted.by_reading))
+    fitted = Likeliest(to_single(point.fitted.forces), to_single(point.fitted.by_reading))
     return replace(point, fitted=fitted, designs=made)
 
 

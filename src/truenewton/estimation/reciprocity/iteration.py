@@ -30,6 +30,8 @@ LONGEST = 0.3  # step of any log alpha or log g
 # Spreads of log g and of offsets [m] below which they are none: where data do not hold them, each
 # step would find them smaller.
 SMALLEST_GAIN, SMALLEST_OFFSET = 1e-6, 1e-8
+MIN_PACE = 0.5  # ratio of successive steps of log spread, from which on they are extrapolated
+MAX_EXTRAPOLATION = 0.7  # of a log spread
 
 # What makes states and weights at a place of the unknowns, told of leverages once they are known.
 StatesAt = Callable[[Places, Values, Sight], tuple[States, Weights]]
@@ -148,6 +150,7 @@ def fit(
     values = at_nominal(places.n) if start is None else start
     before: Fitted | None = None
     size = last = np.inf
+    paces = dict[str, float]()
     for step in range(STEPS):
         point = point_at(places, values, asked, states_at)
         known = asked.information(places.n)
@@ -170,7 +173,8 @@ def fit(
                 covariance, _ = _covariance(point, asked, single=False)
             return _fit(values, asked, covariance, point, leverage, step + 1)
         if asked.estimated:
-            asked = _with_spreads(asked, values, covariance)
+            found = _with_spreads(asked, values, covariance)
+            asked, paces = _extrapolated(asked, found, paces)
     raise NotConverged(
         f"reciprocity has not settled after {STEPS} steps",
         remedy="check gains and positions of the sensors",
@@ -258,3 +262,26 @@ def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
         found = max(float(np.sqrt(total / max(held, 1.0))), least)
         asked = replace(asked, **{spread: found})  # type: ignore[arg-type]
     return asked
+
+
+def _extrapolated(
+    asked: Asked, found: Asked, paces: dict[str, float]
+) -> tuple[Asked, dict[str, float]]:
+    """Return spreads where a series of them leads (Aitken), and the steps of their logarithms.
+
+    Where sensors scatter less than the data can tell, each spread found is only a little less than
+    the one before. After an extrapolated step, the next is taken as it is.
+    """
+    now = dict[str, float]()
+    for name in ("gain_spread", "offset_spread"):
+        before, after = getattr(asked, name), getattr(found, name)
+        if not before or np.isinf(before):
+            continue
+        step = float(np.log(after / before))
+        ratio = step / paces[name] if paces.get(name) else 0.0
+        if MIN_PACE < ratio < 1.0:
+            further = np.clip(step * ratio / (1.0 - ratio), -MAX_EXTRAPOLATION, MAX_EXTRAPOLATION)
+            found = replace(found, **{name: after * float(np.exp(further))})
+        else:
+            now[name] = step
+    return found, now

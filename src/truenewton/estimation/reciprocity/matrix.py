@@ -27,6 +27,7 @@ from truenewton.estimation.reciprocity.iteration import Fit, fit
 from truenewton.estimation.reciprocity.response import (
     Noise,
     beyond_noise,
+    drawn_differences,
     noise_of,
     stated_errors,
 )
@@ -239,10 +240,11 @@ def _halves(modes: Modes, joint: Fit, noise: Noise, *, doubtful: bool) -> Halves
         modes.every(some).fit(again, start=joint.values, weights=weights.every(some)).of_alpha
         for some in (EVEN, ODD)
     )
+    drawn = drawn_differences((one, other), noise)
     return Halves(
         values=(one.values, other.values),
         imbalances=modes.imbalances(joint, one, other),
-        excess=beyond_noise((one, other), noise, alike=True, doubtful=doubtful),
+        excess=beyond_noise((one, other), drawn, alike=True, doubtful=doubtful),
         disagreement=disagreement(one, other),
     )
 
@@ -270,10 +272,11 @@ def _against_balance(
     weights = joint.point.weights.of_symmetry
     reciprocity = modes.fit(joint.asked_again, start=joint.values, weights=weights)
     pair = (alone[0], reciprocity.of_alpha)
-    excess = beyond_noise(pair, noise, alike=False, doubtful=doubtful)
+    drawn = drawn_differences(pair, noise)
+    excess = beyond_noise(pair, drawn, alike=False, doubtful=doubtful)
     between = as_stated = apart(*pair, own, halves.disagreement)
     if noise.variance is not None:  # what the fits state is not their error
-        between = beyond_noise(pair, noise, alike=False, doubtful=True)
+        between = beyond_noise(pair, drawn, alike=False, doubtful=True)
     ways = (pair[0].values.log_alpha, pair[1].values.log_alpha)
     return (by_balance, between, as_stated), ways, excess
 

@@ -17,7 +17,7 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.estimation.reciprocity.blocks import Residuals
 from truenewton.estimation.reciprocity.element_noise import cost_of_modes, element_variance
-from truenewton.estimation.reciprocity.information import score
+from truenewton.estimation.reciprocity.information import in_single, score, to_single
 from truenewton.estimation.reciprocity.iteration import Fit
 from truenewton.estimation.reciprocity.sensors import errors_of_sensors
 from truenewton.estimation.reciprocity.sight import Places
@@ -42,10 +42,13 @@ class Noise:
         (n, n) of its elements [(N/m)^2]; None where it is one of modes.
     scatter
         Standard deviations of log g and of the offsets [m], as far as noise does not feign them.
+    scores
+        (draws, u) of the fit that the noise is from, for noise of its elements.
     """
 
     variance: Array | None
     scatter: tuple[float, float] = (0.0, 0.0)
+    scores: Array | None = None
 
     def of(self, asked: Asked, n: int) -> Array:
         """Return (u,) standard deviations of the unknowns that are drawn."""
@@ -63,7 +66,8 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
     if cost > cost_of_modes(fit):
         return Noise(None)
     n = len(variance)
-    by_noise = -scores(fit, variance) @ fit.covariance
+    drawn = scores(fit, variance)
+    by_noise = -drawn @ fit.covariance
     unit = np.random.default_rng(SEED).standard_normal(by_noise.shape)
     known = fit.asked.information(n)
     scatter = []
@@ -77,30 +81,38 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
         pulled = unit * some - (unit * some * known) @ fit.covariance
         feigned, passed = (np.sum(each[:, some] ** 2) / len(each) for each in (by_noise, pulled))
         scatter.append(float(np.sqrt(max(found - feigned, 0.0) / passed)))
-    return Noise(variance, (scatter[0], scatter[1]))
+    return Noise(variance, (scatter[0], scatter[1]), drawn)
 
 
 def scores(fit: Fit, variance: Array) -> Array:
-    """Return (draws, u) scores of a fit for noise whose elements have (n, n) variance."""
-    n = len(variance)
+    """Return (draws, u) scores of a fit for noise whose elements have (n, n) variance.
+
+    In single precision: they are random.
+    """
+    n, point = len(variance), in_single(fit.point)
     random, states, alpha = np.random.default_rng(SEED), fit.point.states, fit.values.alpha[:, None]
+    symmetric = bool(point.weights.reciprocity.any())
     used = states.forces / alpha  # rigid motions are judged by the forces of the modes alone
     used = used / np.linalg.norm(used, axis=0)
     size, w = alpha * np.sqrt(variance), states.displacements
+    readings, displacements = to_single(states.readings), to_single(w)
     found = []
     for _ in range(int(np.clip(WORK / n**3, FEWEST, MOST))):
         noise = size * random.standard_normal(size.shape)
-        pushed = noise @ states.readings
+        pushed = to_single(noise) @ readings
         rigid = alpha * (used @ (used.T @ ((noise @ states.rigid_readings) / alpha)))
-        left = Residuals(states.rigid.T @ pushed, w.T @ rigid, w.T @ pushed)
-        found.append(score(replace(fit.point, left=left)))
+        work = displacements.T @ pushed if symmetric else np.zeros((0, 0))
+        left = Residuals(states.rigid.T @ pushed, w.T @ rigid, work)
+        found.append(score(replace(point, left=left)))
     return np.array(found)
 
 
-def errors(fit: Fit, variance: Array, noise: Noise) -> Array:
-    """Return (draws, u) errors of all unknowns; the same noise and sensors for all fits."""
-    n = len(variance)
-    total = scores(fit, variance)
+def errors(fit: Fit, noise: Noise, by_noise: Array) -> Array:
+    """Return (draws, u) errors of all unknowns by the `scores` of noise and the sensors' scatter.
+
+    Noise and sensors are the same for all fits.
+    """
+    n, total = len(fit.values.log_alpha), by_noise.copy()
     unit = np.random.default_rng([SEED, 1]).standard_normal((len(total), 3 * n))
     sensors = np.concatenate([np.zeros((len(total), n)), unit], axis=1)[:, : total.shape[1]]
     total += sensors * noise.of(fit.asked, n) * fit.asked.information(n)
@@ -115,7 +127,8 @@ def stated_errors(fit: Fit, noise: Noise) -> tuple[Array, dict[Kind, Array]]:
     alpha = fit.covariance_of(Kind.ALPHA)
     if noise.variance is None:
         return alpha, errors_of_sensors(fit)
-    drawn = errors(fit, noise.variance, noise)
+    assert noise.scores is not None
+    drawn = errors(fit, noise, noise.scores)
     rms = np.split(np.sqrt(np.mean(drawn**2, axis=0)), len(fit.asked.kinds))
     of_sensors = dict(zip(fit.asked.kinds[1:], rms[1:], strict=True))
     return covariance_of_draws(alpha, drawn[:, : len(alpha)]), of_sensors
@@ -150,22 +163,28 @@ def _by_size(stated: Array, drawn: Array) -> tuple[Array, Array]:
     return held, vectors
 
 
-def beyond_noise(fits: Sequence[Fit], noise: Noise, *, alike: bool, doubtful: bool) -> float:
+def drawn_differences(fits: Sequence[Fit], noise: Noise) -> Array:
+    """Return (draws, n) differences that noise makes between the log alpha of two fits."""
+    if noise.variance is None:
+        one, other = (fit.covariance_of(Kind.ALPHA) for fit in fits)
+        factor = factor_of(one + other)
+        unit = np.random.default_rng(SEED).standard_normal((MOST, factor.shape[1]))
+        return np.asarray(unit @ factor.T)
+    n = len(noise.variance)
+    one, other = (errors(fit, noise, scores(fit, noise.variance))[:, :n] for fit in fits)
+    return np.asarray(one - other)
+
+
+def beyond_noise(fits: Sequence[Fit], drawn: Array, *, alike: bool, doubtful: bool) -> float:
     """Return the variance between the log alpha of two fits over that of noise, 1 at least.
 
     Of patterns in terms of their errors; of fits that are alike, which err in more than a few
     patterns, also of alpha as it is, whichever is more. Unless the model is doubtful, what noise
-    may do is noise.
+    may do, (draws, n) by `drawn_differences`, is noise.
     """
-    (one, other), n = fits, len(fits[0].values.log_alpha)
+    one, other = fits
     difference = one.values.log_alpha - other.values.log_alpha
     stated = one.covariance_of(Kind.ALPHA) + other.covariance_of(Kind.ALPHA)
-    if noise.variance is None:
-        factor = factor_of(stated)
-        drawn = np.random.default_rng(SEED).standard_normal((MOST, factor.shape[1])) @ factor.T
-    else:
-        both = (errors(each, noise.variance, noise)[:, :n] for each in fits)
-        drawn = np.subtract(*both)
     held, vectors = _by_size(stated, drawn)
     white = vectors[:, held > 0.0] / np.sqrt(held[held > 0.0])
     excess = 1.0
