@@ -28,10 +28,10 @@ import truenewton as tn
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import METHODS, Known
 from truenewton.errors import TrueNewtonError
-from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.sifted_matrix import sift_matrix
-from truenewton.estimation.stiffness_ml import column_fit
-from truenewton.estimation.stiffness_svd import columns_of
+from truenewton.estimation.matrix.misfits import condensed
+from truenewton.estimation.matrix.ml import column_fit
+from truenewton.estimation.matrix.modes import columns_of
+from truenewton.estimation.matrix.screen import sift_matrix
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.bench.simulated.truth import Truth
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.screening.screen import sift
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.dissipation import Budget, Dissipation, dissipation
 from truenewton.modal.findings import ModalFindings

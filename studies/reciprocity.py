@@ -33,14 +33,14 @@ from truenewton.bench.simulated.static import (
     run_cycles,
     static_bench,
 )
-from truenewton.estimation import cycles_ml
-from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.reciprocity import cycles
+from truenewton.estimation import campaign_ml
+from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity.iteration import fit, point_at
 from truenewton.estimation.reciprocity.regression import regressed
-from truenewton.estimation.reciprocity.sight import places_of
+from truenewton.estimation.reciprocity.sensor_model import places_of
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values, at_nominal
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import sift
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.sight import motion_for
 from truenewton.records.campaign import Campaign
@@ -131,9 +131,9 @@ def campaigns(seeds, bounds, noise, loop):
             alpha = alpha * (1 + bench.coils.coil_gradient * rest_displacement(bench).mean(axis=0))
         sifted = sift(campaign)
         for name, estimate in (
-            ("ml", cycles_ml.find(sifted)),
-            ("reciprocity, glass known", cycles.find(sifted, motion)),
-            ("reciprocity", cycles.find(sifted)),
+            ("ml", campaign_ml.find(sifted)),
+            ("reciprocity, glass known", reciprocity_of_campaign.find(sifted, motion)),
+            ("reciprocity", reciprocity_of_campaign.find(sifted)),
         ):
             found = estimate.values[:n]
             relative = estimate.reading_covariance[:n, :n] / np.outer(found, found)

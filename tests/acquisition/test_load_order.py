@@ -20,10 +20,10 @@ from truenewton.acquisition.drift import (
 from truenewton.acquisition.mountings import cycle_time, mountings
 from truenewton.acquisition.plan import AssumedDrift, CampaignPlan, read_plan, template
 from truenewton.errors import CampaignMismatch, FormatError
-from truenewton.estimation.diagnosis import NoiseSource
-from truenewton.estimation.noise import Noise
+from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.problem import problem_of
-from truenewton.estimation.sifted import campaign_moments
+from truenewton.estimation.screening.noise import Noise
+from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.known import p45
 from truenewton.planning.forces import noiseless, prepared
 from truenewton.planning.third_load import third_load

@@ -12,7 +12,7 @@ from helpers.balanced import p45_bench
 from helpers.changed import p45, said, with_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient, TooManyOutliers
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.screening.screen import sift
 from truenewton.mirrors.known import p45 as p45_mirror
 from truenewton.records.campaign import Campaign
 

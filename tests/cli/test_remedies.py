@@ -11,9 +11,9 @@ from helpers.changed import check_alike, p45, said, with_forces
 from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import START
 from truenewton.errors import RankDeficient, TrueNewtonError, TrueNewtonWarning
-from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.rounding_steps import hidden_variance, rounding_steps
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.readings.rounding_steps import hidden_variance, rounding_steps
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import sift
 from truenewton.records.campaign import Campaign
 from truenewton.records.file import write_campaign, write_stiffness
 from truenewton.records.stiffness_matrix import StiffnessMatrix

@@ -25,11 +25,16 @@ from truenewton.errors import (
     RankDeficient,
     TooManyOutliers,
 )
-from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.findings.code import Level
-from truenewton.estimation.identifiability import diagnose
-from truenewton.estimation.sifted import sift
-from truenewton.estimation.stiffness_svd import SOFTEST, asymmetry, elastic_count, modal_stiffness
+from truenewton.estimation.findings.estimate import Diagnosis
+from truenewton.estimation.matrix.modes import (
+    MIN_SINGULAR_VALUE,
+    asymmetry,
+    elastic_count,
+    modal_stiffness,
+)
+from truenewton.estimation.paper.identifiability import diagnose
+from truenewton.estimation.screening.screen import sift
 from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign
 from truenewton.records.fault import Fault
@@ -208,7 +213,10 @@ def _survey_stiffness(
     lines = [
         "",
         row("singular values", f"{softest:.3g} .. {stiffest:.3g} N/m, median {median:.3g}"),
-        row("elastic modes", f"{values['used_modes']} stiffer than {SOFTEST:g} of the stiffest"),
+        row(
+            "elastic modes",
+            f"{values['used_modes']} stiffer than {MIN_SINGULAR_VALUE:g} of the stiffest",
+        ),
         row("asymmetry", f"{values['asymmetry']:.2g}, |K - K'| / |K + K'|"),
     ]
     try:

@@ -11,22 +11,22 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.diagnosis import NoiseSource
-from truenewton.estimation.imbalance import (
+from truenewton.estimation.findings.estimate import NoiseSource
+from truenewton.estimation.findings.scale_budget import WeightErrors, weight_errors
+from truenewton.estimation.likelihood.minimum import DataSet, Minimum, Prior
+from truenewton.estimation.likelihood.objective import minimise, start_values
+from truenewton.estimation.matrix.ml import likeliest, mode_data
+from truenewton.estimation.matrix.modes import elastic_modes
+from truenewton.estimation.paper.equations import (
     MEDIAN_CHI2,
+    Unknowns,
     imbalance_covariance,
     squared_distances,
     standing_out,
 )
-from truenewton.estimation.likelihood import minimise, start_values
-from truenewton.estimation.minimum import DataSet, Minimum, Prior
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import Noise
-from truenewton.estimation.sifted import Sifted
-from truenewton.estimation.stiffness_ml import likeliest, mode_data
-from truenewton.estimation.stiffness_svd import elastic_modes
-from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import WeightErrors, weight_errors
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.screening.noise import Noise
+from truenewton.estimation.screening.screen import Sifted
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import comparable_arms, enabled_arms, external_load
 

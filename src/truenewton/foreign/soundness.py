@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.estimation.findings.code import Code
-from truenewton.estimation.matrix_order import (
-    DOUBTFUL_ORDER,
+from truenewton.estimation.matrix.order import (
+    MIN_EXPLAINED_COUPLING,
     balance_effects,
     looks_transposed,
     refuse_compliance,
     rigid_cost_and_imbalance,
     share_by_distance,
 )
-from truenewton.estimation.sifted_matrix import released, sift_matrix
+from truenewton.estimation.matrix.screen import released, sift_matrix
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
 from truenewton.statics.arms import comparable_arms
@@ -84,7 +84,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
             got=share,
         )
     if np.isfinite(share):
-        doubt = "" if share > DOUBTFUL_ORDER else ": LOW, check numbering and places"
+        doubt = "" if share > MIN_EXPLAINED_COUPLING else ": LOW, check numbering and places"
         lines.append(("order", f"{100 * share:.0f} % of the couplings follow the distance{doubt}"))
     sifted = sift_matrix(matrix)
     gone = np.zeros(matrix.layout.n, dtype=np.bool_)

@@ -16,9 +16,9 @@ from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
 from truenewton.errors import NotToBeUsed
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import sift
-from truenewton.estimation.sifted_matrix import as_calibrated
+from truenewton.estimation.matrix.screen import as_calibrated
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.screening.screen import sift
 from truenewton.modal.actuator_roles import indices_of
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation

@@ -22,12 +22,12 @@ import numpy as np
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
-from truenewton.estimation.diagnosis import RejectedRow
+from truenewton.estimation.checks.inputs import refusal_naming
+from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import Sifted, sift
-from truenewton.estimation.still_readings import frozen_sensors
-from truenewton.estimation.suspects import refusal_naming
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.screening.frozen_readings import frozen_sensors
+from truenewton.estimation.screening.screen import Sifted, sift
 from truenewton.files.stored_rows import Rows, StoredRows, largest_in_rows
 from truenewton.modal.shape_products import MotionReader
 from truenewton.records.campaign import Campaign

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array
-from truenewton.estimation.block_rows import distinct
-from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.repeats import row_groups, row_weights
-from truenewton.estimation.row_readers import RowBlock
+from truenewton.estimation.findings.estimate import RejectedRow
+from truenewton.estimation.readings.repeats import row_groups, row_weights
+from truenewton.estimation.readings.row_readers import RowBlock
+from truenewton.estimation.readings.rows import distinct
 from truenewton.files.stored_rows import blocks
 from truenewton.records.campaign import Campaign
 

@@ -18,14 +18,14 @@ from truenewton.arrays import Array
 from truenewton.errors import RankDeficient, TrueNewtonError, located
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.moments import Moments
+from truenewton.estimation.findings.scale_budget import typical
 from truenewton.estimation.prediction import Prediction, predict
+from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.reciprocity.prediction import informed, sensor_errors
 from truenewton.estimation.reciprocity.prediction import predict as predict_with_sensors
-from truenewton.estimation.reciprocity.sight import places_of
+from truenewton.estimation.reciprocity.sensor_model import places_of
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind
-from truenewton.estimation.sifted import campaign_moments
-from truenewton.estimation.weights import typical
+from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.shell.puck_motion import seen_by
 from truenewton.planning.forces import (
     Prepared,

@@ -12,7 +12,7 @@ from truenewton.acquisition.drift import OrderCost, turns_that_pay, without_remo
 from truenewton.acquisition.mountings import mountings, reading_time
 from truenewton.acquisition.taker import ELSEWHERE, SURE
 from truenewton.calibration.words import warning_lines
-from truenewton.estimation.weights import scale_budget
+from truenewton.estimation.findings.scale_budget import scale_budget
 from truenewton.planning.outlook import Curve, Outlook, typical_errors
 from truenewton.planning.target import Way
 from truenewton.rounding import counted, percent

@@ -18,21 +18,19 @@ from truenewton.arrays import Array
 from truenewton.calibration.methods import calibration_of
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import warn_of
-from truenewton.chance import chi2_sf, t_sf
+from truenewton.chance import FALSE_ALARM, chance_of_any, chi2_sf, t_sf
 from truenewton.errors import RankDeficient, UnknownName
-from truenewton.estimation.cycles_ml import estimate_of
-from truenewton.estimation.diagnosis import Diagnosis, RejectedRow, ScaleError
-from truenewton.estimation.estimate import Scale
+from truenewton.estimation.campaign_ml import estimate_of
 from truenewton.estimation.findings.code import Code, Level
+from truenewton.estimation.findings.estimate import Diagnosis, RejectedRow, Scale, ScaleError
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.identifiability import geometry_fault, refuse
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.multiple_tests import FALSE_ALARM, chance_of_any
+from truenewton.estimation.findings.scale_budget import scale_error_from_readings
+from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.paper.equations import Unknowns
+from truenewton.estimation.paper.identifiability import geometry_fault, refuse
 from truenewton.estimation.problem import Problem, with_noise_from_minimum
-from truenewton.estimation.sifted import sift
-from truenewton.estimation.unknowns import Unknowns
-from truenewton.estimation.weights import scale_error_from_readings
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.screening.screen import sift
 from truenewton.recalibration.known import (
     EARLIER,
     EarlierCalibration,

@@ -26,20 +26,20 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError, NotConverged, RankDeficient
-from truenewton.estimation.diagnosis import RejectedRow
-from truenewton.estimation.identifiability import load_fault
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import reading_noise
-from truenewton.estimation.outliers import balancing_groups, balancing_moments
+from truenewton.estimation.findings.estimate import RejectedRow
+from truenewton.estimation.findings.scale_budget import WeightErrors
+from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.outlying_shapes import balancing_groups, balancing_moments
+from truenewton.estimation.paper.identifiability import load_fault
 from truenewton.estimation.problem import (
     Problem,
     problem_of,
     with_noise_from_minimum,
     with_share_in_balance,
 )
-from truenewton.estimation.sifted import Sifted
-from truenewton.estimation.weights import WeightErrors
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import Sifted
 from truenewton.linalg import inverse_of_positive, mirrored
 from truenewton.reading import read_one
 from truenewton.recalibration.known import EarlierCalibration

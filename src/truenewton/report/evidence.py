@@ -14,18 +14,18 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
-from truenewton.estimation.diagnosis import NoiseSource
-from truenewton.estimation.displaced_rows import balanced_rows, is_displaced
-from truenewton.estimation.identifiability import balance_spectrum, centred_means
-from truenewton.estimation.imbalance import imbalance_covariance, squared_distances
-from truenewton.estimation.moments import chosen_groups
-from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.findings.estimate import NoiseSource
+from truenewton.estimation.matrix.modes import elastic_modes, modal_stiffness
+from truenewton.estimation.matrix.screen import as_calibrated
+from truenewton.estimation.paper.equations import imbalance_covariance, squared_distances
+from truenewton.estimation.paper.identifiability import balance_spectrum, centred_means
 from truenewton.estimation.problem import problem_of, with_share_in_balance
-from truenewton.estimation.repeats import row_groups, row_weights
-from truenewton.estimation.row_readers import RowBlock
-from truenewton.estimation.sifted import Sifted, without
-from truenewton.estimation.sifted_matrix import as_calibrated
-from truenewton.estimation.stiffness_svd import elastic_modes, modal_stiffness
+from truenewton.estimation.readings.moments import chosen_groups
+from truenewton.estimation.readings.repeats import row_groups, row_weights
+from truenewton.estimation.readings.row_readers import RowBlock
+from truenewton.estimation.readings.rows import balanced_rows, is_displaced
+from truenewton.estimation.screening.noise import reading_noise
+from truenewton.estimation.screening.screen import Sifted, without
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import comparable_arms, enabled_arms

@@ -24,8 +24,8 @@ from truenewton.errors import (
     TrueNewtonError,
     UnknownName,
 )
-from truenewton.estimation.estimate import Estimate
-from truenewton.estimation.sifted import Sifted, sift
+from truenewton.estimation.findings.estimate import Estimate
+from truenewton.estimation.screening.screen import Sifted, sift
 from truenewton.figures.style import on_screen
 from truenewton.modal.findings import ModalFindings, find_modes
 from truenewton.modal.measured_stiffness import motion_reader

@@ -13,18 +13,16 @@ from helpers.balanced import BIAS, campaign_of, changed, exact_weights, rms_z, w
 from helpers.small_bench import SmallBench
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.methods import calibrate
+from truenewton.chance import OF_EACH_KIND
 from truenewton.estimation.effects import score_test
 from truenewton.estimation.effects.catalogue import CATALOGUE
 from truenewton.estimation.effects.correction import correction
-from truenewton.estimation.effects.derivative import scored, variance_at_least
-from truenewton.estimation.effects.examined import chi2_probability
-from truenewton.estimation.effects.fitted import FittedRows
-from truenewton.estimation.effects.unknown_force import unknown_force
-from truenewton.estimation.multiple_tests import OF_EACH_KIND
-from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.effects.derivative import FittedRows, scored, variance_at_least
+from truenewton.estimation.effects.examination import chi2_probability
+from truenewton.estimation.effects.score_test import unknown_force
 from truenewton.estimation.problem import problem_of
-from truenewton.estimation.sifted import campaign_moments, sift
-from truenewton.estimation.structure import FITS
+from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
+from truenewton.estimation.screening.screen import campaign_moments, sift
 from truenewton.linalg import mirrored
 from truenewton.mirrors.known import p45
 from truenewton.statics.layout import rings
@@ -544,7 +542,7 @@ def test_a_force_that_does_not_turn_with_the_displacement_is_named_with_its_actu
     assert found.error.mean() > calibrate(SmallBench([1, 10], SIGMA).campaign()).error.mean()
     wrong = correction(fit_of(bench.campaign(), pooled=True), OF["positions"])
     freedom = wrong.problem.degrees_of_freedom(wrong.moments) - wrong.told
-    assert chi2_probability(wrong.minimum.chi2, freedom, wrong.problem.noise) < FITS
+    assert chi2_probability(wrong.minimum.chi2, freedom, wrong.problem.noise) < MIN_FIT_PROBABILITY
 
 
 def test_no_force_is_seen_on_clean_campaigns():
@@ -590,7 +588,7 @@ def test_an_effect_named_but_not_corrected_adds_its_shift_to_the_error():
     """A weight that is wrong, under three loads: E_STAT is no hundred times what alpha is off."""
     bench, _ = bench_with("weight of a load", 1, noise=1e-4)
     found = calibrate(bench.campaign())
-    assert found.goodness.probability < FITS
+    assert found.goodness.probability < MIN_FIT_PROBABILITY
     off = np.abs(found.alpha / bench.alpha - 1)
     assert np.mean(off < 1.96 * found.error / bench.alpha) > 0.9
     assert np.median(found.error / bench.alpha) < 5 * np.median(off)

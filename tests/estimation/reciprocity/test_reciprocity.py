@@ -23,8 +23,9 @@ from truenewton.errors import (
     TrueNewtonWarning,
     UnknownName,
 )
-from truenewton.estimation.matrix_faults import condensed
-from truenewton.estimation.reciprocity import cycles, iteration
+from truenewton.estimation.matrix.misfits import condensed
+from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
+from truenewton.estimation.reciprocity import iteration
 from truenewton.estimation.reciprocity.condensation import (
     condensed_regression,
     kept_places,
@@ -32,11 +33,11 @@ from truenewton.estimation.reciprocity.condensation import (
 )
 from truenewton.estimation.reciprocity.information import information, score
 from truenewton.estimation.reciprocity.iteration import fit, point_at
-from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.matrix import modes_of
-from truenewton.estimation.reciprocity.sight import places_of, sight
+from truenewton.estimation.reciprocity.regression import Regressed
+from truenewton.estimation.reciprocity.sensor_model import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values
-from truenewton.estimation.sifted import sift
+from truenewton.estimation.screening.screen import sift
 from truenewton.mirrors.known import mmt336, p45, ring
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import puck_motion
@@ -195,7 +196,10 @@ def test_with_a_model_of_the_glass_the_readings_of_annuli_fit():
     work = motion.T @ bench.glass.stiffness
     assert np.abs(work - work.T).max() < 1e-9 * np.abs(work).max()
     sifted = sift(p45_campaign())
-    with_model, without = cycles.find(sifted, motion), cycles.find(sifted)
+    with_model, without = (
+        reciprocity_of_campaign.find(sifted, motion),
+        reciprocity_of_campaign.find(sifted),
+    )
     assert with_model.goodness.probability > 1e-3
     assert with_model.goodness.chi2 < without.goodness.chi2
 
@@ -416,7 +420,7 @@ def test_with_the_glass_reciprocity_is_taken_where_it_holds_from_every_door(insi
 
 def test_ml_is_advised_only_where_it_was_not_taken(monkeypatch):
     campaign = p45_campaign(cycles=2)
-    monkeypatch.setattr(iteration, "STEPS", 1)
+    monkeypatch.setattr(iteration, "MAX_STEPS", 1)
     with pytest.raises(NotConverged, match="or use ml"):
         calibrate(campaign, "reciprocity")
     made = calibrate(campaign, "auto")

@@ -116,4 +116,4 @@ class Asked:
 
 
 # Spreads of log g and of offsets [m] to begin with; the data give their own.
-USUAL = Asked(gain_spread=0.004, offset_spread=5e-4, estimated=True)
+START_REQUEST = Asked(gain_spread=0.004, offset_spread=5e-4, estimated=True)
