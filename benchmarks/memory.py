@@ -62,7 +62,7 @@ def calibrate(folder: Path) -> None:
 
     for name, module, function in (
         ("tn.read: checksums, SHA256, checks", truenewton.reading, "read_data"),
-        ("means of repeats, rows far from them", methods, "sift"),
+        ("means of repeats, rows far from them", methods, "screen_campaign"),
         ("  a minimisation", problem, "minimise"),
         ("shapes against the balance", campaign_ml, "balancing_groups"),
         ("maximum likelihood, all of it", campaign_ml, "find"),

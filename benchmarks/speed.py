@@ -36,7 +36,7 @@ from scipy.linalg.lapack import dpotri
 
 import truenewton as tn
 from truenewton.estimation import campaign_ml, problem
-from truenewton.estimation.effects.examination import Examined
+from truenewton.estimation.effects.examination import ExaminedFit
 from truenewton.estimation.paper import cycle_errors
 from truenewton.estimation.paper.cycle_errors import CycleErrors
 from truenewton.estimation.paper.equations import system_e
@@ -135,8 +135,8 @@ def without_the_unseen(campaign: tn.Campaign) -> tn.Calibration:
 def without_catalogue(campaign: tn.Campaign) -> tn.Calibration:
     """Calibrate, but look for no effects, nor for what no data show."""
 
-    def nothing(fitted: Any, moments: Any, minimum: Any, *_: Any) -> Examined:
-        return Examined(fitted, moments, minimum)
+    def nothing(fitted: Any, moments: Any, minimum: Any, *_: Any) -> ExaminedFit:
+        return ExaminedFit(fitted, moments, minimum)
 
     with replaced(campaign_ml, "examined", nothing):
         return without_the_unseen(campaign)

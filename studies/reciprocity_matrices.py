@@ -17,7 +17,7 @@ from truenewton.errors import TrueNewtonError
 from truenewton.estimation.reciprocity.acceptance import refusals
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.sensor_model import places_of, sight
-from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Asked, Kind
+from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Request
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.held_glass import held_glass
 from truenewton.mirrors.shell.puck_motion import seen_by
@@ -82,7 +82,7 @@ def gate(seeds):
             truth = alpha - alpha.mean()
             alone = np.nan
             try:
-                alone = np.std(modes.fit(Asked(), balance=True).values.log_alpha - truth)
+                alone = np.std(modes.fit(Request(), balance=True).values.log_alpha - truth)
                 found = examined(modes, START_REQUEST)
             except TrueNewtonError:
                 rows.append((np.nan, alone, np.nan, False))

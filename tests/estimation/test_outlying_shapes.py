@@ -22,7 +22,7 @@ from truenewton.errors import TooManyOutliers
 from truenewton.estimation import campaign_ml
 from truenewton.estimation.paper.equations import squared_distances, standing_out
 from truenewton.estimation.readings import repeats
-from truenewton.estimation.screening.screen import sift
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.statics.load import Load
 
 SIGMA = 1e-3
@@ -78,7 +78,7 @@ def test_spikes_in_five_per_cent_of_rows_cost_less_than_a_tenth():
 )
 def test_a_sound_campaign_loses_a_row_as_seldom_as_stated(cycles, campaigns):
     """Two tests at 1 % each, three sigma."""
-    sound = (sift(small([3, k], cycles=cycles)[0]) for k in range(campaigns))
+    sound = (screen_campaign(small([3, k], cycles=cycles)[0]) for k in range(campaigns))
     lost = sum(bool(campaign_ml.find(one, population=False).rejected) for one in sound)
     assert lost <= 0.02 * campaigns + 3 * np.sqrt(0.02 * campaigns)
 
@@ -161,13 +161,13 @@ def test_rows_that_are_left_out_leave_sums_as_of_the_rest(monkeypatch):
     campaign, _ = small(4, cycles=5)
     for k in range(10):  # from lost in noise to what swells every sum
         campaign = with_spike(campaign, k, 3 * k, k, 10.0 ** (k - 4))
-    sifted, made = sift(campaign), calibrate(campaign)
-    assert len(sifted.rejected) == made.rejected >= 6
-    for k, (one, other) in enumerate(zip(campaign.cycles, sifted.sound.cycles, strict=True)):
-        lost = [row.row for row in sifted.rejected if row.cycle == k]
+    screened, made = screen_campaign(campaign), calibrate(campaign)
+    assert len(screened.rejected) == made.rejected >= 6
+    for k, (one, other) in enumerate(zip(campaign.cycles, screened.sound.cycles, strict=True)):
+        lost = [row.row for row in screened.rejected if row.cycle == k]
         assert np.flatnonzero(one.valid & ~other.valid).tolist() == sorted(lost)
-    assert sifted.moments.rows.sum() == 10 * 28 - made.rejected
-    rest = calibrate(sifted.sound)
+    assert screened.moments.rows.sum() == 10 * 28 - made.rejected
+    rest = calibrate(screened.sound)
     assert made.alpha == pytest.approx(rest.alpha, rel=1e-12)
     assert made.reading_error == pytest.approx(rest.reading_error, rel=1e-10)
     assert (rest.rejected, rest.invalid) == (0, made.rejected)

@@ -20,9 +20,9 @@ from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient, TooManyOutliers
 from truenewton.estimation.checks.campaign import campaign_warnings, noise_warnings
 from truenewton.estimation.checks.dead_actuators import strange_alphas
-from truenewton.estimation.checks.inputs import refusal_naming, suspects_of
+from truenewton.estimation.checks.inputs import check_inputs, refusal_naming
 from truenewton.estimation.effects.examination import (
-    Examined,
+    ExaminedFit,
     chi2_probability,
     examined,
     misfit_findings,
@@ -78,7 +78,7 @@ from truenewton.estimation.problem import (
 from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.readings.repeats import WEIGHED_NOISE
 from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY, reading_noise
-from truenewton.estimation.screening.screen import Sifted, refuse_too_many
+from truenewton.estimation.screening.screen import ScreenedCampaign, refuse_too_many
 from truenewton.linalg import largest_eigenvalue, mirrored, smallest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.statics.arms import arms_in_units_of_rms, enabled_arms
@@ -127,12 +127,12 @@ def tolerable(judged: Diagnosis, n: int) -> bool:
 LINEAR_STEPS = 3  # steps after which a population's pull, linear in each, has settled
 
 
-def find(sifted: Sifted, population: bool = False) -> Estimate:
+def find(screened: ScreenedCampaign, population: bool = False) -> Estimate:
     """Find the likeliest alpha of a campaign, outliers left out; no row is read.
 
     Parameters
     ----------
-    sifted
+    screened
         Cycles under two loads at least, and a stiffness matrix if there is one.
     population
         Whether alpha is taken for a sample of one normal population, whose spread the data give.
@@ -141,40 +141,40 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
-    sound, moments = sifted.sound, sifted.moments
+    sound, moments = screened.sound, screened.moments
     refuse(structural_faults(sound, moments))
-    with refusal_naming(lambda: (*sifted.suspects, *sifted.clipped)):
-        free = _posed(sifted)
-        suspects = suspects_of(sifted, free)
+    with refusal_naming(lambda: (*screened.suspects, *screened.clipped)):
+        free = _posed(screened)
+        suspects = check_inputs(screened, free)
     with refusal_naming(
-        lambda: (*suspects.where_nothing_balances(free, moments).named, *sifted.clipped)
+        lambda: (*suspects.where_nothing_balances(free, moments).named, *screened.clipped)
     ):
         belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
-        free = with_share_in_balance(free, sifted, minimum.values[: free.n])
+        free = with_share_in_balance(free, screened, minimum.values[: free.n])
         if free.dependent:
             belongs, distance, (problem, minimum), patterns = _fitted(free, sound, moments)
     balances = bool(belongs.all()) and _balances(problem, moments, minimum)
     if not balances:
         suspects = suspects.where_nothing_balances(free, moments)
     wrong = not (balances or suspects.actuators) and bool(suspects.columns)
-    with refusal_naming(lambda: (*suspects.named, *sifted.clipped)):
-        moments, lost = balancing_moments(sifted, belongs, distance, (problem, minimum))
+    with refusal_naming(lambda: (*suspects.named, *screened.clipped)):
+        moments, lost = balancing_moments(screened, belongs, distance, (problem, minimum))
         problem, minimum = with_noise_from_minimum(problem, moments, minimum)
-        plain = Examined(problem, moments, minimum)
-        left, unseen = _examined(plain, sifted, patterns, columns_are_wrong=wrong)
+        plain = ExaminedFit(problem, moments, minimum)
+        left, unseen = _examined(plain, screened, patterns, columns_are_wrong=wrong)
         method = "ml"
         if population:
             left, method = _of_population(left, free.prior)
-        estimate = _judged(method, left, (*sifted.rejected, *lost), patterns.shape[1])
+        estimate = _judged(method, left, (*screened.rejected, *lost), patterns.shape[1])
         if estimate.diagnosis.undetermined:
             diagnosis = diagnose(sound, moments)
             if 3 * diagnosis.span < problem.n - 1:  # not even without noise
                 refuse(diagnosis.faults, diagnosis.undetermined)
     error = np.sqrt(np.diag(left.minimum.reading_covariance)[: problem.n])
     alpha = left.minimum.values[: problem.n]
-    strange = () if suspects.columns else strange_alphas(sifted.campaign, alpha, error)
-    clipped = () if belongs.all() and left.fits else sifted.clipped
-    effects = (*suspects.named, *strange, *clipped, *sifted.frozen, *left.effects)
+    strange = () if suspects.columns else strange_alphas(screened.campaign, alpha, error)
+    clipped = () if belongs.all() and left.fits else screened.clipped
+    effects = (*suspects.named, *strange, *clipped, *screened.frozen, *left.effects)
     effects += tuple(warmer_loads(sound, estimate.scale_errors))
     warnings = (*estimate.diagnosis.warnings, *misfit_findings(left))
     return replace(
@@ -185,39 +185,41 @@ def find(sifted: Sifted, population: bool = False) -> Estimate:
     )
 
 
-def _posed(sifted: Sifted) -> Problem:
+def _posed(screened: ScreenedCampaign) -> Problem:
     """Pose the problem of a campaign, of which readings are independent as far as is known."""
-    sound, moments = sifted.sound, sifted.moments
-    rows = len(sifted.rejected) + int(moments.rows.sum())
-    refuse_too_many(len(sifted.rejected), rows)
+    sound, moments = screened.sound, screened.moments
+    rows = len(screened.rejected) + int(moments.rows.sum())
+    refuse_too_many(len(screened.rejected), rows)
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(sound), **temperature_errors(sound, force)}
-    return problem_of(sifted.campaign, reading_noise(sound, moments), errors)
+    return problem_of(screened.campaign, reading_noise(sound, moments), errors)
 
 
 def _examined(
-    plain: Examined, sifted: Sifted, patterns: Array, *, columns_are_wrong: bool
-) -> tuple[Examined, tuple[UnseenError, ...]]:
+    plain: ExaminedFit, screened: ScreenedCampaign, patterns: Array, *, columns_are_wrong: bool
+) -> tuple[ExaminedFit, tuple[UnseenError, ...]]:
     """Return a fit after effects were looked for, as sure as it is, and what no data can show."""
     if patterns.size:
         return replace(plain, minimum=with_undetermined_patterns(plain.minimum, patterns)), ()
     if columns_are_wrong:
         return _less_sure(plain), ()
-    left = examined(plain.problem, plain.moments, plain.minimum, sifted.structure, sifted.samples)
+    left = examined(
+        plain.problem, plain.moments, plain.minimum, screened.structure, screened.samples
+    )
     left = replace(left, minimum=with_magnets_unsure(left))
     unseen = unseen_errors(left)
-    if positions_are_unsure(sifted.sound.layout):
+    if positions_are_unsure(screened.sound.layout):
         left = replace(left, minimum=with_positions_unsure(left))
     return left if left.fits or left.explained else _less_sure(left), unseen
 
 
-def _less_sure(left: Examined) -> Examined:
+def _less_sure(left: ExaminedFit) -> ExaminedFit:
     """Return a fit less sure by what the data are more out of balance than their noise says."""
     covariance = left.excess * left.minimum.reading_covariance
     return replace(left, minimum=replace(left.minimum, reading_covariance=covariance))
 
 
-def _of_population(left: Examined, prior: Prior) -> tuple[Examined, str]:
+def _of_population(left: ExaminedFit, prior: Prior) -> tuple[ExaminedFit, str]:
     """Return the fit with alpha a sample of one population, and the name of that method."""
     n, problem, minimum = left.problem.n, left.problem, left.minimum
     alpha, smooth = minimum.values[:n], smooth_patterns(problem.a)
@@ -232,9 +234,11 @@ def _of_population(left: Examined, prior: Prior) -> tuple[Examined, str]:
     return replace(left, problem=problem, minimum=minimum), f"ml, population {spread:.2g}"
 
 
-def _judged(method: str, left: Examined, rejected: tuple[RejectedRow, ...], held: int) -> Estimate:
+def _judged(
+    method: str, left: ExaminedFit, rejected: tuple[RejectedRow, ...], held: int
+) -> Estimate:
     problem, moments = left.problem, left.moments
-    freedom = problem.degrees_of_freedom(moments) - left.told
+    freedom = problem.degrees_of_freedom(moments) - left.effective_parameters
     return estimate_of(method, problem, moments, left.minimum, rejected, held, freedom)
 
 

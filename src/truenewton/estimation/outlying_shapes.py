@@ -25,7 +25,7 @@ from truenewton.estimation.problem import Problem, roughly_scaled
 from truenewton.estimation.readings.moments import Moments, chosen_groups
 from truenewton.estimation.readings.repeats import row_groups
 from truenewton.estimation.screening.noise import MIN_FIT_PROBABILITY
-from truenewton.estimation.screening.screen import FAR_OUT_FACTOR, Sifted, refuse_too_many
+from truenewton.estimation.screening.screen import FAR_OUT_FACTOR, ScreenedCampaign, refuse_too_many
 from truenewton.linalg import ROWS_AT_ONCE
 from truenewton.records.campaign import Campaign
 
@@ -150,7 +150,7 @@ def alike_opposites(moments: Moments) -> NDArray[np.bool_]:
 
 
 def balancing_moments(
-    sifted: Sifted, belongs: NDArray[np.bool_], distance: Array, fitted: Fitted
+    screened: ScreenedCampaign, belongs: NDArray[np.bool_], distance: Array, fitted: Fitted
 ) -> tuple[Moments, tuple[RejectedRow, ...]]:
     """Return the moments of the groups that belong, and the rows of the others.
 
@@ -161,13 +161,13 @@ def balancing_moments(
     TooManyOutliers
         With the rows left out before, more than accidents take.
     """
-    moments = sifted.moments
+    moments = screened.moments
     if belongs.all():
         return moments, ()
     problem, minimum = fitted
     actuator = problem.standing_out(minimum.values, moments)
-    lost = rows_of(sifted.sound, ~belongs, distance, actuator)
-    before = len(sifted.rejected)
+    lost = rows_of(screened.sound, ~belongs, distance, actuator)
+    before = len(screened.rejected)
     refuse_too_many(before + len(lost), before + int(moments.rows.sum()))
     return chosen_groups(moments, belongs), tuple(lost)
 

@@ -10,7 +10,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from truenewton.arrays import Array, taking_units
-from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
+from truenewton.calibration.methods import asked, calibrate, calibration_of, estimate_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
 from truenewton.errors import NotToBeUsed
@@ -18,7 +18,7 @@ from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.estimation.readings.row_readers import read_rows
-from truenewton.estimation.screening.screen import sift
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.modal.actuator_roles import indices_of
 from truenewton.modal.comparison import ModesComparison, compare_modes
 from truenewton.modal.dissipation import EFFICIENCY, Budget, Dissipation
@@ -249,11 +249,11 @@ def _with_alpha(
     if isinstance(data, StiffnessMatrix):
         return data, None, calibration or calibrate(data, motion=motion), None
     if reader is None:
-        sifted = sift(data)
-        reader = motion_reader(sifted)
+        screened = screen_campaign(data)
+        reader = motion_reader(screened)
         if calibration is None:
             method, known = asked(data, None, population=False, motion=motion)
-            estimate = find_alpha(sifted, method, known)
+            estimate = estimate_alpha(screened, method, known)
             calibration = calibration_of(data, estimate, (reader.take,))
         else:
             read_rows(data, (reader.take,))

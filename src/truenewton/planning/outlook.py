@@ -24,7 +24,7 @@ from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.reciprocity.prediction import informed, sensor_errors
 from truenewton.estimation.reciprocity.prediction import predict as predict_with_sensors
 from truenewton.estimation.reciprocity.sensor_model import places_of
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind
+from truenewton.estimation.reciprocity.unknowns import Kind, Request
 from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.shell.puck_motion import seen_by
 from truenewton.planning.forces import (
@@ -119,7 +119,7 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
     try:
         said = informed(
             places_of(layout, seen_by(ready.glass)),
-            Asked(plan.sensors.gain, plan.sensors.offset),
+            Request(plan.sensors.gain, plan.sensors.offset),
             *(np.sqrt(repeats) * each[:, layout.enabled] for each in (ready.shapes, ready.force)),
             force_noise=plan.force_noise,
             position_noise=plan.sensors.noise,

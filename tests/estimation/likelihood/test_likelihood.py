@@ -25,7 +25,7 @@ from truenewton.estimation.likelihood.minimum import DataSet, Prior
 from truenewton.estimation.likelihood.objective import _terms, chi2_at, minimise, start_values
 from truenewton.estimation.paper.svd import condition_in_units_of_rms
 from truenewton.estimation.readings.moments import shape_sums
-from truenewton.estimation.screening.screen import sift
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -43,7 +43,7 @@ SIGMA = 1e-3
 
 def find(campaign, population=False):
     """Return what ml finds of a campaign."""
-    return campaign_ml.find(sift(campaign), population)
+    return campaign_ml.find(screen_campaign(campaign), population)
 
 
 def of_one_load(c, r=None, q=None, variance=0.0, load=(0.0, 0.0, 0.0), place=0):

@@ -12,7 +12,7 @@ from truenewton.estimation.likelihood.minimum import (
 )
 from truenewton.estimation.matrix.ml import column_fit
 from truenewton.estimation.matrix.modes import columns_of
-from truenewton.estimation.matrix.screen import sift_matrix
+from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
 
@@ -62,7 +62,7 @@ def test_errors_cover_alpha_that_rises_to_the_rim():
         )
         k = truth.stiffness / alpha[:, None] + 300 * random.standard_normal(truth.stiffness.shape)
         matrix = StiffnessMatrix("P45", START, truth.layout, k)
-        fit = column_fit(columns_of(sift_matrix(matrix)), population=True)
+        fit = column_fit(columns_of(screen_matrix(matrix)), population=True)
         error = np.abs(fit.alpha - alpha / alpha.mean())
         covered.append(np.mean(error < 1.96 * np.sqrt(np.diag(fit.covariance))))
     assert 0.91 < np.mean(covered) < 0.98

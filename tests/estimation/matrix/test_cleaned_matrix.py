@@ -9,7 +9,7 @@ from helpers.balanced import START, p45_bench, p45_matrix
 from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.matrix.order import balance_effects
-from truenewton.estimation.matrix.screen import sift_matrix
+from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.reciprocity.acceptance import Evidence, instead, refusals
 from truenewton.foreign.importing import stiffness_from
 from truenewton.modal.findings import find_modes
@@ -53,7 +53,7 @@ def test_a_matrix_cleaned_of_rigid_motions_is_refused_by_name(way):
     matrix, _ = p45_matrix()
     k = CLEANED_WAYS[way](matrix.stiffness, rigid_motions(matrix.layout))
     balanced = replace(matrix, stiffness=k)
-    [effect] = sift_matrix(balanced).effects
+    [effect] = screen_matrix(balanced).effects
     assert effect.code == (Code.TRUE_STIFFNESS if "symmetric" in way else Code.CLEANED_STIFFNESS)
     assert effect.remedy == "give the matrix as it was measured"
     made = stiffness_from(k, matrix.layout, unit="N/m")
@@ -78,8 +78,8 @@ def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_th
     """Rigid motions taken out of readings leave forces as they were measured."""
     matrix, _ = p45_matrix()
     k = cleaned(matrix.stiffness.T, rigid_motions(matrix.layout))[1].T
-    assert sift_matrix(replace(matrix, stiffness=k)).effects == ()
-    [effect] = sift_matrix(replace(matrix, stiffness=k.T)).effects
+    assert screen_matrix(replace(matrix, stiffness=k)).effects == ()
+    [effect] = screen_matrix(replace(matrix, stiffness=k.T)).effects
     assert effect.code == Code.TRANSPOSED_STIFFNESS
 
 

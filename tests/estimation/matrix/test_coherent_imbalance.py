@@ -12,7 +12,7 @@ from truenewton.estimation.matrix.coherent_imbalance import coherent_imbalance, 
 from truenewton.estimation.matrix.facts import matrix_facts, negative_modes
 from truenewton.estimation.matrix.ml import column_fit
 from truenewton.estimation.matrix.modes import columns_of
-from truenewton.estimation.matrix.screen import sift_matrix
+from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.statics.arms import comparable_arms
 
 Level, Code = tn.Level, tn.Code
@@ -63,7 +63,7 @@ def test_the_shift_of_alpha_is_what_the_mistake_did_to_it(p45):
     middle = np.abs(radius - np.unique(np.round(radius, 3))[1]) < 5e-3
     part = np.where(middle, 1.0 + 1e-3 / radius, 1.0)
     wrong = replace(exact, layout=replace(layout, x=layout.x * part, y=layout.y * part))
-    found = column_fit(columns_of(sift_matrix(wrong)))
+    found = column_fit(columns_of(screen_matrix(wrong)))
     pattern = coherent_imbalance(wrong.stiffness, comparable_arms(wrong.layout), found.alpha)
     assert pattern.names[0] == "the radius of ring 2"
     assert pattern.share > 0.95

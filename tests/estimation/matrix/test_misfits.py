@@ -17,7 +17,7 @@ from truenewton.estimation.matrix.couplings import pair_ratios, relative_couplin
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.ml import column_fit, likeliest
 from truenewton.estimation.matrix.modes import columns_of, elastic_modes
-from truenewton.estimation.matrix.screen import sift_matrix
+from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.condensation import odd_actuators
 from truenewton.mirrors.known import mmt336, ring
@@ -211,7 +211,7 @@ RINGS = np.split(EVERY, [9, 24])
     ],
 )
 def test_coordinates_in_another_order_than_the_matrix_are_told(order, said):
-    effect = sift_matrix(displaced(order)).effects[-1]
+    effect = screen_matrix(displaced(order)).effects[-1]
     assert effect.name.startswith("coordinates in another order than STIFFNESS")
     assert said in effect.name
     assert not effect.corrected
@@ -230,9 +230,9 @@ def test_neither_gains_nor_a_mirrored_table_are_another_order():
     """Sensors that scatter by 5 %; and coordinates seen from the other side."""
     matrix, _ = p45_matrix()
     gains = 1.0 + 0.05 * np.random.default_rng(2).standard_normal(45)
-    assert sift_matrix(replace(matrix, stiffness=matrix.stiffness * gains)).effects == ()
+    assert screen_matrix(replace(matrix, stiffness=matrix.stiffness * gains)).effects == ()
     mirrored = replace(matrix, layout=replace(matrix.layout, x=-matrix.layout.x))
-    assert sift_matrix(mirrored).effects == ()
+    assert screen_matrix(mirrored).effects == ()
     assert calibrate(mirrored, "svd").alpha == pytest.approx(
         calibrate(matrix, "svd").alpha, rel=1e-9
     )
@@ -256,12 +256,12 @@ def test_sensors_that_read_nothing_are_named_and_the_columns_left_give_alpha():
         k[:, [3, 9, BAD]] = 0.0
 
     matrix, alpha = measured(silent)
-    sifted = sift_matrix(matrix)
-    on = sifted.matrix.layout.enabled
+    screened = screen_matrix(matrix)
+    on = screened.matrix.layout.enabled
     assert np.flatnonzero(~on).tolist() == [3, 9, BAD]
-    reasons = {effect.name.partition(": ")[2] for effect in sifted.effects}
+    reasons = {effect.name.partition(": ")[2] for effect in screened.effects}
     assert reasons == {"its sensor reads nothing"}
-    found = column_fit(columns_of(sifted))
+    found = column_fit(columns_of(screened))
     z = (found.alpha - alpha[on] / alpha[on].mean()) / np.sqrt(np.diag(found.covariance))
     assert np.sqrt(np.mean(z**2)) < 1.6
 
@@ -273,18 +273,18 @@ def test_a_sector_of_sensors_of_another_gain_is_named_and_nobody_else():
     k += 2e-4 * np.sqrt(np.mean(k**2)) * random.standard_normal((n, n))
     sector = np.argsort(np.hypot(layout.x - layout.x[150], layout.y - layout.y[150]))[:15]
     k[:, sector] *= 1.5
-    sifted = sift_matrix(StiffnessMatrix("MMT336", START, layout, k))
-    [effect] = sifted.effects
+    screened = screen_matrix(StiffnessMatrix("MMT336", START, layout, k))
+    [effect] = screened.effects
     assert sorted(effect.actuators) == sorted(layout.id[sector])
     assert "its sensor has another gain" in effect.name
 
 
 def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
     matrix, _ = p45_matrix()
-    sifted = sift_matrix(matrix)
-    base = matrix_modes.find(sifted, column_fit)
+    screened = screen_matrix(matrix)
+    base = matrix_modes.find(screened, column_fit)
     values = np.where(np.arange(len(base.values)) == BAD, -0.02, base.values)
-    found = reciprocity_of_matrix.find(sifted.matrix, replace(base, values=values))[0]
+    found = reciprocity_of_matrix.find(screened.matrix, replace(base, values=values))[0]
     assert np.isfinite(found.values).all()
 
 
@@ -313,7 +313,7 @@ def test_sensors_off_their_magnets_are_no_wrong_gains_but_a_wrong_gain_among_the
     values = drawn(random, bench.mirror.layout.n, offset=5e-4)
     k = with_noise(random, by_glass(bench.glass, values), values).stiffness
     matrix = StiffnessMatrix("P45", START, bench.mirror.layout, k)
-    assert sift_matrix(matrix).effects == ()
+    assert screen_matrix(matrix).effects == ()
     gains = np.where(np.arange(len(k)) == BAD, 1.5, 1.0)
-    [effect] = sift_matrix(replace(matrix, stiffness=k * gains)).effects
+    [effect] = screen_matrix(replace(matrix, stiffness=k * gains)).effects
     assert effect.where == f"actuator {matrix.layout.id[BAD]}"

@@ -17,7 +17,7 @@ from truenewton.estimation.matrix.modes import (
     elastic_modes,
     rms_imbalance,
 )
-from truenewton.estimation.matrix.screen import sift_matrix
+from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.reading import read_data
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -97,9 +97,9 @@ def test_a_matrix_of_low_rank_or_of_noise_is_refused():
 def test_a_transposed_matrix_is_not_to_be_used():
     """Its alpha is that of the sensors: 10 % from the truth, stated to be known to .05 %."""
     matrix, _ = p45_matrix(0.0)
-    assert sift_matrix(matrix).effects == ()
+    assert screen_matrix(matrix).effects == ()
     turned = replace(matrix, stiffness=matrix.stiffness.T)
-    [effect] = sift_matrix(turned).effects
+    [effect] = screen_matrix(turned).effects
     assert effect.code == Code.TRANSPOSED_STIFFNESS
     assert "[i, j], the force of actuator i per displacement of sensor j" in effect.remedy
     with pytest.warns(TrueNewtonWarning, match="transposed stiffness"):
@@ -112,7 +112,7 @@ def test_what_costs_as_much_as_gains_of_sensors_only_looks_transposed():
     noisy, truth = p45_matrix()
     gains = 1.0 + 0.01 * np.random.default_rng(3).standard_normal(len(truth))
     right = replace(noisy, stiffness=truth[:, None] * noisy.stiffness * gains)
-    assert sift_matrix(right).effects == ()
+    assert screen_matrix(right).effects == ()
     codes = {each.code for each in calibrate(right, "svd").diagnosis.warnings}
     assert "looks-transposed" in codes
 

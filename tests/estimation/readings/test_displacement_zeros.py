@@ -10,7 +10,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.readings.rows import balanced_rows, common_reference
-from truenewton.estimation.screening.screen import campaign_moments, sift
+from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
 from truenewton.records.campaign import Campaign
 from truenewton.report.investigate import investigate
 from truenewton.statics.arms import enabled_arms
@@ -31,9 +31,9 @@ def test_rest_and_stroke_are_mean_and_deviation():
     assert cycle.rest_position == pytest.approx(rest, abs=1e-15)
     apart = np.delete(cycle.position, 5, 0) - cycle.rest_position
     assert cycle.stroke == pytest.approx(np.sqrt(np.mean(apart**2, axis=0)), rel=1e-9)
-    assert cycle.knows_rest
+    assert cycle.has_opposites
     alone = replace(cycle, valid=cycle.sign > 0)
-    assert not alone.knows_rest
+    assert not alone.has_opposites
     assert alone.rest_position == pytest.approx(alone.position[:14].mean(axis=0), abs=1e-15)
 
 
@@ -129,7 +129,7 @@ def test_repeats_and_residuals_count_from_the_same():
     half = replace(campaign.cycles[-1], valid=campaign.cycles[-1].sign > 0)
     campaign = Campaign((*campaign.cycles[:-1], half))
     moments, a = campaign_moments(campaign), enabled_arms(campaign.layout)
-    assert np.abs(np.vstack(sift(campaign).samples)).max() < 1e-11
+    assert np.abs(np.vstack(screen_campaign(campaign).samples)).max() < 1e-11
     by_rest, by_all = (
         rows.of(*rows.read(half.valid))[0]
         for rows in (balanced_rows(half, a, z) for z in (half.rest_position, moments.reference))

@@ -1,4 +1,4 @@
-"""How often the rows of a campaign are read: once to sift them, once for all that is told."""
+"""How often the rows of a campaign are read: once for screening, once for all that is told."""
 
 import pytest
 

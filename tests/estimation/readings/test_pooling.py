@@ -13,7 +13,7 @@ from truenewton.calibration.methods import calibrate
 from truenewton.estimation.problem import problem_of
 from truenewton.estimation.readings.moments import chosen_groups, over_loads_and_signs
 from truenewton.estimation.screening.noise import independent_readings, reading_noise, structure_of
-from truenewton.estimation.screening.screen import campaign_moments, sift
+from truenewton.estimation.screening.screen import campaign_moments, screen_campaign
 
 KINDS = ["plain", "three loads", "one sign", "missing", "unbalanced", "one sign under a load",
          "left out", "sizes"]  # fmt: skip
@@ -75,7 +75,7 @@ def test_the_basis_is_orthonormal_in_the_weights_and_spans_what_shapes_share(kin
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("left out", "plain")])
 def test_pooled_rows_hold_all_that_noiseless_campaigns_say(kind):
     campaign, bench = noiseless(kind)
-    moments = replace(sift(campaign).moments, pooled=True)
+    moments = replace(screen_campaign(campaign).moments, pooled=True)
     pooling = moments.pooling
     assert pooling.count < moments.groups or kind == "one sign"
     back = pooling.groups(pooling.rows(moments.mean))
@@ -145,7 +145,7 @@ def test_sizes_of_shapes_come_from_the_displacements():
     # Sensors count from zeros of their own, which the mean over the shapes takes out.
     zeros = changed(campaign, position=lambda _, c: c.position + 1e-5 * np.arange(14))
     for data in (campaign, zeros):
-        moments = sift(data).moments
+        moments = screen_campaign(data).moments
         assert moments.pooled
         size, variance = moments.sizes
         assert size == pytest.approx([1.0, 1.03], abs=1e-9)
@@ -157,9 +157,9 @@ def test_sizes_of_shapes_come_from_the_displacements():
 
 def test_without_displacements_shapes_of_another_size_are_not_pooled():
     bench = resized(has_position=False)
-    sifted = sift(bench.campaign())
-    assert not sifted.moments.pooled
-    assert sifted.structure.probability < 1e-10
+    screened = screen_campaign(bench.campaign())
+    assert not screened.moments.pooled
+    assert screened.structure.probability < 1e-10
     found = calibrate(bench.campaign())
     # Whether the gain or the shapes differ nobody can tell: it is said, and alpha is not moved.
     assert [(effect.name, effect.corrected) for effect in found.effects] == [

@@ -20,11 +20,11 @@ from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.paper.identifiability import refuse
 from truenewton.estimation.problem import Problem
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.screening.screen import Sifted, naming
+from truenewton.estimation.screening.screen import ScreenedCampaign, naming
 
 
 @dataclass(frozen=True)
-class Suspects:
+class InputChecks:
     """What is suspected before effects are looked for.
 
     Attributes
@@ -53,7 +53,7 @@ class Suspects:
         """All of them."""
         return (*self.files, *self.actuators, *self.columns)
 
-    def where_nothing_balances(self, problem: Problem, moments: Moments) -> Suspects:
+    def where_nothing_balances(self, problem: Problem, moments: Moments) -> InputChecks:
         """Return these, with files in two lots, or columns that would balance exchanged.
 
         A dead actuator explains all.
@@ -65,7 +65,7 @@ class Suspects:
         return replace(self, exchanged=exchanged_columns(problem, moments))
 
 
-def suspects_of(sifted: Sifted, problem: Problem) -> Suspects:
+def check_inputs(screened: ScreenedCampaign, problem: Problem) -> InputChecks:
     """Return what rows alone make suspect.
 
     Raises
@@ -73,13 +73,13 @@ def suspects_of(sifted: Sifted, problem: Problem) -> Suspects:
     RankDeficient
         A reading is stuck.
     """
-    change = readings_change(sifted.moments, problem.noise)
-    refuse(stuck_faults(sifted.campaign, change))
-    return Suspects(
-        sifted.suspects,
-        constant_actuators(sifted.campaign, change),
-        misordered_columns(sifted.campaign, sifted.moments),
-        unlike=sifted.unlike,
+    change = readings_change(screened.moments, problem.noise)
+    refuse(stuck_faults(screened.campaign, change))
+    return InputChecks(
+        screened.suspects,
+        constant_actuators(screened.campaign, change),
+        misordered_columns(screened.campaign, screened.moments),
+        unlike=screened.unlike,
     )
 
 

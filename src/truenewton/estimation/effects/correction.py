@@ -38,7 +38,7 @@ class Correction:
     ----------
     effect
         What was taken out.
-    theta, covariance, told
+    theta, covariance, effective_parameters
         (k,) its parameters, their (k, k) covariance, and how many the data tell: nu.
     problem, moments, minimum
         The data without it and their fit, whose covariance has what the effect's error adds.
@@ -47,7 +47,7 @@ class Correction:
     effect: Effect
     theta: Array
     covariance: Array
-    told: float
+    effective_parameters: float
     problem: Problem
     moments: Moments
     minimum: Minimum
@@ -68,12 +68,14 @@ def correction(fit: FittedRows, effect: Effect) -> Correction | None:
         if inverse is None:
             return None
         uphill = result.score + theta / tau2
-        told = float(np.sum(1.0 - np.diag(inverse) / tau2))
+        effective_parameters = float(np.sum(1.0 - np.diag(inverse) / tau2))
         if settled and float(uphill @ inverse @ uphill) < SETTLED_SQUARED_STEP:
             minimum = with_error(at, result.moves, inverse)
-            return Correction(effect, theta, inverse, told, at.problem, at.moments, minimum)
+            return Correction(
+                effect, theta, inverse, effective_parameters, at.problem, at.moments, minimum
+            )
         theta = theta - inverse @ uphill
-        before, tau2 = tau2, max(float(theta @ theta) / max(told, 1e-3), 1e-300)
+        before, tau2 = tau2, max(float(theta @ theta) / max(effective_parameters, 1e-3), 1e-300)
         settled = abs(np.log(before / tau2)) < 1e-2
         problem, moments = derivative.remove(fit.problem, fit.moments, theta)
         problem = _with_noise_anew(problem, moments)

@@ -49,7 +49,7 @@ class FittedRows:
         tells of effects as well.
     removed
         (g, n) what an effect that is being taken out added to the readings [N].
-    struck
+    affected
         Indices of the actuators whose effect that is, where it is that of single ones.
     found
         What several effects do to readings, by their field, once found.
@@ -60,7 +60,7 @@ class FittedRows:
     minimum: Minimum
     independent: bool
     removed: Array | float = 0.0
-    struck: NDArray[np.intp] | None = None
+    affected: NDArray[np.intp] | None = None
     found: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property

@@ -47,14 +47,14 @@ from truenewton.records.campaign import Campaign, load_temperatures
 
 
 @dataclass(frozen=True, eq=False)
-class Examined:
+class ExaminedFit:
     """What is left after effects were looked for.
 
     Attributes
     ----------
     problem, moments, minimum
         The data without the effects that were taken out, and their fit.
-    told
+    effective_parameters
         How many of their parameters the balance had to tell.
     effects
         Those named, the likeliest first.
@@ -69,7 +69,7 @@ class Examined:
     problem: Problem
     moments: Moments
     minimum: Minimum
-    told: float = 0.0
+    effective_parameters: float = 0.0
     effects: tuple[Finding, ...] = ()
     structure: Structure | None = None
     correlated: bool = False
@@ -78,13 +78,13 @@ class Examined:
     @property
     def probability(self) -> float:
         """Chance of a larger chi^2 of the balance."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
         return chi2_probability(self.minimum.chi2, freedom, self.problem.noise)
 
     @property
     def too_well(self) -> bool:
         """Whether the shapes balance better than their noise lets expect."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
         if freedom <= 0:
             return False
         return (
@@ -105,7 +105,7 @@ class Examined:
     @property
     def excess(self) -> float:
         """By how much the variance of what is left is larger than the noise says, if at all."""
-        freedom = self.problem.degrees_of_freedom(self.moments) - self.told
+        freedom = self.problem.degrees_of_freedom(self.moments) - self.effective_parameters
         balance = self.minimum.chi2 / max(freedom, 1.0)
         return max(1.0, balance, self.structure.reduced if self.structure else 1.0)
 
@@ -119,7 +119,7 @@ def chi2_probability(chi2: float, freedom: float, noise: Noise) -> float:
     return float(f_sf(chi2 / freedom, freedom, noise.share_freedom))
 
 
-def misfit_findings(left: Examined) -> Iterator[Finding]:
+def misfit_findings(left: ExaminedFit) -> Iterator[Finding]:
     """Yield that the model does not fit, and by how much errors grew for it."""
     if left.fits:
         return
@@ -163,7 +163,7 @@ def examined(
     minimum: Minimum,
     structure: Structure | None,
     samples: Sequence[Array],
-) -> Examined:
+) -> ExaminedFit:
     """Look for effects in data and their fit, and take out those that cure.
 
     Parameters
@@ -175,14 +175,14 @@ def examined(
     samples
         Deviations of some rows from their repeats, in parts of (m, n) [N].
     """
-    plain = Examined(problem, moments, minimum)
+    plain = ExaminedFit(problem, moments, minimum)
     if structure is None:
         return plain
     # What files or hours do to all readings looks like noise that they share, until it is out.
     unshared = replace(problem.noise, share=1.0, share_freedom=np.inf)
     alone = replace(problem, noise=unshared, disturbance=0.0)
     if moments.pooled and not problem.dependent:
-        start: Examined | None = replace(plain, structure=structure)  # fitted so already
+        start: ExaminedFit | None = replace(plain, structure=structure)  # fitted so already
     else:
         start = _pooled(alone, moments, minimum, structure)
     if start is None:
@@ -222,19 +222,19 @@ def examined(
 
 def _pooled(
     problem: Problem, moments: Moments, minimum: Minimum, structure: Structure
-) -> Examined | None:
+) -> ExaminedFit | None:
     """Return the fit to pooled rows, whether shapes repeat so or not; None where there is none."""
     pooled = replace(moments, pooled=True)
     try:
         fitted = problem.fitted(pooled, minimum.values)
     except (NotConverged, RankDeficient):
         return None
-    return Examined(problem, pooled, fitted, structure=structure)
+    return ExaminedFit(problem, pooled, fitted, structure=structure)
 
 
 def _cured(
-    start: Examined, *, independent: bool, samples: Sequence[Array], within: bool = False
-) -> tuple[Examined | None, Examined]:
+    start: ExaminedFit, *, independent: bool, samples: Sequence[Array], within: bool = False
+) -> tuple[ExaminedFit | None, ExaminedFit]:
     """Take out the likeliest effects until all fits; None where that fails.
 
     Also what came of the first effect named, where it could not be taken out. The first is one by
@@ -276,7 +276,7 @@ def _cured(
     return (now if now.fits else None), first
 
 
-def _with_unknown_forces(now: Examined) -> Examined | None:
+def _with_unknown_forces(now: ExaminedFit) -> ExaminedFit | None:
     """Let forces come and go at some actuators until none stands out; None if little fits then."""
     found: dict[int, UnknownForce] = {}
     for _ in range(MAX_UNKNOWN_FORCES * SIZE_ROUNDS):
@@ -315,7 +315,7 @@ def _with_unknown_forces(now: Examined) -> Examined | None:
     return replace(now, effects=(*now.effects, *effects))
 
 
-def _correlated(start: Examined, effects: tuple[Finding, ...]) -> Examined:
+def _correlated(start: ExaminedFit, effects: tuple[Finding, ...]) -> ExaminedFit:
     """Return the fit to noise that hangs together from row to row, as sure as zeros by file leave.
 
     Where it is slow each file has zeros of its own, which shapes do not feel but statics do.
@@ -332,7 +332,7 @@ def _correlated(start: Examined, effects: tuple[Finding, ...]) -> Examined:
     return replace(start, minimum=minimum, effects=(*effects, found))
 
 
-def _unsure(best: Examined, named_first: Examined) -> Minimum:
+def _unsure(best: ExaminedFit, named_first: ExaminedFit) -> Minimum:
     """Return the minimum, less sure by what it would move if the effect named were taken out."""
     t = min(len(best.minimum.reading_covariance), len(named_first.minimum.values))
     moved = (named_first.minimum.values - best.minimum.values)[:t]
@@ -361,7 +361,7 @@ def _as_mounting(
     if test.effect is not ZEROS_OF_EACH:
         return test, corrected
     n, theta, tau2 = fit.problem.n, corrected.theta, corrected.theta @ corrected.theta
-    tau2 /= max(corrected.told, 1.0)
+    tau2 /= max(corrected.effective_parameters, 1.0)
     along = fit.scaled_arms[0] / np.linalg.norm(fit.scaled_arms[0])
     sums = theta.reshape(-1, n) @ along
     known = corrected.covariance.reshape(len(sums), n, len(sums), n)
@@ -376,23 +376,25 @@ def _as_mounting(
 
 
 def _after(
-    now: Examined,
+    now: ExaminedFit,
     fit: FittedRows,
     test: EffectTest,
     corrected: Correction,
     samples: Sequence[Array],
-) -> Examined:
+) -> ExaminedFit:
     """Return what is left after a correction."""
     structure = now.structure
     if structure is not None:
         structure = structure_of(corrected.moments, corrected.problem.noise, samples)
-    told = 0.0 if np.any(test.derivative.information) else corrected.told
+    effective_parameters = (
+        0.0 if np.any(test.derivative.information) else corrected.effective_parameters
+    )
     return replace(
         now,
         problem=corrected.problem,
         moments=corrected.moments,
         minimum=corrected.minimum,
-        told=now.told + told,
+        effective_parameters=now.effective_parameters + effective_parameters,
         effects=_with_one_more(now.effects, _found(fit, test, corrected)),
         structure=structure,
     )

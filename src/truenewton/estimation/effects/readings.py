@@ -341,12 +341,12 @@ def of_single(
     score = left.T @ effect.each_score[here]
     information = np.einsum("kl,kmn->lmn", left, effect.each_information[here, here], optimize=True)
     information = np.einsum("lmn,mo->lon", information, left, optimize=True)
-    struck = fit.struck
-    if struck is None:
-        struck = standing_out(score, information)
-        if not 0 < struck.size <= max(1, MAX_AFFECTED_FRACTION * n):
+    affected = fit.affected
+    if affected is None:
+        affected = standing_out(score, information)
+        if not 0 < affected.size <= max(1, MAX_AFFECTED_FRACTION * n):
             return None
-    k, some = len(weight), struck
+    k, some = len(weight), affected
     h = left.T @ means(fit.moments, effect.functions)[chosen]
     values = effect.field.values(fit, slice(None))[:, some]
     rows = np.stack([fit.moments.pooling.weighed(one) @ values for one in h], axis=1)

@@ -29,7 +29,7 @@ from truenewton.estimation.effects.catalogue import (
 )
 from truenewton.estimation.effects.correction import correction, with_error
 from truenewton.estimation.effects.derivative import Derivative, FittedRows, scored
-from truenewton.estimation.effects.examination import Examined
+from truenewton.estimation.effects.examination import ExaminedFit
 from truenewton.estimation.effects.readings import (
     Field,
     RowFunctions,
@@ -96,7 +96,7 @@ def warmer_magnets(fit: FittedRows) -> Derivative | None:
     return on_balance(fit, 2 * MAGNET_COEFFICIENT * bias * _up(fit))
 
 
-def with_magnets_unsure(left: Examined) -> Minimum:
+def with_magnets_unsure(left: ExaminedFit) -> Minimum:
     """Return the minimum, less sure by what the bias magnets lose if coils do by their warmth.
 
     Coils that lose theta under a load, where no TEMPERATURE is recorded, may be warmer by theta /
@@ -136,13 +136,13 @@ UNDETECTABLE_EFFECTS: tuple[Unseen, ...] = (
 )
 
 
-def unseen_errors(left: Examined) -> tuple[UnseenError, ...]:
+def unseen_errors(left: ExaminedFit) -> tuple[UnseenError, ...]:
     """Return what the data cannot show would do to the common scale, the largest first."""
     found = sorted(_unseen(left), key=lambda error: -error.relative)
     return tuple(found)
 
 
-def _unseen(left: Examined) -> Iterator[UnseenError]:
+def _unseen(left: ExaminedFit) -> Iterator[UnseenError]:
     fit = FittedRows(left.problem, left.moments, left.minimum, independent=True)
     # Of a relative change of all: alpha -> alpha (1 + e).
     direction = fit.alpha / (fit.alpha @ fit.alpha)
@@ -167,7 +167,7 @@ def positions_are_unsure(layout: Layout) -> bool:
     return layout.x_error is not None or layout.y_error is not None
 
 
-def with_positions_unsure(left: Examined) -> Minimum:
+def with_positions_unsure(left: ExaminedFit) -> Minimum:
     """Return the minimum of an examined fit with what unsure positions add to its covariance.
 
     How far magnets stand off the data say themselves where they can; else as far as is declared.

@@ -168,7 +168,7 @@ def signs(even: Array, a: Array, wrong: NDArray[np.int64], strong: NDArray[np.bo
     return sign
 
 
-def other_half(k: Array, a: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+def fill_by_symmetry(k: Array, a: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Return the matrix with rows that are zero by their columns and the reverse, and which.
 
     An actuator of which a row is there pushed, whatever its sensor reads; one of which the column

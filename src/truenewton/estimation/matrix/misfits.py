@@ -302,7 +302,9 @@ def condensed(k: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
     return np.asarray(core), left, right
 
 
-def left_over(k: Array, a: Array, good: NDArray[np.bool_], doubt: NDArray[np.float64]) -> Array:
+def residual_force(
+    k: Array, a: Array, good: NDArray[np.bool_], doubt: NDArray[np.float64]
+) -> Array:
     """Return (n_good, 3, 3) covariance of forces that actuators left out may still exert.
 
     Whatever is wrong with a row, its actuator need not be at rest where it is told to be.

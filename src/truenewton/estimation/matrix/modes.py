@@ -21,7 +21,7 @@ from truenewton.estimation.findings.estimate import Diagnosis, Estimate, Scale
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.columns import Columns
 from truenewton.estimation.matrix.order import looks_transposed
-from truenewton.estimation.matrix.screen import SiftedMatrix
+from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.estimation.paper.equations import balance_rows
 from truenewton.estimation.paper.identifiability import geometry_fault, refuse
 from truenewton.linalg import singular_values_and_vectors
@@ -97,10 +97,10 @@ def elastic_count(values: Array) -> int:
     return min(int(np.count_nonzero(values > MIN_SINGULAR_VALUE * values[0])), len(values) - 3)
 
 
-def columns_of(sifted: SiftedMatrix) -> Columns:
-    """Return the columns of a sifted matrix."""
-    k, a = sifted.matrix.used_stiffness, comparable_arms(sifted.matrix.layout)
-    return Columns(k, a, a, sifted.disturbance, sifted.start, k)
+def columns_of(screened: ScreenedMatrix) -> Columns:
+    """Return the columns of a screened matrix."""
+    k, a = screened.matrix.used_stiffness, comparable_arms(screened.matrix.layout)
+    return Columns(k, a, a, screened.disturbance, screened.start, k)
 
 
 def modal_stiffness(matrix: StiffnessMatrix) -> Array:
@@ -205,30 +205,30 @@ def singular_fit(columns: Columns) -> ElasticFit:
     return ElasticFit("svd", alpha, covariance, singular_values)
 
 
-def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
+def find(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
     """Find relative alpha from the balance of the modes or columns.
 
     Raises
     ------
     RankDeficient, NotConverged
     """
-    matrix = sifted.matrix
+    matrix = screened.matrix
     refuse([geometry_fault(enabled_arms(matrix.layout))])
     try:
-        fitted = fit(columns_of(sifted))
+        fitted = fit(columns_of(screened))
     except (RankDeficient, NotConverged) as error:
-        for effect in sifted.effects:  # the reason, where alpha cannot even be found
+        for effect in screened.effects:  # the reason, where alpha cannot even be found
             if not effect.corrected:
                 raise error.changed(fault=effect.name, remedy=effect.remedy) from None
         raise
     n, singular_values = len(fitted.alpha), fitted.singular_values
     turned = (
         ()
-        if any(effect.code == Code.TRANSPOSED_STIFFNESS for effect in sifted.effects)
+        if any(effect.code == Code.TRANSPOSED_STIFFNESS for effect in screened.effects)
         else _orientation_warnings(matrix)
     )
     of_file = (*_unit_warnings(matrix), *turned)
-    warnings = (*sifted.warnings, *of_file, *fitted.warnings)
+    warnings = (*screened.warnings, *of_file, *fitted.warnings)
     return Estimate(
         method=fitted.method,
         scale=Scale.MEAN_ONE,
@@ -239,7 +239,7 @@ def find(sifted: SiftedMatrix, fit: ElasticMethod) -> Estimate:
         condition=float(singular_values[-1] / singular_values[1]),
         rank=n - 1,
         diagnosis=Diagnosis(eigenvalues=tuple((singular_values**2).tolist()), warnings=warnings),
-        effects=(*_not_as_agreed(matrix), *sifted.effects),
+        effects=(*_not_as_agreed(matrix), *screened.effects),
     )
 
 
@@ -280,7 +280,7 @@ def rms_imbalance(modes: Array, alpha: Array, a: Array) -> float:
     return float(np.sqrt(np.mean((modes * alpha @ a.T) ** 2)))
 
 
-def imbalances(sifted: SiftedMatrix, fit: ElasticMethod, alpha: Array) -> tuple[Imbalance, ...]:
+def imbalances(screened: ScreenedMatrix, fit: ElasticMethod, alpha: Array) -> tuple[Imbalance, ...]:
     """Return the imbalance with alpha = 1 and with alpha fitted: on all modes, and held out.
 
     Of all modes (n,) alpha is what the fit has found. Held out: fitted on every second mode and
@@ -291,7 +291,7 @@ def imbalances(sifted: SiftedMatrix, fit: ElasticMethod, alpha: Array) -> tuple[
     RankDeficient, NotConverged
         Half of the modes do not hold alpha.
     """
-    columns = columns_of(sifted)
+    columns = columns_of(screened)
     left, values, right = singular_values_and_vectors(columns.stiffness)
     elastic = slice(elastic_count(values))
     left, values, right = left[:, elastic], values[elastic], right[elastic]

@@ -1,4 +1,4 @@
-"""A stiffness matrix with what does not fit left out, as campaigns are sifted of rows."""
+"""A stiffness matrix with what does not fit left out, as campaigns are screened of rows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from truenewton.errors import RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import MAX_NAMES, Finding
 from truenewton.estimation.findings.thresholds import LIMITS
-from truenewton.estimation.matrix.bad_sensors import other_half
+from truenewton.estimation.matrix.bad_sensors import fill_by_symmetry
 from truenewton.estimation.matrix.couplings import ELSEWHERE, pair_ratios, typical_spacing
 from truenewton.estimation.matrix.misfits import (
     NO_FORCE,
@@ -23,7 +23,7 @@ from truenewton.estimation.matrix.misfits import (
     FitsNoSymmetry,
     bad_actuators,
     condensed,
-    left_over,
+    residual_force,
 )
 from truenewton.estimation.matrix.order import (
     MIN_JUDGED_ACTUATORS,
@@ -44,7 +44,7 @@ BALANCED_RATIO = 5.0  # times what is typical: columns about an actuator that wa
 
 
 @dataclass(frozen=True, eq=False)
-class SiftedMatrix:
+class ScreenedMatrix:
     """What fits of a matrix.
 
     Attributes
@@ -73,7 +73,7 @@ class SiftedMatrix:
     pushing: bool = False
 
 
-def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
+def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     """Find the actuators that are off or do not fit, and leave them out.
 
     Raises
@@ -90,9 +90,9 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
     disorder = (*order_effects(matrix, named=True), *balance_effects(matrix))
     if disorder:  # whoever stands where is then no matter of single actuators
         n = len(k)
-        return SiftedMatrix(matrix, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
+        return ScreenedMatrix(matrix, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
     ids = matrix.layout.id[matrix.layout.enabled]
-    k, *halves = other_half(k, a)
+    k, *halves = fill_by_symmetry(k, a)
     off = np.asarray(~(k.any(axis=0) & k.any(axis=1)), dtype=np.bool_)
     half = [
         BadActuator(int(i), reason, 0.0)
@@ -137,17 +137,17 @@ def sift_matrix(matrix: StiffnessMatrix) -> SiftedMatrix:
         doubt[off] = MIN_SEEN_COUPLING
     disturbance = np.zeros((len(core), 3, 3))
     if doubt.any():
-        disturbance = left_over(k, a, good, doubt)
-    sifted = matrix if good.all() else freed(matrix, good, core)
-    return SiftedMatrix(
-        sifted,
+        disturbance = residual_force(k, a, good, doubt)
+    screened = matrix if good.all() else freed(matrix, good, core)
+    return ScreenedMatrix(
+        screened,
         start,
         disturbance,
         (*unsure, *_warnings(ids, off, bad, pushing=pushing)),
         (
             *_effects(ids, off, bad),
-            *order_effects(sifted, named=False),
-            *orientation_effects(sifted),
+            *order_effects(screened, named=False),
+            *orientation_effects(screened),
         ),
         unsure,
         pushing,

@@ -49,7 +49,7 @@ def rest_positions(campaign: Campaign) -> tuple[Array, ...] | None:
 
 
 def _reference(displaced: list[Cycle]) -> Array:
-    whole = [cycle for cycle in displaced if cycle.knows_rest] or displaced
+    whole = [cycle for cycle in displaced if cycle.has_opposites] or displaced
     reference = np.array([cycle.rest_position for cycle in whole])
     stroke = np.sqrt(np.mean([cycle.stroke**2 for cycle in whole], axis=0))
     common = reference[0] + (reference - reference[0]).mean(axis=0)  # equal ones to the last digit

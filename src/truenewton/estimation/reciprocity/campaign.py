@@ -42,25 +42,27 @@ from truenewton.estimation.reciprocity.regression import MAX_SINGLE_STATES, Regr
 from truenewton.estimation.reciprocity.sensor_model import places_of
 from truenewton.estimation.reciprocity.unknowns import (
     START_REQUEST,
-    Asked,
     Kind,
+    Request,
     Values,
     at_nominal,
 )
 from truenewton.estimation.screening.noise import reading_noise
-from truenewton.estimation.screening.screen import Sifted
+from truenewton.estimation.screening.screen import ScreenedCampaign
 
 METHOD = "reciprocity"
 MIN_START_ALPHA = 0.05  # alpha of `ml` with which an iteration begins
 IMPROBABLE_FIT = 1e-3  # of a fit: beyond, errors grow by what it leaves
 
 
-def find(sifted: Sifted, motion: Array | None = None, asked: Asked = START_REQUEST) -> Estimate:
+def find(
+    screened: ScreenedCampaign, motion: Array | None = None, asked: Request = START_REQUEST
+) -> Estimate:
     """Find alpha and the sensors of a campaign; what speaks against them is among the warnings.
 
     Parameters
     ----------
-    sifted
+    screened
         Cycles with POSITION, under two loads at least.
     motion
         (n, n) or (6, n, n) what a model of the glass tells of the sensors (`sight.places_of`).
@@ -71,18 +73,18 @@ def find(sifted: Sifted, motion: Array | None = None, asked: Asked = START_REQUE
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
-    base = campaign_ml.find(sifted)
+    base = campaign_ml.find(screened)
     with advising_ml():
-        estimate, against = _found(sifted, base, motion, asked)
+        estimate, against = _found(screened, base, motion, asked)
     return with_warnings(estimate, doubts(against))
 
 
-def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate:
+def find_where_it_holds(screened: ScreenedCampaign, motion: Array | None = None) -> Estimate:
     """Find alpha as `find` does where reciprocity holds, else by `ml`, which says why.
 
     Parameters
     ----------
-    sifted
+    screened
         The campaign.
     motion
         (n, n) or (6, n, n) as for `find`.
@@ -91,8 +93,8 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
     ------
     RankDeficient, TooManyOutliers, NotConverged
     """
-    base = campaign_ml.find(sifted)
-    if sifted.moments.displacement is None:
+    base = campaign_ml.find(screened)
+    if screened.moments.displacement is None:
         return base
     if base.effects:
         first = next((effect for effect in base.effects if effect.corrected), base.effects[0])
@@ -100,17 +102,17 @@ def find_where_it_holds(sifted: Sifted, motion: Array | None = None) -> Estimate
         untried = Finding.of(Code.EFFECT_PRESENT, effect=f"{first.name}{alone}")
         return with_warnings(base, instead([untried]))
     try:
-        estimate, against = _found(sifted, base, motion, START_REQUEST)
+        estimate, against = _found(screened, base, motion, START_REQUEST)
     except (RankDeficient, NotConverged) as error:
         against = (failed(error),)
     return with_warnings(base, instead(against)) if against else estimate
 
 
 def _found(
-    sifted: Sifted, base: Estimate, motion: Array | None, asked: Asked
+    screened: ScreenedCampaign, base: Estimate, motion: Array | None, asked: Request
 ) -> tuple[Estimate, tuple[Finding, ...]]:
     """Return the estimate, and what speaks against it; ``base`` is that of `ml`."""
-    campaign, moments = sifted.sound, _balancing(sifted, base)
+    campaign, moments = screened.sound, _balancing(screened, base)
     layout, noise = campaign.layout, reading_noise(campaign, moments)
     gradients = {(c.bias_gradient or 0.0, c.coil_gradient or 0.0) for c in campaign.cycles}
     if len(gradients) > 1:
@@ -119,7 +121,7 @@ def _found(
             remedy="declare one pair for all",
         )
     bias, coil = gradients.pop()
-    with refusal_naming(lambda: sifted.frozen):
+    with refusal_naming(lambda: screened.frozen):
         stiffness = regressed(moments, noise.variance, bias_gradient=bias, coil_gradient=coil)
     keep, odd = kept(stiffness.stiffness)
     places = kept_places(places_of(layout, motion), keep, stiffness.stiffness)
@@ -130,7 +132,7 @@ def _found(
     force = moments.sums.force.sum(axis=1) / moments.sums.weight
     errors = {**weight_errors(campaign), **temperature_errors(campaign, force)}
     problem = problem_of(campaign, noise, errors)
-    shared = with_share_in_balance(problem, sifted, base.values[: problem.n])
+    shared = with_share_in_balance(problem, screened, base.values[: problem.n])
     minimum = _with_weights(problem, moments, (fitted, keep), base, excess)
     estimate = campaign_ml.estimate_of(METHOD, problem, moments, minimum, base.rejected, 0)
     effects = tuple(replace(effect, corrected=False) for effect in base.effects)  # by `ml` alone
@@ -168,9 +170,9 @@ def _offset_spread(fitted: Fit) -> float:
     return fitted.asked.offset_spread if fitted.asked.estimated else float("nan")
 
 
-def _balancing(sifted: Sifted, base: Estimate) -> Moments:
+def _balancing(screened: ScreenedCampaign, base: Estimate) -> Moments:
     """Return the moments without the groups that did not balance for `ml`."""
-    moments, campaign = sifted.moments, sifted.campaign
+    moments, campaign = screened.moments, screened.campaign
     out = {
         (campaign.load_index[row.cycle], int(cycle.shape[row.row]), int(cycle.sign[row.row]))
         for row in base.rejected
@@ -198,7 +200,7 @@ def _goodness(fitted: Fit, stiffness: Regressed) -> Goodness:
     return Goodness(chi2, round(freedom), NoiseSource.REPEATS, float(probability))
 
 
-def alpha_information(whole: Array, asked: Asked) -> Array:
+def alpha_information(whole: Array, asked: Request) -> Array:
     """Return the (n, n) information on log alpha, gains and offsets unknown too, of all (u, u)."""
     if asked.kinds == (Kind.ALPHA,):
         return whole

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.reciprocity.sensor_model import Sight
+from truenewton.estimation.reciprocity.sensor_model import SensorModel
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Values
 from truenewton.linalg import thread_count
@@ -136,7 +136,7 @@ class Point:
 def designs(
     kinds: tuple[Kind, ...],
     values: Values,
-    seen: Sight,
+    seen: SensorModel,
     states: States,
     fitted: Likeliest,
     length: float,

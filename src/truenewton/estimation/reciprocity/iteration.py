@@ -19,9 +19,9 @@ from truenewton.estimation.reciprocity.information import (
     residuals,
     score,
 )
-from truenewton.estimation.reciprocity.sensor_model import Places, Sight, sight
+from truenewton.estimation.reciprocity.sensor_model import Places, SensorModel, sight
 from truenewton.estimation.reciprocity.states import States, Weights
-from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind, Values, at_nominal
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Request, Values, at_nominal
 from truenewton.linalg import inverse_of_positive, thread_count, threads
 
 MAX_STEPS = 40
@@ -37,7 +37,7 @@ MIN_STEP_RATIO = 0.5  # ratio of successive steps of log spread, from which on t
 MAX_EXTRAPOLATION = 0.7  # of a log spread
 
 # What makes states and weights at a place of the unknowns, told of leverages once they are known.
-StatesAt = Callable[[Places, Values, Sight], tuple[States, Weights]]
+StatesAt = Callable[[Places, Values, SensorModel], tuple[States, Weights]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Fit:
     """
 
     values: Values
-    asked: Asked
+    asked: Request
     covariance: Array
     chi2: tuple[float, float, float]
     equations: tuple[int, int, int]
@@ -88,7 +88,7 @@ class Fit:
         return replace(self, covariance=self.covariance[:, :n].copy())
 
     @property
-    def asked_again(self) -> Asked:
+    def asked_again(self) -> Request:
         """What was asked, the spreads taken for known."""
         return replace(self.asked, estimated=False)
 
@@ -101,7 +101,7 @@ class Fit:
         )
 
 
-def point_at(places: Places, values: Values, asked: Asked, states_at: StatesAt) -> Point:
+def point_at(places: Places, values: Values, asked: Request, states_at: StatesAt) -> Point:
     """Return all that is known at a place of the unknowns."""
     seen = sight(places, values, slopes=bool(asked.offset_spread))
     states, weights = states_at(places, values, seen)
@@ -114,7 +114,7 @@ def point_at(places: Places, values: Values, asked: Asked, states_at: StatesAt) 
 @threads(1)
 def fit(
     places: Places,
-    asked: Asked,
+    asked: Request,
     states_at: StatesAt,
     *,
     start: Values | None = None,
@@ -187,7 +187,7 @@ def fit(
 
 
 def _covariance(
-    point: Point, asked: Asked, before: Fitted | None = None, *, single: bool
+    point: Point, asked: Request, before: Fitted | None = None, *, single: bool
 ) -> tuple[Array, Leverage | None]:
     """Return the covariance, and the leverages of a fit before.
 
@@ -219,7 +219,7 @@ def _covariance(
 
 def _fit(
     values: Values,
-    asked: Asked,
+    asked: Request,
     covariance: Array,
     point: Point,
     leverage: Leverage | None,
@@ -242,7 +242,7 @@ def _fit(
     )
 
 
-def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
+def _with_spreads(asked: Request, values: Values, covariance: Array) -> Request:
     """Return what is asked with the spreads that the data give (MacKay).
 
     sum v^2 over the number of unknowns less what the prior, not the data, says of them.
@@ -268,8 +268,8 @@ def _with_spreads(asked: Asked, values: Values, covariance: Array) -> Asked:
 
 
 def _extrapolated(
-    asked: Asked, found: Asked, paces: dict[str, float]
-) -> tuple[Asked, dict[str, float]]:
+    asked: Request, found: Request, paces: dict[str, float]
+) -> tuple[Request, dict[str, float]]:
     """Return spreads where a series of them leads (Aitken), and the steps of their logarithms.
 
     Where sensors scatter less than the data can tell, each spread found is only a little less than

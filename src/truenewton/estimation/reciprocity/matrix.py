@@ -45,7 +45,7 @@ from truenewton.estimation.reciprocity.response import (
 )
 from truenewton.estimation.reciprocity.sensor_model import Places, places_of
 from truenewton.estimation.reciprocity.states import States, Weights
-from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Asked, Kind, Values
+from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Request, Values
 from truenewton.linalg import asymmetry, singular_values_and_vectors
 from truenewton.progress import tell
 from truenewton.records.stiffness_matrix import StiffnessMatrix
@@ -88,7 +88,7 @@ class Modes:
 
     def fit(
         self,
-        asked: Asked,
+        asked: Request,
         *,
         balance: bool = False,
         start: Values | None = None,
@@ -171,7 +171,7 @@ class MatrixEvidence:
     evidence: Evidence
 
 
-def examined(modes: Modes, asked: Asked = START_REQUEST) -> MatrixEvidence:
+def examined(modes: Modes, asked: Request = START_REQUEST) -> MatrixEvidence:
     """Fit all modes and every second one, by balance and reciprocity together and apart.
 
     Noise and scatter of the sensors are those of the fit to all, except by balance alone.
@@ -272,7 +272,7 @@ def _against_balance(
         Variance between them over that of noise.
     """
     alone = [  # alpha only: the balance knows nothing of sensors
-        each.fit(Asked(), balance=True, start=joint.values)
+        each.fit(Request(), balance=True, start=joint.values)
         for each in (modes, modes.every(EVEN_MODES), modes.every(ODD_MODES))
     ]
     by_balance = _unseen(modes.imbalances(*alone))

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.estimation.reciprocity.information import Leverage, Residuals
 from truenewton.estimation.reciprocity.iteration import Fit
-from truenewton.estimation.reciprocity.sensor_model import Places, Sight, sight
+from truenewton.estimation.reciprocity.sensor_model import Places, SensorModel, sight
 from truenewton.estimation.reciprocity.states import States, Weights, equal_bins
 from truenewton.estimation.reciprocity.unknowns import OFFSETS, Values
 from truenewton.linalg import inverse_of_positive
@@ -83,13 +83,13 @@ class BinnedNoise:
         """Take the leverages of a fit over."""
         self.leverage = leverage
 
-    def __call__(self, places: Places, values: Values, seen: Sight) -> tuple[States, Weights]:
+    def __call__(self, places: Places, values: Values, seen: SensorModel) -> tuple[States, Weights]:
         """Return states and weights at some values."""
         states = self.states(places, values, seen)
         weights = self.weights(states)
         return states, weights.of_balance if self.balance else weights
 
-    def states(self, places: Places, values: Values, seen: Sight) -> States:
+    def states(self, places: Places, values: Values, seen: SensorModel) -> States:
         """Return the states, W'W as it comes and Q orthonormal."""
         true = values.alpha[:, None] * self.stiffness
         if self.latest is not None and values.same_sensors(self.latest[0]):
@@ -222,7 +222,7 @@ def element_variance(stiffness: Array, fit: Fit, places: Places) -> tuple[Array,
 
 
 def _likeliest(
-    stiffness: Array, fit: Fit, seen: Sight, start: Array | None
+    stiffness: Array, fit: Fit, seen: SensorModel, start: Array | None
 ) -> tuple[Array, float, Array]:
     """Return variances where the sensors see so, their cost, and the logarithms behind them.
 
@@ -301,7 +301,7 @@ def cost_of_modes(fit: Fit) -> float:
     return 1.0 - float(np.mean(unit[pairs]))
 
 
-def _by_offsets(forces: Array, fit: Fit, seen: Sight) -> Array:
+def _by_offsets(forces: Array, fit: Fit, seen: SensorModel) -> Array:
     """Return (n, n) variance of forces per displacement by errors of the offsets."""
     total = np.zeros_like(forces)
     if seen.slopes is None:

@@ -20,7 +20,7 @@ from truenewton.estimation.reciprocity.information import information
 from truenewton.estimation.reciprocity.iteration import point_at
 from truenewton.estimation.reciprocity.regression import Regressed, refuse_unheld
 from truenewton.estimation.reciprocity.sensor_model import Places
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
+from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
 from truenewton.records.campaign import Campaign
 
 
@@ -36,7 +36,7 @@ class Informed:
         (u, u) information on the unknowns, relative alpha first; proportional to the cycles.
     """
 
-    asked: Asked
+    asked: Request
     data: Array
 
     def after(self, cycles: int) -> Array:
@@ -47,7 +47,7 @@ class Informed:
 
 def informed(
     places: Places,
-    asked: Asked,
+    asked: Request,
     shapes: Array,
     force: Array,
     *,

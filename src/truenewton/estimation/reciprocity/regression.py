@@ -18,7 +18,7 @@ import scipy.linalg
 from truenewton.arrays import Array
 from truenewton.errors import RankDeficient
 from truenewton.estimation.readings.moments import Moments
-from truenewton.estimation.reciprocity.sensor_model import Places, Sight
+from truenewton.estimation.reciprocity.sensor_model import Places, SensorModel
 from truenewton.estimation.reciprocity.states import States, Weights, equal_bins
 from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.linalg import singular_values_and_vectors
@@ -62,7 +62,7 @@ class Regressed:
         true[np.diag_indices(len(gain))] += change
         return np.asarray(true)
 
-    def states(self, places: Places, values: Values, seen: Sight) -> tuple[States, Weights]:
+    def states(self, places: Places, values: Values, seen: SensorModel) -> tuple[States, Weights]:
         """Return the states, stiffest first, and the weights of their residuals."""
         n, true = places.n, self.at(values)
         noise = values.alpha[:, None] * self.noise * values.alpha

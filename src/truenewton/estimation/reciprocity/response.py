@@ -20,7 +20,7 @@ from truenewton.estimation.reciprocity.information import Residuals, in_single, 
 from truenewton.estimation.reciprocity.iteration import Fit
 from truenewton.estimation.reciprocity.noise import cost_of_modes, element_variance
 from truenewton.estimation.reciprocity.sensor_model import Places
-from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Request
 from truenewton.linalg import factor_of
 
 DRAW_SEED = 1
@@ -53,7 +53,7 @@ class Noise:
     scatter: tuple[float, float] = (0.0, 0.0)
     scores: Array | None = None
 
-    def of(self, asked: Asked, n: int) -> Array:
+    def of(self, asked: Request, n: int) -> Array:
         """Return (u,) standard deviations of the unknowns that are drawn."""
         gain, offset = self.scatter
         spreads = {Kind.ALPHA: 0.0, Kind.GAIN: gain, Kind.X: offset, Kind.Y: offset}

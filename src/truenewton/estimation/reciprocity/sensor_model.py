@@ -93,7 +93,7 @@ def places_of(layout: Layout, motion: Array | None = None) -> Places:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class SensorModel:
     """What the sensors see.
 
     Attributes
@@ -109,7 +109,7 @@ class Sight:
     slopes: Array | None = None
 
 
-def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
+def sight(places: Places, values: Values, *, slopes: bool) -> SensorModel:
     """Return what the sensors see, by a model of the glass, or of a plate if off.
 
     Without either H is 1: an annular sensor round its magnet sees less of a bend than that has, but
@@ -118,7 +118,7 @@ def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
     n = places.n
     motion = np.eye(n) if places.motion is None else places.motion
     if not slopes:
-        return Sight(motion)
+        return SensorModel(motion)
     if places.changes is not None:
         return _by_glass(motion, places.changes, values.offset)
     unit = places.length
@@ -131,7 +131,7 @@ def sight(places: Places, values: Values, *, slopes: bool) -> Sight:
     rows[2, :, :n], rows[2, :, n + 2] = dy / unit, 1.0 / unit
     solved = lu_solve(lu_factor(system, check_finite=False), rows.reshape(3 * n, -1).T, trans=1)
     across = solved.T.reshape(3, n, n + 3)[:, :, :n]
-    return Sight(motion @ across[0], across[1:])
+    return SensorModel(motion @ across[0], across[1:])
 
 
 def seen_from(places: Places, offset: Array) -> Array:
@@ -152,7 +152,7 @@ def seen_from(places: Places, offset: Array) -> Array:
     return np.asarray(lu_solve(factors, rows.T, overwrite_b=True, check_finite=False).T[:, :n])
 
 
-def _by_glass(motion: Array, changes: Array, offset: Array) -> Sight:
+def _by_glass(motion: Array, changes: Array, offset: Array) -> SensorModel:
     """Return what sensors see off their magnets, by a model of the glass."""
     x, y = -offset[:, :, None]
     along, across, xx, xy, yy = changes
@@ -160,7 +160,7 @@ def _by_glass(motion: Array, changes: Array, offset: Array) -> Sight:
     read = 0.5 * (x * (along + slopes[0]) + y * (across + slopes[1]))
     read[np.diag_indices(len(read))] += 1.0
     back = np.linalg.inv(read)
-    return Sight(motion @ back, slopes @ back)
+    return SensorModel(motion @ back, slopes @ back)
 
 
 def _held_plate(seen: Array, centres: Array) -> Array:

@@ -188,7 +188,7 @@ def mislabelled_rows(campaign: Campaign, files: Iterable[int]) -> tuple[Finding,
     suspicious = list(files)
     if not suspicious or not all(isinstance(c.force, np.ndarray) for c in campaign.cycles):
         return ()
-    rows = [cycle.used_force - cycle.used_force[cycle.rest_rows].mean(axis=0)
+    rows = [cycle.used_force - cycle.used_force[cycle.paired_rows].mean(axis=0)
             for cycle in campaign.cycles]  # fmt: skip
     codes = [cycle.shape[cycle.valid] * cycle.sign[cycle.valid] for cycle in campaign.cycles]
     found = []

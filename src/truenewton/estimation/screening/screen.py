@@ -54,7 +54,7 @@ FAR_OUT_FACTOR = 3.0  # times the usual limit, where rows are the tail of what h
 
 
 @dataclass(frozen=True, eq=False)
-class Sifted:
+class ScreenedCampaign:
     """A campaign whose rows were read once, and those that do not belong left out.
 
     Attributes
@@ -92,7 +92,7 @@ class Sifted:
     frozen: tuple[Finding, ...] = ()
 
 
-def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
+def screen_campaign(campaign: Campaign, client: Client | None = None) -> ScreenedCampaign:
     """Read a campaign and leave out rows that lie far from their repeats.
 
     FORCE is read once, and once more what stands in the same blocks as rows left out; all of it
@@ -149,7 +149,7 @@ def sift(campaign: Campaign, client: Client | None = None) -> Sifted:
     samples = tuple(sums.samples)
     unlike = () if suspects else unlike_files(campaign, prints, MIN_DIFFERENCE_OF_REPEATING_FILES)
     left_out = tuple(rejected)
-    return Sifted(
+    return ScreenedCampaign(
         campaign, sound, left_out, moments, samples, structure, suspects, clipped, unlike, frozen
     )
 
