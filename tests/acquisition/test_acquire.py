@@ -11,13 +11,11 @@ import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
 from helpers.stub_bench import SMALL, GoneBench, Hands, Looker, StubBench, altered, at
 from truenewton.acquisition import taker
-from truenewton.acquisition.benches import chosen_bench
 from truenewton.acquisition.load_check import judge, mean_sum
 from truenewton.acquisition.plan import CampaignPlan, PlannedShapes, read_plan
 from truenewton.acquisition.run import ASKED, IN_A_ROW
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.protocol import Status
-from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.bench import SimulatedBench
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import BenchFault, CampaignMismatch, FormatError, LimitExceeded
@@ -69,22 +67,6 @@ def test_the_rows_are_those_that_the_simulated_campaign_makes_by_itself(tmp_path
             assert getattr(taken, name) == getattr(made, name)
         assert taken.force_error == pytest.approx(made.force_error)
         assert np.all(np.diff(taken.time) > 0)
-
-
-def test_a_recorded_campaign_replays_to_itself(complete, tmp_path, whole):
-    again = small_plan(bench=BenchChoice("replay", address="c"))
-    tn.acquire(chosen_bench(again, tmp_path), again, tmp_path / "b", beside=tmp_path)
-    assert contents(tmp_path / "b") == whole
-    for one, other in zip(cycles_in(complete), cycles_in(tmp_path / "b"), strict=True):
-        assert other.time == pytest.approx(one.time, abs=2e-6)
-        assert other.date == one.date
-
-
-def test_another_plan_than_the_recorded_one_is_not_replayed(whole_folder, tmp_path):
-    larger = small_plan(shapes=PlannedShapes(count=3, stroke=2e-6))
-    with pytest.raises(BenchFault, match="in a row"):
-        tn.acquire(ReplayBench(whole_folder), larger, tmp_path / "b")
-    assert "recorded in another shape" in events(tmp_path / "b", "not sound")[0]["fault"]
 
 
 def test_what_is_commanded_logged_and_told(tmp_path):

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror
 from truenewton.bench.opcua import connect
 from truenewton.bench.opticalib import from_address
 from truenewton.bench.protocol import Bench
-from truenewton.bench.replay import ReplayBench
 from truenewton.bench.simulated.bench import SimulatedBench
 from truenewton.bench.simulated.segmented import seed_of
 
@@ -37,8 +35,6 @@ def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Be
         texts: dict[str, Any] = {k: text.replace(SEGMENT, number) for k, text in given
                                  if isinstance(text, str)}  # fmt: skip
         choice = replace(choice, **texts)
-    if choice.kind == "replay":
-        return ReplayBench(Path(beside) / choice.address)
     if choice.kind == "opticalib":
         return from_address(choice.address, mirror, beside)
     return connect(choice, beside)

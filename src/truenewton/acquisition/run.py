@@ -19,7 +19,7 @@ from truenewton.acquisition.mountings import mounting_words, mountings
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.acquisition.taker import Taker, force_noise, shape_fields
 from truenewton.arrays import Array
-from truenewton.bench.protocol import Operator, OwnTime, Shape
+from truenewton.bench.protocol import Operator, Shape
 from truenewton.errors import BenchFault, Interrupted
 from truenewton.files.outputs import to_disk
 from truenewton.mirrors.known import Mirror
@@ -155,7 +155,7 @@ def _write_file(run: Run, journal: Journal) -> None:
 
 def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:
     """Take one shape into the journal; return its forces [N] where they are valid."""
-    taker, clock = run.taker, run.clock
+    taker = run.taker
     try:
         taker.interruption.check()
         start = time.monotonic()
@@ -163,19 +163,7 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
     except Interrupted:
         raise Interrupted(f"stopped as asked, before {shape_name(shape)}") from None
     sound = None if fault else reading
-    instant = clock.instant(sound.time if sound else None)
-    if clock.leap:
-        taker.log.note("clock", **shape_fields(shape), leap=clock.leap)
-    if clock.leap and not isinstance(taker.bench, OwnTime):  # a simulated day begins anew
-        taker.onlooker.say(
-            f"the clock of the bench leapt by {clock.leap:.3g} s; TIME counts on steadily"
-        )
-    if clock.stands:
-        taker.log.note("clock", **shape_fields(shape), stands=True)
-        taker.onlooker.say(
-            f"the clock of the bench stands still at {sound.time if sound else ''}; TIME counts on"
-            " by our own"
-        )
+    instant = run.clock.instant(sound.time if sound else None)
     noise = force_noise(taker.bench.layout, reading)
     journal.append(instant, shape, not fault, reading, noise)
     taker.progress = taker.progress.with_taken(shape, not fault, time.monotonic() - start)

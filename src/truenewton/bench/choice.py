@@ -13,7 +13,6 @@ KINDS = {
         "address", "user", "password_file", "certificate", "private_key", "server_certificate",
     ),
     "opticalib": ("address",),
-    "replay": ("address",),
 }  # fmt: skip
 
 
@@ -24,9 +23,9 @@ class BenchChoice:
     Attributes
     ----------
     kind
-        'simulated', 'opcua', 'opticalib' or 'replay'.
+        'simulated', 'opcua' or 'opticalib'.
     address
-        URL of an OPC UA server, `module:object` of a mirror after opticalib, a recorded folder.
+        URL of an OPC UA server, or `module:object` of a mirror after opticalib.
     seed, force_noise, fidelity
         Of the simulated bench.
     user, password_file, certificate, private_key, server_certificate

@@ -284,7 +284,6 @@ def test_answers_of_another_kind_are_refused_by_name(method, values, said):
     [
         (BenchChoice("opcua", seed=7), "seed is 7; take it out: a bench of kind 'opcua'"),
         (BenchChoice("opticalib", seed=7), "seed is 7; take it out: a bench of kind 'opticalib'"),
-        (BenchChoice("replay", user="me"), "user is 'me'; take it out"),
         (BenchChoice("simulated", address="a"), "address is 'a'; take it out"),
     ],
 )
