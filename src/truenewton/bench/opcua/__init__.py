@@ -3,9 +3,6 @@
 client    a bench behind an OPC UA server, as any other bench
 server    a bench behind a server on the loopback
 methods   the variables and methods of its node
-door      nothing is said, and nothing heard, but to known clients
-limits    what one connection may take of the server
-decoding  where asyncua decodes without end, an end
 keys      certificates, private keys and a password, in a folder of the owner
 """
 

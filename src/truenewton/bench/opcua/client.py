@@ -16,11 +16,10 @@ from asyncua.client.ua_client import UaClientState
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.sync import ThreadLoop
 
-import truenewton.bench.opcua.decoding  # noqa: F401
 from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
-from truenewton.bench.opcua.limits import MESSAGE
 from truenewton.bench.opcua.methods import (
+    MAX_MESSAGE,
     METHODS,
     VARIABLES,
     mirror_of,
@@ -218,7 +217,7 @@ class OpcUaBench:
         )
         client.application_uri = keys.CLIENT_URI
         client.session_timeout = 600_000  # [ms]
-        client.max_messagesize = MESSAGE
+        client.max_messagesize = MAX_MESSAGE
         client.set_user(self._choice.user)
         client.set_password(self._password)
         client.security_policy = self._new_policy()

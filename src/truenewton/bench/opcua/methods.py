@@ -52,6 +52,7 @@ ALIKE: dict[ua.VariantType, tuple[type, ...]] = {  # in Python, by the types of 
     Type.Double: (float, int),
     Type.DateTime: (datetime.datetime,),
 }
+MAX_MESSAGE = 2 * 2**20  # of 50,000 actuators [bytes]
 LONGEST_TEXT = 1000  # characters; of a longer one the beginning counts
 COLUMNS = ("Id", "X", "Y", "Nz", "Enabled")  # of the layout
 ARRAYS = {Type.Boolean: np.bool_, Type.Int64: np.int64, Type.Double: np.float64}

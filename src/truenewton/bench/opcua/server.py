@@ -8,6 +8,7 @@ Gradients, Id, X, Y, Nz, Enabled and the methods PutOn, Command, Read, Status, R
 from __future__ import annotations
 
 import contextlib
+import hmac
 import os
 import socket
 import threading
@@ -17,10 +18,19 @@ from typing import Any, Protocol
 
 import numpy as np
 from asyncua import Server, ua
+from asyncua.common.connection import TransportLimits
+from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.server.internal_server import InternalServer
 
 from truenewton.bench.opcua import keys
-from truenewton.bench.opcua.door import ClosedServer, KnownClients
-from truenewton.bench.opcua.methods import METHODS, VARIABLES, Type, scalar, variants
+from truenewton.bench.opcua.methods import (
+    MAX_MESSAGE,
+    METHODS,
+    VARIABLES,
+    Type,
+    scalar,
+    variants,
+)
 from truenewton.bench.protocol import Bench, Operator, Shape, check_samples, gradients_of
 from truenewton.errors import BenchFault, TrueNewtonError
 from truenewton.statics.load import Load
@@ -51,6 +61,31 @@ def _not_had(port: int, error: OSError) -> BenchFault:
     return BenchFault(f"port {port} cannot be had ({reason})", remedy=remedy, got=port)
 
 
+class _KnownClients:
+    """Admits the holder of a trusted certificate (DER) who also has user and password."""
+
+    def __init__(self, trusted: frozenset[bytes], password: str) -> None:
+        self._trusted, self._password = trusted, password.encode()
+
+    def get_user(
+        self,
+        _server: InternalServer,
+        username: str | None = None,
+        password: str | None = None,
+        certificate: bytes | None = None,
+    ) -> User | None:
+        """Return the user, or None; the certificate is that with which the channel was opened."""
+        right = hmac.compare_digest((password or "").encode(), self._password)
+        if right and username == keys.USER and certificate in self._trusted:
+            return User(role=UserRole.User, name=username)
+        return None
+
+
+class _InternalServer(InternalServer):
+    def lookup_external_session(self, auth_token: ua.NodeId) -> None:
+        """Find no session of another connection: asyncua 2.1 would hand it over unchecked."""
+
+
 @contextlib.asynccontextmanager
 async def serving(
     bench: ServedBench, folder: str | os.PathLike[str], port: int = PORT
@@ -78,9 +113,13 @@ async def serving(
     private = keys.read_private_key(folder / keys.SERVER_KEY)
     trusted = keys.read_trusted(folder / keys.TRUSTED)
     password = keys.read_password(folder / keys.PASSWORD)
-    server = ClosedServer(KnownClients(trusted, keys.USER, password), certificate, private)
+    server = Server(_InternalServer(user_manager=_KnownClients(trusted, password)))
+    server.iserver.certificate, server.iserver.private_key = certificate, private
+    server.limits = TransportLimits(max_message_size=MAX_MESSAGE)
     await server.init()
     await server.set_application_uri(keys.SERVER_URI)
+    server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt])
+    server.set_identity_tokens([ua.UserNameIdentityToken])
     server.set_server_name(f"truenewton {bench.instrument}")
     server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
     await _publish(server, bench)
