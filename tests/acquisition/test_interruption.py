@@ -13,7 +13,6 @@ import sys
 import tempfile
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,7 +22,6 @@ from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
 from helpers.stub_bench import Hands, StubBench, at
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal
-from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import PlannedShapes
 from truenewton.acquisition.progress import Progress
 from truenewton.bench.protocol import Shape
@@ -224,34 +222,12 @@ def test_a_folder_that_cannot_be_written_is_refused_before_a_command(stage):
 
 def test_two_runs_do_not_share_a_folder(tmp_path, whole):
     def second(reading):
-        said = f"another run writes here .process {os.getpid()} on "
-        with pytest.raises(OutputFailed, match=said):
+        with pytest.raises(OutputFailed, match="another run writes here; let it end first"):
             tn.acquire(StubBench(), small_plan(), tmp_path / "c")
         return reading
 
     tn.acquire(StubBench(spoil=at(PLACE, second)), small_plan(), tmp_path / "c")
     assert contents(tmp_path / "c") == whole
-
-
-def test_without_fcntl_the_lock_is_that_of_windows(tmp_path, monkeypatch):
-    """A byte that msvcrt locks, beyond those that say who holds it; feigned by flock."""
-    import fcntl
-
-    def locking(handle, mode, size):
-        assert (mode, size, os.lseek(handle, 0, os.SEEK_CUR) > 200) == (2, 1, True)
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise PermissionError(13, "Permission denied") from error
-
-    monkeypatch.setitem(sys.modules, "msvcrt", SimpleNamespace(locking=locking, LK_NBLCK=2))
-    monkeypatch.setitem(sys.modules, "fcntl", None)
-    with locked(tmp_path / "c") as folder:
-        assert f"process {os.getpid()} on" in (folder / ".lock").read_text()
-        with pytest.raises(OutputFailed, match=f"another run writes here .process {os.getpid()}"):
-            locked(folder).__enter__()
-    with locked(folder):
-        pass
 
 
 def test_a_cycle_that_is_damaged_stops_the_run_before_a_command(complete):

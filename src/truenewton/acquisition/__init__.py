@@ -10,8 +10,7 @@ run           what is missing of a campaign, mounting by mounting, cycle by cycl
 taker         one shape: limits before and after, again where the reading is not sound
 limits        what the mirror may bear, held against every command and reading
 load_check    whether a load is really on
-lock          a campaign's folder for one run alone
-folder        its one plan for good, and what is complete
+folder        a campaign's folder: for one run alone, one plan for good, and what is complete
 journal       the shapes of the cycle under way, on disk before the next is commanded
 run_log       one log for each run, JSON lines
 progress      how far a campaign is, for whoever looks on

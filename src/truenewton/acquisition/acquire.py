@@ -13,10 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from truenewton.acquisition.clock import SteadyClock
-from truenewton.acquisition.folder import PLAN, begin_or_resume, cycle_names, finished_cycles
+from truenewton.acquisition.folder import (
+    PLAN,
+    begin_or_resume,
+    cycle_names,
+    finished_cycles,
+    locked,
+)
 from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.limits import Guard
-from truenewton.acquisition.lock import locked
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror, recorded_layout
 from truenewton.acquisition.progress import Nobody, Onlooker, Progress
 from truenewton.acquisition.run import Run, take_all

@@ -1,16 +1,19 @@
-"""A campaign's folder: one plan for good, and what is complete already."""
+"""A campaign's folder: for one run alone, one plan for good, and what is complete already."""
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import hashlib
 import os
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from truenewton.acquisition.clock import instant_of
 from truenewton.acquisition.drift import with_turns
@@ -19,7 +22,7 @@ from truenewton.acquisition.load_check import mean_sum
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.arrays import Array
-from truenewton.errors import CampaignMismatch, OutputExists, UnreadableFile
+from truenewton.errors import CampaignMismatch, OutputExists, OutputFailed, UnreadableFile
 from truenewton.files.fits import read_fits
 from truenewton.files.opening import refuse_odd
 from truenewton.files.outputs import file_beside, in_one_line, to_disk
@@ -29,7 +32,7 @@ from truenewton.records.file import SUFFIXES, cycle_from, cycle_name
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout
 
-PLAN, SHAPES = "plan.toml", ".shapes.npy"
+PLAN, SHAPES, LOCK = "plan.toml", ".shapes.npy", ".lock"
 OF_SHAPES = f"# {SHAPES}: "  # before their SHA256 in the plan of a folder
 SHOWN = 8  # lines of a difference
 
@@ -49,6 +52,35 @@ class Finished:
 
     end: int
     total: float | None
+
+
+@contextlib.contextmanager
+def locked(folder: str | os.PathLike[str]) -> Iterator[Path]:
+    """Make a campaign's folder if it does not exist, and keep it for this run alone.
+
+    The lock is the system's: it goes with the process that holds it, however that ends.
+
+    Raises
+    ------
+    OutputFailed
+        It cannot be written, or another run is at it.
+    """
+    folder = Path(folder)
+    lock = FileLock(folder / LOCK)
+    with in_one_line(folder):
+        folder.mkdir(exist_ok=True)
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            raise OutputFailed(
+                "another run writes here",
+                remedy="let it end first; the newest run-*.jsonl names its host and process",
+                path=folder,
+            ) from None
+    try:
+        yield folder
+    finally:
+        lock.release()
 
 
 def _plan_text(plan: CampaignPlan, beside: str | os.PathLike[str], shapes: str = "") -> str:
