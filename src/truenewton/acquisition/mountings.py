@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from truenewton.acquisition.plan import CampaignPlan
-from truenewton.bench.simulated.control import Control
+from truenewton.bench.simulated.electronics import Control
 from truenewton.statics.load import Load
 
 

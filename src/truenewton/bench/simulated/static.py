@@ -16,13 +16,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from truenewton.arrays import Array, taking_units
-from truenewton.bench.simulated.coils import REFERENCE_TEMPERATURE, Coils, gain
-from truenewton.bench.simulated.control import Control
-from truenewton.bench.simulated.loop import Loop, equilibrium
-from truenewton.bench.simulated.noise import LOOP, SAMPLES, STATIC, row_noise
-from truenewton.bench.simulated.record import Record, record
-from truenewton.bench.simulated.sensors import Sensors, draw_sensors
-from truenewton.bench.simulated.stability import check_stability
+from truenewton.bench.simulated.electronics import (
+    REFERENCE_TEMPERATURE,
+    SAMPLES,
+    Coils,
+    Control,
+    Sensors,
+    draw_sensors,
+    gain,
+)
+from truenewton.bench.simulated.loop import (
+    LOOP_STREAM,
+    STATIC_STREAM,
+    Loop,
+    Record,
+    check_stability,
+    equilibrium,
+    record,
+    row_noise,
+)
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
@@ -265,7 +277,7 @@ def take(
 
     The labels of each row, key of the load, cycle, shape and sign, decide its noise.
     """
-    stream = STATIC if loop is None else LOOP
+    stream = STATIC_STREAM if loop is None else LOOP_STREAM
     noise = [row_noise(bench.truth.seed, *label, stream) for label in labels]
     if loop is not None:
         load_force = bench.load_force[load_index, :, None]
