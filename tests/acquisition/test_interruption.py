@@ -20,10 +20,9 @@ import pytest
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, contents, small_plan, write_shapes
 from helpers.stub_bench import Hands, StubBench, at
-from truenewton.acquisition.interruption import Interruption
 from truenewton.acquisition.journal import Journal
 from truenewton.acquisition.plan import PlannedShapes
-from truenewton.acquisition.progress import Progress
+from truenewton.acquisition.taker import Interruption, Progress
 from truenewton.bench.protocol import Shape
 from truenewton.cli.acquire import Terminal
 from truenewton.errors import (
@@ -350,7 +349,7 @@ def test_the_command_takes_a_campaign_and_says_when_it_is_complete(inside, tmp_p
 
 
 def test_ctrl_c_at_the_command_is_one_line_and_exit_code_130(inside, tmp_path, monkeypatch):
-    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", lambda *_: stopping())
+    monkeypatch.setattr("truenewton.acquisition.acquire.chosen_bench", lambda *_: stopping())
     code, _, err = inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c")
     assert (code, err.count("\n")) == (130, 1)
     assert err.startswith(f"truenewton: {tmp_path / 'c'}: stopped as asked, before shape ")
@@ -364,7 +363,7 @@ def test_nobody_at_a_terminal_must_say_yes(inside, tmp_path, monkeypatch):
         return hands
 
     plan = plan_file(tmp_path)
-    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", bench)
+    monkeypatch.setattr("truenewton.acquisition.acquire.chosen_bench", bench)
     monkeypatch.setattr("sys.stdin", None)
     code, _, err = inside("acquire", plan, "-o", tmp_path / "c")
     assert code == 2
@@ -383,7 +382,7 @@ def test_the_person_at_the_terminal_is_asked_again(inside, tmp_path, monkeypatch
         asked.append(told[-1].err.splitlines()[-1])
         hands.load = LOADS[1] if len(asked) == 3 else LOADS[0]
 
-    monkeypatch.setattr("truenewton.acquisition.benches.chosen_bench", lambda plan, beside: hands)
+    monkeypatch.setattr("truenewton.acquisition.acquire.chosen_bench", lambda plan, beside: hands)
     monkeypatch.setattr("builtins.input", answer)
     monkeypatch.setattr("sys.stdin", type("Terminal", (), {"isatty": lambda self: True})())
     code, out, _ = inside("acquire", plan_file(tmp_path), "-o", tmp_path / "c", "--json")

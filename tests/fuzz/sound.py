@@ -9,7 +9,7 @@ import numpy as np
 
 import truenewton as tn
 from tests.helpers.acquisition_plans import write_shapes
-from truenewton.acquisition.benches import chosen_bench
+from truenewton.acquisition.acquire import chosen_bench
 from truenewton.acquisition.journal import Journal
 from truenewton.acquisition.plan import read_plan
 from truenewton.bench.opcua.keys import make_keys

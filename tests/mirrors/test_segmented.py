@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 
 import truenewton as tn
 from helpers.opcua_server import behind, free_port
-from truenewton.acquisition.benches import chosen_bench
-from truenewton.bench.choice import BenchChoice
+from truenewton.acquisition.acquire import chosen_bench
 from truenewton.bench.opcua import server
+from truenewton.bench.protocol import BenchChoice
 from truenewton.bench.simulated.segmented import bench_of, campaign_on, seed_of, truth_of
 from truenewton.bench.simulated.static import static_bench
 from truenewton.calibration.segments import seen_of

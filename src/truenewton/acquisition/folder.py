@@ -15,10 +15,9 @@ from pathlib import Path
 import numpy as np
 from filelock import FileLock, Timeout
 
-from truenewton.acquisition.clock import instant_of
-from truenewton.acquisition.drift import with_turns
-from truenewton.acquisition.journal import remove_journal
-from truenewton.acquisition.load_check import mean_sum
+from truenewton.acquisition.checks import mean_sum
+from truenewton.acquisition.journal import instant_of, remove_journal
+from truenewton.acquisition.load_order import with_turns
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import shapes_and_forces
 from truenewton.arrays import Array

@@ -33,8 +33,8 @@ from truenewton.errors import BenchFault, UnknownName
 from truenewton.mirrors.known import Mirror
 
 REST_SAMPLES = 64  # of the position at rest, from which displacements count
-FEWEST_TO_TELL = 32  # samples, to see from them that the mirror still moves
-DRIFT = 6.0  # of the mean in standard errors, beyond which it does
+MIN_DRIFT_SAMPLES = 32  # samples, to see from them that the mirror still moves
+DRIFT_SIGMAS = 6.0  # of the mean in standard errors, beyond which it does
 
 
 class DeformableMirror(Protocol):
@@ -220,11 +220,11 @@ class OpticalibMirror:
 def _still(position: Array) -> bool:
     """Tell whether the second half of (samples, n) positions has the mean of the first."""
     half = len(position) // 2
-    if len(position) < FEWEST_TO_TELL:
+    if len(position) < MIN_DRIFT_SAMPLES:
         return True
     first, second = position[:half], position[half : 2 * half]
     error = np.sqrt((first.var(axis=0, ddof=1) + second.var(axis=0, ddof=1)) / half)
-    return bool((np.abs(second.mean(axis=0) - first.mean(axis=0)) <= DRIFT * error).all())
+    return bool((np.abs(second.mean(axis=0) - first.mean(axis=0)) <= DRIFT_SIGMAS * error).all())
 
 
 def from_address(

@@ -18,9 +18,8 @@ from helpers.acquisition_plans import LOADS, small_plan
 from helpers.foreign_server import NAMESPACE, electronics
 from helpers.opcua_server import choice, free_port, in_thread
 from helpers.stub_bench import SMALL, StubBench
-from truenewton.acquisition.benches import chosen_bench
+from truenewton.acquisition.acquire import chosen_bench
 from truenewton.acquisition.shapes import shapes_and_forces
-from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.methods import (
     METHODS,
@@ -31,7 +30,7 @@ from truenewton.bench.opcua.methods import (
     scalar,
     variants,
 )
-from truenewton.bench.protocol import Bench, Operator, Shape, gradients_of
+from truenewton.bench.protocol import Bench, BenchChoice, Operator, Shape, gradients_of
 from truenewton.errors import BenchFault, FormatError, TrueNewtonError
 from truenewton.files.toml import toml_text
 from truenewton.mirrors.file import mirror_from

@@ -17,12 +17,11 @@ from asyncua import Client, ua
 
 import truenewton as tn
 from helpers.opcua_server import RecordingBench, behind, choice, free_port, known_client
-from truenewton.acquisition.benches import chosen_bench
-from truenewton.bench.choice import BenchChoice
+from truenewton.acquisition.acquire import chosen_bench
 from truenewton.bench.opcua import connect, keys
 from truenewton.bench.opcua.client import OpcUaBench
 from truenewton.bench.opcua.methods import METHODS, scalar
-from truenewton.bench.protocol import Bench, Operator, Reading, Shape
+from truenewton.bench.protocol import Bench, BenchChoice, Operator, Reading, Shape
 from truenewton.bench.simulated.electronics import SAMPLES
 from truenewton.bench.simulated.static import static_bench
 from truenewton.errors import BenchFault, FormatError, UnknownName, UnreadableFile

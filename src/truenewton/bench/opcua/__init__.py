@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from truenewton.bench.choice import BenchChoice
+from truenewton.bench.protocol import BenchChoice
 from truenewton.errors import BenchFault
 
 if TYPE_CHECKING:

@@ -16,7 +16,6 @@ from asyncua.client.ua_client import UaClientState
 from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
 from asyncua.sync import ThreadLoop
 
-from truenewton.bench.choice import BenchChoice
 from truenewton.bench.opcua import keys
 from truenewton.bench.opcua.methods import (
     MAX_MESSAGE,
@@ -26,7 +25,7 @@ from truenewton.bench.opcua.methods import (
     received_answer,
     variants,
 )
-from truenewton.bench.protocol import Reading, Shape, Status
+from truenewton.bench.protocol import BenchChoice, Reading, Shape, Status
 from truenewton.errors import BenchFault, Interrupted, TrueNewtonError
 from truenewton.statics.layout import Layout
 from truenewton.statics.load import Load
