@@ -5,7 +5,6 @@ What is missing is taken mounting by mounting, cycle by cycle, shape by shape.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import time
@@ -21,7 +20,6 @@ import numpy as np
 
 from truenewton.acquisition.checks import Guard, judge, mean_sum, shape_name, sum_at_rest, sum_error
 from truenewton.acquisition.folder import (
-    PLAN,
     begin_or_resume,
     cycle_names,
     finished_cycles,
@@ -159,6 +157,18 @@ def _operator_of(bench: Bench) -> Operator:
     return bench
 
 
+def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
+    """Return how far a campaign of so many shapes is, with so many cycles complete."""
+    return Progress(
+        shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
+        cycles=plan.cycles,
+        shapes=shapes,
+        done=2 * shapes * complete,
+        total=2 * shapes * plan.cycles * len(plan.loads),
+        smallest_gap=bench.gap,
+    )
+
+
 def _agreed(
     bench: Bench, plan: CampaignPlan, beside: str | os.PathLike[str]
 ) -> tuple[Mirror, Layout]:
@@ -181,18 +191,6 @@ def _agreed(
     raise CampaignMismatch(f"the bench {what}", remedy="plan for the mirror on the bench")
 
 
-def _progress(bench: Bench, plan: CampaignPlan, shapes: int, complete: int) -> Progress:
-    """Return how far a campaign of so many shapes is, with so many cycles complete."""
-    return Progress(
-        shape=Shape(plan.loads[0], 1, 0, 1, np.zeros(bench.layout.n)),
-        cycles=plan.cycles,
-        shapes=shapes,
-        done=2 * shapes * complete,
-        total=2 * shapes * plan.cycles * len(plan.loads),
-        smallest_gap=bench.gap,
-    )
-
-
 def _note_start(run: Run) -> None:
     bench, choice = run.taker.bench, run.plan.bench
     run.taker.log.note(
@@ -207,8 +205,6 @@ def _note_start(run: Run) -> None:
         instrument=bench.instrument,
         actuators=bench.layout.n,
         gap=bench.gap,
-        plan=hashlib.sha256((run.folder / PLAN).read_bytes()).hexdigest(),
-        shapes=hashlib.sha256(run.shapes.tobytes()).hexdigest(),
         complete=len(run.complete),
     )
 
@@ -283,32 +279,18 @@ def simulated_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") ->
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a run has at hand.
-
-    Attributes
-    ----------
-    plan, mirror, shapes, folder, operator, taker
-        What is to be taken, (shapes, n) [m], where to, and by whom.
-    layout
-        The actuators as files name and place them.
-    complete
-        Loads and numbers of the cycles that need not be taken.
-    rest_sums
-        Sums of the forces at rest under the loads that were on [N], by key.
-    clock
-        Goes on after the last instant.
-    """
+    """What is to be taken, where to, and by whom."""
 
     plan: CampaignPlan
     mirror: Mirror
-    layout: Layout
-    shapes: Array
+    layout: Layout  # the actuators as files name and place them
+    shapes: Array  # (shapes, n) [m]
     folder: Path
     operator: Operator
     taker: Taker
-    complete: Collection[tuple[str, int]]
-    rest_sums: dict[str, float]
-    clock: SteadyClock
+    complete: Collection[tuple[str, int]]  # loads and numbers of cycles that need not be taken
+    rest_sums: dict[str, float]  # of the forces at rest under the loads that were on [N], by key
+    clock: SteadyClock  # goes on after the last instant of the campaign
 
 
 def take_all(run: Run) -> None:
@@ -389,17 +371,13 @@ def _take_cycle(run: Run, load: Load, number: int, rest_force: Array) -> None:
             position = sign * run.shapes[shape_number - 1]
             wanted = Shape(load, number, shape_number, sign, position)
             twin = _take_shape(run, journal, wanted, forecast)
-        _write_file(run, journal)
+        cycle = journal.cycle(run.mirror, run.layout, run.taker.bench)
+        path = run.folder / cycle_name(load, number)
+        write_cycle(cycle, path)
+        to_disk(run.folder)  # from here on the cycle is safe
+        run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
+        del cycle  # its rows are mapped from the journal, which Windows would not remove
     remove_journal(run.folder, load, number)
-
-
-def _write_file(run: Run, journal: Journal) -> None:
-    """Write the file of a cycle; its rows are mapped from the journal until this returns."""
-    cycle = journal.cycle(run.mirror, run.layout, run.taker.bench)
-    path = run.folder / cycle_name(journal.load, journal.number)
-    write_cycle(cycle, path)
-    to_disk(run.folder)  # from here on the cycle is safe
-    run.taker.log.note("cycle", file=path.name, invalid=int((~cycle.valid).sum()))
 
 
 def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None) -> Array | None:

@@ -36,21 +36,11 @@ MIN_STEP_SIGMAS = 5.0  # standard deviations of a sum, to which the smallest ste
 
 @dataclass(frozen=True, eq=False)
 class Guard:
-    """Refuses whatever is beyond a limit; every method raises LimitExceeded.
-
-    Attributes
-    ----------
-    limits
-        What the mirror may bear.
-    layout
-        The n actuators.
-    gap
-        Nominal distance from the reference plate [m].
-    """
+    """Refuses whatever is beyond a limit; every method raises LimitExceeded."""
 
     limits: MirrorLimits
     layout: Layout
-    gap: float
+    gap: float  # nominal distance from the reference plate [m]
 
     def check_shapes(self, shapes: Array) -> None:
         """Refuse (shapes, n) planned displacements [m] of which any takes too large a stroke."""

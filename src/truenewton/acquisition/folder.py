@@ -38,19 +38,10 @@ SHOWN = 8  # lines of a difference
 
 @dataclass(frozen=True)
 class Finished:
-    """What a run needs to know of a cycle that is complete.
+    """What a run needs to know of a cycle that is complete."""
 
-    Attributes
-    ----------
-    end
-        Its last instant [us since 1970, UTC].
-    total
-        Mean over its shapes of the sum of the forces [N]: the elastic ones cancel; None where no
-        shape is valid with both signs.
-    """
-
-    end: int
-    total: float | None
+    end: int  # its last instant [us since 1970, UTC]
+    total: float | None  # of the forces at rest [N], see `mean_sum`
 
 
 @contextlib.contextmanager
@@ -143,12 +134,7 @@ def _with_turns_begun(plan: CampaignPlan, begun: CampaignPlan) -> CampaignPlan:
 def refuse_other_plan(
     folder: str | os.PathLike[str], plan: CampaignPlan, beside: str | os.PathLike[str]
 ) -> None:
-    """Refuse a plan that is not the one a folder was begun with, and show the difference.
-
-    Raises
-    ------
-    CampaignMismatch, UnreadableFile, FormatError, LimitExceeded
-    """
+    """Refuse a plan that is not the one a folder was begun with, and show the difference."""
     path = Path(folder) / PLAN
     begun_plan = read_plan(path)
     plan_begun = toml_text(begun_plan)  # as this version writes it, defaults included
@@ -206,12 +192,7 @@ def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:
 
 
 def invalid_rows(folder: str | os.PathLike[str], plan: CampaignPlan) -> dict[str, tuple[int, int]]:
-    """Return how many rows of each complete cycle file are not valid, and how many it has.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-    """
+    """Return how many rows of each complete cycle file are not valid, and how many it has."""
     valid = {name: cycle_from(read_fits(Path(folder) / name)).valid for name in cycle_names(plan)}
     return {name: (int((~each).sum()), each.size) for name, each in valid.items()}
 

@@ -172,12 +172,7 @@ class Journal:
     def append(
         self, instant: int, shape: Shape, valid: bool, reading: Reading | None, noise: float
     ) -> None:
-        """Add a shape; it is on the disk when this returns. Without a reading it holds NaN.
-
-        Raises
-        ------
-        OutputFailed
-        """
+        """Add a shape; it is on the disk when this returns. Without a reading it holds NaN."""
         record = np.zeros(1, dtype=self.form)
         record["instant"], record["valid"], record["noise"] = instant, valid, noise
         record["shape"], record["sign"] = shape.number, shape.sign
@@ -200,12 +195,7 @@ class Journal:
             return np.memmap(self.path, self.form, "r", offset=offset, shape=(self.count,))
 
     def check_order(self, planned: Sequence[tuple[int, int]]) -> None:
-        """Refuse records that are not the first of the shapes and signs planned.
-
-        Raises
-        ------
-        FormatError
-        """
+        """Refuse records that are not the first of the shapes and signs planned."""
         held = self.rows()[["shape", "sign"]].tolist()
         if held != planned[: len(held)]:
             raise FormatError(
@@ -260,12 +250,7 @@ def _whole(record: memoryview) -> bool:
 
 
 class RunLog:
-    """Writes events to a new file run-001.jsonl, run-002.jsonl, ... of a campaign's folder.
-
-    Raises
-    ------
-    OutputFailed
-    """
+    """Writes events to a new file run-001.jsonl, run-002.jsonl, ... of a campaign's folder."""
 
     def __init__(self, folder: Path) -> None:
         with in_one_line(folder):
@@ -280,12 +265,7 @@ class RunLog:
         self._start = time.monotonic()
 
     def note(self, event: str, **values: Any) -> None:
-        """Write one line.
-
-        Raises
-        ------
-        OutputFailed
-        """
+        """Write one line."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         elapsed = round(time.monotonic() - self._start, 4)
         line = {"time": now, "elapsed": elapsed, "event": event, **values}

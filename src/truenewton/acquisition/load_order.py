@@ -50,22 +50,12 @@ MAX_ERROR_RATIO = (
 
 @dataclass(frozen=True)
 class Mounting:
-    """A load that is put on, and what is taken until the next one.
-
-    Attributes
-    ----------
-    load
-        The load.
-    cycles
-        Numbers of its cycles.
-    start, end
-        When the first begins and the last ends, from the start of the campaign [s].
-    """
+    """A load that is put on, and the numbers of its cycles that are taken until the next one."""
 
     load: Load
     cycles: range
-    start: float = 0.0
-    end: float = 0.0
+    start: float = 0.0  # of the first cycle, from the start of the campaign [s]
+    end: float = 0.0  # of the last
 
     def __str__(self) -> str:
         first, last = self.cycles[0], self.cycles[-1]
@@ -124,24 +114,12 @@ def mounting_words(order: tuple[Mounting, ...], index: int) -> str:
 
 @dataclass(frozen=True, eq=False)
 class ScaleBalance:
-    """How the common scale follows from the sums of the forces at rest under L loads.
+    """How the common scale follows from the sums of the forces at rest under L loads."""
 
-    Attributes
-    ----------
-    held
-        (L,) S, true [N].
-    response
-        (L,) r, relative change of the scale for each Newton by which a sum is read wrong.
-    covariance
-        (L, L) of what weights and readings leave unknown of S + W [N^2].
-    zero
-        Change of a sum for a common change of all zeros of the readings [N / N].
-    """
-
-    held: Array
-    response: Array
-    covariance: Array
-    zero: float
+    held: Array  # (L,) S, true [N]
+    response: Array  # (L,) r, relative change of the scale for each Newton of a sum [1/N]
+    covariance: Array  # (L, L) of what weights and readings leave unknown of S + W [N^2]
+    zero: float  # change of a sum for a common change of all zeros of the readings [N / N]
 
     @property
     def error(self) -> float:
@@ -189,33 +167,17 @@ def _weight_changes(plan: CampaignPlan, mirror: Mirror) -> Array:
 class OrderCost:
     """What an order of the loads costs: time, and errors of the common scale, relative.
 
-    Attributes
-    ----------
-    turns
-        Of the plan.
-    order
-        Loads and numbers of their cycles, in words.
-    changes
-        How often the load is changed.
-    duration
-        [s]
-    known
-        Error from weights and readings, whatever the order.
-    gain, zero
-        By how much the assumed drift of alpha and of the zeros moves the scale, in terms of alpha
-        in the middle of the campaign; with sign.
-    remounting
-        Standard error from zeros that move at each mounting.
+    By drift the scale moves relative to alpha in the middle of the campaign.
     """
 
     turns: int
-    order: str
-    changes: int
-    duration: float
-    known: float
-    gain: float
-    zero: float
-    remounting: float
+    order: str  # loads and numbers of their cycles
+    changes: int  # of the load
+    duration: float  # [s]
+    known: float  # error from weights and readings, whatever the order
+    gain: float  # by how much the assumed drift of alpha moves the scale, with sign
+    zero: float  # and that of the zeros
+    remounting: float  # standard error from zeros that move at each mounting
 
     @property
     def drift(self) -> float:

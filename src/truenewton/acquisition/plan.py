@@ -301,34 +301,19 @@ def template() -> str:
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:
-    """Return the mirror of a plan, or its segment; a file stands relative to the plan's folder.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the mirror of a plan, or its segment; a file stands relative to the plan's folder."""
     name = _mirror_of(plan, folder)
     return segment_from(name, plan.segment)[0] if plan.segment else mirror_from(name)
 
 
 def recorded_layout(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Layout:
-    """Return the actuators as cycle files name and place them: those of a segment as in the whole.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the actuators as in cycle files, which place those of a segment as in the whole."""
     name = _mirror_of(plan, folder)
     return segment_from(name, plan.segment)[1] if plan.segment else mirror_from(name).layout
 
 
 def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> dict[str, Mirror]:
-    """Return the mirror of a plan, or the segments of it that differ; by how to call each.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the mirror of a plan, or the segments of it that differ; by how to call each."""
     if plan.segment:
         one = planned_mirror(plan, folder)
         return {one.name: one}

@@ -60,12 +60,7 @@ class Interruption:
         self.asked = True
 
     def check(self) -> None:
-        """Stop here if someone asked.
-
-        Raises
-        ------
-        Interrupted
-        """
+        """Stop here if someone asked."""
         if self.asked:
             raise Interrupted("stopped as asked")
 
@@ -81,12 +76,7 @@ class Interruption:
             self._at_once = False
 
     def sleep(self, seconds: float) -> None:
-        """Sleep, but no longer than until someone asks to stop.
-
-        Raises
-        ------
-        Interrupted
-        """
+        """Sleep, but no longer than until someone asks to stop."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             self.check()
@@ -155,28 +145,18 @@ class Onlooker(Protocol):
 
 
 class Nobody:
-    """An onlooker who does not care."""
+    """An onlooker who shows nothing."""
 
     def progress(self, now: Progress) -> None:
-        """Look away."""
+        """Show nothing."""
 
     def say(self, line: str) -> None:
-        """Turn a deaf ear."""
+        """Show nothing."""
 
 
 @dataclass(eq=False)
 class Taker:
-    """Takes shapes on a bench, and remembers what the next reading is compared with.
-
-    Attributes
-    ----------
-    bench, plan, log, onlooker, interruption
-        Whom it commands, what says how, who hears of it, and whether someone asked to stop.
-    progress
-        How far the campaign is.
-    guard
-        Over the limits of the plan.
-    """
+    """Takes shapes on a bench, and remembers what the next reading is compared with."""
 
     bench: Bench
     plan: CampaignPlan
@@ -246,12 +226,7 @@ class Taker:
         return reading, fault
 
     def rest(self) -> None:
-        """Bring the mirror to rest; wait for a bench that is gone.
-
-        Raises
-        ------
-        BenchFault
-        """
+        """Bring the mirror to rest; wait for a bench that is gone."""
         for attempt in range(1, MAX_ATTEMPTS + 1):
             self._await_bench()
             try:

@@ -153,6 +153,8 @@ class OpticalibMirror:
         if self._last is None or not np.array_equal(both[-1], self._last):
             self._counter += 1
         self._last = both[-1]
+        with self._faults("get_temperature"):
+            temperature = float(getattr(self._device, "get_temperature", lambda: np.nan)())
         batches = np.array_split(force, BATCHES) if samples >= BATCHES else []
         return Reading(
             time=now,
@@ -160,7 +162,7 @@ class OpticalibMirror:
             position=position.mean(axis=0),
             force_scatter=force.std(axis=0, ddof=min(1, samples - 1)),
             position_scatter=position.std(axis=0, ddof=min(1, samples - 1)),
-            temperature=self._temperature(),
+            temperature=temperature,
             counter=self._counter,
             settled=_still(position),
             force_error=error_of_mean(np.array([each.mean(axis=0) for each in batches]))
@@ -185,14 +187,6 @@ class OpticalibMirror:
 
     def _settle(self) -> None:
         time.sleep(max(0.0, self._since + self._settling - time.monotonic()))
-
-    def _temperature(self) -> float:
-        """Return what the device says of it [deg C]; NaN where it says nothing."""
-        get = getattr(self._device, "get_temperature", None)
-        if get is None:
-            return float("nan")
-        with self._faults("get_temperature"):
-            return float(get())
 
     def _samples(self, get: Callable[[], Any], samples: int) -> Array:
         """Return (samples, ..., n) values of a call."""

@@ -377,11 +377,11 @@ POSIX = "fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", 
 
 
 def test_nothing_needs_posix():
-    """Windows has none of these; the lock of a folder takes its own where there is no fcntl."""
+    """Windows has none of these."""
     imports = re.compile(rf"^\s*(?:import|from) (?:{'|'.join(POSIX)})\b", re.MULTILINE)
     source = Path(tn.__file__).parent.rglob("*.py")
     found = [path.name for path in source if imports.search(path.read_text(encoding="utf-8"))]
-    assert found == ["lock.py"]
+    assert found == []
 
 
 def test_the_journal_is_let_go_before_it_is_removed(tmp_path, monkeypatch):

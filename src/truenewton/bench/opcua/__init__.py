@@ -19,12 +19,7 @@ if TYPE_CHECKING:
 
 
 def require_asyncua() -> None:
-    """Refuse where the extra is not installed.
-
-    Raises
-    ------
-    BenchFault
-    """
+    """Refuse where the extra is not installed."""
     try:
         import asyncua  # noqa: F401
     except ModuleNotFoundError as error:

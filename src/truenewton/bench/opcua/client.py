@@ -82,10 +82,7 @@ class OpcUaBench:
         self._commanded: int | None = None  # in which of them the last shape was commanded
         self._thread = ThreadLoop(timeout=None)
         self._thread.daemon = True
-        try:
-            self._thread.start()
-        except RuntimeError as error:
-            raise self._fault(f"gets no thread ({error})", "free memory or processes") from error
+        self._thread.start()
         self._one_at_a_time = threading.Lock()
         try:
             self._thread.post(self._connected())

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import hmac
 import os
-import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Iterable
 from pathlib import Path
@@ -40,25 +39,6 @@ PORT = 4840  # registered for OPC UA
 
 class ServedBench(Bench, Operator, Protocol):
     """A bench that can be told which load to bear."""
-
-
-def check_port(port: int) -> None:
-    """Refuse a port that cannot be had, before anything is made for it.
-
-    Raises
-    ------
-    BenchFault
-    """
-    try:
-        socket.create_server(("127.0.0.1", port)).close()
-    except OSError as error:
-        raise _not_had(port, error) from error
-
-
-def _not_had(port: int, error: OSError) -> BenchFault:
-    reason = os.strerror(error.errno or 0)
-    remedy = "choose another port"
-    return BenchFault(f"port {port} cannot be had ({reason})", remedy=remedy, got=port)
 
 
 class _KnownClients:
@@ -126,7 +106,10 @@ async def serving(
     try:
         await server.start()
     except OSError as error:
-        raise _not_had(port, error) from error
+        reason = os.strerror(error.errno or 0)
+        raise BenchFault(
+            f"port {port} cannot be had ({reason})", remedy="choose another port", got=port
+        ) from error
     try:
         yield server.endpoint.geturl()
     finally:

@@ -29,19 +29,12 @@ SEEDS = 1000  # of one mirror: more segments than that would share their noise
 class SegmentedBench:
     """A mirror in segments, each with its truth and its plan of shapes.
 
-    Attributes
-    ----------
-    mirror
-        What is known of it.
-    benches
-        Of its segments, with as many shapes each; where a segment has fewer, its first ones again.
-    seed
-        Decides everything random; segment k has that of `seed_of`.
+    All have as many shapes; a segment with fewer takes its first ones again.
     """
 
     mirror: SegmentedMirror
     benches: tuple[StaticBench, ...]
-    seed: int
+    seed: int  # segment k has that of `seed_of`
 
     @property
     def shapes(self) -> Array:
@@ -57,23 +50,7 @@ def seed_of(seed: int, number: int) -> int:
 def segmented_bench(
     mirror: SegmentedMirror, seed: int, *, force_noise: float, temperature: float
 ) -> SegmentedBench:
-    """Draw the truth of each segment, under the bare mirror and its own tool, as `static_bench`.
-
-    Parameters
-    ----------
-    mirror
-        What is known of it.
-    seed
-        Decides everything random.
-    force_noise
-        Standard deviation of one commanded-force reading [N].
-    temperature
-        Of magnets and coils [deg C].
-
-    Raises
-    ------
-    GeometryError, LimitExceeded
-    """
+    """Draw the truth of each segment, under the bare mirror and its own tool, as `static_bench`."""
     glasses: dict[int, HeldGlass] = {}
     for part, alike in mirror.kinds:
         glasses |= dict.fromkeys(alike, held_glass(part))
