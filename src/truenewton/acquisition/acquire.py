@@ -36,9 +36,9 @@ from truenewton.acquisition.load_order import mounting_words, mountings
 from truenewton.acquisition.plan import CampaignPlan, planned_mirror, recorded_layout
 from truenewton.acquisition.taker import (
     Interruption,
-    Nobody,
     Onlooker,
     Progress,
+    SilentOnlooker,
     Taker,
     force_noise,
     shape_fields,
@@ -94,7 +94,7 @@ def acquire(
     beside
         The folder relative to which files that the plan names stand.
     operator, onlooker
-        Who puts the loads on, the bench if it can; who is told how it goes, nobody unless told.
+        Who puts the loads on, by default the bench if it can; who is shown how it goes.
 
     Returns
     -------
@@ -138,7 +138,7 @@ def acquire(
                 shapes=shapes,
                 folder=folder,
                 operator=operator,
-                taker=Taker(bench, plan, log, onlooker or Nobody(), interruption, progress),
+                taker=Taker(bench, plan, log, onlooker or SilentOnlooker(), interruption, progress),
                 complete=complete,
                 rest_sums={
                     key: each.total for (key, _), each in complete.items() if each.total is not None
@@ -239,15 +239,7 @@ def _at_rest_in_the_end(run: Run) -> Iterator[None]:
 
 
 def chosen_bench(plan: CampaignPlan, beside: str | os.PathLike[str] = ".") -> Bench:
-    """Return the bench of a plan; files that the plan names stand relative to a folder.
-
-    Raises
-    ------
-    BenchFault
-        It needs what is not installed, or cannot be reached.
-    TrueNewtonError
-        What the plan says of it is wrong.
-    """
+    """Return the bench of a plan; files that the plan names stand relative to a folder."""
     choice = plan.bench
     if choice.kind == "simulated":
         return simulated_bench(plan, beside)
@@ -310,8 +302,8 @@ def take_all(run: Run) -> None:
 def _put_on(run: Run, load: Load, number: int, *, anew: bool = False) -> Array:
     """Have a load put on, until the forces say that it is; return those at rest, (n,) [N].
 
-    Anew, where a bench may have forgotten it: it is told again, but a person is asked only where
-    the forces do not say that the load is still on.
+    Anew, if a bench may have forgotten it: its method is called again, but a person is asked only
+    if the forces do not show that the load is still on.
     """
     run.taker.rest()
     bench: object = run.taker.bench

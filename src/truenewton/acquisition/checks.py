@@ -3,7 +3,7 @@
 Whether a load is on follows from the forces that hold the mirror at rest.
 At rest sum nz_i alpha_i c_i = -(W + B) (docs/method.md), so between two loads the sum of nz_i c_i
 changes by -(W_1 - W_2) over a mean of alpha. B is not known, alpha only roughly: one load alone
-tells nothing, two tell whether something of about the right weight came on or off.
+shows nothing, two show whether about the right weight was put on or taken off.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ class Guard:
     def check_room(self, plan: CampaignPlan, mirror: Mirror, load: Load, rest_force: Array) -> None:
         """Refuse to go on where (n,) forces at rest [N] leave no room for those of the shapes.
 
-        Before a shape is first taken nobody knows what it takes but for what the plan allows: a
-        true force, for which the weakest actuator is commanded that over the lowest alpha.
+        Before a shape is first taken, only the limit of the plan for its true force is known; the
+        weakest actuator is then commanded that over the lowest alpha.
         """
         force = plan.shapes.force
         largest = self._enabled(np.abs(rest_force)) + force / mirror.alpha_range[0]
@@ -164,25 +164,10 @@ def judge(
     total: float,
     error: float = 0.0,
 ) -> tuple[bool | None, str]:
-    """Tell whether a load is on.
+    """Return whether one of the loads of a plan is on, None if the forces do not show it, and why.
 
-    Parameters
-    ----------
-    weight
-        P [N].
-    loads, load
-        All loads of the plan, and the one that should be on.
-    rest_sums
-        Sums at rest under the loads that were on before [N], by key, with this one's own if it was.
-    total, error
-        The sum now, and its standard deviation [N].
-
-    Returns
-    -------
-    on
-        Whether it is on; None where the forces cannot tell.
-    why
-        One line.
+    Compare the sum at rest now, with its standard deviation [N], with those under the loads that
+    were on before [N], by key, with this one's own if it was. The weight of the mirror is P [N].
     """
     names = {each.key: each.name for each in loads}
     weights = {each.key: float(effective_weight(weight, each.added, each.tilt)) for each in loads}

@@ -49,11 +49,6 @@ def locked(folder: str | os.PathLike[str]) -> Iterator[Path]:
     """Make a campaign's folder if it does not exist, and keep it for this run alone.
 
     The lock is the system's: it goes with the process that holds it, however that ends.
-
-    Raises
-    ------
-    OutputFailed
-        It cannot be written, or another run is at it.
     """
     folder = Path(folder)
     lock = FileLock(folder / LOCK)
@@ -92,15 +87,7 @@ def begin_or_resume(
 
     Where the plan leaves its turns open, the first run chooses them for good. The shapes are
     (shapes, n) displacements [m], and never made twice: modes of one stiffness may come out turned
-    on another machine.
-
-    Raises
-    ------
-    CampaignMismatch
-        The folder was begun with another plan.
-    OutputExists
-        It holds a campaign that no plan was kept of.
-    UnreadableFile, OutputFailed
+    on another machine. A folder that was begun with another plan is a `CampaignMismatch`.
     """
     half_written = tuple(f".{name}." for name in (PLAN, SHAPES, *cycle_names(plan)))
     with in_one_line(folder):  # by a run that was killed
@@ -159,13 +146,7 @@ def _notes(path: Path) -> list[str]:
 
 
 def _read_shapes(folder: Path, n: int) -> Array:
-    """Return the (shapes, n) displacements with which a campaign was begun [m].
-
-    Raises
-    ------
-    UnreadableFile
-        The file is damaged, or holds others.
-    """
+    """Return the (shapes, n) displacements with which a campaign was begun [m]."""
     path = folder / SHAPES
     try:
         refuse_odd(path)
@@ -187,7 +168,7 @@ def _read_shapes(folder: Path, n: int) -> Array:
 
 
 def is_complete(folder: str | os.PathLike[str], plan: CampaignPlan) -> bool:
-    """Tell whether a folder that was begun with a plan holds all its cycles."""
+    """Return whether a folder that was begun with a plan holds all its cycles."""
     return all((Path(folder) / name).exists() for name in (PLAN, *cycle_names(plan)))
 
 
@@ -207,14 +188,8 @@ def finished_cycles(
 ) -> dict[tuple[str, int], Finished]:
     """Return what is complete already, by load and cycle; every file is read and verified.
 
-    A journal that stands beside its cycle's file is removed.
-
-    Raises
-    ------
-    UnreadableFile, FormatError
-        A file is damaged.
-    CampaignMismatch
-        It is of another campaign.
+    A journal that stands beside its cycle's file is removed. A file of another campaign is a
+    `CampaignMismatch`.
     """
     complete = {}
     for load, number in product(plan.loads, range(1, plan.cycles + 1)):

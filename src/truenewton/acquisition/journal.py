@@ -43,12 +43,7 @@ class SteadyClock:
     """Turns times of readings into instants, each later than the one before.
 
     A clock that was set, or begins anew with each run as that of a simulated bench does, counts on
-    from the last instant.
-
-    Parameters
-    ----------
-    last
-        The last instant of the campaign so far [us since 1970, UTC]; None where there is none.
+    from the last instant of the campaign [us since 1970, UTC].
     """
 
     def __init__(self, last: int | None = None) -> None:
@@ -117,16 +112,7 @@ def remove_journal(folder: Path, load: Load, number: int) -> None:
 class Journal:
     """The record of one cycle under way, of n actuators, in the folder of its campaign.
 
-    Attributes
-    ----------
-    count, dropped
-        Records that it holds, and bytes that were cut off when it was opened.
-
-    Raises
-    ------
-    FormatError
-        What stands there is no journal of this cycle.
-    OutputFailed
+    It holds `count` records; `dropped` bytes were cut off when it was opened.
     """
 
     def __init__(self, folder: Path, load: Load, number: int, n: int) -> None:
@@ -205,12 +191,7 @@ class Journal:
     def cycle(self, mirror: Mirror, layout: Layout, bench: Bench) -> Cycle:
         """Return the cycle that the records make, taken of a mirror on a bench.
 
-        The layout is as files name and place the actuators.
-
-        Raises
-        ------
-        BenchFault
-            None of them is valid.
+        The layout is as files name and place the actuators. No valid record is a `BenchFault`.
         """
         rows = self.rows()
         valid = rows["valid"].astype(bool)

@@ -67,7 +67,7 @@ class PlannedShapes:
 
 @dataclass(frozen=True)
 class MirrorLimits:
-    """What the mirror may bear; checked before each command and after each reading.
+    """Limits of the mirror; checked before each command and after each reading.
 
     Attributes
     ----------
@@ -239,7 +239,7 @@ class CampaignPlan:
 
 
 def _check_loads(loads: Sequence[Load]) -> None:
-    """Refuse loads that cannot be, and those that could not be told apart by name or file."""
+    """Refuse loads that cannot be, and those with the same name or file."""
     files: dict[str, Load] = {}
     for load in loads:
         try:

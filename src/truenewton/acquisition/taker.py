@@ -1,6 +1,6 @@
 """Taking one shape: limits before and after, and again if the reading is not sound.
 
-Whoever looks on is told of each, and Ctrl-C ends the run between two shapes.
+An onlooker is shown how it goes, and Ctrl-C ends the run between two shapes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from truenewton.errors import BenchFault, Interrupted
 from truenewton.statics.layout import Layout
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-POLL_INTERVAL = 0.05  # [s], after which a sleeper looks whether it shall stop
+POLL_INTERVAL = 0.05  # [s], after which a sleep looks whether to stop
 MAX_ATTEMPTS = 3  # of each shape, before it is marked as not valid
 MAX_ABSENCE = 120.0  # with a bench that is gone [s]
 POSITION_TOLERANCE = 0.1  # of a shape's largest displacement, by which an actuator may miss it
@@ -86,35 +86,19 @@ class Interruption:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a campaign is.
+    """How far a campaign is. Shapes are counted with each sign."""
 
-    Attributes
-    ----------
-    shape
-        The one just taken.
-    cycles, shapes
-        Cycles under each load, and shapes of each cycle, to be taken with both signs.
-    done, total
-        Shapes taken and planned, of the whole campaign, each sign counted.
-    largest_force, smallest_gap
-        So far in this run [N], [m].
-    taken, seconds
-        Shapes of this run, and what they took [s]; changing loads is not counted.
-    invalid, in_a_row
-        Shapes of this run that are not valid, and how many of the last ones.
-    """
-
-    shape: Shape
-    cycles: int
-    shapes: int
-    done: int
+    shape: Shape  # the one just taken
+    cycles: int  # under each load
+    shapes: int  # of each cycle, to be taken with both signs
+    done: int  # shapes of the whole campaign
     total: int
-    smallest_gap: float
-    largest_force: float = 0.0
-    taken: int = 0
-    seconds: float = 0.0
-    invalid: int = 0
-    in_a_row: int = 0
+    smallest_gap: float  # so far in this run [m]
+    largest_force: float = 0.0  # [N]
+    taken: int = 0  # shapes of this run
+    seconds: float = 0.0  # that they took; changing loads is not counted
+    invalid: int = 0  # shapes of this run that are not valid
+    in_a_row: int = 0  # of the last ones
 
     @property
     def seconds_left(self) -> float:
@@ -135,7 +119,7 @@ class Progress:
 
 
 class Onlooker(Protocol):
-    """Who is told how it goes."""
+    """Who is shown how a campaign goes."""
 
     def progress(self, now: Progress) -> None:
         """Show how far it is; called after each shape."""
@@ -144,7 +128,7 @@ class Onlooker(Protocol):
         """Show one line: a load that is on, a reading that was not sound, a bench that is gone."""
 
 
-class Nobody:
+class SilentOnlooker:
     """An onlooker who shows nothing."""
 
     def progress(self, now: Progress) -> None:
@@ -178,25 +162,11 @@ class Taker:
         forecast: Array | None = None,
         refused: Callable[[str], None] | None = None,
     ) -> tuple[Reading | None, str]:
-        """Command a shape, (n,) forces [N] forecast, and read it, a few times if need be.
+        """Command a shape, with (n,) forces [N] forecast, and read it, up to `MAX_ATTEMPTS` times.
 
-        Where a bench refuses the command, `refused` is told why, once, before it is given again.
-
-        Returns
-        -------
-        reading
-            The last one; None where there is none.
-        fault
-            Why it is not valid; empty where it is.
-
-        Raises
-        ------
-        LimitExceeded
-            Before the command, or after the reading, something is beyond its limit.
-        BenchFault
-            The bench takes no commands, is gone and does not come back, or hangs.
-        Interrupted
-            Someone asked to stop while the bench was gone.
+        Return the last reading, if there is one, and why it is not valid, or an empty text. If a
+        bench refuses the command, `refused` is called with the reason, once, before it is given
+        again. A bench that is gone and does not come back, or hangs, is a `BenchFault`.
         """
         self.guard.check_command(shape, forecast)
         reading, fault = None, ""

@@ -212,7 +212,7 @@ class OpticalibMirror:
 
 
 def _still(position: Array) -> bool:
-    """Tell whether the second half of (samples, n) positions has the mean of the first."""
+    """Return whether the second half of (samples, n) positions has the mean of the first."""
     half = len(position) // 2
     if len(position) < MIN_DRIFT_SAMPLES:
         return True
@@ -224,23 +224,10 @@ def _still(position: Array) -> bool:
 def from_address(
     address: str, mirror: Mirror, folder: str | os.PathLike[str] = "."
 ) -> OpticalibMirror:
-    """Return a bench around the object that `module:object` names.
+    """Return a bench around the object that `module:object` names, or that it makes when called.
 
-    Parameters
-    ----------
-    address
-        Module and name of the object, or of a class or function that makes it without arguments.
-    mirror
-        What it is.
-    folder
-        Where the module may stand beside those that are installed: that of the plan.
-
-    Raises
-    ------
-    UnknownName
-        There is no such module or object.
-    BenchFault
-        It cannot be made, or is no such mirror.
+    The module is installed, or lies in the folder of the plan. A name that does not exist is an
+    `UnknownName`; an object that cannot be made, or is no such mirror, a `BenchFault`.
     """
     module, _, name = address.partition(":")
     sys.path.insert(0, os.fspath(folder))

@@ -65,14 +65,14 @@ class Reading:
     force_scatter, position_scatter
         (n,) standard deviation of one sample [N], [m].
     temperature
-        [deg C]; NaN where nobody measures it.
+        [deg C]; NaN if it is not measured.
     counter
         Grows with every new reading of the electronics: one that stands still is stale.
     settled
         Whether the mirror had come to rest before the first sample.
     force_error
-        (n,) standard deviation of the mean force [N]; None where nobody knows how far the samples
-        depend on each other. `error_of_mean` finds it from samples.
+        (n,) standard deviation of the mean force [N]; None if it is not known how far the
+        samples depend on each other. `error_of_mean` finds it from samples.
 
     Raises
     ------
@@ -213,7 +213,7 @@ class Operator(Protocol):
     """Who lifts the glass and puts the weight on."""
 
     def put_on(self, load: Load) -> None:
-        """Return when the mirror bears this load."""
+        """Return when this load is on the mirror."""
 
 
 @runtime_checkable
@@ -222,7 +222,7 @@ class Graded(Protocol):
 
     @property
     def gradients(self) -> tuple[float | None, float | None]:
-        """COILGRAD [1/m] and BIASGRAD [N/m]; None where nobody knows."""
+        """COILGRAD [1/m] and BIASGRAD [N/m]; None if unknown."""
 
 
 def gradients_of(bench: Bench) -> tuple[float | None, float | None]:
@@ -251,7 +251,7 @@ def gradients_of(bench: Bench) -> tuple[float | None, float | None]:
 
 @runtime_checkable
 class OwnTime(Protocol):
-    """A bench whose time is not ours: nobody need sleep for it."""
+    """A bench with a time of its own: acquisition does not sleep for it."""
 
     def wait(self, seconds: float) -> None:
         """Let so much of its time pass."""

@@ -32,7 +32,7 @@ def run(
     import signal
 
     from truenewton.bench.opcua.keys import CLIENT_FILES, USER, make_keys
-    from truenewton.bench.opcua.server import serving
+    from truenewton.bench.opcua.server import check_port, serving
     from truenewton.bench.simulated.bench import SimulatedBench
     from truenewton.bench.simulated.segmented import seed_of
     from truenewton.cli.terminal import say
@@ -43,6 +43,7 @@ def run(
     else:
         known, seed = segment_from(mirror, segment)[0], seed_of(seed, segment)
     bench = SimulatedBench(known, seed, force_noise=noise, fidelity=fidelity)
+    check_port(port)
     make_keys(keys)
 
     async def serve_until_stopped() -> None:

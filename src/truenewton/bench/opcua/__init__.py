@@ -1,4 +1,4 @@
-"""The way to a bench behind OPC UA; needs the extra `opcua` only when it is gone.
+"""A bench behind OPC UA; the extra `opcua` is needed only to connect or serve.
 
 client    a bench behind an OPC UA server, as any other bench
 server    a bench behind a server on the loopback
@@ -35,15 +35,15 @@ def connect(choice: BenchChoice, folder: str | os.PathLike[str] = ".") -> OpcUaB
     ----------
     choice
         Its address, and user, password_file, certificate, private_key and server_certificate,
-        without which nobody connects.
+        all of which are required.
     folder
         Relative to which the files stand: that of the plan.
 
     Raises
     ------
     BenchFault
-        The extra is not installed, something is missing in the choice, nobody answers, or the
-        server refuses us.
+        The extra is not installed, something is missing in the choice, the server does
+        not answer, or it refuses us.
     UnreadableFile, FormatError
         Keys that cannot be used.
 

@@ -32,7 +32,7 @@ from truenewton.statics.load import Load
 
 PAUSE = 0.2  # between two attempts [s]
 Attribute = ua.AttributeIds
-ERRORS = {  # an interruption is nobody's but ours
+ERRORS = {  # an interruption is always our own
     error.__name__: error for error in TrueNewtonError.__subclasses__() if error is not Interrupted
 }
 
@@ -41,8 +41,8 @@ class OpcUaBench:
     """A mirror behind an OPC UA server, signed, encrypted, with user and password.
 
     A connection that is lost comes back with the next call. A reading is refused then until a
-    shape was commanded anew: nobody knows what the mirror did meanwhile. What it takes and raises
-    `opcua.connect` says.
+    shape was commanded anew: what the mirror did meanwhile is unknown. `opcua.connect` describes
+    the arguments and errors.
 
     Attributes
     ----------

@@ -1,6 +1,6 @@
-"""Who may talk to a bench: certificates, private keys and a password, in a folder of the owner's.
+"""Who may use a bench: certificates, private keys and a password, in a folder of the owner's.
 
-Both ends of OPC UA read them here; whoever imports this file needs asyncua.
+Server and client read them here. This file needs asyncua.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ TRUSTED = "trusted"  # a folder: the certificates of the clients that may come
 YEARS = 5
 MOST_KEY = 2**16  # bytes
 Value = TypeVar("Value")
-# Where nobody set up logging, asyncua would print every refusal, with its traceback.
+# If logging is not set up, asyncua would print every refusal, with its traceback.
 logging.getLogger("asyncua").addHandler(logging.NullHandler())
 
 

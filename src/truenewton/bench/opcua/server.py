@@ -10,8 +10,9 @@ from __future__ import annotations
 import contextlib
 import hmac
 import os
+import socket
 import threading
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -38,7 +39,24 @@ PORT = 4840  # registered for OPC UA
 
 
 class ServedBench(Bench, Operator, Protocol):
-    """A bench that can be told which load to bear."""
+    """A bench on which loads can be put by a command."""
+
+
+def check_port(port: int) -> None:
+    """Refuse a port that cannot be had, before anything is made for it."""
+    with _port_faults(port):
+        socket.create_server(("127.0.0.1", port)).close()
+
+
+@contextlib.contextmanager
+def _port_faults(port: int) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = os.strerror(error.errno or 0)
+        raise BenchFault(
+            f"port {port} cannot be had ({reason})", remedy="choose another port", got=port
+        ) from error
 
 
 class _KnownClients:
@@ -72,21 +90,8 @@ async def serving(
 ) -> AsyncIterator[str]:
     """Serve a bench at 127.0.0.1 while the block lasts, and give its address.
 
-    Parameters
-    ----------
-    bench
-        Never called twice at once.
-    folder
-        Of the keys that `keys.make_keys` made.
-    port
-        TCP port.
-
-    Raises
-    ------
-    BenchFault
-        The port is taken or may not be had.
-    UnreadableFile, FormatError
-        Keys that cannot be used.
+    The folder contains keys, as `keys.make_keys` makes them. The bench is never called twice at
+    once. A port that is taken is a `BenchFault`.
     """
     folder = Path(folder)
     certificate = keys.read_certificate(folder / keys.SERVER_CERTIFICATE)
@@ -103,13 +108,8 @@ async def serving(
     server.set_server_name(f"truenewton {bench.instrument}")
     server.set_endpoint(f"opc.tcp://127.0.0.1:{port}")
     await _publish(server, bench)
-    try:
+    with _port_faults(port):
         await server.start()
-    except OSError as error:
-        reason = os.strerror(error.errno or 0)
-        raise BenchFault(
-            f"port {port} cannot be had ({reason})", remedy="choose another port", got=port
-        ) from error
     try:
         yield server.endpoint.geturl()
     finally:
@@ -151,8 +151,8 @@ def _argument(name: str, kind: Any) -> ua.Argument:
 class _Methods:
     """The methods of the node, one at a time; each raises what the bench raises.
 
-    A server that was started anew does not know what hangs on the mirror: it takes no shape until
-    it was told, so that no row is taken under another load than its file says.
+    A server that was started anew does not know which load is on the mirror. It takes no shape
+    before `PutOn`, so that no row is taken under another load than its file says.
     """
 
     def __init__(self, bench: ServedBench) -> None:

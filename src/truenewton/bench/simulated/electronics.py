@@ -39,25 +39,14 @@ REFERENCE_TEMPERATURE = 20.0  # at which alpha holds [degC]
 class Sensors:
     """The sensors of a mirror as they truly are, and the law that the electronics apply.
 
-    Attributes
-    ----------
-    gain
-        (n,) true displacement / reading.
-    offset
-        (n,) reading of the flat mirror [m].
-    gap
-        Distance of the flat mirror [m]; 68 um on P45 [paper].
-    noise
-        Standard deviation of one sample [m]; 3 nm [paper].
-    d0, c, v, codes
-        Of the law: d0 about 65 um, c 0.1364, v 2, 16 bit [conf]; one count is 2.2 nm at 68 um.
+    The constants of the law are those of 16 bit [conf]; one count is 2.2 nm at 68 um.
     """
 
-    gain: Array
-    offset: Array
-    gap: float
-    noise: float = 3e-9
-    d0: float = 65e-6
+    gain: Array  # (n,) true displacement / reading
+    offset: Array  # (n,) reading of the flat mirror [m]
+    gap: float  # distance of the flat mirror [m]; 68 um on P45 [paper]
+    noise: float = 3e-9  # standard deviation of one sample [m]; [paper]
+    d0: float = 65e-6  # [m], about
     c: float = 0.1364
     v: float = 2.0
     codes: int = 65536
@@ -98,39 +87,20 @@ def reading(sensors: Sensors, counted: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Control:
-    """What runs in the electronics.
+    """What runs in the electronics. Numbers are [conf] unless they are [guess]."""
 
-    Attributes
-    ----------
-    feed_forward
-        (n, n) K_c, commanded force per measured displacement [N/m].
-    proportional
-        k_p, commanded force per displacement [N/m]; 0.13e6 [conf].
-    derivative
-        k_d [N s/m]; 30 [conf]; of the measured displacement alone [guess].
-    derivative_pole
-        Both poles [Hz]; 15 kHz [conf].
-    slow_gain, slow_corner
-        g and w / 2 pi [Hz] of the pseudo-integrator; 5, 10 Hz [conf]; that its gain is back
-        at 1 above w, its pole so at w / g = 2 Hz, is how we read that [guess].
-    position_ramp, force_ramp
-        Half a cosine wave [guess] long [s]; 0.1 and 0.75 ms [conf].
-    rate
-        Samples a second; 71.6 kHz [conf].
-    delay
-        Whole samples between a reading and the force that answers it [guess].
-    """
-
-    feed_forward: Array
-    proportional: float = 0.13e6
-    derivative: float = 30.0
-    derivative_pole: float = 15e3
+    feed_forward: Array  # (n, n) K_c, commanded force per measured displacement [N/m]
+    proportional: float = 0.13e6  # k_p, commanded force per displacement [N/m]
+    derivative: float = 30.0  # k_d [N s/m]; of the measured displacement alone [guess]
+    derivative_pole: float = 15e3  # both [Hz]
+    # Of the pseudo-integrator: g and w / 2 pi [Hz]. That its gain is back at 1 above w, its pole so
+    # at w / g = 2 Hz, is how we read that [guess].
     slow_gain: float = 5.0
     slow_corner: float = 10.0
-    position_ramp: float = 0.1e-3
-    force_ramp: float = 0.75e-3
-    rate: float = 71.6e3
-    delay: int = 1
+    position_ramp: float = 0.1e-3  # [s], half a cosine wave [guess]
+    force_ramp: float = 0.75e-3  # likewise
+    rate: float = 71.6e3  # samples a second
+    delay: int = 1  # whole samples between a reading and the force that answers it [guess]
 
     @property
     def period(self) -> float:
@@ -155,40 +125,23 @@ def ramp(time: float, duration: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Coils:
-    """The actuators of a mirror as they truly are.
+    """The actuators of a mirror as they truly are."""
 
-    Attributes
-    ----------
-    alpha
-        (n,) true Newton / commanded Newton at 20 degC, mirror flat; 0.70 to 1.10 on P45 [paper].
-        The scatter of 1.2 % of the force per ampere [conf] is part of it.
-    bias_gradient
-        BIASGRAD, change of one bias force per displacement along +z [N/m]; plate above, so that
-        -31 N/m of gap [conf] is +31.
-    coil_gradient
-        COILGRAD, relative change of one coil's force per displacement along +z [1/m]; plate above,
-        so that -0.6 % for 10 um of gap [conf] is +600.
-    magnet_coefficient
-        Relative change of force with temperature [1/K]; NdFeB -0.11 %/K [lit].
-    dac_step
-        Of the commanded force [N]; 41.6 uN, 16 bit [conf].
-    saturation
-        Largest commanded force, either sign [N]; 0.8 N [conf].
-    driver_noise
-        Standard deviation of one sample of the force that the drivers add, in commanded Newtons
-        [N]; 30 uN [guess].
-    temperature
-        Of magnets and coils [deg C], one or (batch,).
-    """
-
+    # (n,) true Newton / commanded Newton at 20 degC, mirror flat; 0.70 to 1.10 on P45 [paper]. The
+    # scatter of 1.2 % of the force per ampere [conf] is part of it.
     alpha: Array
+    # BIASGRAD, change of one bias force per displacement along +z [N/m]; plate above, so that
+    # -31 N/m of gap [conf] is +31.
     bias_gradient: float = 31.0
+    # COILGRAD, relative change of one coil's force per displacement along +z [1/m]; plate above, so
+    # that -0.6 % for 10 um of gap [conf] is +600.
     coil_gradient: float = 600.0
-    magnet_coefficient: float = -1.1e-3
-    dac_step: float = 41.6e-6
-    saturation: float = 0.8
-    driver_noise: float = 30e-6
-    temperature: float | Array = REFERENCE_TEMPERATURE
+    magnet_coefficient: float = -1.1e-3  # relative change of force [1/K]; NdFeB [lit]
+    dac_step: float = 41.6e-6  # of the commanded force [N]; 16 bit [conf]
+    saturation: float = 0.8  # largest commanded force, either sign [N]; [conf]
+    # Standard deviation of one sample of the force that the drivers add, in commanded Newtons [N].
+    driver_noise: float = 30e-6  # [guess]
+    temperature: float | Array = REFERENCE_TEMPERATURE  # of magnets and coils [deg C], or (batch,)
 
 
 def gain(coils: Coils) -> Array:
@@ -211,6 +164,6 @@ def saturated(coils: Coils, force: Array) -> Array:
 
 
 def dac(coils: Coils, force: Array) -> Array:
-    """Return the (n, batch) commanded forces [N] as the DAC is told: whole steps, clipped."""
+    """Return the (n, batch) commanded forces [N] that the DAC takes: whole steps, clipped."""
     most = np.floor(coils.saturation / coils.dac_step)
     return np.asarray(coils.dac_step * np.clip(np.rint(force / coils.dac_step), -most, most))

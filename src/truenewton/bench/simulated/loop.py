@@ -109,12 +109,8 @@ def samples_of(
     """Yield commanded force [N], reading and true displacement [m], (n, batch), of each sample.
 
     The step to the shapes is commanded at the first sample, after a long rest on the flat mirror.
-    For the samples ``held`` the pseudo-integrator stands at what it comes to in the end.
-
-    Raises
-    ------
-    BenchFault
-        A coil saturated, a gap closed, a sensor went out of range.
+    For the samples ``held`` the pseudo-integrator stands at what it comes to in the end. A coil
+    that saturates, a gap that closes, or a sensor out of range is a `BenchFault`.
     """
     coils, sensors, control = loop.coils, loop.sensors, loop.control
     n, batch = shapes.shape
@@ -231,16 +227,8 @@ def state_matrix(step: Array, alpha: Array, sensor_gain: Array, control: Control
 
     (..., m, m) of m = (5 + delay) n states: z, period z', both filters of the derivative, the
     pseudo-integrator, the forces on their way. Coils' gradient, steps and limits are left out: they
-    are not linear.
-
-    Parameters
-    ----------
-    step
-        (..., 2n, 3n) of the glass, from `advance`.
-    alpha, sensor_gain
-        (..., n) true / commanded force, true displacement / reading.
-    control
-        The gains.
+    are not linear. Of (..., 2n, 3n) steps of the glass, from `advance`, and (..., n) alpha and
+    sensor gain.
     """
     n, delay = step.shape[-2] // 2, control.delay
     size = (5 + delay) * n
@@ -294,13 +282,7 @@ def roots(loop: Loop) -> Array:
 
 
 def check_stability(loop: Loop) -> None:
-    """Refuse a loop that the gains do not hold.
-
-    Raises
-    ------
-    LoopUnstable
-        A root on or outside the unit circle.
-    """
+    """Refuse a loop that the gains do not hold: with a root on or outside the unit circle."""
     every = roots(loop)
     worst = every[np.abs(every).argmax()]
     radius = float(np.abs(worst))
@@ -319,28 +301,18 @@ def check_stability(loop: Loop) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What is written down of each shape.
+    """Mean and standard deviation of a sample, (n, batch), of each shape."""
 
-    Attributes
-    ----------
-    force, force_scatter
-        (n, batch) mean and standard deviation of what the DAC was told [N].
-    position, position_scatter
-        (n, batch) mean and standard deviation of the reading along +z [m].
-    settled
-        (batch,) no mean reading changed by more than `MAX_DRIFT` between the halves: through the
-        air film a steady drift pulls by 64 N s/m x 1 nm / 14 ms = 4 uN at most.
-    force_error
-        (n, batch) standard deviation of the mean force, by batch means [N]; None of a record too
-        short for it. Samples follow each other closely: of the forces, whose scatter is mostly what
-        the derivative makes of noise, it is far less than scatter / samples^1/2.
-    """
-
-    force: Array
+    force: Array  # that the DAC took [N]
     force_scatter: Array
-    position: Array
+    position: Array  # the reading along +z [m]
     position_scatter: Array
+    # (batch,) no mean reading changed by more than `MAX_DRIFT` between the halves: through the air
+    # film a steady drift pulls by 64 N s/m x 1 nm / 14 ms = 4 uN at most.
     settled: NDArray[np.bool_]
+    # (n, batch) standard deviation of the mean force, by batch means [N]; None of a record too
+    # short for it. Samples follow each other closely: of the forces, whose scatter is mostly what
+    # the derivative makes of noise, it is far less than scatter / samples^1/2.
     force_error: Array | None
 
 
@@ -358,21 +330,14 @@ def record(
     The pseudo-integrator would take some 100 ms. So it is put at once where it ends, which is
     known, and let go when the glass has crept there through the air film. Arguments are those of
     `samples_of`, the settling from the command to the first sample [s], by itself as long as that
-    takes, and the samples of the record.
-
-    Raises
-    ------
-    BenchFault
-        A coil saturated, a gap closed, a sensor went out of range.
-    LoopUnstable
-        The noise grew during the record.
+    takes, and the samples of the record. Noise that grows during the record is `LoopUnstable`.
     """
     swift = RAMP_TIME + CREEP_TIMES * slowest_creep(loop)
     wait = round((swift + RELEASE_TIME if settling is None else settling) * loop.control.rate)
     held = min(round(swift * loop.control.rate), wait)
     steps = samples_of(loop, shapes, load_force, noise, wait + samples, held=held)
     recorded = (np.array([force, read]) for force, read, _ in islice(steps, wait, None))
-    # Sums about the first sample, so that squares do not drown what they differ by.
+    # Sums about the first sample, so that differences are not lost in rounding.
     first = next(recorded)
     total, square = (np.zeros((parts, 2, *shapes.shape)) for parts in (BATCHES, 2))
     for k, value in enumerate(recorded, start=1):

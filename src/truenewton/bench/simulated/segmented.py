@@ -86,11 +86,7 @@ def campaign_on(
 ) -> Iterator[Cycle]:
     """Return the cycles of a campaign on a bench, as `run_cycles`; 'loop' closes the loop.
 
-    Raises
-    ------
-    BenchFault
-        A mirror in segments in closed loop, which is not simulated.
-    LoopUnstable
+    A mirror in segments is not simulated in closed loop.
     """
     if isinstance(bench, StaticBench):
         return run_cycles(bench, cycles, loop_of(bench) if fidelity == "loop" else None)

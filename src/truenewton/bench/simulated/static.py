@@ -113,7 +113,7 @@ def static_bench(
         Decides everything random: alpha, the bias magnets, sensors, the true weights within their
         errors, how the tool is centred, the noise.
     loads
-        The loads as declared; without and with the mirror's own tool unless told.
+        The loads as declared; by default without and with the mirror's own tool.
     stroke
         Largest displacement of an actuator [m].
     force_limit
@@ -222,13 +222,7 @@ def _true_loads(loads: Sequence[Load], random: np.random.Generator) -> tuple[Arr
 
 
 def loop_of(bench: StaticBench) -> Loop:
-    """Close the loop around the glass of a bench, its feed-forward as a calibration gives it.
-
-    Raises
-    ------
-    LoopUnstable
-        The gains do not hold it.
-    """
+    """Close the loop around the glass of a bench, its feed-forward as a calibration gives it."""
     shapes = static_shapes(bench.glass)
     mass, pucks = moving_mass(bench.glass, shapes)
     # M z'' + C z' + K~ z = S' f, in terms of f
@@ -299,7 +293,7 @@ def run_cycles(bench: StaticBench, cycles: int, loop: Loop | None = None) -> Ite
     """Yield the cycles of a campaign: every shape and its negative, under each load in turn.
 
     In a loop, from `loop_of`, all shapes of a cycle go together, a row that has not settled is
-    marked as not valid, and what noise the forces have is left to their repeats to tell.
+    marked as not valid, and the noise of the forces is left to be found from their repeats.
 
     Parameters
     ----------
