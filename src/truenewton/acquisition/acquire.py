@@ -41,7 +41,6 @@ from truenewton.acquisition.taker import (
     SilentOnlooker,
     Taker,
     force_noise,
-    shape_fields,
 )
 from truenewton.arrays import Array
 from truenewton.bench.opcua import connect
@@ -400,7 +399,7 @@ def _take_shape(run: Run, journal: Journal, shape: Shape, forecast: Array | None
 def _put_on_anew(run: Run, shape: Shape, why: str) -> None:
     """Have the load of a shape put on again, as after a server was started anew."""
     load = shape.load
-    run.taker.log.note("load again", **shape_fields(shape), why=why)
+    run.taker.log.note("load again", shape, why=why)
     run.taker.onlooker.say(
         f"the bench refuses a shape ({why}): it may have lost its load; '{load.name}' is put on"
         " again"

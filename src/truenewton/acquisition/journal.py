@@ -245,12 +245,14 @@ class RunLog:
             self._handle = os.open(self.path, flags, 0o666)
         self._start = time.monotonic()
 
-    def note(self, event: str, **values: Any) -> None:
-        """Write one line."""
+    def note(self, event: str, of: Shape | None = None, **values: Any) -> None:
+        """Write one line, of a shape or not."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         elapsed = round(time.monotonic() - self._start, 4)
-        line = {"time": now, "elapsed": elapsed, "event": event, **values}
-        text = json.dumps(jsonable(line))
+        line: dict[str, Any] = {"time": now, "elapsed": elapsed, "event": event}
+        if of is not None:
+            line |= {"load": of.load.name, "cycle": of.cycle, "shape": of.number, "sign": of.sign}
+        text = json.dumps(jsonable(line | values))
         with in_one_line(self.path):
             os.write(self._handle, text.encode() + b"\n")
 

@@ -188,7 +188,7 @@ class Taker:
                     self._sound = shape, reading
                     self._rest = self._rest if shape.number else reading
                     break
-            self.log.note("not sound", **shape_fields(shape), attempt=attempt, fault=fault)
+            self.log.note("not sound", shape, attempt=attempt, fault=fault)
             self.onlooker.say(f"{shape_name(shape)}, attempt {attempt} of {MAX_ATTEMPTS}: {fault}")
             if refused is not None and not commanded and attempt < MAX_ATTEMPTS:
                 refused(fault)
@@ -220,7 +220,7 @@ class Taker:
 
     def _command(self, shape: Shape) -> None:
         stroke = float(np.abs(shape.position).max())
-        self.log.note("command", **shape_fields(shape), stroke=stroke)
+        self.log.note("command", shape, stroke=stroke)
         self.bench.command(shape)
 
     def _read(self, shape: Shape) -> Reading:
@@ -246,7 +246,7 @@ class Taker:
         )
         self.log.note(
             "reading",
-            **shape_fields(shape),
+            shape,
             largest_force=force,
             smallest_gap=gap,
             samples=plan.samples,
@@ -342,16 +342,6 @@ def _words(error: BenchFault) -> str:
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def shape_fields(shape: Shape) -> dict[str, Any]:
-    """Return which shape it is, for the log."""
-    return {
-        "load": shape.load.name,
-        "cycle": shape.cycle,
-        "shape": shape.number,
-        "sign": shape.sign,
-    }
 
 
 def force_noise(layout: Layout, reading: Reading | None) -> float:

@@ -127,12 +127,12 @@ def truth_of(bench: StaticBench | SegmentedBench) -> Truth:
     truths = [one.truth for one in bench.benches]
     widest = max(len(truth.alpha) for truth in truths)
     padded = [np.pad(one.stiffness, ((0, 0), (0, widest - len(one.alpha)))) for one in truths]
+    places = [place.motion for place in bench.mirror.places]
+    torques = np.array([_torques_about_axis(*each) for each in zip(truths, places, strict=True)])
     segments = [
-        SegmentTruth(k, name, truth.weight, float(truth.added[i]), truth.bias_force, *torques)
-        for k, (truth, place) in enumerate(zip(truths, bench.mirror.places, strict=True), 1)
-        for i, (name, torques) in enumerate(
-            zip(truth.loads, _torques_about_axis(truth, place.motion).tolist(), strict=True)
-        )
+        SegmentTruth(k, load, truth.weight, float(added), truth.bias_force, *torque)
+        for k, (truth, of_loads) in enumerate(zip(truths, torques.tolist(), strict=True), 1)
+        for load, added, torque in zip(truth.loads, truth.added, of_loads, strict=True)
     ]
     return replace(
         truths[0],
@@ -144,8 +144,8 @@ def truth_of(bench: StaticBench | SegmentedBench) -> Truth:
         weight=sum(truth.weight for truth in truths),
         added=np.sum([truth.added for truth in truths], axis=0),
         bias_force=sum(truth.bias_force for truth in truths),
-        torque_y=_by_load(segments, "torque_y"),
-        torque_x=_by_load(segments, "torque_x"),
+        torque_y=torques[..., 0].sum(axis=0),
+        torque_x=torques[..., 1].sum(axis=0),
         seed=bench.seed,
         segments=tuple(segments),
     )
@@ -157,12 +157,3 @@ def _torques_about_axis(truth: Truth, motion: Array) -> Array:
     load = external_load(weight, truth.bias_force, truth.torque_y, truth.torque_x)
     _, along_x, along_y = motion @ load.T
     return np.stack([along_x, -along_y], axis=1)
-
-
-def _by_load(segments: Sequence[SegmentTruth], name: str) -> Array:
-    """Return (L,) sums over the segments, loads in the order of the first one."""
-    loads = [segment.load for segment in segments if segment.number == 1]
-    return np.array([
-        sum(getattr(segment, name) for segment in segments if segment.load == load)
-        for load in loads
-    ])  # fmt: skip

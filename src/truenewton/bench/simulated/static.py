@@ -143,9 +143,8 @@ def static_bench(
     alpha = random.uniform(*mirror.alpha_range, n)
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
-    added, tilt = _true_loads(loads, random)
     glass = glass or held_glass(mirror)
-    external = _hung(mirror, weight, added, tilt, bias, random)
+    added, tilt, external = _drawn_loads(mirror, loads, weight, bias, random)
     load_force = np.array([forces_under(glass, each) for each in external])
     k = np.array([external_resultants(mirror, each) for each in external])
     coils = Coils(alpha, bias_gradient=mirror.bias_gradient,
@@ -174,16 +173,21 @@ def static_bench(
     return StaticBench(mirror, truth, glass, coils, sensors, loads, shapes, load_force, force_noise)
 
 
-def _hung(
-    mirror: Mirror, weight: float, added: Array, tilt: Array, bias: Array,
-    random: np.random.Generator,
-) -> list[ExternalForces]:  # fmt: skip
-    """Return what acts on the glass under each load, the tool a little off its place."""
+def _drawn_loads(
+    mirror: Mirror, loads: Sequence[Load], weight: float, bias: Array, random: np.random.Generator
+) -> tuple[Array, Array, list[ExternalForces]]:
+    """Return (L,) true Q [N] and tilt [deg], and what acts on the glass, the tool off its place.
+
+    One tool errs alike wherever it hangs.
+    """
+    error = {load.tool or load.key: random.standard_normal() for load in loads}
+    added = [load.added + load.added_error * error[load.tool or load.key] for load in loads]
+    tilt = [load.tilt + load.tilt_error * random.standard_normal() for load in loads]
     external = []
     for q, cosine in zip(added, np.cos(np.radians(tilt)), strict=True):
         centre = random.normal(0.0, CENTRING_ERROR, 2)
         external.append(weight_on(mirror, weight, q, cosine=cosine, off_centre=centre, bias=bias))
-    return external
+    return np.array(added), np.array(tilt), external
 
 
 def _refuse_closed_gap(mirror: Mirror, stroke: float) -> None:
@@ -211,14 +215,6 @@ def _room_for_shapes(
             want=limit,
         )
     return np.asarray(room)
-
-
-def _true_loads(loads: Sequence[Load], random: np.random.Generator) -> tuple[Array, Array]:
-    """Return (L,) true Q [N] and tilt [deg]; one tool errs alike wherever it hangs."""
-    error = {load.tool or load.key: random.standard_normal() for load in loads}
-    added = [load.added + load.added_error * error[load.tool or load.key] for load in loads]
-    tilt = [load.tilt + load.tilt_error * random.standard_normal() for load in loads]
-    return np.array(added), np.array(tilt)
 
 
 def loop_of(bench: StaticBench) -> Loop:
