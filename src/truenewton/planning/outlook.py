@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.acquisition.drift import OrderCost, order_costs
-from truenewton.acquisition.mountings import mountings
+from truenewton.acquisition.load_order import OrderCost, mountings, order_costs
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array

@@ -9,20 +9,23 @@ from scipy.signal import cont2discrete, lfilter
 
 from helpers.shells import condense, influence
 from studies.step_response import settling_time, step_responses
-from truenewton.bench.simulated.coils import Coils
-from truenewton.bench.simulated.control import Control
+from truenewton.bench.simulated.electronics import Coils, Control, Sensors, draw_sensors
 from truenewton.bench.simulated.loop import (
+    CREEP_TIMES,
+    MAX_DRIFT,
+    RAMP_TIME,
     Loop,
     _single_threaded,
+    advance,
+    check_stability,
     equilibrium,
+    record,
+    roots,
+    row_noise,
     samples_of,
     slowest_creep,
+    state_matrix,
 )
-from truenewton.bench.simulated.noise import row_noise
-from truenewton.bench.simulated.plant import advance
-from truenewton.bench.simulated.record import CREEPS, DRIFT, RAMPED, record
-from truenewton.bench.simulated.sensors import Sensors, draw_sensors
-from truenewton.bench.simulated.stability import check_stability, roots, state_matrix
 from truenewton.errors import BenchFault, LoopUnstable
 from truenewton.mirrors.known import GRAVITY, p45
 from truenewton.statics.arms import arms
@@ -214,7 +217,7 @@ def test_modes_taken_alone_stand_for_the_whole(monkeypatch):
     even = replace(coils, alpha=np.full(45, 0.8)), replace(sensors, gain=np.ones(45))
     whole = roots_of(*parts, *even, control)
     rough = roots_of(*parts, coils, sensors, control)
-    monkeypatch.setattr("truenewton.bench.simulated.stability.DENSE", 10)
+    monkeypatch.setattr("truenewton.bench.simulated.loop.MAX_DENSE_ACTUATORS", 10)
     alone = roots_of(*parts, *even, control)
     assert np.abs(alone).max() == pytest.approx(np.abs(whole).max(), rel=1e-9)
     # A gain too high is as much too high either way, alpha 0.7 to 1.1.
@@ -228,7 +231,7 @@ def test_modes_taken_alone_stand_for_the_whole(monkeypatch):
 
 def test_no_triangle_of_a_slightly_asymmetric_glass_is_taken_for_the_whole(monkeypatch):
     k, mass, damping, coils, sensors, control = p45_parts()
-    monkeypatch.setattr("truenewton.bench.simulated.stability.DENSE", 10)
+    monkeypatch.setattr("truenewton.bench.simulated.loop.MAX_DENSE_ACTUATORS", 10)
     skew = 1e-3 * np.abs(k).max() * np.random.default_rng(2).standard_normal((45, 45))
     k = k + skew - skew.T
     once = roots_of(k, mass, damping, coils, sensors, control)
@@ -361,7 +364,7 @@ def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes):
         return [row_noise(1, "bare", 1, k, 1) for k in (5, 40)]
 
     found = record(p45_loop, shapes, LOAD, noise(), settling=0.01, samples=count)
-    held = round((RAMPED + CREEPS * slowest_creep(p45_loop)) / PERIOD)
+    held = round((RAMP_TIME + CREEP_TIMES * slowest_creep(p45_loop)) / PERIOD)
     assert 0 < held < 716
     walk = samples_of(p45_loop, shapes, np.tile(LOAD, 2), noise(), 716 + count, held=held)
     samples = [(c, y) for c, y, _ in walk][716:]
@@ -371,7 +374,7 @@ def test_mean_and_scatter_are_those_of_the_samples(p45_loop, p45_shapes):
     assert found.position_scatter == pytest.approx(position.std(axis=0), rel=1e-6)
     half = (count + 1) // 2
     drift = position[half:].mean(axis=0) - position[:half].mean(axis=0)
-    assert np.array_equal(found.settled, np.abs(drift).max(axis=0) <= DRIFT)
+    assert np.array_equal(found.settled, np.abs(drift).max(axis=0) <= MAX_DRIFT)
     steps = force / 41.6e-6
     assert steps == pytest.approx(np.rint(steps), abs=1e-6)  # what the DAC was told
     assert np.ptp(steps) > 10

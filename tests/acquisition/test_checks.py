@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import truenewton as tn
 from helpers.acquisition_plans import LOADS, small_plan, write_shapes
 from helpers.stub_bench import SMALL, StubBench
-from truenewton.acquisition.limits import Guard
+from truenewton.acquisition.checks import Guard
 from truenewton.acquisition.plan import MirrorLimits, PlannedShapes
 from truenewton.bench.protocol import Shape
 from truenewton.errors import BenchFault, FormatError, LimitExceeded

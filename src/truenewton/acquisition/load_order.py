@@ -1,5 +1,18 @@
-"""What drift costs the common scale in each order of the loads, from statics alone.
+"""The order of the loads: which is put on when, for which cycles, and what drift then costs.
 
+With one turn all cycles of a load are taken before the next is put on. With more, the loads are
+taken there and back, and there again, each time with a part of the cycles:
+
+    turns   parts of the cycles     bare and ring, 4 cycles         times at which, in changes
+    1       1                       bare 4, ring 4                  0, 1
+    2       1 : 1                   bare 2, ring 4, bare 2          0, 1, 2
+    3       1 : 2 : 1               bare 1, ring 3, bare 3, ring 1  0, 1, 2, 3
+
+Of each load and its neighbour the parts are binomial coefficients, so the difference of their means
+is a finite difference of as high an order as there are turns: what drifts evenly falls out of two
+turns, what drifts as the square of time out of three.
+
+What drift costs the common scale follows from statics alone.
 A gain that all coils share leaves elastic forces in balance; what it spoils is the sum of the
 forces at rest, S_l = sum nz_i alpha_i c_i = -(W_l + B), from which the scale s and B follow:
 s S_l + B = -W_l, by least squares over the loads. So a sum that is read wrong by dS_l moves
@@ -19,39 +32,94 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from truenewton.acquisition.mountings import Mounting, cycle_time, mountings
-from truenewton.acquisition.plan import MOST_CYCLES, MOST_TURNS, CampaignPlan
+from truenewton.acquisition.plan import MAX_CYCLES, MAX_TURNS, CampaignPlan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
+from truenewton.bench.simulated.electronics import Control
 from truenewton.mirrors.known import Mirror
 from truenewton.statics.arms import effective_weight
+from truenewton.statics.load import Load
 
 HOUR = 3600.0
-SAME = 1e-12  # relative difference of weights that is rounding
-ROUNDING = 1e-9  # of the errors of weights, which is left to readings
-PAYS = 0.99  # of the error without: so much less must be left for someone to mount a load again
+WEIGHT_TOLERANCE = 1e-12  # relative difference of weights that is rounding
+MIN_VARIANCE_SHARE = 1e-9  # of the errors of weights, which is left to readings
+MAX_ERROR_RATIO = (
+    0.99  # of the error without: so much less must be left for someone to mount a load again
+)
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """A load that is put on, and the numbers of its cycles that are taken until the next one."""
+
+    load: Load
+    cycles: range
+    start: float = 0.0  # of the first cycle, from the start of the campaign [s]
+    end: float = 0.0  # of the last
+
+    def __str__(self) -> str:
+        first, last = self.cycles[0], self.cycles[-1]
+        return f"{self.load.name} {first}" if first == last else f"{self.load.name} {first}-{last}"
+
+
+def cycles_of_turns(cycles: int, turns: int) -> tuple[int, ...]:
+    """Return how many of the cycles under each load every turn takes."""
+    if turns == 1:
+        return (cycles,)
+    back = cycles // 2  # what drifts evenly falls out where half of the cycles are taken going back
+    if turns == 2:
+        return cycles - back, back
+    last = (cycles - back) // 2
+    return cycles - back - last, back, last
+
+
+def mountings(plan: CampaignPlan, shapes: int = 0) -> tuple[Mounting, ...]:
+    """Return the order of a plan whose turns are known, with times for so many shapes."""
+    order: list[tuple[Load, range]] = []
+    taken = 0
+    for turn, count in enumerate(cycles_of_turns(plan.cycles, plan.turns)):
+        numbers = range(taken + 1, taken + count + 1)
+        for load in plan.loads[:: -1 if turn % 2 else 1]:
+            if order and order[-1][0] is load:  # where the way turns, it stays on
+                order[-1] = load, range(order[-1][1].start, numbers.stop)
+            else:
+                order.append((load, numbers))
+        taken += count
+    timed, clock = list[Mounting](), 0.0
+    for load, numbers in order:
+        end = clock + len(numbers) * cycle_time(plan, shapes)
+        timed.append(Mounting(load, numbers, clock, end))
+        clock = end + plan.pause
+    return tuple(timed)
+
+
+def cycle_time(plan: CampaignPlan, shapes: int) -> float:
+    """Return the time of one cycle of so many shapes, both signs [s]."""
+    return 2 * shapes * reading_time(plan)
+
+
+def reading_time(plan: CampaignPlan) -> float:
+    """Return the time of one reading, settling included [s]."""
+    return plan.settling + plan.samples / Control.rate
+
+
+def mounting_words(order: tuple[Mounting, ...], index: int) -> str:
+    """Return which mounting it is, what it is for, and what comes after."""
+    here = order[index]
+    first, last = here.cycles[0], here.cycles[-1]
+    numbers = f"cycle {first}" if first == last else f"cycles {first} to {last}"
+    after = [f"then '{each.load.name}'" for each in order[index + 1 : index + 2]] or ["the last"]
+    return f"mounting {index + 1} of {len(order)}: '{here.load.name}' for {numbers}, {after[0]}"
 
 
 @dataclass(frozen=True, eq=False)
 class ScaleBalance:
-    """How the common scale follows from the sums of the forces at rest under L loads.
+    """How the common scale follows from the sums of the forces at rest under L loads."""
 
-    Attributes
-    ----------
-    held
-        (L,) S, true [N].
-    response
-        (L,) r, relative change of the scale for each Newton by which a sum is read wrong.
-    covariance
-        (L, L) of what weights and readings leave unknown of S + W [N^2].
-    zero
-        Change of a sum for a common change of all zeros of the readings [N / N].
-    """
-
-    held: Array
-    response: Array
-    covariance: Array
-    zero: float
+    held: Array  # (L,) S, true [N]
+    response: Array  # (L,) r, relative change of the scale for each Newton of a sum [1/N]
+    covariance: Array  # (L, L) of what weights and readings leave unknown of S + W [N^2]
+    zero: float  # change of a sum for a common change of all zeros of the readings [N / N]
 
     @property
     def error(self) -> float:
@@ -65,14 +133,14 @@ def scale_balance(plan: CampaignPlan, mirror: Mirror, shapes: int) -> ScaleBalan
     added = np.array([load.added for load in plan.loads])
     tilt = np.array([load.tilt for load in plan.loads])
     held = -(effective_weight(mirror.weight, added, tilt) + mirror.bias_force * nz.sum())
-    if np.ptp(held) <= SAME * np.abs(held).max():
+    if np.ptp(held) <= WEIGHT_TOLERANCE * np.abs(held).max():
         return None
     alpha = expected_alpha(mirror)
     noise = alpha * plan.force_noise * np.linalg.norm(nz) / np.sqrt(2 * shapes * plan.cycles)
     errors = _weight_changes(plan, mirror)
     covariance = errors @ errors.T
     # Of readings far better than the weights no less than rounding leaves, or it has no inverse.
-    covariance += max(noise**2, ROUNDING * np.trace(covariance)) * np.eye(len(held))
+    covariance += max(noise**2, MIN_VARIANCE_SHARE * np.trace(covariance)) * np.eye(len(held))
     design = np.column_stack([held, np.ones_like(held)])
     inverse = np.linalg.inv(covariance)
     response = -np.linalg.solve(design.T @ inverse @ design, design.T @ inverse)[0]
@@ -99,33 +167,17 @@ def _weight_changes(plan: CampaignPlan, mirror: Mirror) -> Array:
 class OrderCost:
     """What an order of the loads costs: time, and errors of the common scale, relative.
 
-    Attributes
-    ----------
-    turns
-        Of the plan.
-    order
-        Loads and numbers of their cycles, in words.
-    changes
-        How often the load is changed.
-    duration
-        [s]
-    known
-        Error from weights and readings, whatever the order.
-    gain, zero
-        By how much the assumed drift of alpha and of the zeros moves the scale, in terms of alpha
-        in the middle of the campaign; with sign.
-    remounting
-        Standard error from zeros that move at each mounting.
+    By drift the scale moves relative to alpha in the middle of the campaign.
     """
 
     turns: int
-    order: str
-    changes: int
-    duration: float
-    known: float
-    gain: float
-    zero: float
-    remounting: float
+    order: str  # loads and numbers of their cycles
+    changes: int  # of the load
+    duration: float  # [s]
+    known: float  # error from weights and readings, whatever the order
+    gain: float  # by how much the assumed drift of alpha moves the scale, with sign
+    zero: float  # and that of the zeros
+    remounting: float  # standard error from zeros that move at each mounting
 
     @property
     def drift(self) -> float:
@@ -177,7 +229,7 @@ def _shares(plan: CampaignPlan, order: Sequence[Mounting]) -> tuple[NDArray[np.i
 
 def order_costs(plan: CampaignPlan, mirror: Mirror, shapes: int) -> tuple[OrderCost, ...]:
     """Return what each number of turns costs, one first; none where the scale is free."""
-    turns = range(1, min(MOST_TURNS, plan.cycles) + 1) if len(plan.loads) > 1 else range(1, 2)
+    turns = range(1, min(MAX_TURNS, plan.cycles) + 1) if len(plan.loads) > 1 else range(1, 2)
     costs = (order_cost(replace(plan, turns=one), mirror, shapes) for one in turns)
     return tuple(cost for cost in costs if cost is not None)
 
@@ -186,7 +238,7 @@ def without_remounting(plan: CampaignPlan, mirror: Mirror, shapes: int, cost: Or
     """Return the error of one load after the other, the time of more mountings put into cycles."""
     spare = (cost.changes - (len(plan.loads) - 1)) * plan.pause
     more = spare / (len(plan.loads) * cycle_time(plan, shapes))
-    cycles = {plan.cycles, plan.cycles + int(min(more, MOST_CYCLES - plan.cycles))}
+    cycles = {plan.cycles, plan.cycles + int(min(more, MAX_CYCLES - plan.cycles))}
     single = replace(plan, turns=1)
     costs = (order_cost(replace(single, cycles=each), mirror, shapes) for each in cycles)
     return min(cost.error for cost in costs if cost is not None)
@@ -202,7 +254,7 @@ def turns_that_pay(plan: CampaignPlan, mirror: Mirror, shapes: int) -> int:
     if not costs:
         return 1
     most = costs[-1]
-    pays = most.error < PAYS * without_remounting(plan, mirror, shapes, most)
+    pays = most.error < MAX_ERROR_RATIO * without_remounting(plan, mirror, shapes, most)
     return most.turns if pays else 1
 
 
