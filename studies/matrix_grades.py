@@ -27,6 +27,7 @@ from studies.matrices import LAWS, measured_lbt672, measured_or_made, noisy, tru
 from studies.simulated_matrices import by_glass, drawn
 from truenewton.errors import TrueNewtonError
 from truenewton.estimation.matrix.coherent_imbalance import coherent_imbalance, sensor_gains
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.shell.held_glass import held_glass
@@ -118,7 +119,8 @@ def judged(name, matrix, truth, method):
     after = [line.after for line in found.imbalances] or [np.nan]
     pattern = coherent_imbalance(commanded, comparable_arms(layout), alpha)
     moved = float(np.sqrt(np.mean(pattern.shift**2) / np.mean((error / alpha) ** 2)))
-    gains = sensor_gains(commanded, comparable_arms(layout), alpha, covariance)
+    facts = MatrixFacts(commanded, comparable_arms(layout))
+    gains = sensor_gains(facts, alpha, covariance)
     print(
         f"{name:62s}{100 * np.sqrt(np.mean(error**2)):8.3f}{size:8.2f}"
         f"{pattern.share:8.2f}{moved:8.2f}{gains.with_alpha:8.2f}{gains.sigmas:8.2f}"

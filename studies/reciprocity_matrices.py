@@ -14,6 +14,7 @@ from studies.simulated_matrices import measured as with_noise
 from truenewton.bench.simulated.static import START
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import TrueNewtonError
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.reciprocity.acceptance import refusals
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.sensor_model import places_of, sight
@@ -78,7 +79,7 @@ def gate(seeds):
             random = np.random.default_rng([seed, 7])
             stiffness, alpha = matrix_of(random, glass, mirror.layout, **options)
             matrix = StiffnessMatrix("P45", START, mirror.layout, stiffness)
-            modes = modes_of(matrix)
+            modes = modes_of(matrix.layout, MatrixFacts.of(matrix))
             truth = alpha - alpha.mean()
             alone = np.nan
             try:
@@ -171,7 +172,7 @@ def real():
 def examine(matrix, motion=None):
     """Print what is left of a measured matrix."""
     cpu, layout = time.process_time(), matrix.layout
-    modes = modes_of(matrix, motion)
+    modes = modes_of(matrix.layout, MatrixFacts.of(matrix), motion)
     found = examined(modes)
     n, unknowns, steps = modes.places.n, len(found.joint.covariance), found.joint.steps
     print(
@@ -228,7 +229,7 @@ def large():
         made = with_noise(random, exact, values, noise, stroke)
         motion = seen_by(glass) if shell == "with" else None
         matrix = StiffnessMatrix("LBT672", START, at, made.stiffness)
-        found = examined(modes_of(matrix, motion))
+        found = examined(modes_of(matrix.layout, MatrixFacts.of(matrix), motion))
         least = bound_of_matrix(made, at, START_REQUEST, motion)
         error = found.joint.values.log_alpha - values.log_alpha
         error -= error.mean()

@@ -20,7 +20,7 @@ from truenewton.estimation.findings.estimate import (
     ScaleError,
 )
 from truenewton.estimation.findings.finding import Finding, from_stored
-from truenewton.estimation.matrix.facts import MatrixFacts
+from truenewton.estimation.matrix.facts import Symmetry
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.content import FitsFile
 from truenewton.files.format import Column, FileFormat, ImageFormat, Keyword, TableFormat
@@ -208,7 +208,7 @@ def calibration_from(file: FitsFile) -> Calibration:
             remedy="calibrate again",
             path=file.path,
         ) from None
-    facts = MatrixFacts(**values.pop("matrix_facts"))
+    facts = Symmetry(**values.pop("matrix_facts"))
     values["matrix_facts"] = facts if np.isfinite(facts.asymmetry) else None
     warnings = values.pop("diagnosis", {}).get("warnings")
     if warnings is not None:

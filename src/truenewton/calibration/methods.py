@@ -106,9 +106,7 @@ def _reciprocal(screened: ScreenedMatrix, known: Known) -> tuple[Estimate, Imbal
     """Return the estimate of reciprocity, and what speaks against it."""
     base = matrix_modes.find(screened, matrix_ml.column_fit)
     with advising_ml():
-        estimate, of_modes, against = reciprocity_of_matrix.find(
-            screened.matrix, base, known.motion
-        )
+        estimate, of_modes, against = reciprocity_of_matrix.find(screened, base, known.motion)
     return with_warnings(estimate, doubts(against)), of_modes
 
 
@@ -126,7 +124,7 @@ def _where_reciprocity_holds(screened: ScreenedMatrix, known: Known) -> tuple[Es
     tell(_in_short(base), keep=lambda: of_balance([Finding.of(Code.INTERRUPTED)]))
     try:
         estimate, of_modes, against = reciprocity_of_matrix.find(
-            screened.matrix, base, known.motion, where_it_holds=True
+            screened, base, known.motion, where_it_holds=True
         )
         if not against:
             return estimate, of_modes
@@ -266,7 +264,7 @@ def _of_matrix(
     """Calibrate; what is found before the end can be kept as a calibration, too."""
 
     def made_of(found: tuple[Estimate, Imbalances]) -> Calibration:
-        return without(from_stiffness(screened.matrix, *found), excluded)
+        return without(from_stiffness(screened, *found), excluded)
 
     try:
         with threads(1), kept_as(made_of):

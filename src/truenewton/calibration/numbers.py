@@ -14,27 +14,29 @@ from truenewton.calibration.result import Calibration
 from truenewton.estimation.findings.estimate import Estimate, with_warnings
 from truenewton.estimation.matrix import modes as matrix_modes
 from truenewton.estimation.matrix.coherent_imbalance import doubts_of_balance
-from truenewton.estimation.matrix.facts import doubts_of, matrix_facts
+from truenewton.estimation.matrix.facts import MatrixFacts, doubts_of, symmetry_of
+from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.arms import comparable_arms
 
 Imbalances = tuple[matrix_modes.Imbalance, ...]
 
 
 def from_stiffness(
-    matrix: StiffnessMatrix, estimate: Estimate, imbalances: Imbalances
+    screened: ScreenedMatrix, estimate: Estimate, imbalances: Imbalances
 ) -> Calibration:
     """Return an estimate from a stiffness matrix as a calibration."""
+    matrix, facts = screened.matrix, screened.facts
     on = matrix.layout.enabled
     n = int(on.sum())
     alpha, gain = estimate.values[:n], None
     if estimate.sensors:
         gain = np.array([each.gain if each.state == "fitted" else 1.0 for each in estimate.sensors])
-    k, arms, ids = matrix.used_stiffness, comparable_arms(matrix.layout), matrix.layout.id[on]
-    facts, covariance = matrix_facts(k, alpha, gain), estimate.reading_covariance[:n, :n]
-    of_balance, covariance = doubts_of_balance(k, arms, alpha, covariance, ids)
-    estimate = with_warnings(estimate, (*doubts_of(k, alpha, facts), *of_balance))
+    ids, covariance = matrix.layout.id[on], estimate.reading_covariance[:n, :n]
+    of_balance, covariance = doubts_of_balance(facts, alpha, covariance, ids)
+    symmetry = symmetry_of(facts, alpha, gain)
+    of_symmetry = doubts_of(facts.stiffness, alpha, symmetry)
+    estimate = with_warnings(estimate, (*of_symmetry, *of_balance))
     # B is not to be had from elastic forces.
     reading, systematic = (
         np.pad(each, (0, 1), constant_values=np.nan)
@@ -54,13 +56,13 @@ def from_stiffness(
         weight=float("nan"),
         weight_error=float("nan"),
         temperature=float("nan"),
-        shapes_used=len(matrix_modes.elastic_modes(matrix)),
+        shapes_used=len(facts.elastic_modes.values),
         rejected=0,
         invalid=0,
-        sources=matrix_source(matrix),
+        sources=matrix_source(matrix, facts),
         effects=estimate.effects,
         imbalances=imbalances,
-        matrix_facts=facts,
+        matrix_facts=symmetry,
         halves=spread(_halves(imbalances, n), on),
         **common(estimate, on),
     )
@@ -75,11 +77,13 @@ def _halves(imbalances: Imbalances, n: int) -> Array:
     return np.asarray(one - other)
 
 
-def matrix_source(matrix: StiffnessMatrix | None) -> tuple[Source, ...]:
+def matrix_source(
+    matrix: StiffnessMatrix | None, facts: MatrixFacts | None = None
+) -> tuple[Source, ...]:
     """Return the file of a matrix, its elastic modes for rows; nothing where it has none."""
     if matrix is None or matrix.source is None:
         return ()
-    modes = len(matrix_modes.elastic_modes(matrix))
+    modes = len((facts or MatrixFacts.of(matrix)).elastic_modes.values)
     return (replace(matrix.source, file=Path(matrix.source.file).name, rows=modes),)
 
 

@@ -21,7 +21,7 @@ from truenewton.estimation.findings.estimate import (
     UnseenError,
 )
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.matrix.facts import MatrixFacts
+from truenewton.estimation.matrix.facts import Symmetry
 from truenewton.estimation.matrix.modes import Imbalance
 from truenewton.estimation.paper.equations import Unknowns
 from truenewton.files.format import quantities
@@ -150,7 +150,7 @@ class Calibration:
     unseen: tuple[UnseenError, ...] = ()
     imbalances: tuple[Imbalance, ...] = ()
     sensors: tuple[Sensor, ...] = ()
-    matrix_facts: MatrixFacts | None = None
+    matrix_facts: Symmetry | None = None
     halves: Array | None = None
 
     def __post_init__(self) -> None:

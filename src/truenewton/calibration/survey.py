@@ -27,12 +27,7 @@ from truenewton.errors import (
 )
 from truenewton.estimation.findings.code import Level
 from truenewton.estimation.findings.estimate import Diagnosis
-from truenewton.estimation.matrix.modes import (
-    MIN_SINGULAR_VALUE,
-    asymmetry,
-    elastic_count,
-    modal_stiffness,
-)
+from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.paper.identifiability import diagnose
 from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.progress import telling_of
@@ -201,14 +196,15 @@ def _survey_stiffness(
     matrix: StiffnessMatrix, method: str, known: Known
 ) -> tuple[dict[str, Any], list[str], Diagnosis, Verdict]:
     """Return facts and lines of a stiffness matrix alone, the first the end of the headline."""
-    modes = modal_stiffness(matrix)
+    facts = MatrixFacts.of(matrix)
+    modes = facts.singular_values
     softest, median, stiffest = float(modes[-1]), float(np.median(modes)), float(modes[0])
     values = {
         "softest": softest,
         "median": median,
         "stiffest": stiffest,
-        "used_modes": elastic_count(modes),
-        "asymmetry": asymmetry(matrix),
+        "used_modes": len(facts.elastic_modes.values),
+        "asymmetry": facts.asymmetry,
     }
     lines = [
         "",

@@ -15,8 +15,8 @@ from truenewton.estimation.findings.estimate import NoiseSource
 from truenewton.estimation.findings.scale_budget import WeightErrors, weight_errors
 from truenewton.estimation.likelihood.minimum import DataSet, Minimum, Prior
 from truenewton.estimation.likelihood.objective import minimise, start_values
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.ml import likeliest, mode_data
-from truenewton.estimation.matrix.modes import elastic_modes
 from truenewton.estimation.paper.equations import (
     MEDIAN_CHI2,
     Unknowns,
@@ -28,7 +28,7 @@ from truenewton.estimation.readings.moments import Moments
 from truenewton.estimation.screening.noise import Noise
 from truenewton.estimation.screening.screen import ScreenedCampaign
 from truenewton.records.campaign import Campaign
-from truenewton.statics.arms import comparable_arms, enabled_arms, external_load
+from truenewton.statics.arms import enabled_arms, external_load
 
 
 def load_data(
@@ -135,10 +135,9 @@ def problem_of(campaign: Campaign, noise: Noise, errors: WeightErrors | None = N
     unknowns = Unknowns(n, len(campaign.loads), len(errors))
     elastic: tuple[DataSet, ...] = ()
     if campaign.stiffness is not None:
-        modes = elastic_modes(campaign.stiffness)
-        data = mode_data(
-            modes, likeliest(modes, comparable_arms(campaign.stiffness.layout)).variance
-        )
+        facts = MatrixFacts.of(campaign.stiffness)
+        modes = facts.elastic_modes.forces.T
+        data = mode_data(modes, likeliest(modes, facts.arms).variance)
         elastic = (replace(data, nuisance=np.zeros((1, 3, unknowns.total - n))),)
     mean, nothing = np.zeros(unknowns.total), np.zeros((0, 0))
     prior = Prior(mean, nothing, len(errors), held=len(campaign.loads) < 3)

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import (
     MIN_EXPLAINED_COUPLING,
     balance_effects,
-    looks_transposed,
     refuse_compliance,
-    rigid_cost_and_imbalance,
     share_by_distance,
 )
 from truenewton.estimation.matrix.screen import released, screen_matrix
@@ -67,15 +66,15 @@ def judge(matrix: StiffnessMatrix) -> Judged:
     OtherOrder, RankDeficient
         Its positions are in another order, or rows in another than columns.
     """
-    refuse_compliance(matrix)
+    refuse_compliance(MatrixFacts.of(matrix), matrix.layout)
     matrix = released(matrix)
     measured = matrix.used_stiffness.any(axis=0) | matrix.used_stiffness.any(axis=1)
     k = matrix.used_stiffness[np.ix_(measured, measured)]
-    a = comparable_arms(matrix.layout)[:, measured]
-    balanced = tuple(balance_effects(matrix))
-    lines = [("orientation", _orientation(k, a))]
+    facts = MatrixFacts(k, comparable_arms(matrix.layout)[:, measured])
+    balanced = tuple(balance_effects(MatrixFacts.of(matrix)))
+    lines = [("orientation", _orientation(facts))]
     lines += [("balance", f"{each.name}; {each.remedy}") for each in balanced]
-    share = share_by_distance(k, a)
+    share = share_by_distance(k, facts.arms)
     if share < OTHER_ORDER and len(k) >= 20:
         raise OtherOrder(
             f"positions are in another order than rows and columns: {100 * max(share, 0.0):.0f} %"
@@ -103,7 +102,7 @@ def judge(matrix: StiffnessMatrix) -> Judged:
         ids = [i for each in left_out if each.detail == reason for i in each.actuators]
         which = named("actuator", ids, MOST_NAMES)
         lines.append(("do not fit", f"{which}: {reason} (calibrate leaves them out)"))
-    return Judged(tuple(lines), off, looks_transposed(k, a), bool(balanced))
+    return Judged(tuple(lines), off, facts.looks_transposed, bool(balanced))
 
 
 def names(layout: Layout, some: NDArray[np.bool_]) -> str:
@@ -113,11 +112,10 @@ def names(layout: Layout, some: NDArray[np.bool_]) -> str:
     return ", ".join(map(str, ids[:MOST_NAMES])) + more
 
 
-def _orientation(k: Array, a: Array) -> str:
-    cost, imbalance = rigid_cost_and_imbalance(k, a)
-    figures = f"a rigid motion costs {cost:.2g} of the own stiffness, columns miss balance by"
-    figures += f" {imbalance:.2g}"
-    if looks_transposed(k, a):
+def _orientation(facts: MatrixFacts) -> str:
+    figures = f"a rigid motion costs {facts.rigid_cost:.2g} of the own stiffness, columns miss"
+    figures += f" balance by {facts.imbalance:.2g}"
+    if facts.looks_transposed:
         return (
             f"LOOKS TRANSPOSED: {figures}; [i, j] is the force of actuator i per displacement of"
             " sensor j, else it lies the other way round (--transpose)"

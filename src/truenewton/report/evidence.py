@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from truenewton.arrays import Array, spread
 from truenewton.calibration.result import Calibration
 from truenewton.estimation.findings.estimate import NoiseSource
-from truenewton.estimation.matrix.modes import elastic_modes, modal_stiffness
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.screen import as_calibrated
 from truenewton.estimation.paper.equations import imbalance_covariance, squared_distances
 from truenewton.estimation.paper.identifiability import balance_spectrum, centred_means
@@ -28,7 +28,7 @@ from truenewton.estimation.screening.noise import reading_noise
 from truenewton.estimation.screening.screen import ScreenedCampaign, without
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.arms import comparable_arms, enabled_arms
+from truenewton.statics.arms import enabled_arms
 
 EQUATIONS = (("force", "mN"), ("torque M_y", "mN m"), ("torque M_x", "mN m"))
 
@@ -231,8 +231,9 @@ def _balance_lines(
 def stiffness_evidence(matrix: StiffnessMatrix, calibration: Calibration) -> Evidence:
     """Return the evidence that a stiffness matrix gives for its relative alpha."""
     matrix = as_calibrated(matrix, calibration.effects)
-    a, on = comparable_arms(matrix.layout), matrix.layout.enabled
-    modes, alpha = elastic_modes(matrix), calibration.alpha[on]
+    facts, on = MatrixFacts.of(matrix), matrix.layout.enabled
+    a, elastic, alpha = facts.arms, facts.elastic_modes, calibration.alpha[on]
+    modes = elastic.forces.T
     before, after = (modes * values @ a.T for values in (np.ones(len(alpha)), alpha))
     scaled_arms, even = a * alpha, np.ones(len(modes))
     s = scaled_arms @ scaled_arms.T
@@ -240,7 +241,7 @@ def stiffness_evidence(matrix: StiffnessMatrix, calibration: Calibration) -> Evi
     eigenvalues = calibration.diagnosis.eigenvalues if calibration.diagnosis else ()
     return Evidence(
         residuals=ModeResiduals(
-            modal_stiffness(matrix)[: len(modes)],
+            elastic.values,
             *(np.sqrt(np.mean(rho**2, axis=1)) for rho in (before, after)),
         ),
         balance=tuple(

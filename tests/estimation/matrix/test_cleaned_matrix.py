@@ -8,12 +8,14 @@ import pytest
 from helpers.balanced import START, p45_bench, p45_matrix
 from truenewton.errors import TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.order import balance_effects
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.reciprocity.acceptance import Evidence, instead, refusals
 from truenewton.foreign.importing import stiffness_from
 from truenewton.modal.findings import find_modes
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
 
 
 def cleaned(k, rigid):
@@ -71,7 +73,7 @@ def test_forces_that_alpha_put_right_are_not_taken_for_cleaned(noise, digits):
     k = truth.stiffness * (1.0 + noise * random.standard_normal((45, 45))) / right[:, None]
     if digits is not None:
         k = written(k, digits) if digits < 10 else digits * np.round(k / digits)
-    assert not [*balance_effects(StiffnessMatrix("P45", START, truth.layout, k))]
+    assert not [*balance_effects(MatrixFacts(k, comparable_arms(truth.layout)))]
 
 
 def test_displacements_that_were_cleaned_tell_alpha_and_look_transposed_where_they_are():

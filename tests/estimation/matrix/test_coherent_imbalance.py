@@ -9,7 +9,7 @@ import truenewton as tn
 from studies.matrices import measured_or_made, noisy, true_stiffness
 from studies.matrix_grades import mistakes, sound_matrices
 from truenewton.estimation.matrix.coherent_imbalance import coherent_imbalance, patterns_of
-from truenewton.estimation.matrix.facts import matrix_facts, negative_modes
+from truenewton.estimation.matrix.facts import MatrixFacts, negative_modes, symmetry_of
 from truenewton.estimation.matrix.ml import column_fit
 from truenewton.estimation.matrix.modes import columns_of
 from truenewton.estimation.matrix.screen import screen_matrix
@@ -111,8 +111,10 @@ def test_sound_matrices_are_not_doubtful(sound, method):
 def test_symmetry_and_negative_modes_are_those_of_the_matrix(p45):
     exact, matrix, alpha = p45
     k, ones = np.asarray(exact.stiffness), np.ones(45)
-    assert matrix_facts(k, ones).asymmetry == pytest.approx(0.0, abs=1e-12)
-    facts = matrix_facts(k / alpha[:, None], alpha)
+    assert symmetry_of(MatrixFacts(k, np.ones((3, len(k)))), ones).asymmetry == pytest.approx(
+        0.0, abs=1e-12
+    )
+    facts = symmetry_of(MatrixFacts(k / alpha[:, None], np.ones((3, len(k)))), alpha)
     assert facts.asymmetry > 0.01
     assert facts.asymmetry_with_alpha == pytest.approx(0.0, abs=1e-12)
     assert negative_modes(matrix.stiffness, alpha)[0].size == 0

@@ -14,9 +14,10 @@ from truenewton.calibration.words import summary_rows
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation.matrix import modes as matrix_modes
 from truenewton.estimation.matrix.couplings import pair_ratios, relative_couplings
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.ml import column_fit, likeliest
-from truenewton.estimation.matrix.modes import columns_of, elastic_modes
+from truenewton.estimation.matrix.modes import columns_of
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.estimation.reciprocity import matrix as reciprocity_of_matrix
 from truenewton.estimation.reciprocity.condensation import odd_actuators
@@ -284,14 +285,14 @@ def test_reciprocity_has_its_scale_from_what_balance_finds_positive():
     screened = screen_matrix(matrix)
     base = matrix_modes.find(screened, column_fit)
     values = np.where(np.arange(len(base.values)) == BAD, -0.02, base.values)
-    found = reciprocity_of_matrix.find(screened.matrix, replace(base, values=values))[0]
+    found = reciprocity_of_matrix.find(screened, replace(base, values=values))[0]
     assert np.isfinite(found.values).all()
 
 
 def test_a_row_of_nothing_but_rounding_gives_no_alpha():
     k, layout = p45_bench().truth.stiffness.copy(), p45_bench().truth.layout
     k[BAD] *= 1e-9
-    modes = elastic_modes(StiffnessMatrix("P45", START, layout, k))
+    modes = MatrixFacts(k, comparable_arms(layout)).elastic_modes.forces.T
     with pytest.raises(RankDeficient, match="of a few actuators alone"):
         likeliest(modes, comparable_arms(layout))
 

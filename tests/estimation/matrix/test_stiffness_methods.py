@@ -12,16 +12,15 @@ from helpers.balanced import START, p45_bench, p45_matrix
 from truenewton.calibration.methods import calibrate
 from truenewton.errors import RankDeficient, TrueNewtonWarning
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.modes import (
     balance_modes,
-    elastic_modes,
     rms_imbalance,
 )
 from truenewton.estimation.matrix.screen import screen_matrix
 from truenewton.reading import read_data
 from truenewton.records.source import Source
 from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.arms import comparable_arms
 
 REAL = os.environ.get("TRUENEWTON_REAL_DATA")
 needs_real_data = pytest.mark.skipif(
@@ -134,7 +133,8 @@ def test_on_a_real_lbt672_alpha_restores_balance():
     assert all_modes.after == pytest.approx(0.0091, rel=0.01)
     assert (odd.before, odd.after) == pytest.approx((0.0513, 0.0354), rel=0.02)
     assert (even.before, even.after) == pytest.approx((0.0611, 0.0253), rel=0.02)
-    modes, a = elastic_modes(matrix), comparable_arms(matrix.layout)
+    facts = MatrixFacts.of(matrix)
+    modes, a = facts.elastic_modes.forces.T, facts.arms
     assert len(modes) == 641
     _, values = balance_modes(modes, a)
     assert values[1] / values[0] == pytest.approx(11.7, rel=0.01)  # alpha is determined

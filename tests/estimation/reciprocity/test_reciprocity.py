@@ -23,6 +23,7 @@ from truenewton.errors import (
     TrueNewtonWarning,
     UnknownName,
 )
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.reciprocity import campaign as reciprocity_of_campaign
 from truenewton.estimation.reciprocity import iteration
@@ -44,6 +45,7 @@ from truenewton.mirrors.shell.puck_motion import puck_motion
 from truenewton.mirrors.sight import motion_for
 from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
 from truenewton.statics.layout import rings
 
 ALL = Request(1.0, 1.0)  # asked for: alpha, gains and offsets
@@ -293,7 +295,7 @@ def test_errors_hold_where_soft_modes_are_lost_in_noise():
         values = drawn(random, 114)
         exact = by_plate(mirror.layout, stiffness, values, offsets=False)
         k = with_noise(random, exact, values, 0.02).stiffness
-        modes = modes_of(StiffnessMatrix("RING", START, mirror.layout, k))
+        modes = modes_of(mirror.layout, MatrixFacts(k, comparable_arms(mirror.layout)))
         found = modes.fit(Request(0.004, estimated=True))
         error = found.values.log_alpha - values.log_alpha
         error -= error.mean()

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from helpers.balanced import START
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.unknowns import Kind
 from truenewton.mirrors.known import ring
 from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.records.stiffness_matrix import StiffnessMatrix
+from truenewton.statics.arms import comparable_arms
 
 LAWS = ("equal", "proportional", "by sensor")
 CASES = [("equal", 3), *(pytest.param(law, 5, marks=pytest.mark.study) for law in LAWS)]
@@ -29,7 +29,8 @@ def test_errors_of_alpha_and_sensors_are_valid_whatever_law_the_noise_follows(la
         error *= exact if law == "proportional" else np.sqrt(np.mean(exact**2))
         if law == "by sensor":
             error *= np.exp(0.7 * random.standard_normal(n))
-        found = examined(modes_of(StiffnessMatrix("RING", START, mirror.layout, exact + error)))
+        facts = MatrixFacts(exact + error, comparable_arms(mirror.layout))
+        found = examined(modes_of(mirror.layout, facts))
         values, stated = found.joint.values, found.sensor_errors
         of_alpha = values.log_alpha - log_alpha
         errors = (

@@ -38,7 +38,8 @@ from truenewton.arrays import Array
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.findings.thresholds import LIMITS
-from truenewton.estimation.matrix.couplings import pair_ratios, relative_couplings
+from truenewton.estimation.matrix.couplings import relative_couplings
+from truenewton.estimation.matrix.facts import MatrixFacts
 
 MIN_ACTUATORS = 12
 NOISE_STEPS = 10
@@ -167,7 +168,7 @@ def patterns_of(m: Array, arms: Array, q: Array) -> Iterator[Pattern]:
 
 
 def doubts_of_balance(
-    commanded: Array, arms: Array, alpha: Array, covariance: Array, ids: NDArray[np.int64]
+    facts: MatrixFacts, alpha: Array, covariance: Array, ids: NDArray[np.int64]
 ) -> tuple[tuple[Finding, ...], Array]:
     """Return which mistakes the balance of a matrix shows, and the (n, n) covariance with them.
 
@@ -175,7 +176,7 @@ def doubts_of_balance(
     the mistake is fitted as well: that much is added to the (n, n) ``covariance`` of (n,) alpha.
     """
     said = list[Finding]()
-    found = coherent_imbalance(commanded, arms, alpha)
+    found = coherent_imbalance(facts.stiffness, facts.arms, alpha)
     stated = float(np.sqrt(np.mean(np.diag(covariance) / alpha**2)))
     if found is not None and (far := found.column_noise > LIMITS.column_noise).any():
         said.append(Finding.of(Code.COLUMNS_UNBALANCED, actuators=ids[far]))
@@ -193,7 +194,7 @@ def doubts_of_balance(
             shift = alpha * found.shift
             # wrong alpha makes wrong gains, so these are not asked
             return (mistake, *said), covariance + np.outer(shift, shift)
-    gains = sensor_gains(commanded, arms, alpha, covariance)
+    gains = sensor_gains(facts, alpha, covariance)
     if abs(gains.with_alpha) > LIMITS.gain_correlation and gains.sigmas > LIMITS.gain_sigmas:
         said.append(Finding.of(Code.GAINS_FOLLOW_ALPHA, correlation=gains.with_alpha))
     elif gains.gradient_sigmas > LIMITS.gradient_sigmas:
@@ -219,7 +220,7 @@ class SensorGains(NamedTuple):
     gradient_sigmas: float
 
 
-def sensor_gains(commanded: Array, arms: Array, alpha: Array, covariance: Array) -> SensorGains:
+def sensor_gains(facts: MatrixFacts, alpha: Array, covariance: Array) -> SensorGains:
     """Return whether gains by symmetry follow (n,) alpha, or have a gradient.
 
     What errors of alpha do to both is taken out. Few smooth patterns make up most of these errors,
@@ -228,11 +229,11 @@ def sensor_gains(commanded: Array, arms: Array, alpha: Array, covariance: Array)
     if (alpha <= 0.0).any() or len(alpha) < MIN_ACTUATORS:
         return SensorGains(0.0, 0.0, 0.0)
     log_alpha = np.log(alpha) - np.mean(np.log(alpha))
-    log_ratio, misfit = pair_ratios(commanded)
+    log_ratio, misfit = facts.pair_ratios
     log_gain = log_ratio - log_alpha
     log_gain = log_gain - np.mean(log_gain)
     relative = covariance / np.outer(alpha, alpha)
-    of_gains = _covariance_of_ratios(commanded, misfit) + relative
+    of_gains = _covariance_of_ratios(facts.stiffness, misfit) + relative
     noise = float(np.mean(np.diag(relative)))
     own = max(float(np.mean(log_gain**2)) - noise, noise, 1e-300)
     spread = float(np.mean(log_alpha**2)) - noise
@@ -243,7 +244,7 @@ def sensor_gains(commanded: Array, arms: Array, alpha: Array, covariance: Array)
         scatter = max(float(np.mean(log_gain**2) - np.mean(np.diag(of_gains))), 0.0)
         variance = log_alpha @ of_gains @ log_alpha + scatter * (log_alpha @ log_alpha)
         sigmas = len(alpha) * abs(together) / float(np.sqrt(variance))
-    position = arms[1:].T - arms[1:].T.mean(axis=0)
+    position = facts.arms[1:].T - facts.arms[1:].T.mean(axis=0)
     position = np.linalg.qr(position)[0]
     gradient = position.T @ log_gain
     chi2 = gradient @ np.linalg.solve(position.T @ of_gains @ position, gradient)

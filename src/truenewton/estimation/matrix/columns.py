@@ -30,6 +30,7 @@ from truenewton.estimation.likelihood.minimum import (
     smooth_patterns,
 )
 from truenewton.estimation.matrix.column_noise import ColumnNoise, likeliest_noise
+from truenewton.estimation.matrix.facts import ElasticModes
 
 COVARIANCE_ROUNDING = 1e-13  # of a covariance
 MIN_VARIANCE_SHARE = 0.01  # part of a variance that a fit leaves at least
@@ -52,6 +53,8 @@ class Columns:
     size
         (n, m) elements with which noise may go in proportion [N/m]; all of the columns unless only
         some of their modes are looked at.
+    modes
+        The elastic modes of the columns.
     """
 
     stiffness: Array
@@ -60,6 +63,7 @@ class Columns:
     disturbance: Array
     start: Array
     size: Array
+    modes: ElasticModes
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,14 +24,11 @@ from truenewton.estimation.matrix.columns import Columns, fit_columns
 from truenewton.estimation.matrix.modes import (
     ElasticFit,
     balance_modes,
-    elastic_count,
-    elastic_modes_of,
     mode_covariance,
     refuse_few_modes,
 )
 from truenewton.estimation.paper.equations import balance_rows
 from truenewton.estimation.readings.moments import shape_sums
-from truenewton.linalg import singular_values_and_vectors
 
 # Variance in terms of the information's, above which noise feigns what holds alpha.
 SPURIOUS_FACTOR = 1.27
@@ -56,14 +53,11 @@ def column_fit(columns: Columns, *, population: bool = False) -> ElasticFit:
     RankDeficient, NotConverged
     """
     n = columns.a.shape[1]
-    values = singular_values_and_vectors(columns.stiffness)[1]
-    refuse_few_modes(elastic_count(values), n)
+    refuse_few_modes(len(columns.modes.values), n)
     try:
         fit = fit_columns(columns, population=population)
     except (RankDeficient, NotConverged):
-        fit_of_modes = likeliest(
-            elastic_modes_of(columns.stiffness), columns.a, population=population
-        )
+        fit_of_modes = likeliest(columns.modes.forces.T, columns.a, population=population)
         return replace(fit_of_modes, warnings=(Finding.of(Code.COLUMN_NOISE_NOT_INDEPENDENT),))
     if fit.feigned > SPURIOUS_FACTOR:
         raise RankDeficient(

@@ -13,24 +13,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.linalg
 
-from truenewton import linalg
 from truenewton.arrays import Array
 from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Diagnosis, Estimate, Scale
 from truenewton.estimation.findings.finding import Finding
 from truenewton.estimation.matrix.columns import Columns
-from truenewton.estimation.matrix.order import looks_transposed
+from truenewton.estimation.matrix.facts import MIN_SINGULAR_VALUE, MatrixFacts
 from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.estimation.paper.equations import balance_rows
 from truenewton.estimation.paper.identifiability import geometry_fault, refuse
 from truenewton.linalg import singular_values_and_vectors
-from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import counted
-from truenewton.statics.arms import comparable_arms, enabled_arms
+from truenewton.statics.arms import enabled_arms
 
-# Of the stiffest: softer modes mix with the rigid motions through the bias magnets' gradient.
-MIN_SINGULAR_VALUE = 1e-4
 # Own stiffness of a mirror's actuators, typically and at the least and most, in N/m.
 TYPICAL_STIFFNESS, MIN_PLAUSIBLE_STIFFNESS, MAX_PLAUSIBLE_STIFFNESS = 2e6, 2e4, 2e9
 UNITS = {-1: "N/mm", -2: "N/um", -3: "N/nm"}  # by powers of a thousand
@@ -78,39 +74,11 @@ class ElasticFit:
 ElasticMethod = Callable[[Columns], ElasticFit]
 
 
-def elastic_modes(matrix: StiffnessMatrix) -> Array:
-    """Return (m, n_enabled) force patterns of unit length, softest left out, stiffest first."""
-    return elastic_modes_of(matrix.used_stiffness)
-
-
-def elastic_modes_of(k: Array) -> Array:
-    """Return the same of an (n, n) stiffness."""
-    left, values, _ = singular_values_and_vectors(k)
-    return np.asarray(left[:, : elastic_count(values)].T)
-
-
-def elastic_count(values: Array) -> int:
-    """Return how many of (n,) descending singular values are those of elastic modes.
-
-    Noise may lift rigid motions above the limit: three are never elastic.
-    """
-    return min(int(np.count_nonzero(values > MIN_SINGULAR_VALUE * values[0])), len(values) - 3)
-
-
 def columns_of(screened: ScreenedMatrix) -> Columns:
     """Return the columns of a screened matrix."""
-    k, a = screened.matrix.used_stiffness, comparable_arms(screened.matrix.layout)
-    return Columns(k, a, a, screened.disturbance, screened.start, k)
-
-
-def modal_stiffness(matrix: StiffnessMatrix) -> Array:
-    """Return (n_enabled,) singular values, stiffest first [N/m]."""
-    return singular_values_and_vectors(matrix.used_stiffness)[1]
-
-
-def asymmetry(matrix: StiffnessMatrix) -> float:
-    """Return |K - K'| / |K + K'|; 0 for calibrated actuators and sensors (Maxwell and Betti)."""
-    return linalg.asymmetry(matrix.used_stiffness)
+    facts = screened.facts
+    k, a = facts.stiffness, facts.arms
+    return Columns(k, a, a, screened.disturbance, screened.start, k, facts.elastic_modes)
 
 
 def refuse_few_modes(count: int, n: int) -> None:
@@ -199,7 +167,7 @@ def singular_fit(columns: Columns) -> ElasticFit:
     ------
     RankDeficient
     """
-    modes, a, n = elastic_modes_of(columns.stiffness), columns.a, columns.a.shape[1]
+    modes, a, n = columns.modes.forces.T, columns.a, columns.a.shape[1]
     alpha, singular_values = balance_modes(modes, a)
     covariance = mode_covariance(modes, a, alpha, np.eye(3), np.zeros((n, n)))
     return ElasticFit("svd", alpha, covariance, singular_values)
@@ -212,8 +180,8 @@ def find(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
     ------
     RankDeficient, NotConverged
     """
-    matrix = screened.matrix
-    refuse([geometry_fault(enabled_arms(matrix.layout))])
+    facts = screened.facts
+    refuse([geometry_fault(enabled_arms(screened.matrix.layout))])
     try:
         fitted = fit(columns_of(screened))
     except (RankDeficient, NotConverged) as error:
@@ -225,9 +193,9 @@ def find(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
     turned = (
         ()
         if any(effect.code == Code.TRANSPOSED_STIFFNESS for effect in screened.effects)
-        else _orientation_warnings(matrix)
+        else _orientation_warnings(facts)
     )
-    of_file = (*_unit_warnings(matrix), *turned)
+    of_file = (*_unit_warnings(facts), *turned)
     warnings = (*screened.warnings, *of_file, *fitted.warnings)
     return Estimate(
         method=fitted.method,
@@ -239,39 +207,38 @@ def find(screened: ScreenedMatrix, fit: ElasticMethod) -> Estimate:
         condition=float(singular_values[-1] / singular_values[1]),
         rank=n - 1,
         diagnosis=Diagnosis(eigenvalues=tuple((singular_values**2).tolist()), warnings=warnings),
-        effects=(*_not_as_agreed(matrix), *screened.effects),
+        effects=(*_not_as_agreed(facts), *screened.effects),
     )
 
 
-def _not_as_agreed(matrix: StiffnessMatrix) -> Iterator[Finding]:
+def _not_as_agreed(facts: MatrixFacts) -> Iterator[Finding]:
     """Name an asymmetry that no gains explain, rows and columns in two orders; the other sign."""
-    if np.trace(matrix.used_stiffness) < 0.0:
+    if np.trace(facts.stiffness) < 0.0:
         yield Finding(
             code=Code.NEGATIVE_STIFFNESS,
             remedy="reverse the sign of STIFFNESS; relative alpha is the same, modes are not",
         )
-    size = asymmetry(matrix)
-    if size > MAX_DISORDER:
+    if facts.asymmetry > MAX_DISORDER:
         yield Finding(
             code=Code.ASYMMETRIC_STIFFNESS,
-            size=size,
+            size=facts.asymmetry,
             unit="|K + K'|",
             remedy="put rows and columns of STIFFNESS in the order of the ACTUATORS table",
         )
 
 
-def _unit_warnings(matrix: StiffnessMatrix) -> Iterator[Finding]:
+def _unit_warnings(facts: MatrixFacts) -> Iterator[Finding]:
     """Warn of a matrix in another unit than N/m, which alpha does not ask."""
-    own = float(np.median(np.abs(np.diag(matrix.used_stiffness))))
+    own = float(np.median(np.abs(np.diag(facts.stiffness))))
     if not MIN_PLAUSIBLE_STIFFNESS < own < MAX_PLAUSIBLE_STIFFNESS:
         power = round(np.log10(max(own, 1e-300) / TYPICAL_STIFFNESS) / 3.0)
         unit = UNITS.get(power, "counts, or no N/m at least")
         yield Finding.of(Code.STIFFNESS_UNIT, unit=unit, own=own, usual=TYPICAL_STIFFNESS)
 
 
-def _orientation_warnings(matrix: StiffnessMatrix) -> Iterator[Finding]:
+def _orientation_warnings(facts: MatrixFacts) -> Iterator[Finding]:
     """Warn of a transposed matrix: a rigid displacement must cost little force."""
-    if looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout)):
+    if facts.looks_transposed:
         yield Finding.of(Code.LOOKS_TRANSPOSED)
 
 
@@ -292,12 +259,9 @@ def imbalances(screened: ScreenedMatrix, fit: ElasticMethod, alpha: Array) -> tu
         Half of the modes do not hold alpha.
     """
     columns = columns_of(screened)
-    left, values, right = singular_values_and_vectors(columns.stiffness)
-    elastic = slice(elastic_count(values))
-    left, values, right = left[:, elastic], values[elastic], right[elastic]
-    parts = ((left[:, half] * values[half]) @ right[half] for half in (EVEN_MODES, ODD_MODES))
-    halves = (fit(replace(columns, stiffness=part)).alpha for part in parts)
-    return imbalances_of(left, columns.a, alpha, *halves)
+    halves = (columns.modes.every(half) for half in (EVEN_MODES, ODD_MODES))
+    fitted = (fit(replace(columns, stiffness=half.stiffness, modes=half)).alpha for half in halves)
+    return imbalances_of(columns.modes.forces, columns.a, alpha, *fitted)
 
 
 def imbalances_of(

@@ -1,8 +1,7 @@
 """Whether a stiffness matrix is one, lies the right way round, and in the order of its places.
 
-A free shell costs no force where it is moved rigidly: K {1, x, y} vanishes but for the gains of the
-sensors, and {1, x, y}' K but for alpha, which scatters more; transposed, they change places. With
-coordinates of other actuators the shell is bent. Which way round it lies is judged by medians over
+A free shell costs no force where it is moved rigidly (`facts`). With coordinates of other actuators
+it is bent. Which way round it lies is judged by medians over
 actuators: a few bad ones say nothing of the rest.
 
 Forces that balance as commanded, to the rounding of the file, are no measured ones: rigid motions
@@ -25,10 +24,9 @@ from truenewton.estimation.matrix.couplings import (
     relative_couplings,
     typical_spacing,
 )
-from truenewton.estimation.readings.rounding_steps import rounding_steps
-from truenewton.linalg import assignment, asymmetry
-from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.arms import comparable_arms
+from truenewton.estimation.matrix.facts import MAX_SENSOR_COST, MatrixFacts
+from truenewton.linalg import assignment
+from truenewton.statics.layout import Layout
 
 MIN_JUDGED_ACTUATORS = 20  # actuators among which one can be told not to fit
 # Gains or alpha that scatter by 10 % cost 0.08, neighbours exchanged on 45 actuators 0.09; random
@@ -38,28 +36,12 @@ SUSPECT_RIGID_COST = 0.005  # cost from which other orders are tried
 MIN_COST_RATIO = 3.0  # times less it costs in the right one
 RADIUS_TOLERANCE = 1e-3  # of the largest: actuators of one ring
 MIN_EXPLAINED_COUPLING = 0.65  # of the couplings, explained by distance
-TRANSPOSED_COST_RATIO = (
-    2.0  # times as much that rigid displacements cost as forces are out of balance
-)
-MAX_SENSOR_COST = (
-    0.05  # of the own stiffness: more than gains of sensors cost, which scatter by per cent
-)
 MAX_SYMMETRISED_ASYMMETRY = (
     1e-6  # |K - K'| / |K + K'|: no measured stiffness is so, but for rounding
 )
 MIN_MEASURED_IMBALANCE = (
     0.02  # of the own stiffness: columns out of balance, beyond what sensors and alpha leave both
 )
-MAX_REBALANCED_IMBALANCE = (
-    1e-6  # of the own stiffness: no measured columns balance so, nor are coils so alike
-)
-MIN_UNLIKENESS = 1e-3  # of the asymmetry: nor so much better than rows are like columns
-MIN_ROUNDING_SHARE = (
-    0.2  # of the asymmetry: rounding that leaves less than that out of balance may hide alpha
-)
-ROUNDING_RATIO = 2.0  # times as far out of balance as rounding leaves typically
-DIGIT_COUNTS = range(3, 7)  # significant digits of a file; more leave what single precision leaves
-WRITTEN_TOLERANCE = 0.02  # of a step, within which an element is written with so many digits
 SAME_NUMBER_TOLERANCE = 1e-9  # of an own element, to be the same number as others
 MAX_SOFTEST_COST = 1.5  # cost of rigid motions in terms of any, where a stiffness has next to none
 
@@ -94,15 +76,15 @@ def refuse_no_stiffness(k: Array) -> None:
         )
 
 
-def refuse_compliance(matrix: StiffnessMatrix) -> None:
+def refuse_compliance(facts: MatrixFacts, layout: Layout) -> None:
     """Refuse a matrix in which rigid motions count most: the softest are the largest.
 
     Raises
     ------
     RankDeficient
     """
-    k, on = matrix.used_stiffness, matrix.layout.enabled
-    cost = rigid_cost((k.T @ k, k @ k.T), matrix.layout.x[on], matrix.layout.y[on])
+    on = layout.enabled
+    cost = rigid_cost(facts.squares, layout.x[on], layout.y[on])
     if cost > MAX_SOFTEST_COST:
         raise RankDeficient(
             "STIFFNESS looks like a compliance, displacement per force: rigid motions are its"
@@ -147,23 +129,20 @@ def _likeness(
     return float(np.sum(np.abs(np.sum(r * c, axis=1)) / np.maximum(sizes, 1e-300)))
 
 
-def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[Finding]:
+def order_effects(facts: MatrixFacts, layout: Layout, *, named: bool) -> Iterator[Finding]:
     """Say that the coordinates are not those of the matrix's actuators, or forces are missing.
 
     Parameters
     ----------
-    matrix
-        Measured.
+    facts, layout
+        Of a measured matrix.
     named
         Only where another order is told, which a few bad actuators cannot feign.
     """
-    layout, on = matrix.layout, matrix.layout.enabled
-    x, y, k = layout.x, layout.y, matrix.used_stiffness
-
-    squares = k.T @ k, k @ k.T
+    x, y, on = layout.x, layout.y, layout.enabled
 
     def cost(order: NDArray[np.int64]) -> float:
-        return rigid_cost(squares, x[order][on], y[order][on])
+        return rigid_cost(facts.squares, x[order][on], y[order][on])
 
     size = cost(np.arange(layout.n))
     if size < SUSPECT_RIGID_COST:
@@ -173,7 +152,8 @@ def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[Finding]:
     told = least * MIN_COST_RATIO < size
     unit = "of the force that any displacement costs, to move it rigidly"
     if told or (not named and size > MAX_RIGID_COST):
-        if told or not share_by_distance(k, comparable_arms(layout)) > MIN_EXPLAINED_COUPLING:
+        share = share_by_distance(facts.stiffness, facts.arms)
+        if told or not share > MIN_EXPLAINED_COUPLING:
             yield Finding(
                 code=Code.DISORDERED_STIFFNESS,
                 detail=name if told else "",
@@ -191,40 +171,37 @@ def order_effects(matrix: StiffnessMatrix, *, named: bool) -> Iterator[Finding]:
             )
 
 
-def balance_effects(matrix: StiffnessMatrix) -> Iterator[Finding]:
+def balance_effects(facts: MatrixFacts) -> Iterator[Finding]:
     """Say that forces balance as commanded, so that nothing tells alpha."""
-    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
-    imbalance = rigid_cost_and_imbalance(k, a)[1]
-    true = asymmetry(k) < MAX_SYMMETRISED_ASYMMETRY and imbalance < MIN_MEASURED_IMBALANCE
-    if true or balances_by_rounding(k, a):
+    symmetric = facts.asymmetry < MAX_SYMMETRISED_ASYMMETRY
+    true = symmetric and facts.imbalance < MIN_MEASURED_IMBALANCE
+    if true or facts.balances_by_rounding:
         yield Finding(
             code=Code.TRUE_STIFFNESS if true else Code.CLEANED_STIFFNESS,
-            size=imbalance,
+            size=facts.imbalance,
             unit="of the own stiffness, columns out of balance",
             remedy="give the matrix as it was measured",
         )
 
 
-def orientation_effects(matrix: StiffnessMatrix) -> Iterator[Finding]:
+def orientation_effects(facts: MatrixFacts) -> Iterator[Finding]:
     """Say that a matrix is transposed, or was made symmetric: alpha is then that of sensors."""
-    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
-    cost, imbalance = rigid_cost_and_imbalance(k, a)
     if (
-        len(k) >= MIN_JUDGED_ACTUATORS
-        and asymmetry(k) < MAX_SYMMETRISED_ASYMMETRY
-        and imbalance > MIN_MEASURED_IMBALANCE
+        len(facts.stiffness) >= MIN_JUDGED_ACTUATORS
+        and facts.asymmetry < MAX_SYMMETRISED_ASYMMETRY
+        and facts.imbalance > MIN_MEASURED_IMBALANCE
     ):
         yield Finding(
             code=Code.SYMMETRISED_STIFFNESS,
-            size=imbalance,
+            size=facts.imbalance,
             unit="of the own stiffness, columns out of balance",
             remedy="use the matrix as it was measured: averaged, it does not separate alpha from"
             " sensor gains",
         )
-    elif looks_transposed(k, a) and cost > MAX_SENSOR_COST:
+    elif facts.looks_transposed and facts.rigid_cost > MAX_SENSOR_COST:
         yield Finding(
             code=Code.TRANSPOSED_STIFFNESS,
-            size=cost,
+            size=facts.rigid_cost,
             unit="of the own stiffness, to move it rigidly",
             remedy="store [i, j], the force of actuator i per displacement of sensor j",
         )
@@ -259,64 +236,6 @@ def other_orders(x: Array, y: Array) -> Iterator[tuple[str, NDArray[np.int64]]]:
         for step in (-1, 1):
             turned = [np.roll(ring, step) for ring in rings]
             yield "rings that start at another actuator", np.concatenate(turned)
-
-
-def rigid_cost_and_imbalance(k: Array, a: Array) -> tuple[float, float]:
-    """Return what a rigid displacement costs, and how far a column is out of balance.
-
-    K {1, x, y} vanishes but for the scatter of the sensor gains and the bias magnets, and
-    {1, x, y}' K but for that of alpha, which is larger; transposed, they change places.
-
-    Parameters
-    ----------
-    k, a
-        (n, n) stiffness [N/m] and (3, n) arms in comparable units.
-
-    Returns
-    -------
-    tuple of float
-        Each in terms of the own stiffness of an actuator, the median over all.
-    """
-    own = np.abs(np.diag(k))
-    own = np.where(own > 0.0, own, np.inf)
-    rows, columns = np.linalg.norm(k @ a.T, axis=1), np.linalg.norm(a @ k, axis=0)
-    return float(np.median(rows / own)), float(np.median(columns / own))
-
-
-def looks_transposed(k: Array, a: Array) -> bool:
-    """Tell whether an (n, n) stiffness looks transposed; (3, n) arms."""
-    cost, imbalance = rigid_cost_and_imbalance(k, a)
-    return cost > TRANSPOSED_COST_RATIO * imbalance and not balances_by_rounding(k, a)
-
-
-def balances_by_rounding(k: Array, a: Array) -> bool:
-    """Tell whether (n, n) commanded forces balance but for rounding; (3, n) arms.
-
-    Rounding of the computer, of single precision, or that of a file with few digits. Not where
-    rigid motions cost more than gains of sensors do: so are displacements cleaned, and transposed.
-    """
-    (cost, imbalance), unlike = rigid_cost_and_imbalance(k, a), asymmetry(k)
-    if cost > MAX_SENSOR_COST:
-        return False
-    if imbalance < max(MAX_REBALANCED_IMBALANCE, MIN_UNLIKENESS * unlike):
-        return True
-    if imbalance > MIN_ROUNDING_SHARE * unlike:
-        return False
-    own, steps = np.abs(np.diag(k)), rounding_steps(list(k.T))[:, None]  # of each actuator
-    variances = np.maximum(steps, digit_steps(k)) ** 2 / 12.0
-    rounded = np.sqrt(np.sum(a**2, axis=0) @ variances) / np.where(own > 0.0, own, np.inf)
-    return imbalance < ROUNDING_RATIO * float(np.median(rounded))
-
-
-def digit_steps(k: Array) -> Array:
-    """Return the step of each of (n, n) elements, by the significant digits that all have, or 0."""
-    size = np.abs(k)
-    tens = 10.0 ** np.floor(np.log10(np.where(size > 0.0, size, 1.0)))
-    for digits in DIGIT_COUNTS:
-        steps = tens * 10.0 ** (1 - digits)
-        if (np.abs(size / steps - np.round(size / steps)) < WRITTEN_TOLERANCE).all():
-            return np.where(size > 0.0, steps, 0.0)
-    return np.zeros_like(k)
 
 
 def share_by_distance(k: Array, a: Array) -> float:

@@ -15,6 +15,7 @@ from truenewton.estimation.findings.finding import MAX_NAMES, Finding
 from truenewton.estimation.findings.thresholds import LIMITS
 from truenewton.estimation.matrix.bad_sensors import fill_by_symmetry
 from truenewton.estimation.matrix.couplings import ELSEWHERE, pair_ratios, typical_spacing
+from truenewton.estimation.matrix.facts import MatrixFacts
 from truenewton.estimation.matrix.misfits import (
     NO_FORCE,
     NO_SENSOR,
@@ -36,7 +37,7 @@ from truenewton.estimation.matrix.order import (
 from truenewton.records.segmented import refuse_segments
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.rounding import named
-from truenewton.statics.arms import comparable_arms, enabled_arms
+from truenewton.statics.arms import enabled_arms
 
 MIN_MANY_MISFITS = 3
 MIN_SEEN_COUPLING = 0.3  # of the own stiffness, in any column: so none tells what it was
@@ -49,8 +50,8 @@ class ScreenedMatrix:
 
     Attributes
     ----------
-    matrix
-        Those left out are disabled; the others as they are where these push nothing.
+    matrix, facts
+        Those left out are disabled; the others as they are where these push nothing. Its facts.
     start
         (n_enabled,) alpha from symmetry, as if all sensors had one gain.
     disturbance
@@ -65,6 +66,7 @@ class ScreenedMatrix:
     """
 
     matrix: StiffnessMatrix
+    facts: MatrixFacts
     start: Array
     disturbance: Array
     warnings: tuple[Finding, ...] = ()
@@ -84,13 +86,14 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     """
     refuse_segments(matrix)
     matrix = released(matrix)
-    k, a = matrix.used_stiffness, comparable_arms(matrix.layout)
+    facts = MatrixFacts.of(matrix)
+    k, a = facts.stiffness, facts.arms
     refuse_no_stiffness(k)
-    refuse_compliance(matrix)
-    disorder = (*order_effects(matrix, named=True), *balance_effects(matrix))
+    refuse_compliance(facts, matrix.layout)
+    disorder = (*order_effects(facts, matrix.layout, named=True), *balance_effects(facts))
     if disorder:  # whoever stands where is then no matter of single actuators
         n = len(k)
-        return ScreenedMatrix(matrix, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
+        return ScreenedMatrix(matrix, facts, np.ones(n), np.zeros((n, 3, 3)), effects=disorder)
     ids = matrix.layout.id[matrix.layout.enabled]
     k, *halves = fill_by_symmetry(k, a)
     off = np.asarray(~(k.any(axis=0) & k.any(axis=1)), dtype=np.bool_)
@@ -99,30 +102,24 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
         for some, reason in zip(halves, (NO_FORCE, NO_SENSOR), strict=True)
         for i in some
     ]
-    bad: tuple[BadActuator, ...] = ()
-    unsure: tuple[Finding, ...] = ()
-    measured = np.flatnonzero(~off)
-    if len(measured) >= MIN_JUDGED_ACTUATORS:
-        block = np.ix_(measured, measured)
-        filled = np.searchsorted(measured, [each.index for each in half]).tolist()
-        try:
-            found, mended = bad_actuators(k[block], a[:, ~off], a[:, off], filled)
-        except FitsNoSymmetry as error:
-            found, mended, unsure = (), k[block], (_as_measured(error),)
+    found, unsure = tuple[BadActuator, ...](), tuple[Finding, ...]()
+    if np.count_nonzero(~off) >= MIN_JUDGED_ACTUATORS:
         length = float(np.linalg.norm(enabled_arms(matrix.layout)[1:]) / np.linalg.norm(a[1:]))
-        bad = tuple(_of_all(each, measured, length) for each in found)
-        raw, k = k, k.copy()
-        k[block] = mended
-        unlike = [each.index for each in bad if each.reason == ROW_UNLIKE_COLUMN]
-        if unlike and _better_as_read(raw, k, a, ~off, bad, unlike):
-            k[unlike] = raw[unlike]
+        try:
+            found, k = _mended(k, a, off, [each.index for each in half], length)
+        except FitsNoSymmetry as error:
+            unsure = (_as_measured(error),)
     known = {each.index for each in half}
-    bad = (*(each for each in bad if each.index not in known), *half)
+    bad = (*(each for each in found if each.index not in known), *half)
     good, doubt = np.asarray(~off, dtype=np.bool_), np.zeros(len(k))
     good[[each.index for each in bad]] = False
     doubt[[each.index for each in bad]] = [each.doubt for each in bad]
     core = condensed(k, good)[0]
-    start = np.exp(np.clip(pair_ratios(core)[0], -1.0, 1.0)) if len(core) else np.ones(0)
+    screened = matrix
+    if not good.all():
+        screened = freed(matrix, good, core)
+        facts = MatrixFacts.of(screened)
+    start = np.exp(np.clip(facts.pair_ratios[0], -1.0, 1.0)) if len(core) else np.ones(0)
     some_off = bool(off.any() and good.any())
     pushing = some_off and not _balanced_about(core, a, good, off, start)
     if pushing:
@@ -138,16 +135,16 @@ def screen_matrix(matrix: StiffnessMatrix) -> ScreenedMatrix:
     disturbance = np.zeros((len(core), 3, 3))
     if doubt.any():
         disturbance = residual_force(k, a, good, doubt)
-    screened = matrix if good.all() else freed(matrix, good, core)
     return ScreenedMatrix(
         screened,
+        facts,
         start,
         disturbance,
         (*unsure, *_warnings(ids, off, bad, pushing=pushing)),
         (
             *_effects(ids, off, bad),
-            *order_effects(screened, named=False),
-            *orientation_effects(screened),
+            *order_effects(facts, screened.layout, named=False),
+            *orientation_effects(facts),
         ),
         unsure,
         pushing,
@@ -169,10 +166,31 @@ def released(matrix: StiffnessMatrix) -> StiffnessMatrix:
     return freed(replace(matrix, layout=replace(matrix.layout, enabled=there)), on[there], core)
 
 
-def _of_all(each: BadActuator, measured: NDArray[np.int64], length: float) -> BadActuator:
-    """Return a bad actuator by its index among all; how far it is from its place is in metres."""
-    size = each.size * length if each.reason == ELSEWHERE else each.size
-    return BadActuator(int(measured[each.index]), each.reason, size)
+def _mended(
+    k: Array, a: Array, off: NDArray[np.bool_], filled: list[int], length: float
+) -> tuple[tuple[BadActuator, ...], Array]:
+    """Return the actuators that do not fit, by their index among all, and (n, n) k mended.
+
+    How far one is from its place is in metres, by the ``length`` of a unit of the arms.
+    """
+    measured = np.flatnonzero(~off)
+    block = np.ix_(measured, measured)
+    among = np.searchsorted(measured, filled).tolist()
+    found, mended = bad_actuators(k[block], a[:, ~off], a[:, off], among)
+    bad = tuple(
+        BadActuator(
+            int(measured[each.index]),
+            each.reason,
+            each.size * length if each.reason == ELSEWHERE else each.size,
+        )
+        for each in found
+    )
+    raw, k = k, k.copy()
+    k[block] = mended
+    unlike = [each.index for each in bad if each.reason == ROW_UNLIKE_COLUMN]
+    if unlike and _better_as_read(raw, k, a, ~off, bad, unlike):
+        k[unlike] = raw[unlike]
+    return bad, k
 
 
 def freed(matrix: StiffnessMatrix, good: NDArray[np.bool_], core: Array) -> StiffnessMatrix:

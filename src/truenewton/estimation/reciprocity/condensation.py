@@ -25,7 +25,7 @@ MAX_FREED_FRACTION = 0.03  # of the actuators, and two at least, may be left fre
 CANDIDATE_COUNT = 8  # that are tried: neighbours of a bad actuator stand out as well
 
 
-def odd_actuators(stiffness: Array) -> NDArray[np.int64]:
+def odd_actuators(stiffness: Array, start: Array | None = None) -> NDArray[np.int64]:
     """Return which actuators of an (n, n) K_c are apart from the others; one more than may be left.
 
     Rows and columns are made alike, robustly, as far as one factor for each actuator can. While the
@@ -33,7 +33,7 @@ def odd_actuators(stiffness: Array) -> NDArray[np.int64]:
     absence leaves least.
     """
     at, rest = np.arange(len(stiffness)), stiffness
-    found, (size, ratios) = list[int](), _asymmetry(stiffness)
+    found, (size, ratios) = list[int](), _asymmetry(stiffness, start)
     while len(found) <= max(2, int(MAX_FREED_FRACTION * len(stiffness))):
         worst = np.argsort(-size)
         tried = worst[rest.diagonal()[worst] != 0.0][
@@ -55,9 +55,9 @@ def odd_actuators(stiffness: Array) -> NDArray[np.int64]:
     return np.sort(np.array(found, dtype=np.int64))
 
 
-def kept(stiffness: Array) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
+def kept(stiffness: Array, start: Array | None = None) -> tuple[NDArray[np.bool_], tuple[int, ...]]:
     """Return (n,) which actuators of K_c to keep; and, where too many are odd, all, with these."""
-    odd = odd_actuators(stiffness)
+    odd = odd_actuators(stiffness, start)
     keep = np.ones(len(stiffness), dtype=bool)
     if len(odd) > max(2, int(MAX_FREED_FRACTION * len(stiffness))):
         return keep, tuple(odd.tolist())

@@ -13,19 +13,16 @@ from truenewton.errors import NotConverged, RankDeficient
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.estimate import Estimate
 from truenewton.estimation.findings.finding import Finding
+from truenewton.estimation.matrix.facts import ElasticModes, MatrixFacts
 from truenewton.estimation.matrix.misfits import condensed
 from truenewton.estimation.matrix.modes import (
     EVEN_MODES,
     ODD_MODES,
     Imbalance,
-    elastic_count,
     imbalances_of,
 )
-from truenewton.estimation.matrix.order import (
-    MAX_SYMMETRISED_ASYMMETRY,
-    balance_effects,
-    looks_transposed,
-)
+from truenewton.estimation.matrix.order import MAX_SYMMETRISED_ASYMMETRY, balance_effects
+from truenewton.estimation.matrix.screen import ScreenedMatrix
 from truenewton.estimation.reciprocity.acceptance import (
     Evidence,
     apart,
@@ -46,10 +43,8 @@ from truenewton.estimation.reciprocity.response import (
 from truenewton.estimation.reciprocity.sensor_model import Places, places_of
 from truenewton.estimation.reciprocity.states import States, Weights
 from truenewton.estimation.reciprocity.unknowns import START_REQUEST, Kind, Request, Values
-from truenewton.linalg import asymmetry, singular_values_and_vectors
 from truenewton.progress import tell
-from truenewton.records.stiffness_matrix import StiffnessMatrix
-from truenewton.statics.arms import comparable_arms
+from truenewton.statics.layout import Layout
 
 AT_MAGNETS_OFFSET = (
     5e-5  # rms offset [m] of sensors; beyond it a plate is not what they see of the glass
@@ -66,25 +61,23 @@ class Modes:
         Of the actuators; (3, n) arms with lengths in units of the rms distance from the axis.
     stiffness
         (n, n) K_c, softest modes and all [N/m].
-    forces, values, readings
-        (n, m) U, (m,) S [N/m], (n, m) V.
+    elastic
+        The modes that are used.
     """
 
     places: Places
     arms: Array
     stiffness: Array
-    forces: Array
-    values: Array
-    readings: Array
+    elastic: ElasticModes
 
     def every(self, some: slice) -> Modes:
         """Return some of the modes."""
-        return replace(self, forces=self.forces[:, some], values=self.values[some],
-                       readings=self.readings[:, some])  # fmt: skip
+        return replace(self, elastic=self.elastic.every(some))
 
     def imbalances(self, *fits: Fit) -> tuple[Imbalance, ...]:
         """Return how modes balance with alpha of fits to all, to the even and to the odd."""
-        return imbalances_of(self.forces, self.arms, *(each.values.alpha for each in fits))
+        alphas = (each.values.alpha for each in fits)
+        return imbalances_of(self.elastic.forces, self.arms, *alphas)
 
     def fit(
         self,
@@ -98,7 +91,7 @@ class Modes:
 
         Unless weights are given, they are found as well.
         """
-        noise = BinnedNoise((self.forces * self.values) @ self.readings.T, self.readings, balance)
+        noise = BinnedNoise(self.elastic.stiffness, self.elastic.readings, balance)
         if weights is None:
             return fit(self.places, asked, noise, start=start, told=noise.told)
 
@@ -109,7 +102,8 @@ class Modes:
 
 
 def modes_of(
-    matrix: StiffnessMatrix,
+    layout: Layout,
+    facts: MatrixFacts,
     motion: Array | None = None,
     keep: NDArray[np.bool_] | None = None,
 ) -> Modes:
@@ -117,27 +111,18 @@ def modes_of(
 
     Parameters
     ----------
-    matrix
-        Commanded force per reading.
+    layout, facts
+        Of a matrix of commanded force per reading.
     motion
         (n, n) or (6, n, n) what a model of the glass tells of the sensors (`sight.places_of`).
     keep
         (n,) which actuators count; the others are free. All unless given.
     """
-    stiffness = matrix.used_stiffness
-    keep = np.ones(len(stiffness), dtype=bool) if keep is None else keep
-    places = kept_places(places_of(matrix.layout, motion), keep, stiffness)
-    measured = condensed(stiffness, keep)[0]
-    forces, values, readings = singular_values_and_vectors(measured)
-    some = slice(elastic_count(values))
-    return Modes(
-        places,
-        comparable_arms(matrix.layout)[:, keep],
-        measured,
-        forces[:, some],
-        values[some],
-        readings[some].T,
-    )
+    places = places_of(layout, motion)
+    if keep is not None and not keep.all():
+        places = kept_places(places, keep, facts.stiffness)
+        facts = MatrixFacts(condensed(facts.stiffness, keep)[0], facts.arms[:, keep])
+    return Modes(places, facts.arms, facts.stiffness, facts.elastic_modes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,7 +286,7 @@ def _unseen(imbalances: tuple[Imbalance, ...]) -> float:
 
 
 def find(
-    matrix: StiffnessMatrix,
+    screened: ScreenedMatrix,
     base: Estimate,
     motion: Array | None = None,
     *,
@@ -315,8 +300,8 @@ def find(
 
     Parameters
     ----------
-    matrix
-        Commanded force per reading.
+    screened
+        A matrix of commanded force per reading.
     base
         The estimate of `ml`, which says what is odd about the matrix itself.
     motion
@@ -328,18 +313,19 @@ def find(
     ------
     RankDeficient, NotConverged
     """
-    for effect in balance_effects(matrix):
+    layout, facts = screened.matrix.layout, screened.facts
+    for effect in balance_effects(facts):
         raise RankDeficient(effect.name, remedy=effect.remedy)
-    if asymmetry(matrix.used_stiffness) < MAX_SYMMETRISED_ASYMMETRY:
+    if facts.asymmetry < MAX_SYMMETRISED_ASYMMETRY:
         raise RankDeficient(
             "STIFFNESS is symmetric as commanded, so reciprocity gives alpha = 1 whatever it is",
             remedy="use the matrix as it was measured",
         )
-    keep, odd = kept(matrix.used_stiffness)
-    transposed = looks_transposed(matrix.used_stiffness, comparable_arms(matrix.layout))
+    keep, odd = kept(facts.stiffness, facts.pair_ratios[0])
+    transposed = facts.looks_transposed
     if odd and where_it_holds:
         return base, (), tuple(refusals(Evidence(odd=odd, transposed=transposed)))
-    modes = modes_of(matrix, motion, keep)
+    modes = modes_of(layout, facts, motion, keep)
     found = examined(modes)
     joint, n = found.joint, len(keep)
     by_balance = base.values[:n]
@@ -352,7 +338,7 @@ def find(
     whole[np.ix_(keep, keep)] = found.covariance
     held = np.eye(n) - np.outer(np.ones(n), alpha / alpha.sum())  # mean alpha stays 1
     covariance = held @ whole @ held.T * np.outer(alpha, alpha)
-    ids = matrix.layout.id[matrix.layout.enabled]
+    ids = layout.id[layout.enabled]
     estimate = replace(
         base,
         method="reciprocity",
