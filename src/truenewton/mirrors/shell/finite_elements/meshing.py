@@ -9,6 +9,8 @@ scipy's.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
@@ -17,18 +19,23 @@ from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Shell, check_shell
 from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
 from truenewton.mirrors.shell.finite_elements.outline import (
+    check_mesh_size,
     checked_places,
-    checked_sides,
+    checked_polygons,
     inside,
+    polygon_of,
     sides_of,
 )
 
-SMALLEST_ANGLE = 25.0  # of a triangle [deg]
-WIDEST_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
+if TYPE_CHECKING:
+    from shapely import Polygon
+
+MIN_ANGLE = 25.0  # of a triangle [deg]
+MAX_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
 RELAXATIONS = 12
-FINER_THAN_ACTUATORS = 1 / 3  # mesh size, in spacings
-COARSEST = 1 / 4  # in outer radii
-MOST_ROUNDS = 300  # of refinement; some ten are usual
+MESH_SIZE = 1 / 3  # mesh size, in spacings
+MAX_MESH_SIZE = 1 / 4  # in outer radii
+MAX_ROUNDS = 300  # of refinement; some ten are usual
 
 
 def mesh_size_of(shell: Shell, x: Array, y: Array) -> float:
@@ -38,13 +45,13 @@ def mesh_size_of(shell: Shell, x: Array, y: Array) -> float:
     """
     if shell.outline is not None and shell.outline.mesh_size is not None:
         return shell.outline.mesh_size
-    coarsest = COARSEST * shell.outer_radius
+    coarsest = MAX_MESH_SIZE * shell.outer_radius
     if np.size(x) < 2:
         return coarsest
     places = np.stack([x, y], axis=1)
     gaps = np.asarray(cKDTree(places).query(places, k=2)[0])
     spacing = float(np.median(gaps[:, 1]))
-    return min(FINER_THAN_ACTUATORS * spacing, coarsest)
+    return min(MESH_SIZE * spacing, coarsest)
 
 
 def shell_mesh(shell: Shell, x: Array, y: Array, *, mesh_size: float) -> Mesh:
@@ -71,14 +78,16 @@ def shell_mesh(shell: Shell, x: Array, y: Array, *, mesh_size: float) -> Mesh:
     if shell.outline is None:
         radii = shell.outer_radius, shell.inner_radius
         polygons = [_circle(radius, mesh_size) for radius in radii if radius > 0]
-    loops = checked_sides(polygons, mesh_size)
+    loops = checked_polygons(polygons)
+    check_mesh_size(loops, mesh_size)
     places = checked_places(loops, x, y, mesh_size)
     rims = [_divided(loop, mesh_size) for loop in loops]
     fixed = np.concatenate([places, *rims])
     numbers = np.split(np.arange(len(fixed)), np.cumsum([len(places), *map(len, rims)]))
     sides = np.stack(sides_of(numbers[1:-1]), axis=1)
-    points = _relaxed(fixed, _lattice(loops[0], mesh_size), loops, mesh_size)
-    return _refined(points, sides, loops, mesh_size)
+    glass = polygon_of(loops)
+    points = _relaxed(fixed, _lattice(loops[0], mesh_size), glass, mesh_size)
+    return _refined(points, sides, glass, mesh_size)
 
 
 def _circle(radius: float, mesh_size: float) -> Array:
@@ -111,22 +120,22 @@ def _lattice(outline: Array, mesh_size: float) -> Array:
     return np.asarray(low + lattice.reshape(-1, 2))
 
 
-def _relaxed(fixed: Array, free: Array, loops: list[Array], mesh_size: float) -> Array:
+def _relaxed(fixed: Array, free: Array, glass: Polygon, mesh_size: float) -> Array:
     """Return fixed points and free ones moved to the mean circumcentre of their triangles."""
     tree = cKDTree(fixed)
 
     def apart(places: Array, least: float) -> Array:
         gap, _ = tree.query(places)
         roomy = places[gap > least * mesh_size]
-        return roomy[inside(loops, roomy)]
+        return roomy[inside(glass, roomy)]
 
     free = apart(free, 0.7)
     for _ in range(RELAXATIONS):
         points = np.concatenate([fixed, free])
-        triangles = _triangles(points, loops, mesh_size)
+        triangles = _triangles(points, glass, mesh_size)
         centre, _, area = _circles(points[triangles])
         # Beside the boundary the circle's centre may lie outside: the triangle's own then.
-        out = ~inside(loops, centre)
+        out = ~inside(glass, centre)
         centre[out] = points[triangles[out]].mean(axis=1)
         total, moment = np.zeros(len(points)), np.zeros((len(points), 2))
         np.add.at(total, triangles, area[:, None])
@@ -137,20 +146,20 @@ def _relaxed(fixed: Array, free: Array, loops: list[Array], mesh_size: float) ->
     return np.concatenate([fixed, free])
 
 
-def _refined(points: Array, sides: Indices, loops: list[Array], mesh_size: float) -> Mesh:
+def _refined(points: Array, sides: Indices, glass: Polygon, mesh_size: float) -> Mesh:
     """Add vertices until all triangles are good (Ruppert's algorithm, many vertices a round)."""
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         middle = points[sides].mean(axis=1)
         half = 0.5 * np.linalg.norm(np.diff(points[sides], axis=1)[:, 0], axis=1)
         within = cKDTree(points).query_ball_point(middle, half * (1 - 1e-9), return_length=True)
         crowded = np.asarray(within) > 0
         new = np.zeros((0, 2))
         if not crowded.any():
-            triangles = _triangles(points, loops, mesh_size)
+            triangles = _triangles(points, glass, mesh_size)
             centre, radius, _ = _circles(points[triangles])
             side = np.linalg.norm(np.diff(points[triangles][:, [0, 1, 2, 0]], axis=1), axis=2)
-            slender = side.min(axis=1) < 2 * radius * np.sin(np.radians(SMALLEST_ANGLE))
-            bad = slender | (radius > WIDEST_CIRCLE * mesh_size)
+            slender = side.min(axis=1) < 2 * radius * np.sin(np.radians(MIN_ANGLE))
+            bad = slender | (radius > MAX_CIRCLE * mesh_size)
             if not bad.any():
                 return Mesh(points, triangles)
             new = _scattered(centre[bad], radius[bad])
@@ -170,14 +179,14 @@ def _refined(points: Array, sides: Indices, loops: list[Array], mesh_size: float
     )
 
 
-def _triangles(points: Array, loops: list[Array], mesh_size: float) -> Indices:
+def _triangles(points: Array, glass: Polygon, mesh_size: float) -> Indices:
     """Return Delaunay's triangles on the glass, counter-clockwise, slivers left out."""
     triangles = Delaunay(points).simplices.astype(np.int64)
     corners = points[triangles]
     twice = np.linalg.det(corners[:, 1:] - corners[:, :1])
     triangles[twice < 0] = triangles[twice < 0][:, ::-1]
     sound = np.abs(twice) > 1e-9 * mesh_size**2
-    return np.asarray(triangles[sound & inside(loops, corners.mean(axis=1))])
+    return np.asarray(triangles[sound & inside(glass, corners.mean(axis=1))])
 
 
 def _circles(corners: Array) -> tuple[Array, Array, Array]:
