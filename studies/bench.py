@@ -43,9 +43,9 @@ from truenewton.mirrors.shell.condensation import condense, rigid_motions
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
-from truenewton.mirrors.shell.held_glass import influence
 from truenewton.mirrors.shell.moving_mass import static_shapes
 from truenewton.mirrors.shell.places import Points
+from truenewton.mirrors.shell.shell_model import influence
 from truenewton.statics.modes import stiffness_modes
 
 

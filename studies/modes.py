@@ -24,7 +24,7 @@ from studies.modal_truth import score_modes
 from truenewton.bench.simulated.static import loop_of, run_cycles, static_bench
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import at_nominal
-from truenewton.mirrors.sight import motion_for
+from truenewton.mirrors.sensor_model import sensor_model
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.dissipation import Dissipation, dissipation
 from truenewton.modal.findings import find_modes
@@ -71,7 +71,7 @@ def of_sensors(seeds: int) -> None:
     Where the glass is known, from those of the magnets, else from those of sensors at the magnets.
     """
     mirror = tn.mirrors.p45()
-    motion = motion_for(mirror, mirror.layout)
+    motion = sensor_model(mirror, mirror.layout)
     places = places_of(mirror.layout, motion)
     scores: dict[str, list[list[float]]] = {}
     for seed in range(seeds):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from truenewton.mirrors.glass import Shell, rim
-from truenewton.mirrors.shell import condensation, held_glass
+from truenewton.mirrors.shell import condensation, shell_model
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
 from truenewton.mirrors.shell.fourier import RoundShell
@@ -44,7 +44,7 @@ def holding_forces(condensed, displacement, load_influence, load_resultants):
 
 
 def free_stiffness(free, at, *, sensor=None, puck_radius=0.0):
-    compliance = held_glass.influence(free, at, at, sensor, puck_radius)
+    compliance = shell_model.influence(free, at, at, sensor, puck_radius)
     condensing = condense if sensor == rim(puck_radius) else condensation.condense
     return condensing(compliance, condensation.rigid_motions(*at)).stiffness
 

@@ -61,8 +61,8 @@ def run(
     from truenewton.modal.file import modes_paths, numbered
     from truenewton.modal.findings import find_modes
     from truenewton.modal.segments import modes_of_segments
+    from truenewton.modal.summary import lines, segment_lines, segment_values, values
     from truenewton.modal.turbulence import Atmosphere
-    from truenewton.modal.words import lines, segment_lines, segment_values, values
     from truenewton.reading import of_segment, read_data
     from truenewton.records.segmented import SegmentedData
 

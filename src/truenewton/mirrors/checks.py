@@ -14,8 +14,8 @@ from truenewton.mirrors.shell.finite_elements.outline import (
     checked_polygons,
     depth_inside,
 )
-from truenewton.mirrors.shell.held_glass import tool_wedges
 from truenewton.mirrors.shell.places import SMALLEST_HOLE
+from truenewton.mirrors.shell.shell_model import tool_wedges
 from truenewton.rounding import counted
 
 OTHER_WEIGHT = 3.0  # and its inverse: so far may it be from glass and magnets, which vary

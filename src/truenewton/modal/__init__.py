@@ -16,5 +16,5 @@ findings            modal bases before and after calibration: the result
 segments            modes of a mirror in several segments, side by side
 file                the modal base in files (docs/files.md)
 figures             modes on the mirror, residual, power
-words               in words and numbers: terminal, page, script
+summary               in words and numbers: terminal, page, script
 """

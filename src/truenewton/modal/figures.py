@@ -23,7 +23,7 @@ from truenewton.figures.style import (
 from truenewton.modal.dissipation import Budget
 from truenewton.modal.findings import ModalFindings
 from truenewton.modal.modal_base import ModalBase
-from truenewton.modal.words import stiffness_text
+from truenewton.modal.summary import stiffness_text
 
 NANOMETRE = 1e-9
 ACROSS = 4  # maps of modes beside each other

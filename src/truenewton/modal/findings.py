@@ -82,7 +82,7 @@ class ModalFindings:
 
     def _repr_html_(self) -> str:
         from truenewton.calibration.words import warning_lines
-        from truenewton.modal.words import headline, summary_rows
+        from truenewton.modal.summary import headline, summary_rows
 
         rows = [row for row in summary_rows(self) if row[1]]
         rows.append(("verdict on alpha", str(self.calibration.verdict)))

@@ -14,7 +14,7 @@ from truenewton.arrays import Array
 from truenewton.bench.simulated.static import START
 from truenewton.errors import LimitExceeded
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.held_glass import HeldGlass, forces_under, weight_on
+from truenewton.mirrors.shell.shell_model import ShellModel, forces_under, weight_on
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
 from truenewton.statics.arms import arms
@@ -41,7 +41,7 @@ class Prepared:
 
     plan: CampaignPlan
     mirror: Mirror
-    glass: HeldGlass
+    glass: ShellModel
     shapes: Array
     force: Array
     own: Array
@@ -94,7 +94,7 @@ def _prepared(plan: CampaignPlan, mirror: Mirror, folder: str | os.PathLike[str]
     return Prepared(plan, mirror, glass, shapes, force, *holding(glass), given)
 
 
-def holding(glass: HeldGlass) -> tuple[Array, Array]:
+def holding(glass: ShellModel) -> tuple[Array, Array]:
     """Return what holds a mirror by the model: `Prepared.own` and `tool`, (n_enabled,) each [N].
 
     It is the simulated bench without its scatter.

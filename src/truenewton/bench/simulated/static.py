@@ -27,15 +27,15 @@ from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.shell.air_film import film_damping
-from truenewton.mirrors.shell.held_glass import (
+from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
+from truenewton.mirrors.shell.shell_model import (
     ExternalForces,
-    HeldGlass,
+    ShellModel,
     external_resultants,
     forces_under,
-    held_glass,
+    model_shell,
     weight_on,
 )
-from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
 from truenewton.records.cycle import Cycle
 from truenewton.statics.load import Load
 from truenewton.statics.modes import scaled_modes, stiffness_modes
@@ -70,7 +70,7 @@ class StaticBench:
 
     mirror: Mirror
     truth: Truth
-    glass: HeldGlass
+    glass: ShellModel
     coils: Coils
     sensors: Sensors
     loads: tuple[Load, ...]
@@ -89,7 +89,7 @@ def static_bench(
     force_limit: float = 0.4,
     force_noise: float = 1e-4,
     temperature: float = REFERENCE_TEMPERATURE,
-    glass: HeldGlass | None = None,
+    glass: ShellModel | None = None,
 ) -> StaticBench:
     """Draw the truth of a mirror and plan its stiffness modes within stroke and force.
 
@@ -132,7 +132,7 @@ def static_bench(
     weight = float(random.normal(mirror.weight, mirror.weight_error))
     bias = mirror.bias_force * random.normal(1.0, BIAS_SCATTER, n)
     added, tilt = _true_loads(loads, random)
-    glass = glass or held_glass(mirror)
+    glass = glass or model_shell(mirror)
     external = _hung(mirror, weight, added, tilt, bias, random)
     load_force = np.array([forces_under(glass, each) for each in external])
     k = np.array([external_resultants(mirror, each) for each in external])

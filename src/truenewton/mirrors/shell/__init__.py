@@ -1,6 +1,6 @@
 """The elastic shell between its actuators.
 
-held_glass           a mirror's glass between its actuators, and what holds it under its loads
+shell_model           a mirror's glass between its actuators, and what holds it under its loads
 puck_motion          where forces act, for what annular sensors read
 moving_mass          static shapes between actuators, and the mass that moves with them
 air_film             damping by the film of air behind the glass

@@ -34,9 +34,9 @@ from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.shell.finite_elements.film import MeshedFilm
 from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
-from truenewton.mirrors.shell.held_glass import HeldGlass
 from truenewton.mirrors.shell.moving_mass import StaticShapes, shapes_at
 from truenewton.mirrors.shell.places import Points
+from truenewton.mirrors.shell.shell_model import ShellModel
 
 VISCOSITY = 1.82e-5  # of air at 20 degC [Pa s, lit]
 ROOM_PRESSURE = 1.013e5  # [Pa, lit]
@@ -59,7 +59,7 @@ class Film(Protocol):
         """Return (n, n) Green's function between places plus ln(distance) / 2 pi."""
 
 
-def film_damping(glass: HeldGlass, shapes: StaticShapes) -> Array:
+def film_damping(glass: ShellModel, shapes: StaticShapes) -> Array:
     """Return C, (n, n), the force of the air film per velocity of the readings [N s/m].
 
     Symmetric; as work on the readings, like the mass of `moving_mass`. At the nominal gap: that it
@@ -68,7 +68,7 @@ def film_damping(glass: HeldGlass, shapes: StaticShapes) -> Array:
     Raises
     ------
     GeometryError
-        Bores that touch, or reach over an edge; what `held_glass` raises.
+        Bores that touch, or reach over an edge; what `model_shell` raises.
     """
     mirror, film = glass.mirror, film_of(glass)
     work = film.work(shapes.at, shapes.area[:, None] * shapes.shape)
@@ -83,7 +83,7 @@ def film_damping(glass: HeldGlass, shapes: StaticShapes) -> Array:
     return np.asarray(6 * VISCOSITY / mirror.gap**3 * (damping + damping.T))
 
 
-def breathing_frequency(glass: HeldGlass) -> float:
+def breathing_frequency(glass: ShellModel) -> float:
     """Return the frequency [Hz] at which the film is as much of a spring as of a damper.
 
     p_0 h^2 k^2 / 24 pi mu, with k^2 the least eigenvalue of -div grad in the film: well below it
@@ -96,7 +96,7 @@ def breathing_frequency(glass: HeldGlass) -> float:
     return ROOM_PRESSURE * glass.mirror.gap**2 * k2 / (24 * np.pi * VISCOSITY)
 
 
-def film_of(glass: HeldGlass) -> Film:
+def film_of(glass: ShellModel) -> Film:
     """Return the film under a ring of glass, or under any outline."""
     if isinstance(glass.free, MeshedShell):
         return MeshedFilm(glass.free.mesh)
@@ -104,7 +104,7 @@ def film_of(glass: HeldGlass) -> Film:
     return RoundFilm(shell.inner_radius, shell.outer_radius, FINER * glass.mirror.layout.n**0.5)
 
 
-def _between_bores(film: Film, glass: HeldGlass) -> Array:
+def _between_bores(film: Film, glass: ShellModel) -> Array:
     """Return Gamma, (n, n), once bores are known not to touch."""
     vent = glass.mirror.vent_radius
     x, y = glass.places

@@ -9,8 +9,8 @@ import numpy as np
 from truenewton.arrays import Array
 from truenewton.mirrors.glass import Annulus, rim
 from truenewton.mirrors.shell.condensation import condense, rigid_motions
-from truenewton.mirrors.shell.held_glass import HeldGlass, influence
 from truenewton.mirrors.shell.places import Points
+from truenewton.mirrors.shell.shell_model import ShellModel, influence
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,26 +30,26 @@ class StaticShapes:
     shape: Array
 
 
-def static_shapes(glass: HeldGlass) -> StaticShapes:
+def static_shapes(glass: ShellModel) -> StaticShapes:
     """Return the influence functions of a glass, where integrals over it want them.
 
     Raises
     ------
     GeometryError
-        What `held_glass` raises.
+        What `model_shell` raises.
     """
     at, area = glass.free.quadrature(glass.mirror.layout.n)
     return StaticShapes(at, area, shapes_at(glass, at))
 
 
-def shapes_at(glass: HeldGlass, at: Points, over: Annulus | None = None) -> Array:
+def shapes_at(glass: ShellModel, at: Points, over: Annulus | None = None) -> Array:
     """Return (points, n) of the influence functions at points, or means over a sensor there."""
     condensed = condense(glass.compliance, rigid_motions(*glass.places))
     read = influence(glass.free, at, glass.places, over, glass.mirror.puck_radius)
     return np.asarray(read @ condensed.stiffness + rigid_motions(*at).T @ condensed.motion)
 
 
-def moving_mass(glass: HeldGlass, shapes: StaticShapes) -> tuple[Array, Array]:
+def moving_mass(glass: ShellModel, shapes: StaticShapes) -> tuple[Array, Array]:
     """Return M and S in M z'' + K~ z = S' f, z the readings and f the forces.
 
     M = rho t integral of phi_i phi_j + magnet_mass S' S (Guyan's reduction), with phi the
@@ -67,7 +67,7 @@ def moving_mass(glass: HeldGlass, shapes: StaticShapes) -> tuple[Array, Array]:
     Raises
     ------
     GeometryError
-        What `held_glass` raises.
+        What `model_shell` raises.
     """
     mirror = glass.mirror
     mass = shapes.shape.T @ (shapes.area[:, None] * shapes.shape)

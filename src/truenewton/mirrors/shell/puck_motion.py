@@ -14,8 +14,8 @@ from truenewton.arrays import Array
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import rim
 from truenewton.mirrors.shell.condensation import condense, rigid_motions
-from truenewton.mirrors.shell.held_glass import HeldGlass, influence
 from truenewton.mirrors.shell.moving_mass import shapes_at
+from truenewton.mirrors.shell.shell_model import ShellModel, influence
 from truenewton.statics.arms import arms
 
 # Between places [m]: first differences are then good to 1e-4 of themselves, where neighbouring
@@ -23,7 +23,7 @@ from truenewton.statics.arms import arms
 STEP = 2.5e-4
 
 
-def puck_motion(glass: HeldGlass) -> Array:
+def puck_motion(glass: ShellModel) -> Array:
     """Return (n, n) H, displacements of the pucks for those that the sensors see.
 
     H = J S J^-1 with S that of the shallow shell and J its exchange for the sphere; by virtual work
@@ -36,7 +36,7 @@ def puck_motion(glass: HeldGlass) -> Array:
     return np.asarray(glass.exchange @ pucks @ np.linalg.inv(glass.exchange))
 
 
-def seen_by(glass: HeldGlass) -> Array:
+def model_sensors(glass: ShellModel) -> Array:
     """Return `puck_motion` and `displaced_readings` of a glass, (6, n, n).
 
     Or the former alone, (1, n, n), of a sensor that touches its puck, another's or an edge.
@@ -48,7 +48,7 @@ def seen_by(glass: HeldGlass) -> Array:
         return motion
 
 
-def displaced_readings(glass: HeldGlass) -> Array:
+def displaced_readings(glass: ShellModel) -> Array:
     """Return how readings change with the places of the sensors, for what all read at the magnets.
 
     Returns
@@ -78,7 +78,7 @@ def displaced_readings(glass: HeldGlass) -> Array:
     )
 
 
-def _read_at(glass: HeldGlass, steps: Array) -> list[Array]:
+def _read_at(glass: ShellModel, steps: Array) -> list[Array]:
     """Return (n, n) what sensors read that sit (k, 2) steps off, for what they read at the magnets.
 
     As `rearming` puts the sphere's rigid motions in place of the shallow shell's.

@@ -28,7 +28,7 @@ WEDGE_MARGIN = 1.5e-3  # wedges of the tool outside the inner edge of the shell 
 
 
 @dataclass(frozen=True, eq=False)
-class HeldGlass:
+class ShellModel:
     """The glass of a mirror, pushed through its pucks and read by its sensors.
 
     Attributes
@@ -65,7 +65,7 @@ class HeldGlass:
         return self.free.uniform_influence(self.places, sensor=self.mirror.sensor)
 
 
-def held_glass(mirror: Mirror) -> HeldGlass:
+def model_shell(mirror: Mirror) -> ShellModel:
     """Return the glass of a mirror: a ring semi-analytically, discs and outlines by elements.
 
     Raises
@@ -82,7 +82,7 @@ def held_glass(mirror: Mirror) -> HeldGlass:
     compliance = influence(free, places, places, mirror.sensor, mirror.puck_radius)
     exchange = rearming(rigid_motions(*places), arms(mirror.layout))
     condensed = condense(exchange @ compliance @ exchange.T, arms(mirror.layout))
-    return HeldGlass(mirror, free, places, compliance, exchange, condensed)
+    return ShellModel(mirror, free, places, compliance, exchange, condensed)
 
 
 def influence(
@@ -164,7 +164,7 @@ def tool_wedges(mirror: Mirror) -> Points:
     return radius * np.cos(angle), radius * np.sin(angle)
 
 
-def forces_under(glass: HeldGlass, external: ExternalForces) -> Array:
+def forces_under(glass: ShellModel, external: ExternalForces) -> Array:
     """Return the (n,) forces that hold the flat mirror under external ones [N]."""
     sensor = glass.mirror.sensor
     bent = external.spread * glass.uniform_influence

@@ -8,12 +8,12 @@ from truenewton.arrays import Array
 from truenewton.errors import CampaignMismatch
 from truenewton.mirrors.known import Mirror
 from truenewton.mirrors.segmented import SegmentedMirror
-from truenewton.mirrors.shell.held_glass import held_glass
-from truenewton.mirrors.shell.puck_motion import seen_by
+from truenewton.mirrors.shell.puck_motion import model_sensors
+from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.statics.layout import Layout
 
 
-def motion_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
+def sensor_model(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
     """Return what sensors see of a mirror whose actuators are those of data.
 
     Returns
@@ -34,26 +34,26 @@ def motion_for(mirror: Mirror | SegmentedMirror, layout: Layout) -> Array:
     CampaignMismatch
         The actuators are others.
     GeometryError
-        What `held_glass` raises.
+        What `model_shell` raises.
 
     Examples
     --------
-    >>> motion = tn.motion_for(tn.mirrors.p45(), campaign.layout)
+    >>> motion = tn.sensor_model(tn.mirrors.p45(), campaign.layout)
     >>> tn.calibrate(campaign, motion=motion).method
     'reciprocity'
     """
     known = _same_in(mirror, layout)
     if isinstance(mirror, SegmentedMirror):
-        blocks, number = motion_by_segment(mirror, layout), np.asarray(known.segment)
+        blocks, number = segment_sensor_models(mirror, layout), np.asarray(known.segment)
         depth = min(map(len, blocks.values()))
         whole = np.zeros((depth, layout.n, layout.n))
         for k, seen in blocks.items():
             whole[:, *np.ix_(number == k, number == k)] = seen[:depth]
         return whole
-    return seen_by(held_glass(mirror))
+    return model_sensors(model_shell(mirror))
 
 
-def motion_by_segment(mirror: SegmentedMirror, layout: Layout) -> dict[int, Array]:
+def segment_sensor_models(mirror: SegmentedMirror, layout: Layout) -> dict[int, Array]:
     """Return the same of each segment of a layout by its number, (6, k, k) or (1, k, k).
 
     Raises
@@ -64,7 +64,7 @@ def motion_by_segment(mirror: SegmentedMirror, layout: Layout) -> dict[int, Arra
     blocks: dict[int, Array] = {}
     for glass, alike in mirror.kinds:
         if measured := sorted(set(alike) & set(number)):
-            seen = seen_by(held_glass(glass))
+            seen = model_sensors(model_shell(glass))
             blocks |= {k: _turned(seen, mirror.places[k - 1].turned) for k in measured}
     return blocks
 

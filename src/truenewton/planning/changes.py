@@ -11,7 +11,7 @@ import numpy as np
 from truenewton.acquisition.plan import CampaignPlan
 from truenewton.errors import LimitExceeded
 from truenewton.planning.forces import Prepared, within_limits
-from truenewton.planning.outlook import duration, predicted, with_added
+from truenewton.planning.plan_prediction import duration, predict_errors, with_added
 from truenewton.progress import telling_of
 from truenewton.rounding import counted
 from truenewton.statics.load import Load
@@ -22,7 +22,7 @@ STEEPEST, TILT_ERROR = 60, 0.1  # of a mirror that is leaned by hand [deg, guess
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class Change:
     """One thing in a plan changed, the others left alone.
 
     Attributes
@@ -49,7 +49,7 @@ class Way:
     duration: float
 
 
-def ways_to(ready: Prepared, target: float) -> tuple[Way, ...]:
+def suggest_changes(ready: Prepared, target: float) -> tuple[Change, ...]:
     """Return what each change of a plan alone can do for a typical error of alpha.
 
     What it asks of the mirror stays within its own limits; the target is the wanted median over
@@ -71,26 +71,26 @@ def ways_to(ready: Prepared, target: float) -> tuple[Way, ...]:
 Ladder = Iterator[tuple[str, CampaignPlan]]
 
 
-def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing: str) -> Way:
+def _smallest(ready: Prepared, target: float, what: str, ladder: Ladder, nothing: str) -> Change:
     """Return the first change that suffices, or the last that the limits allow."""
 
     def breaks(change: tuple[str, CampaignPlan]) -> bool:
         return not within_limits(ready.changed(change[1]))
 
     def error(change: tuple[str, CampaignPlan]) -> float:
-        return predicted(ready.changed(change[1])).typical
+        return predict_errors(ready.changed(change[1])).typical
 
     changes = tuple(ladder)
     allowed = changes[: bisect_left(changes, True, key=breaks)]
     if not allowed:
         why = "the limits allow no more" if changes else nothing
-        return Way(what, False, why, None, float("nan"), float("nan"))
+        return Change(what, False, why, None, float("nan"), float("nan"))
     chosen = allowed[-1]
     reached = error(chosen) <= target
     if reached:
         chosen = allowed[bisect_left(allowed, True, key=lambda change: error(change) <= target)]
     words, plan = chosen
-    return Way(what, reached, words, plan, error(chosen), duration(plan, len(ready.shapes)))
+    return Change(what, reached, words, plan, error(chosen), duration(plan, len(ready.shapes)))
 
 
 def _more_cycles(plan: CampaignPlan) -> Ladder:

@@ -26,7 +26,7 @@ from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import typical
-from truenewton.mirrors.shell.puck_motion import seen_by
+from truenewton.mirrors.shell.puck_motion import model_sensors
 from truenewton.planning.forces import (
     Prepared,
     Strain,
@@ -40,17 +40,17 @@ from truenewton.progress import tell
 from truenewton.records.campaign import Campaign
 
 
-def predicted(ready: Prepared) -> Prediction:
+def predict_errors(ready: Prepared) -> Prediction:
     """Return the errors that a plan will give.
 
     Raises
     ------
     RankDeficient
     """
-    return _predicted_for(ready, [ready.plan.cycles])[0]
+    return _predict_for(ready, [ready.plan.cycles])[0]
 
 
-def _predicted_for(ready: Prepared, cycles: Sequence[int]) -> list[Prediction]:
+def _predict_for(ready: Prepared, cycles: Sequence[int]) -> list[Prediction]:
     """Predict for several numbers of cycles."""
     campaign, moments, alpha = _beforehand(ready)
     return [predict(campaign, moments, r, alpha) for r in cycles]
@@ -118,7 +118,7 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
     repeats = 2 * len(plan.loads)
     try:
         said = informed(
-            places_of(layout, seen_by(ready.glass)),
+            places_of(layout, model_sensors(ready.glass)),
             Asked(plan.sensors.gain, plan.sensors.offset),
             *(np.sqrt(repeats) * each[:, layout.enabled] for each in (ready.shapes, ready.force)),
             force_noise=plan.force_noise,
@@ -141,7 +141,7 @@ def duration(plan: CampaignPlan, shapes: int) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Outlook:
+class PlanPrediction:
     """All that is predicted of a plan.
 
     Attributes
@@ -174,7 +174,7 @@ class Outlook:
     reciprocity: WithSensors
 
 
-def read_outlook(path: str | os.PathLike[str]) -> Outlook:
+def predict_plan(path: str | os.PathLike[str]) -> PlanPrediction:
     """Predict what the plan in a file will give; of a mirror in segments, to the worst of them.
 
     Parameters
@@ -189,27 +189,27 @@ def read_outlook(path: str | os.PathLike[str]) -> Outlook:
 
     Examples
     --------
-    >>> outlook = tn.read_outlook("day.toml")
-    >>> outlook.prediction.error.shape
+    >>> outcome = tn.predict_plan("day.toml")
+    >>> outcome.prediction.error.shape
     (45,)
     """
     plan = read_plan(path)
     tell("forces and errors")
     try:
-        bodies = map(outlook, prepared_bodies(plan, Path(path).parent))
+        bodies = map(predict_prepared, prepared_bodies(plan, Path(path).parent))
         return max(bodies, key=lambda one: typical_errors(one.prediction))
     except TrueNewtonError as error:
         raise located(error, path) from None
 
 
-def outlook(ready: Prepared) -> Outlook:
+def predict_prepared(ready: Prepared) -> PlanPrediction:
     """Predict what a plan will give.
 
     Raises
     ------
     LimitExceeded, RankDeficient, FormatError
     """
-    asked, prediction = strain(ready), predicted(ready)
+    asked, prediction = strain(ready), predict_errors(ready)
     warnings = prediction.diagnosis.warnings
     limit = ready.plan.limits.force
     if asked.force_at_worst > limit:
@@ -225,12 +225,12 @@ def outlook(ready: Prepared) -> Outlook:
     tell("what the sensors will see besides", 0.3)
     sensors = with_sensors(ready, cycles)
     tell("errors against cycles and weight", 0.9)
-    return Outlook(
+    return PlanPrediction(
         ready,
         prediction,
         asked,
         duration(ready.plan, len(ready.shapes)),
-        _curve(list(map(float, cycles)), _predicted_for(ready, cycles)),
+        _curve(list(map(float, cycles)), _predict_for(ready, cycles)),
         _curve(*_by_weight(ready)),
         warnings,
         order_costs(ready.plan, ready.mirror, len(ready.shapes)),
@@ -250,7 +250,7 @@ def _by_weight(ready: Prepared) -> tuple[list[float], list[Prediction]]:
     added = any(load.added for load in ready.plan.loads)
     factors = [0.25, 0.5, 1.0, 2.0, 4.0, 8.0] if added else []
     heavier = (ready.changed(with_added(ready.plan, factor)) for factor in factors)
-    predictions = [predicted(each) for each in takewhile(within_limits, heavier)]
+    predictions = [predict_errors(each) for each in takewhile(within_limits, heavier)]
     return factors[: len(predictions)], predictions
 
 
