@@ -23,17 +23,21 @@ from truenewton.acquisition.plan import (
 from truenewton.acquisition.shapes import model_glass, shapes_and_forces
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.errors import RankDeficient
-from truenewton.estimation.prediction import predict
 from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
 from truenewton.estimation.sifted import campaign_moments
 from truenewton.estimation.weights import READINGS, tilt_as_load, typical
 from truenewton.mirrors.known import p45
 from truenewton.mirrors.sensor_model import sensor_model
-from truenewton.planning.changes import suggest_changes
 from truenewton.planning.figures import plot_plan
 from truenewton.planning.forces import holding, noiseless, prepared, strain
-from truenewton.planning.plan_prediction import predict_errors, predict_prepared, with_sensors
+from truenewton.planning.plan_prediction import (
+    predict_errors,
+    predict_prepared,
+    suggest_changes,
+    with_sensors,
+)
+from truenewton.planning.prediction import predict
 from truenewton.planning.summary import lines
 from truenewton.records.campaign import Campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix

@@ -40,9 +40,8 @@ def run(
     from truenewton.cli.terminal import busy, print_result
     from truenewton.figures.writing import write_figure
     from truenewton.files.outputs import refuse_existing
-    from truenewton.planning.changes import suggest_changes
     from truenewton.planning.figures import plot_plan
-    from truenewton.planning.plan_prediction import predict_plan
+    from truenewton.planning.plan_prediction import predict_plan, suggest_changes
     from truenewton.planning.summary import change_lines, lines, values
 
     refuse_existing(plot, overwrite=overwrite)

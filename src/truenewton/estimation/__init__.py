@@ -69,5 +69,4 @@ files, in the order in which data pass through them:
     findings         what was found: codes and levels, sentences, the record of a finding
     diagnosis        how well alpha is determined and how well the data fit, in records
     estimate         what every method hands over
-    prediction       errors of a campaign before a reading is taken
 """

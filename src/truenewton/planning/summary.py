@@ -1,4 +1,4 @@
-"""What a campaign is predicted to give, in words for people and in figures for scripts."""
+"""The prediction of a plan: text for the terminal, values for scripts."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ from truenewton.acquisition.mountings import mountings, reading_time
 from truenewton.acquisition.taker import ELSEWHERE, SURE
 from truenewton.calibration.words import warning_lines
 from truenewton.estimation.weights import scale_budget
-from truenewton.planning.changes import Change
-from truenewton.planning.plan_prediction import Curve, PlanPrediction, typical_errors
+from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction
 from truenewton.rounding import counted, percent
 
 
 def lines(outcome: PlanPrediction) -> Iterator[str]:
-    """Yield what is predicted, as people read it."""
+    """Yield the lines of the prediction."""
     ready, strain, prediction = outcome.ready, outcome.strain, outcome.prediction
     plan, limits = ready.plan, ready.plan.limits
     relative, shapes = prediction.error / prediction.alpha, len(ready.shapes)
-    typical_error, from_readings, from_weights = typical_errors(prediction)
+    typical_error, from_readings, from_weights = prediction.typical_errors
     names = ", ".join(load.name for load in plan.loads)
     yield (
         f"{ready.mirror.name}, predicted: {len(prediction.alpha)} actuators,"
@@ -59,7 +58,7 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
          f" alpha be lowest; limit {limits.force:g} N"),
         ("largest stroke", f"{1e6 * strain.stroke:.3g} um",
          f"limit {1e6 * limits.displacement:g} um"),
-        *_drowned(outcome),
+        *_small_shapes(outcome),
         ("smallest gap", f"{1e6 * strain.gap:.3g} um", f"limit {1e6 * limits.gap:g} um"),
     ]  # fmt: skip
     for name, value, note in rows:
@@ -75,8 +74,8 @@ def lines(outcome: PlanPrediction) -> Iterator[str]:
     yield from warning_lines(outcome.warnings)
 
 
-def _drowned(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
-    """Return a row of the shapes so small that noise of positions looks like a fault; or none."""
+def _small_shapes(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
+    """Return a row if shapes are so small that position noise would be taken for a fault."""
     shapes, noise = outcome.ready.shapes, outcome.ready.plan.sensors.noise
     strokes = np.abs(shapes).max(axis=1)
     small = int(np.count_nonzero(ELSEWHERE * strokes < SURE * noise))
@@ -91,13 +90,13 @@ def _drowned(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
 
 
 def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
-    """Yield what reciprocity will give besides, or why it cannot be had."""
+    """Yield what reciprocity will give, or why it is not possible."""
     found, plan = outcome.reciprocity, outcome.ready.plan
     if found.planned is None:
         yield f"  {'by reciprocity':<24}cannot be had: {found.why_not}"
         return
     yield f"  by reciprocity (calibrate --method reciprocity --mirror {plan.mirror})"
-    error, from_readings, _ = typical_errors(found.planned)
+    error, from_readings, _ = found.planned.typical_errors
     sensors, rows = plan.sensors, []
     if not found.planned.scale_is_free:
         rows.append(("error of alpha", percent(error), "E_ALPHA, typical"))
@@ -117,7 +116,7 @@ def _reciprocity_lines(outcome: PlanPrediction) -> Iterator[str]:
 
 
 def _order_lines(outcome: PlanPrediction) -> Iterator[str]:
-    """Yield when which load is put on, what that saves and costs, and what a third one would."""
+    """Yield the order of the loads, what each order costs, and what a third load would show."""
     plan, drift = outcome.ready.plan, outcome.ready.plan.drift
     order = mountings(plan, len(outcome.ready.shapes))
     yield f"  {'order of the loads':<24}{', '.join(map(str, order))}"
@@ -148,7 +147,7 @@ def _turns(turns: int) -> str:
 
 
 def _order_cost(cost: OrderCost, planned: int) -> str:
-    """Return what an order costs: time, and errors of the scale."""
+    """Return the errors of the scale and the time of an order."""
     taken = " (planned)" if cost.turns == planned else ""
     return (
         f"alpha {percent(abs(cost.gain))}, zeros {percent(abs(cost.zero))}, mounting"
@@ -158,7 +157,7 @@ def _order_cost(cost: OrderCost, planned: int) -> str:
 
 
 def _remounting_pays(outcome: PlanPrediction) -> str:
-    """Return what mounting again costs and saves, against the same time in more cycles."""
+    """Return the cost and gain of more mountings, compared with more cycles in the same time."""
     ready, most = outcome.ready, outcome.orders[-1]
     without = without_remounting(ready.plan, ready.mirror, len(ready.shapes), most)
     extra = most.changes - outcome.orders[0].changes
@@ -170,7 +169,7 @@ def _remounting_pays(outcome: PlanPrediction) -> str:
 
 
 def _table(name: str, curve: Curve) -> Iterator[str]:
-    """Yield a curve as lines: what changes, and the errors that are finite."""
+    """Yield a curve: its values and the finite errors."""
     if curve.values.size:
         yield f"    {name:<22}" + "".join(f"{value:>9g}" for value in curve.values.tolist())
         for kind, error in (("E_ALPHA", curve.error), ("E_STAT", curve.reading_error)):
@@ -179,7 +178,7 @@ def _table(name: str, curve: Curve) -> Iterator[str]:
 
 
 def change_lines(target: float | None, changes: Sequence[Change]) -> Iterator[str]:
-    """Yield what to change for the wanted error."""
+    """Yield the changes for the wanted error."""
     if target is None:
         return
     if not changes:
@@ -198,7 +197,7 @@ def change_lines(target: float | None, changes: Sequence[Change]) -> Iterator[st
 
 
 def _time(seconds: float) -> str:
-    """Return a time as people say it."""
+    """Return a time in seconds, minutes or hours."""
     if seconds < 120:
         return f"{seconds:.3g} s"
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
@@ -207,9 +206,9 @@ def _time(seconds: float) -> str:
 def values(
     outcome: PlanPrediction, target: float | None, changes: Sequence[Change]
 ) -> dict[str, Any]:
-    """Return the same figures for a script; infinite where the scale is free."""
+    """Return the values for a script; infinite if the scale is free."""
     ready, prediction = outcome.ready, outcome.prediction
-    typical_error, from_readings, from_weights = typical_errors(prediction)
+    typical_error, from_readings, from_weights = prediction.typical_errors
     return {
         "instrument": ready.mirror.name,
         "shapes": len(ready.shapes),
@@ -258,11 +257,11 @@ def values(
 
 
 def _reciprocity_values(outcome: PlanPrediction) -> dict[str, Any]:
-    """Return the figures of reciprocity; none, and why, where it cannot be had."""
+    """Return the values of reciprocity, or why it is not possible."""
     found = outcome.reciprocity
     if found.planned is None:
         return {"why_not": found.why_not}
-    typical_error, from_readings, from_weights = typical_errors(found.planned)
+    typical_error, from_readings, from_weights = found.planned.typical_errors
     return {
         "typical_error": typical_error,
         "typical_e_stat": from_readings,
