@@ -49,7 +49,7 @@ from studies.faulty import files, forces, gains, readings
 from studies.faulty.bench import Bench, Day, bench_of
 from studies.faulty.fault import FAULTS, ORDERS, Fault
 from truenewton.errors import TrueNewtonError, TrueNewtonWarning
-from truenewton.mirrors.shell.puck_motion import model_sensors
+from truenewton.mirrors.sensor_model import model_sensors
 
 # In the order of the modules that list them.
 SECTIONS = [module.__name__ for module in (gains, readings, forces, files)]

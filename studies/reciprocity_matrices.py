@@ -19,7 +19,7 @@ from truenewton.estimation.reciprocity.matrix import examined, modes_of
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import USUAL, Asked, Kind
 from truenewton.mirrors.known import lbt672, p45
-from truenewton.mirrors.shell.puck_motion import model_sensors
+from truenewton.mirrors.sensor_model import model_sensors
 from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms

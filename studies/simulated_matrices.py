@@ -10,8 +10,13 @@ from truenewton.estimation.reciprocity.known_noise import Regressed
 from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Values
 from truenewton.mirrors.known import p45, ring
-from truenewton.mirrors.shell.condensation import condense, rearming, rigid_motions
-from truenewton.mirrors.shell.shell_model import influence, model_shell
+from truenewton.mirrors.shell.shell_model import (
+    condense,
+    influence,
+    model_shell,
+    rearming,
+    rigid_motions,
+)
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.arms import arms
 from truenewton.statics.layout import layout as actuators_at

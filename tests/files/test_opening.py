@@ -24,8 +24,8 @@ from truenewton.files.fits import read_fits
 from truenewton.files.sizes import BLOCK, CARD, check_sizes
 from truenewton.files.toml import read_toml
 from truenewton.linalg import inverse_of_positive
+from truenewton.mirrors.file import layout_in
 from truenewton.mirrors.shell.finite_elements.outline import check_mesh_size
-from truenewton.mirrors.tables import layout_in
 from truenewton.modal.actuator_roles import off_and_slaved
 from truenewton.modal.pupil import Pupil
 from truenewton.modal.turbulence import Atmosphere

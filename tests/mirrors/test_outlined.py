@@ -14,10 +14,15 @@ from truenewton.bench.simulated.static import held_command, loop_of, run_cycles,
 from truenewton.mirrors.file import mirror_from, whole_mirror_from
 from truenewton.mirrors.glass import Annulus, Outline, Shell
 from truenewton.mirrors.known import ring
-from truenewton.mirrors.shell.air_film import VISCOSITY, film_damping
-from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
-from truenewton.mirrors.shell.puck_motion import displaced_readings
-from truenewton.mirrors.shell.shell_model import forces_under, model_shell, tool_wedges, weight_on
+from truenewton.mirrors.sensor_model import displaced_readings
+from truenewton.mirrors.shell.dynamics import VISCOSITY, film_damping, moving_mass
+from truenewton.mirrors.shell.shell_model import (
+    forces_under,
+    model_shell,
+    static_shapes,
+    tool_wedges,
+    weight_on,
+)
 from truenewton.statics.arms import external_load, resultants
 from truenewton.statics.layout import layout
 

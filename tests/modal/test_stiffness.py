@@ -25,7 +25,7 @@ from truenewton.estimation.row_readers import read_rows
 from truenewton.estimation.sifted import sift
 from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
-from truenewton.mirrors.shell.puck_motion import model_sensors, puck_motion
+from truenewton.mirrors.sensor_model import model_sensors, puck_motion
 from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.modal.comparison import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader

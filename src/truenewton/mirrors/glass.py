@@ -56,6 +56,7 @@ def rim(puck_radius: float) -> Annulus | None:
 SHELL_UNITS = {"inner_radius": "m", "outer_radius": "m", "thickness": "m", "young_modulus": "Pa",
                "poisson_ratio": "", "density": "kg/m3", "radius_of_curvature": "m"}  # fmt: skip
 Polygon = tuple[tuple[float, float], ...]
+Points = tuple[Array, Array]  # x and y along the glass [m]
 
 
 @dataclass(frozen=True)

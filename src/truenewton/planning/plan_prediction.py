@@ -32,7 +32,7 @@ from truenewton.estimation.moments import Moments
 from truenewton.estimation.reciprocity.sight import places_of
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind
 from truenewton.estimation.sifted import campaign_moments
-from truenewton.mirrors.shell.puck_motion import model_sensors
+from truenewton.mirrors.sensor_model import model_sensors
 from truenewton.planning.forces import (
     Prepared,
     Strain,

@@ -10,14 +10,13 @@ from scipy.sparse.linalg import spsolve
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline
 from truenewton.mirrors.known import p45, ring
-from truenewton.mirrors.shell.air_film import (
+from truenewton.mirrors.shell.dynamics import (
     ROOM_PRESSURE,
     VISCOSITY,
     breathing_frequency,
     film_damping,
 )
-from truenewton.mirrors.shell.moving_mass import static_shapes
-from truenewton.mirrors.shell.shell_model import model_shell
+from truenewton.mirrors.shell.shell_model import model_shell, static_shapes
 from truenewton.statics.layout import layout
 
 

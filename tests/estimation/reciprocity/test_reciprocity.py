@@ -38,8 +38,7 @@ from truenewton.estimation.reciprocity.sight import places_of, sight
 from truenewton.estimation.reciprocity.unknowns import Asked, Kind, Values
 from truenewton.estimation.sifted import sift
 from truenewton.mirrors.known import mmt336, p45, ring
-from truenewton.mirrors.sensor_model import sensor_model
-from truenewton.mirrors.shell.puck_motion import puck_motion
+from truenewton.mirrors.sensor_model import puck_motion, sensor_model
 from truenewton.mirrors.shell.shell_model import model_shell
 from truenewton.records.file import write_campaign
 from truenewton.records.stiffness_matrix import StiffnessMatrix

@@ -9,9 +9,13 @@ import pytest
 from helpers.shells import FLAT, SPHERE, TILTS, X, Y, meshed_stiffness, stiffness
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Annulus, Outline
-from truenewton.mirrors.shell.finite_elements.argyris import argyris, monomials, quadrature
-from truenewton.mirrors.shell.finite_elements.energy import elastic_energy
-from truenewton.mirrors.shell.finite_elements.meshing import shell_mesh
+from truenewton.mirrors.shell.finite_elements.mesh import shell_mesh
+from truenewton.mirrors.shell.finite_elements.meshed_shell import (
+    argyris,
+    elastic_energy,
+    monomials,
+    quadrature,
+)
 from truenewton.mirrors.shell.finite_elements.outline import checked_polygons
 
 SQUARE = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])

@@ -26,14 +26,14 @@ from truenewton.bench.simulated.stability import check_stability
 from truenewton.bench.simulated.truth import Truth
 from truenewton.errors import GeometryError, LimitExceeded
 from truenewton.mirrors.known import Mirror
-from truenewton.mirrors.shell.air_film import film_damping
-from truenewton.mirrors.shell.moving_mass import moving_mass, static_shapes
+from truenewton.mirrors.shell.dynamics import film_damping, moving_mass
 from truenewton.mirrors.shell.shell_model import (
     ExternalForces,
     ShellModel,
     external_resultants,
     forces_under,
     model_shell,
+    static_shapes,
     weight_on,
 )
 from truenewton.records.cycle import Cycle
