@@ -17,7 +17,7 @@ from studies.matrices import measured_lbt672
 from truenewton.bench.simulated.static import run_cycles, static_bench
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.shell.shell_model import model_shell
-from truenewton.modal.comparison import compare_modes
+from truenewton.modal.findings import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.statics.arms import arms

@@ -49,11 +49,11 @@ if TYPE_CHECKING:  # `as` tells type checkers that a name is meant for others
     from truenewton.mirrors.sensor_model import sensor_model as sensor_model
     from truenewton.modal.bases import karhunen_loeve_modes as karhunen_loeve_modes
     from truenewton.modal.bases import zernike_modes as zernike_modes
-    from truenewton.modal.dissipation import Budget as Budget
     from truenewton.modal.file import write_modes as write_modes
     from truenewton.modal.findings import ModalFindings as ModalFindings
     from truenewton.modal.findings import find_modes as find_modes
     from truenewton.modal.measured_stiffness import measured_stiffness as measured_stiffness
+    from truenewton.modal.modal_base import Budget as Budget
     from truenewton.modal.true_stiffness import true_stiffness as true_stiffness
     from truenewton.modal.turbulence import Atmosphere as Atmosphere
     from truenewton.modal.turbulence import wavefront_covariance as wavefront_covariance
@@ -116,7 +116,7 @@ _NAMES = {
     "foreign.importing": ["stiffness_from"],
     "mirrors.sensor_model": ["sensor_model"],
     "modal.bases": ["karhunen_loeve_modes", "zernike_modes"],
-    "modal.dissipation": ["Budget"],
+    "modal.modal_base": ["Budget"],
     "modal.file": ["write_modes"],
     "modal.findings": ["ModalFindings", "find_modes"],
     "modal.measured_stiffness": ["measured_stiffness"],

@@ -26,9 +26,8 @@ from truenewton.files.toml import read_toml
 from truenewton.linalg import inverse_of_positive
 from truenewton.mirrors.file import layout_in
 from truenewton.mirrors.shell.finite_elements.outline import check_mesh_size
-from truenewton.modal.actuator_roles import off_and_slaved
-from truenewton.modal.pupil import Pupil
-from truenewton.modal.turbulence import Atmosphere
+from truenewton.modal.true_stiffness import off_and_slaved
+from truenewton.modal.turbulence import Atmosphere, Pupil
 from truenewton.records.stiffness_matrix import StiffnessMatrix
 from truenewton.statics.layout import layout
 from truenewton.statics.load import Load

@@ -15,12 +15,11 @@ from truenewton.calibration.methods import calibrate
 from truenewton.errors import CampaignMismatch, FormatError, OutputExists, UnknownName
 from truenewton.estimation.diagnosis import Sensor
 from truenewton.modal import findings, summary
-from truenewton.modal.dissipation import Budget
 from truenewton.modal.figures import modes_figures
 from truenewton.modal.file import modes_paths, write_modes
 from truenewton.modal.findings import find_modes
-from truenewton.modal.pupil import Pupil, pupil_of, seen_turbulence
-from truenewton.modal.turbulence import Atmosphere
+from truenewton.modal.modal_base import Budget
+from truenewton.modal.turbulence import Atmosphere, Pupil, pupil_of, seen_turbulence
 from truenewton.records.campaign import Campaign
 
 
@@ -334,7 +333,7 @@ def test_a_large_mirror_takes_six_matrices_and_is_not_compared(monkeypatch):
     n = 300
     find_modes(*random_mirror(30), force=True)  # what is imported on the way does not count
     matrix, calibration = random_mirror(n)
-    monkeypatch.setattr(findings, "MOST_COMPARED", n - 1)
+    monkeypatch.setattr(findings, "MAX_COMPARED", n - 1)
     tracemalloc.start()
     found = find_modes(matrix, calibration, force=True)
     peak = tracemalloc.get_traced_memory()[1] / (8 * n * n)

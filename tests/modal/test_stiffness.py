@@ -27,7 +27,7 @@ from truenewton.files import stored_rows
 from truenewton.mirrors.known import lbt672, p45
 from truenewton.mirrors.sensor_model import model_sensors, puck_motion
 from truenewton.mirrors.shell.shell_model import model_shell
-from truenewton.modal.comparison import compare_modes
+from truenewton.modal.findings import compare_modes
 from truenewton.modal.measured_stiffness import measured_stiffness, motion_reader
 from truenewton.modal.true_stiffness import true_stiffness
 from truenewton.reading import read

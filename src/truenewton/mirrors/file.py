@@ -28,20 +28,6 @@ from truenewton.rounding import listed
 from truenewton.statics.layout import FARTHEST, Layout, layout
 
 Made = TypeVar("Made")
-
-
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Points of an outline, x and y (n,) [m]; loop (n,) 0 of the edge, 1, 2, ... of the holes."""
-
-    x: Array
-    y: Array
-    loop: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        in_units(self, {"x": "m", "y": "m"})
-
-
 OUTLINE = FileFormat(
     extensions=(
         TableFormat(
@@ -54,6 +40,20 @@ OUTLINE = FileFormat(
         ),
     )
 )
+MOST = 1e15  # of any number of a mirror, stiff glass included
+LEAST_ALPHA = 1e-3  # below and above its inverse the unit of force is wrong
+
+
+@dataclass(frozen=True, eq=False)
+class _Points:
+    """Points of an outline, x and y (n,) [m]; loop (n,) 0 of the edge, 1, 2, ... of the holes."""
+
+    x: Array
+    y: Array
+    loop: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        in_units(self, {"x": "m", "y": "m"})
 
 
 def layout_in(path: Path) -> Layout:
@@ -181,10 +181,6 @@ def _cells(table: Any, name: str) -> Any:
     if name in ("ID", "LOOP") and values.dtype.kind not in "iu":
         raise FormatError(f"{name} holds {values.dtype}", remedy="write integers")
     return values
-
-
-MOST = 1e15  # of any number of a mirror, stiff glass included
-LEAST_ALPHA = 1e-3  # below and above its inverse the unit of force is wrong
 
 
 @dataclass(frozen=True, kw_only=True)

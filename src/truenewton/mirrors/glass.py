@@ -13,6 +13,11 @@ import numpy as np
 from truenewton.arrays import Array, in_units
 from truenewton.errors import GeometryError
 
+THINNEST = 1e-6  # [m]
+THINNEST_PART = 1e-4  # of the outer radius; large shells have 1.6e-3
+SHELL_UNITS = {"inner_radius": "m", "outer_radius": "m", "thickness": "m", "young_modulus": "Pa",
+               "poisson_ratio": "", "density": "kg/m3", "radius_of_curvature": "m"}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Annulus:
@@ -44,17 +49,11 @@ class Annulus:
             )
 
 
-THINNEST = 1e-6  # [m]
-THINNEST_PART = 1e-4  # of the outer radius; large shells have 1.6e-3
-
-
 def rim(puck_radius: float) -> Annulus | None:
     """Return the circle on which a puck presses; None of a point."""
     return Annulus(puck_radius, puck_radius) if puck_radius else None
 
 
-SHELL_UNITS = {"inner_radius": "m", "outer_radius": "m", "thickness": "m", "young_modulus": "Pa",
-               "poisson_ratio": "", "density": "kg/m3", "radius_of_curvature": "m"}  # fmt: skip
 Polygon = tuple[tuple[float, float], ...]
 Points = tuple[Array, Array]  # x and y along the glass [m]
 

@@ -22,6 +22,9 @@ from truenewton.statics.layout import Layout, layout, rings
 
 TOUCHING = 1e-3  # in radii of a segment, as far as rounded corners of neighbours overlap
 POINTS_OF_SIDE = 16  # so close, segments are seen to overlap
+PETAL_INNER, PETAL_OUTER, PETAL_AT = 0.27, 1.2, 0.8  # [m]
+PETAL_LATTICE, PETAL_SHIFT = 29.8e-3, 0.3  # [m], and in units of it
+GMT_SPACING = 35.1e-3  # [m]
 
 
 @dataclass(frozen=True)
@@ -214,9 +217,6 @@ def gmt() -> SegmentedMirror:
 
 
 SEGMENTED = {make.__name__: make for make in (m4, gmt)}
-PETAL_INNER, PETAL_OUTER, PETAL_AT = 0.27, 1.2, 0.8  # [m]
-PETAL_LATTICE, PETAL_SHIFT = 29.8e-3, 0.3  # [m], and in units of it
-GMT_SPACING = 35.1e-3  # [m]
 
 
 @cache

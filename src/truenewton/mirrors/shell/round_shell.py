@@ -36,6 +36,10 @@ from truenewton.mirrors.shell.radial_elements import RadialElements, graded_node
 
 MIN_HOLE = 1e-4  # in outer radii; with a smaller one more than eight digits are lost
 MAX_HARMONICS = 5000  # more are needed only for a force close to an edge
+HARMONICS_AT_ONCE = 64  # these bound the memory while a shell is prepared
+RINGS_AT_ONCE = 64
+POINTS_AT_ONCE = 1024  # bounds the memory where many points are read
+QUADRATURE = 6  # points per spacing of actuators: masses to 5e-4 of the largest
 
 
 def shallowness(shell: Shell) -> float:
@@ -80,10 +84,6 @@ def harmonics(fading: float, digits: int, shell: Shell) -> int:
             remedy=f"keep forces {nearest:.2g} m away from the edges",
         )
     return max(3, int(np.ceil(-digits * np.log(10) / np.log(fading))))
-
-
-HARMONICS_AT_ONCE = 64  # these bound the memory while a shell is prepared
-RINGS_AT_ONCE = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,10 +180,6 @@ def mean_over(sensor: Annulus | None, shell: Shell) -> Mean:
     if sensor is None:
         return Mean(np.zeros(()), np.zeros(()))
     return Circles.of(sensor, shell.outer_radius).mean(shallowness(shell))
-
-
-POINTS_AT_ONCE = 1024  # bounds the memory where many points are read
-QUADRATURE = 6  # points per spacing of actuators: masses to 5e-4 of the largest
 
 
 @dataclass(frozen=True)

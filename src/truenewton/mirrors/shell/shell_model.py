@@ -24,6 +24,8 @@ from truenewton.mirrors.shell.finite_elements.meshed_shell import MeshedShell
 from truenewton.mirrors.shell.round_shell import RoundShell
 from truenewton.statics.arms import arms, resultants
 
+WEDGE_MARGIN = 1.5e-3  # from the inner edge of the shell to the wedges of the tool [m, guess]
+
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
@@ -118,9 +120,6 @@ def rearming(tilts: Array, arms: Array) -> Array:
         (n, n) J.
     """
     return np.asarray(np.eye(tilts.shape[1]) + (arms - tilts).T @ np.linalg.pinv(tilts).T)
-
-
-WEDGE_MARGIN = 1.5e-3  # from the inner edge of the shell to the wedges of the tool [m, guess]
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
     from shapely import Polygon
 
 Indices = NDArray[np.int64]
+MIN_ANGLE = 25.0  # of a triangle [deg]
+MAX_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
+RELAXATIONS = 12
+MESH_SIZE = 1 / 3  # mesh size, in spacings
+MAX_MESH_SIZE = 1 / 4  # in outer radii
+MAX_ROUNDS = 300  # of refinement; some ten are usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +116,6 @@ class Mesh:
         )
 
         return Triangulation(self.points[:, 0], self.points[:, 1], self.triangles).get_trifinder()
-
-
-MIN_ANGLE = 25.0  # of a triangle [deg]
-MAX_CIRCLE = 0.8  # around a triangle, radius in mesh sizes; 0.58 in the lattice
-RELAXATIONS = 12
-MESH_SIZE = 1 / 3  # mesh size, in spacings
-MAX_MESH_SIZE = 1 / 4  # in outer radii
-MAX_ROUNDS = 300  # of refinement; some ten are usual
 
 
 def mesh_size_of(shell: Shell, x: Array, y: Array) -> float:

@@ -44,6 +44,10 @@ from truenewton.mirrors.shell.finite_elements.mesh import Indices, Mesh
 DEGREE = 5
 POWERS = np.array([(p, k - p) for k in range(DEGREE + 1) for p in range(k, -1, -1)])
 VERTEX_DERIVATIVES = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
+TRIANGLES_AT_ONCE = 1024  # bounds the memory of the assembly
+FORCES_AT_ONCE = 64  # bounds the memory of the solutions
+POINTS_AT_ONCE = 4096
+AREA_DEGREE = 6  # of the quadrature over the glass
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +139,6 @@ def quadrature(degree: int) -> tuple[Array, Array]:
     return np.stack([1 - across - up, across, up], axis=1), weights / weights.sum()
 
 
-TRIANGLES_AT_ONCE = 1024  # bounds the memory of the assembly
-
-
 def elastic_energy(shell: Shell, mesh: Mesh, element: Argyris) -> csc_array:
     """Return the matrix A [N/m] of the energy q' A q / 2 in the unknowns q [m].
 
@@ -198,11 +199,6 @@ def _quadratic_slopes(corners: Array, areas: Array, barycentric: Array) -> tuple
         [(4 * s - 1) * slope, 4 * (s * next_slope + next_s * slope)], axis=-1
     )
     return along_x, along_y
-
-
-FORCES_AT_ONCE = 64  # bounds the memory of the solutions
-POINTS_AT_ONCE = 4096
-AREA_DEGREE = 6  # of the quadrature over the glass
 
 
 @dataclass(frozen=True, eq=False)
