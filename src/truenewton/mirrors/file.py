@@ -40,8 +40,8 @@ OUTLINE = FileFormat(
         ),
     )
 )
-MOST = 1e15  # of any number of a mirror, stiff glass included
-LEAST_ALPHA = 1e-3  # below and above its inverse the unit of force is wrong
+MAX_NUMBER = 1e15  # of a mirror; the modulus of stiff glass is smaller
+MIN_ALPHA = 1e-3  # and its inverse; beyond them the unit of force is wrong
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +57,9 @@ class _Points:
 
 
 def layout_in(path: Path) -> Layout:
-    """Return the actuators of a FITS file, or of a table whose lengths are metres unless it says.
+    """Return the actuators of a FITS file, or of a text table, by default in metres.
 
-    Its columns are X, Y, and ID, NZ, ENABLED where they stand.
+    Its columns are X, Y and, optionally, ID, NZ, ENABLED.
 
     Raises
     ------
@@ -78,8 +78,8 @@ def layout_in(path: Path) -> Layout:
 def outline_in(path: Path) -> list[list[list[float]]]:
     """Return the edge and the holes of a table of points: x and y of each [m], in their order.
 
-    The table OUTLINE of a FITS file, or one of text as that of the actuators. Its columns are X, Y
-    and, where there are holes, LOOP: 0 of the edge, 1, 2, ... of the holes.
+    It is the table OUTLINE of a FITS file, or a text table. Its columns are X, Y and, if there are
+    holes, LOOP: 0 for the edge, 1, 2, ... for the holes.
 
     Raises
     ------
@@ -108,14 +108,14 @@ def _points_of(table: Any) -> _Points:
 
 
 def _made_of(path: Path, make: Callable[[Any], Made], what: str) -> Made:
-    """Return what is made of a table of text, CSV or ECSV; what is wrong with it names the file."""
+    """Return the result of a function of a CSV or ECSV table; errors name the file."""
     from astropy.table import QTable
 
     form = "ascii.ecsv" if path.suffix == ".ecsv" else "ascii.csv"
     lines = read_text(path).splitlines()
     numbers = [k for k, line in enumerate(lines, 1) if line.strip() and line[0] != "#"][1:]
     try:
-        # Of what overflows or is odd astropy warns; it is refused below, by what it became.
+        # astropy warns of overflows; the resulting values are refused below.
         with warnings.catch_warnings(action="ignore"), np.errstate(all="ignore"):
             table = QTable.read(lines, format=form, guess=False)
             for name in "XY":
@@ -143,10 +143,7 @@ def _lacking(name: str, columns: Sequence[str]) -> FormatError:
 
 
 def _check_numbers(cells: Any, name: str, lines: Sequence[int] | None) -> None:
-    """Refuse the first cell of a column that is no finite number; its line where they are known.
-
-    That is, where no cell goes over several.
-    """
+    """Refuse the first cell of a column that is not a finite number; name its line if known."""
     empty = np.broadcast_to(getattr(cells, "mask", False), len(cells)).tolist()
     for i, value in enumerate(np.asarray(cells).tolist()):
         if empty[i] or not _is_finite(value):
@@ -165,7 +162,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def _cells(table: Any, name: str) -> Any:
-    """Return a column of a table of text, held against what it is to be."""
+    """Return a column of a text table after checking its type."""
     cells = table[name]
     if np.any(getattr(cells, "mask", False)):
         raise FormatError(f"{name} has empty cells", remedy="fill them")
@@ -185,14 +182,14 @@ def _cells(table: Any, name: str) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class _Written(MirrorNumbers):
-    """A mirror as its file gives it, with the file of its actuators."""
+    """The content of the file of a mirror, with the file of its actuators."""
 
     actuators: str
 
 
 @dataclass(frozen=True)
 class _Placed:
-    """A segment as the file of its mirror gives it: the file of its own, and its place."""
+    """A segment in the file of a mirror: its own file, and its place."""
 
     file: str
     x: float
@@ -202,14 +199,14 @@ class _Placed:
 
 @dataclass(frozen=True)
 class _WrittenSegments:
-    """A mirror in segments as its file gives it."""
+    """The content of the file of a segmented mirror."""
 
     name: str
     segments: tuple[_Placed, ...]
 
 
 def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
-    """Return a mirror in one piece or in segments: known by its name, or of a TOML file.
+    """Return a mirror in one piece or in segments, by its name or from a TOML file.
 
     Raises
     ------
@@ -226,14 +223,7 @@ def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
 
 
 def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Layout]:
-    """Return a segment of a mirror, and its actuators as the whole mirror names and places them.
-
-    Parameters
-    ----------
-    name
-        As of `whole_mirror_from`.
-    number
-        Of the segment, which has a frame and numbers of its own.
+    """Return a segment of a mirror in its own frame, and its actuators in that of the mirror.
 
     Raises
     ------
@@ -251,7 +241,7 @@ def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Lay
 def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
     written = filled(_WrittenSegments, tables, path)
     files = {placed.file for placed in written.segments}
-    # Read once, so that segments of one file are seen to share their glass.
+    # Segments of one file are one object, so that their shell is modelled once.
     made = {file: _segment_from(path.parent / file, path) for file in sorted(files)}
     try:
         return SegmentedMirror(
@@ -274,7 +264,7 @@ def _segment_from(file: Path, whole: Path) -> Mirror:
 
 
 def mirror_from(name: str | os.PathLike[str]) -> Mirror:
-    """Return a known mirror by its name, or the one of a TOML file (docs/simulated-bench.md).
+    """Return a mirror in one piece by its name or from a TOML file (docs/simulated-bench.md).
 
     Raises
     ------
@@ -312,7 +302,7 @@ def _mirror_in(path: Path) -> Mirror:
                 path=path,
             )
     low, high = written.alpha_range
-    if not LEAST_ALPHA <= low <= high <= 1.0 / LEAST_ALPHA:
+    if not MIN_ALPHA <= low <= high <= 1.0 / MIN_ALPHA:
         raise FormatError(
             f"alpha_range is {list(written.alpha_range)}",
             remedy="give the lowest and highest alpha, positive and near 1",
@@ -346,9 +336,9 @@ def _is_segmented(name: str) -> FormatError:
 
 
 def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Path]:
-    """Return the tables of a mirror and the file in which its outline stands.
+    """Return the tables of a mirror with the points of its outline, and the file of these.
 
-    Points are read from the file that the outline names; radii may be left out beside it.
+    With an outline, radii are optional.
     """
     shell = tables.get("shell")
     if not isinstance(shell, dict) or not isinstance(shell.get("outline"), dict):
@@ -372,7 +362,7 @@ def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Pa
 
 
 def _within_reach(written: _Written, points: Path) -> _Written:
-    """Return a mirror with the outer radius that its outline reaches, where it gives none."""
+    """Return a mirror with the outer radius of its outline, if it has none of its own."""
     shell = written.shell
     if shell.outline is None:
         return written
@@ -397,23 +387,23 @@ def _check_reach(outline: Outline) -> None:
 
 
 def _refuse_absurd(written: Any, path: Path, inside: str = "") -> None:
-    """Refuse numbers that are a slip of the unit in any mirror, their squares to stay numbers."""
+    """Refuse numbers that can only be wrong units, and whose squares would overflow."""
     for field in fields(written):
         value = getattr(written, field.name)
         if is_dataclass(value):
             _refuse_absurd(value, path, f"{inside}{field.name}.")
         sizes = np.abs(list(_numbers(value)))
         flat = field.default == np.inf and value == np.inf  # no radius of curvature
-        if not (flat or (sizes <= MOST).all()):
+        if not (flat or (sizes <= MAX_NUMBER).all()):
             raise FormatError(
                 f"{inside}{field.name} is {value}",
-                remedy=f"check its unit; numbers are in SI units, up to {MOST:g}",
+                remedy=f"check its unit; numbers are in SI units, up to {MAX_NUMBER:g}",
                 path=path,
             )
 
 
 def _numbers(value: Any) -> Iterator[float]:
-    """Yield the numbers in tuples of tuples, as long as they like."""
+    """Yield the numbers in nested tuples."""
     if isinstance(value, tuple):
         for part in value:
             yield from _numbers(part)
