@@ -89,7 +89,7 @@ def _named(layout: Layout, ids: Sequence[int], what: str) -> NDArray[np.bool_]:
     return np.isin(layout.id, ids)
 
 
-def matched_alpha(layout: Layout, instrument: str, calibration: Calibration | None) -> Array:
+def _matched_alpha(layout: Layout, instrument: str, calibration: Calibration | None) -> Array:
     """Return (n,) alpha of the actuators of a mirror by their IDs; 1 without calibration.
 
     Raises
@@ -119,29 +119,10 @@ def matched_alpha(layout: Layout, instrument: str, calibration: Calibration | No
     return np.asarray(calibration.alpha[at])
 
 
-def matched_sensors(layout: Layout, calibration: Calibration | None) -> tuple[Array, Array]:
-    """Return gains and offsets of the sensors of a mirror; 1 and 0 if they are not known.
-
-    They are (n,) true displacement / reading, and (2, n) x and y of magnet less sensor [m].
-
-    Raises
-    ------
-    FormatError
-    """
-    gain, offset = np.ones(layout.n), np.zeros((2, layout.n))
-    if calibration is not None:
-        at = indices_of(calibration.layout, layout.id)
-        theirs = calibration.of_sensors("gain")[at]
-        gain = np.where(np.isnan(theirs), 1.0, theirs)
-        offset = np.nan_to_num([calibration.of_sensors(axis)[at] for axis in "xy"])
-    return checked_gain(gain, np.ones(layout.n, dtype=bool)), offset
-
-
-def per_true_displacement(k: Array, places: Places, gain: Array, offset: Array) -> Array:
+def _per_true_displacement(k: Array, places: Places, gain: Array, offset: Array) -> Array:
     """Return (n, n) forces per true displacement from those per reading, which are overwritten.
 
-    For ``gain`` and ``offset`` see `matched_sensors`. Between the actuators the glass bends as a
-    plate unless ``places`` contains a model of it.
+    Between the actuators the glass bends as a plate unless ``places`` contains a model of it.
     """
     k /= gain
     if places.motion is None and not offset.any():
@@ -150,43 +131,11 @@ def per_true_displacement(k: Array, places: Places, gain: Array, offset: Array) 
     return np.asarray(lu_solve(factors, k.T, overwrite_b=True).T)
 
 
-def readings(moved: Array, places: Places, gain: Array, offset: Array) -> Array:
-    """Return the (n, k) readings of (n, k) true displacements."""
-    if places.motion is None and not offset.any():
-        return moved / gain[:, None]
-    factors = lu_factor(seen_from(places, offset), overwrite_a=True)
-    return np.asarray(lu_solve(factors, moved) / gain[:, None])
-
-
 def indices_of(layout: Layout, names: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return (k,) indices in a layout of (k,) IDs; an arbitrary one if an ID does not exist."""
     order = np.argsort(layout.id)
     at = np.searchsorted(layout.id, names, sorter=order)
     return np.asarray(order[np.minimum(at, layout.n - 1)])
-
-
-def checked_gain(sensor_gain: Array | None, on: NDArray[np.bool_]) -> Array:
-    """Return true displacement / reading of those of (n,) actuators that are on; 1 by default.
-
-    Raises
-    ------
-    FormatError
-    """
-    if sensor_gain is None:
-        return np.ones(int(on.sum()))
-    gain = np.asarray(sensor_gain, dtype=float)
-    if gain.shape != on.shape:
-        raise FormatError(
-            f"sensor_gain has shape {gain.shape}",
-            remedy=f"give one number for each of the {on.size} actuators",
-            got=gain.shape,
-            want=on.shape,
-        )
-    if not (np.isfinite(gain[on]).all() and (gain[on] > 0).all()):
-        raise FormatError(
-            "sensor_gain holds numbers that are not positive", remedy="they are about 1"
-        )
-    return gain[on]
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +233,11 @@ class TrueStiffness:
 
     def read(self, moved: Array) -> Array:
         """Return the (n, k) readings of the enabled for (n, k) true displacements."""
-        return readings(moved, self.places, self.enabled_gain, self.enabled_offset)
+        gain = self.enabled_gain[:, None]
+        if self.places.motion is None and not self.enabled_offset.any():
+            return np.asarray(moved / gain)
+        factors = lu_factor(seen_from(self.places, self.enabled_offset), overwrite_a=True)
+        return np.asarray(lu_solve(factors, moved) / gain)
 
     @property
     def feed_forward_commanded(self) -> Array:
@@ -359,11 +312,12 @@ def true_stiffness(
     if calibration is not None:
         matrix = as_calibrated(matrix, calibration.effects)
     layout = matrix.layout.part(matrix.layout.enabled)
-    alpha = matched_alpha(layout, matrix.instrument, calibration)
-    gain, offset, places = _sensors(matrix, layout, calibration, sensor_gain, motion)
+    alpha = _matched_alpha(layout, matrix.instrument, calibration)
+    gain, offset = _sensors(matrix, layout, calibration, sensor_gain)
+    places = places_of(matrix.layout, None if matrix.displaced == "true" else motion)
     floats, follows = off_and_slaved(layout, off, slaved)
     k = alpha[:, None] * matrix.used_stiffness
-    k = per_true_displacement(k, places, gain, offset)
+    k = _per_true_displacement(k, places, gain, offset)
     skew = _skew_norms(k)
     symmetric = symmetrised(k)
     size = 2.0 * _row_norms(symmetric)
@@ -389,14 +343,35 @@ def _sensors(
     layout: Layout,
     calibration: Calibration | None,
     sensor_gain: Array | None,
-    motion: Array | None,
-) -> tuple[Array, Array, Places]:
-    """Return (n,) gains and (2, n) offsets of the enabled, and their places with their model."""
-    known = matrix.displaced == "true"
-    gain, offset = matched_sensors(layout, None if known else calibration)
+) -> tuple[Array, Array]:
+    """Return (n,) gains and (2, n) offsets [m] of the sensors of the enabled actuators.
+
+    They are those given, otherwise those of the calibration, as far as they are known.
+
+    Raises
+    ------
+    FormatError
+    """
+    gain, offset, on = np.ones(layout.n), np.zeros((2, layout.n)), matrix.layout.enabled
     if sensor_gain is not None:
-        gain, offset = checked_gain(sensor_gain, matrix.layout.enabled), np.zeros_like(offset)
-    return gain, offset, places_of(matrix.layout, None if known else motion)
+        if np.shape(sensor_gain) != on.shape:
+            raise FormatError(
+                f"sensor_gain has shape {np.shape(sensor_gain)}",
+                remedy=f"give one number for each of the {on.size} actuators",
+                got=np.shape(sensor_gain),
+                want=on.shape,
+            )
+        gain = np.asarray(sensor_gain, dtype=float)[on]
+    elif calibration is not None and matrix.displaced != "true":
+        at = indices_of(calibration.layout, layout.id)
+        theirs = calibration.of_sensors("gain")[at]
+        gain = np.where(np.isnan(theirs), 1.0, theirs)
+        offset = np.nan_to_num([calibration.of_sensors(axis)[at] for axis in "xy"])
+    if not (np.isfinite(gain).all() and (gain > 0).all()):
+        raise FormatError(
+            "sensor_gain holds numbers that are not positive", remedy="they are about 1"
+        )
+    return gain, offset
 
 
 def _row_norms(matrix: Array) -> Array:
