@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from truenewton.mirrors.shell.finite_elements.outline import (
 )
 
 if TYPE_CHECKING:
-    from shapely import Polygon
+    from shapely import Polygon, STRtree
 
 Indices = NDArray[np.int64]
 MIN_ANGLE = 25.0  # of a triangle [deg]
@@ -95,27 +95,27 @@ class Mesh:
         GeometryError
             A place further off the triangles than a circle is from its polygon.
         """
-        triangle = np.asarray(self._finder(*places.T), dtype=np.int64)
-        along = np.roll(self.corners, -1, axis=1) - self.corners
-        for i in np.flatnonzero(triangle < 0):
-            areas = np.linalg.det(np.stack([along, places[i] - self.corners], axis=2))
-            depth = (areas / np.linalg.norm(along, axis=2)).min(axis=1)  # inward from all sides
-            triangle[i] = depth.argmax()
-            if not depth.max() > -0.05 * self.size:
-                x, y = places[i]
-                raise GeometryError(
-                    f"point {i} at x = {x:.6g} m, y = {y:.6g} m is off the glass",
-                    remedy="bring it within the edges",
-                )
+        import shapely
+
+        points, triangle = shapely.points(places), np.full(len(places), -1)
+        found, around = self._tree.query(points, predicate="intersects")
+        triangle[found] = around
+        off = np.flatnonzero(triangle < 0)
+        triangle[off] = self._tree.nearest(points[off])
+        gaps = shapely.distance(self._tree.geometries[triangle[off]], points[off])
+        for i in off[~(gaps < 0.05 * self.size)]:
+            x, y = places[i]
+            raise GeometryError(
+                f"point {i} at x = {x:.6g} m, y = {y:.6g} m is off the glass",
+                remedy="bring it within the edges",
+            )
         return triangle
 
     @cached_property
-    def _finder(self) -> Any:
-        from matplotlib.tri import (
-            Triangulation,  # late: takes half a second, which rings need not wait for
-        )
+    def _tree(self) -> STRtree:
+        import shapely
 
-        return Triangulation(self.points[:, 0], self.points[:, 1], self.triangles).get_trifinder()
+        return shapely.STRtree(shapely.polygons(self.corners))
 
 
 def mesh_size_of(shell: Shell, x: Array, y: Array) -> float:
