@@ -28,6 +28,8 @@ from truenewton.rounding import listed
 from truenewton.statics.layout import FARTHEST, Layout, layout
 
 Made = TypeVar("Made")
+SIGNS = {"weight": -1, "added_weight": -1, "weight_error": 1, "added_weight_error": 1,
+         "magnet_mass": 1, "gap": 1, "vent_radius": 1, "tool_radius": 1}  # fmt: skip
 OUTLINE = FileFormat(
     extensions=(
         TableFormat(
@@ -212,14 +214,36 @@ def whole_mirror_from(name: str | os.PathLike[str]) -> Mirror | SegmentedMirror:
     ------
     UnknownName, UnreadableFile, FormatError, GeometryError
     """
-    path = Path(name)
-    if str(name).lower() in SEGMENTED:
-        return SEGMENTED[str(name).lower()]()
-    if str(name).lower() not in KNOWN and path.suffix == ".toml" and path.exists():
-        tables = read_toml(path)
-        if "segments" in tables:
-            return _segments_in(tables, path)
-    return mirror_from(name)
+    path, known = Path(name), str(name).lower()
+    if known in SEGMENTED:
+        return SEGMENTED[known]()
+    if known in KNOWN or not (path.suffix == ".toml" or path.exists()):
+        return mirror(str(name))
+    if str(name).endswith(SUFFIXES):
+        raise FormatError(
+            "is a FITS file, which holds no glass",
+            remedy="give a known mirror, or a TOML file whose `actuators` names this one",
+            path=name,
+        )
+    tables = read_toml(path)
+    return (_segments_in if "segments" in tables else _mirror_in)(tables, path)
+
+
+def mirror_from(name: str | os.PathLike[str]) -> Mirror:
+    """Return a mirror in one piece by its name or from a TOML file (docs/simulated-bench.md).
+
+    Raises
+    ------
+    UnknownName, UnreadableFile, FormatError, GeometryError
+    """
+    whole = whole_mirror_from(name)
+    if isinstance(whole, SegmentedMirror):
+        raise FormatError(
+            f"'{name}' is a mirror in segments",
+            remedy="simulate, plan and --mirror take it, acquire and serve one segment of it,"
+            " --segment; for anything else give the file of one segment",
+        )
+    return whole
 
 
 def segment_from(name: str | os.PathLike[str], number: int) -> tuple[Mirror, Layout]:
@@ -254,48 +278,23 @@ def _segments_in(tables: dict[str, Any], path: Path) -> SegmentedMirror:
 
 
 def _segment_from(file: Path, whole: Path) -> Mirror:
-    if "segments" in read_toml(file):
+    tables = read_toml(file)
+    if "segments" in tables:
         raise FormatError(
             f"takes {file.name} for a segment, which is a mirror in segments itself",
             remedy="name the files of its segments here",
             path=whole,
         )
-    return _mirror_in(file)
+    return _mirror_in(tables, file)
 
 
-def mirror_from(name: str | os.PathLike[str]) -> Mirror:
-    """Return a mirror in one piece by its name or from a TOML file (docs/simulated-bench.md).
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
-    path = Path(name)
-    if str(name).lower() in SEGMENTED:
-        raise _is_segmented(str(name))
-    if str(name).lower() in KNOWN or not (path.suffix == ".toml" or path.exists()):
-        return mirror(str(name))
-    if str(name).endswith(SUFFIXES):
-        raise FormatError(
-            "is a FITS file, which holds no glass",
-            remedy="give a known mirror, or a TOML file whose `actuators` names this one",
-            path=name,
-        )
-    return _mirror_in(path)
-
-
-def _mirror_in(path: Path) -> Mirror:
-    tables = read_toml(path)
-    if "segments" in tables:
-        raise _is_segmented(str(path))
+def _mirror_in(tables: dict[str, Any], path: Path) -> Mirror:
     tables, points = _with_points(tables, path)
     written = _within_reach(filled(_Written, tables, path), points)
     _refuse_absurd(written, path)
-    for name, low in (("weight", -np.inf), ("added_weight", -np.inf), ("weight_error", 0.0),
-                      ("added_weight_error", 0.0), ("magnet_mass", 0.0), ("gap", 0.0),
-                      ("vent_radius", 0.0), ("tool_radius", 0.0)):  # fmt: skip
-        value, high = getattr(written, name) or 0.0, 0.0 if low < 0 else np.inf
-        if not low <= value <= high or np.isinf(value):
+    for name, sign in SIGNS.items():
+        value = getattr(written, name) or 0.0
+        if not 0.0 <= sign * value < np.inf:
             raise FormatError(
                 f"{name} is {value:g}",
                 remedy="weights are negative (z points up), the rest is not",
@@ -325,14 +324,6 @@ def _mirror_in(path: Path) -> Mirror:
         except GeometryError as error:
             raise located(error, files.get(check, path)) from None
     return made
-
-
-def _is_segmented(name: str) -> FormatError:
-    return FormatError(
-        f"'{name}' is a mirror in segments",
-        remedy="simulate, plan and --mirror take it, acquire and serve one segment of it,"
-        " --segment; for anything else give the file of one segment",
-    )
 
 
 def _with_points(tables: dict[str, Any], path: Path) -> tuple[dict[str, Any], Path]:

@@ -16,7 +16,7 @@ from truenewton.arrays import Array, in_units
 from truenewton.errors import GeometryError
 from truenewton.mirrors.glass import Outline, Polygon, Shell
 from truenewton.mirrors.known import GRAVITY, SHARED, Mirror, MirrorNumbers
-from truenewton.mirrors.shell.finite_elements.outline import depth_inside, sides_of
+from truenewton.mirrors.shell.finite_elements.outline import depth_inside, polygon_of, sides_of
 from truenewton.rounding import counted
 from truenewton.statics.layout import Layout, layout, rings
 
@@ -101,26 +101,19 @@ class SegmentedMirror:
 
     def _refuse_overlaps(self) -> None:
         """Refuse segments with points of the edge or actuators on another segment."""
-        loops = [
-            [_moved(edge, place) for edge in segment.shell.seen_edges()]
-            for place, segment in zip(self.places, self.segments, strict=True)
-        ]
-        middle = np.array([(place.x, place.y) for place in self.places])
-        reach = np.array(
-            [
-                np.hypot(*(np.concatenate(own) - at).T).max()
-                for own, at in zip(loops, middle, strict=True)
-            ]
-        )
-        apart = np.hypot(*np.moveaxis(middle[:, None] - middle, -1, 0))
+        import shapely
+
+        loops = [self.seen_edges([k]) for k in range(1, len(self.segments) + 1)]
+        tree = shapely.STRtree([polygon_of(edges) for edges in loops])
         at, number = np.stack([self.layout.x, self.layout.y], axis=1), self.layout.segment
-        for i, j in np.argwhere(apart < reach[:, None] + reach).tolist():
+        reach = [np.hypot(*(np.concatenate(edges) - (place.x, place.y)).T).max()
+                 for edges, place in zip(loops, self.places, strict=True)]  # fmt: skip
+        for i, j in tree.query(tree.geometries, predicate="intersects").T.tolist():
             if i == j:
                 continue
-            touching = MAX_OVERLAP * min(reach[i], reach[j])
             points = np.concatenate([_along_edges(loops[i]), at[number == i + 1]])
             depth = float(depth_inside(loops[j], points).max())
-            if depth > touching:
+            if depth > MAX_OVERLAP * min(reach[i], reach[j]):
                 one, other = sorted((i, j))
                 raise GeometryError(
                     f"segments {one + 1} ({self.segments[one].name}) and {other + 1}"
