@@ -293,7 +293,9 @@ def predict_prepared(ready: Prepared) -> PlanPrediction:
     ------
     LimitExceeded, RankDeficient, FormatError
     """
-    asked, prediction = strain(ready), predict_errors(ready)
+    asked, cycles = strain(ready), _cycles_around(ready.plan.cycles)
+    by_cycles = _predict_for(ready, cycles)
+    prediction = by_cycles[cycles.index(ready.plan.cycles)]
     warnings = prediction.diagnosis.warnings
     limit = ready.plan.limits.force
     if asked.force_at_worst > limit:
@@ -305,7 +307,6 @@ def predict_prepared(ready: Prepared) -> PlanPrediction:
                 limit=limit,
             ),
         )
-    cycles = _cycles_around(ready.plan.cycles)
     tell("what the sensors will see besides", 0.3)
     sensors = with_sensors(ready, cycles)
     tell("errors against cycles and weight", 0.9)
@@ -314,7 +315,7 @@ def predict_prepared(ready: Prepared) -> PlanPrediction:
         prediction,
         asked,
         duration(ready.plan, len(ready.shapes)),
-        _curve(list(map(float, cycles)), _predict_for(ready, cycles)),
+        _curve(list(map(float, cycles)), by_cycles),
         _curve(*_by_weight(ready)),
         warnings,
         order_costs(ready.plan, ready.mirror, len(ready.shapes)),
