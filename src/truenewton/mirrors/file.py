@@ -25,7 +25,7 @@ from truenewton.mirrors.segmented import SEGMENTED, Place, SegmentedMirror
 from truenewton.records.file import SUFFIXES, read_layout
 from truenewton.records.segment import require_segment
 from truenewton.rounding import listed
-from truenewton.statics.layout import FARTHEST, Layout, layout
+from truenewton.statics.layout import MAX_DISTANCE, Layout, layout
 
 Made = TypeVar("Made")
 SIGNS = {"weight": -1, "added_weight": -1, "weight_error": 1, "added_weight_error": 1,
@@ -370,7 +370,7 @@ def _within_reach(written: _Written, points: Path) -> _Written:
 def _check_reach(outline: Outline) -> None:
     loops = outline.edge, *outline.holes
     furthest = max((abs(part) for loop in loops for at in loop for part in at), default=0.0)
-    if furthest > FARTHEST:
+    if furthest > MAX_DISTANCE:
         raise GeometryError(
             f"the outline reaches {furthest:.3g} m from the axis",
             remedy="x and y are metres; check their unit",

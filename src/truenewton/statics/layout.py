@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from truenewton.arrays import Array, freeze, in_units, taking_units
 from truenewton.errors import GeometryError
 
-FARTHEST = 10.0  # of an actuator from the axis [m]; beyond it the unit is wrong
+MAX_DISTANCE = 10.0  # of an actuator from the axis [m]; beyond it the unit is wrong
 UNITS = {
     "id": "", "x": "m", "y": "m", "nz": "", "enabled": "", "x_error": "m", "y_error": "m",
     "segment": "",
 }  # fmt: skip
-MOST_ACTUATORS = 20000
+MAX_ACTUATORS = 20000
 PLACE = ("x", "y", "nz")
-SAME_PLACE = 1e-6  # [m], and of NZ: the precision of four bytes, or of a table with few digits
+POSITION_TOLERANCE = 1e-6  # [m], and of NZ: the precision of four bytes, or of short tables
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -84,9 +84,9 @@ class Layout:
                 )
         if self.n == 0:
             raise GeometryError("there are no actuators", remedy="give at least one")
-        if self.n > MOST_ACTUATORS:  # matrices of so many by so many fill no memory that there is
+        if self.n > MAX_ACTUATORS:  # matrices of so many by so many fill no memory that there is
             raise GeometryError(
-                f"there are {self.n} actuators", remedy=f"give {MOST_ACTUATORS} at most"
+                f"there are {self.n} actuators", remedy=f"give {MAX_ACTUATORS} at most"
             )
         if not self.enabled.any():
             raise GeometryError(
@@ -101,14 +101,14 @@ class Layout:
                 )
         for name in errors:
             error = getattr(self, name)
-            if not (np.isfinite(error) & (error >= 0.0) & (error < FARTHEST)).all():
+            if not (np.isfinite(error) & (error >= 0.0) & (error < MAX_DISTANCE)).all():
                 raise GeometryError(
                     f"E_{name[0].upper()} is negative or not finite",
                     remedy="give standard uncertainties in m",
                 )
         far = np.maximum(np.abs(self.x), np.abs(self.y))
-        if far.max() > FARTHEST:
-            beyond = self.id[far > FARTHEST]
+        if far.max() > MAX_DISTANCE:
+            beyond = self.id[far > MAX_DISTANCE]
             who = f"actuator {beyond[0]}" if beyond.size == 1 else "an actuator"
             raise GeometryError(
                 f"{who} stands {far.max():.3g} m from the axis",
@@ -173,7 +173,7 @@ class Layout:
     def other_actuators(self, other: Layout) -> str:
         """Describe the first actuator of another layout, named first, that differs, or return ''.
 
-        Order and places to `SAME_PLACE` are compared, not which are enabled.
+        Order and places to `POSITION_TOLERANCE` are compared, not which are enabled.
         """
         if self.n != other.n:
             return f"{other.n} and {self.n} actuators"
@@ -184,10 +184,10 @@ class Layout:
         return next(filter(None, (self._unlike(other, name) for name in names)), "")
 
     def _unlike(self, other: Layout, name: str) -> str:
-        """Describe the first difference of a column, for places the largest beyond `SAME_PLACE`."""
+        """Describe the first difference of a column, for places the largest, or return ''."""
         one, two = (getattr(each, name).astype(float) for each in (other, self))
         apart = np.abs(one - two)
-        unlike = int(np.count_nonzero(apart > (SAME_PLACE if name in PLACE else 0.0)))
+        unlike = int(np.count_nonzero(apart > (POSITION_TOLERANCE if name in PLACE else 0.0)))
         if not unlike:
             return ""
         least = 0.999 * apart.max() if name in PLACE else 0.0  # the first, where all move alike
