@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from truenewton.arrays import in_units
-from truenewton.bench.choice import KINDS, BenchChoice, foreign_keys
-from truenewton.bench.protocol import MOST_SAMPLES
+from truenewton.bench.protocol import BENCH_KINDS, MAX_SAMPLES, BenchChoice, foreign_keys
 from truenewton.errors import FormatError, LimitExceeded
 from truenewton.files.toml import filled, read_toml
 from truenewton.mirrors.file import mirror_from, segment_from, whole_mirror_from
@@ -30,8 +29,8 @@ POSITIVE = ("force_noise", "shapes.stroke", "shapes.force", "limits.force", "lim
 NOT_NEGATIVE = ("settling", "pause", "limits.gap", "shapes.count", "bench.seed",
                 "bench.force_noise", "drift.alpha", "drift.zero", "drift.remounting",
                 "sensors.noise", "sensors.gain", "sensors.offset")  # fmt: skip
-MOST_CYCLES, MOST_TURNS = 999, 3
-LEAST, MOST = 1e-12, 1e9  # of any number of a plan: squares of both stay numbers
+MAX_CYCLES, MAX_TURNS = 999, 3
+MIN_POSITIVE, MAX_NUMBER = 1e-12, 1e9  # of any number of a plan: squares of both stay numbers
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class PlannedShapes:
 
 @dataclass(frozen=True)
 class MirrorLimits:
-    """What the mirror may bear; checked before each command and after each reading.
+    """Limits of the mirror; checked before each command and after each reading.
 
     Attributes
     ----------
@@ -206,7 +205,7 @@ class CampaignPlan:
     def __post_init__(self) -> None:
         in_units(self, {"settling": "s", "pause": "s", "force_noise": "N"})
         for name, low, high in (
-            ("cycles", 1, MOST_CYCLES), ("samples", 1, MOST_SAMPLES), ("turns", 0, MOST_TURNS),
+            ("cycles", 1, MAX_CYCLES), ("samples", 1, MAX_SAMPLES), ("turns", 0, MAX_TURNS),
             ("segment", 0, MAX_ACTUATORS),
         ):  # fmt: skip
             if not low <= getattr(self, name) <= high:
@@ -216,14 +215,14 @@ class CampaignPlan:
         shapes, limits, bench = self.shapes, self.limits, self.bench
         for name in (*POSITIVE, *NOT_NEGATIVE):
             value = attrgetter(name)(self)
-            least = LEAST if name in POSITIVE else 0.0
-            if not least <= value <= (np.inf if name == "bench.seed" else MOST):
-                what = f"a positive number, {LEAST:g}" if least else "zero or more,"
-                raise _wrong(name, value, f"give {what} to {MOST:g}")
-        if not -MOST <= limits.temperature[0] < limits.temperature[1] <= MOST:
+            least = MIN_POSITIVE if name in POSITIVE else 0.0
+            if not least <= value <= (np.inf if name == "bench.seed" else MAX_NUMBER):
+                what = f"a positive number, {MIN_POSITIVE:g}" if least else "zero or more,"
+                raise _wrong(name, value, f"give {what} to {MAX_NUMBER:g}")
+        if not -MAX_NUMBER <= limits.temperature[0] < limits.temperature[1] <= MAX_NUMBER:
             raise _wrong("limits.temperature", list(limits.temperature), "lowest first")
-        if bench.kind not in KINDS:
-            raise _wrong("bench.kind", bench.kind, f"choose {', '.join(KINDS)}")
+        if bench.kind not in BENCH_KINDS:
+            raise _wrong("bench.kind", bench.kind, f"choose {', '.join(BENCH_KINDS)}")
         for name in foreign_keys(bench):
             remedy = f"take it out: a bench of kind '{bench.kind}' does not use it"
             raise _wrong(f"bench.{name}", getattr(bench, name), remedy)
@@ -240,7 +239,7 @@ class CampaignPlan:
 
 
 def _check_loads(loads: Sequence[Load]) -> None:
-    """Refuse loads that cannot be, and those that could not be told apart by name or file."""
+    """Refuse loads that cannot be, and those with the same name or file."""
     files: dict[str, Load] = {}
     for load in loads:
         try:
@@ -302,34 +301,19 @@ def template() -> str:
 
 
 def planned_mirror(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Mirror:
-    """Return the mirror of a plan, or its segment; a file stands relative to the plan's folder.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the mirror of a plan, or its segment; a file stands relative to the plan's folder."""
     name = _mirror_of(plan, folder)
     return segment_from(name, plan.segment)[0] if plan.segment else mirror_from(name)
 
 
 def recorded_layout(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> Layout:
-    """Return the actuators as cycle files name and place them: those of a segment as in the whole.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the actuators as in cycle files, which place those of a segment as in the whole."""
     name = _mirror_of(plan, folder)
     return segment_from(name, plan.segment)[1] if plan.segment else mirror_from(name).layout
 
 
 def planned_bodies(plan: CampaignPlan, folder: str | os.PathLike[str] = ".") -> dict[str, Mirror]:
-    """Return the mirror of a plan, or the segments of it that differ; by how to call each.
-
-    Raises
-    ------
-    UnknownName, UnreadableFile, FormatError, GeometryError
-    """
+    """Return the mirror of a plan, or the segments of it that differ; by how to call each."""
     if plan.segment:
         one = planned_mirror(plan, folder)
         return {one.name: one}

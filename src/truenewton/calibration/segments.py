@@ -17,8 +17,8 @@ from truenewton.calibration.segmented import SegmentedCalibration
 from truenewton.calibration.verdict import warn_of
 from truenewton.calibration.workers import processors, side_by_side
 from truenewton.errors import RankDeficient, TrueNewtonError, UnreadableFile
-from truenewton.estimation.diagnosis import Diagnosis
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import Diagnosis
 from truenewton.estimation.findings.finding import Finding
 from truenewton.progress import telling_of
 from truenewton.records.campaign import Campaign

@@ -6,7 +6,7 @@ import numpy as np
 
 from truenewton.arrays import Array
 from truenewton.errors import FormatError
-from truenewton.estimation.matrix_order import refuse_no_stiffness
+from truenewton.estimation.matrix.order import refuse_no_stiffness
 from truenewton.foreign.positions import in_unit
 
 LIKELY = (2e4, 1e9)  # median own stiffness of a mirror [N/m]

@@ -19,15 +19,15 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import svds
 
 from truenewton.arrays import Array, taking_units
-from truenewton.calibration.methods import asked, calibrate, calibration_of, find_alpha
+from truenewton.calibration.methods import asked, calibrate, calibration_of, estimate_alpha
 from truenewton.calibration.result import Calibration
 from truenewton.calibration.verdict import REGARDLESS, refuse_unusable
 from truenewton.errors import NotToBeUsed
 from truenewton.estimation.findings.code import Code, Level
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.row_readers import read_rows
-from truenewton.estimation.sifted import sift
-from truenewton.estimation.sifted_matrix import as_calibrated
+from truenewton.estimation.matrix.screen import as_calibrated
+from truenewton.estimation.readings.row_readers import read_rows
+from truenewton.estimation.screening.screen import screen_campaign
 from truenewton.modal.measured_stiffness import (
     MeasuredStiffness,
     MotionReader,
@@ -357,11 +357,11 @@ def _with_alpha(
     if isinstance(data, StiffnessMatrix):
         return data, None, calibration or calibrate(data, motion=motion), None
     if reader is None:
-        sifted = sift(data)
-        reader = motion_reader(sifted)
+        screened = screen_campaign(data)
+        reader = motion_reader(screened)
         if calibration is None:
             method, known = asked(data, None, population=False, motion=motion)
-            estimate = find_alpha(sifted, method, known)
+            estimate = estimate_alpha(screened, method, known)
             calibration = calibration_of(data, estimate, (reader.take,))
         else:
             read_rows(data, (reader.take,))

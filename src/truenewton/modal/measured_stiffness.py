@@ -26,14 +26,14 @@ from numpy.typing import NDArray
 
 from truenewton.arrays import Array, freeze
 from truenewton.errors import RankDeficient
-from truenewton.estimation.block_rows import distinct
-from truenewton.estimation.diagnosis import RejectedRow
+from truenewton.estimation.checks.inputs import refusal_naming
+from truenewton.estimation.findings.estimate import RejectedRow
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.repeats import row_groups, row_weights
-from truenewton.estimation.row_readers import RowBlock, read_rows
-from truenewton.estimation.sifted import Sifted, sift
-from truenewton.estimation.still_readings import frozen_sensors
-from truenewton.estimation.suspects import refusal_naming
+from truenewton.estimation.readings.repeats import row_groups, row_weights
+from truenewton.estimation.readings.row_readers import RowBlock, read_rows
+from truenewton.estimation.readings.rows import distinct
+from truenewton.estimation.screening.frozen_readings import frozen_sensors
+from truenewton.estimation.screening.screen import ScreenedCampaign, screen_campaign
 from truenewton.files.stored_rows import Rows, StoredRows, blocks, largest_in_rows
 from truenewton.records.campaign import Campaign
 from truenewton.records.cycle import Cycle
@@ -147,7 +147,7 @@ class MotionReader:
         if cycle.position is not None:
             z = block.position[counts] - cycle.rest_position
             force *= 1.0 + (cycle.coil_gradient or 0.0) * z
-        at_rest = force[cycle.rest_rows[own]]
+        at_rest = force[cycle.paired_rows[own]]
         self._rest[k] += at_rest.sum(axis=0)
         if k in self._groups and len(force):
             if self._near_rest is None:
@@ -177,7 +177,7 @@ class MotionReader:
     def _end_cycle(self, cycle_index: int) -> None:
         """Make the rows of the cycle relative to its own rest."""
         rest = self._rest[cycle_index]
-        rest /= np.count_nonzero(self.sound.cycles[cycle_index].rest_rows)
+        rest /= np.count_nonzero(self.sound.cycles[cycle_index].paired_rows)
         if cycle_index in self._groups and self._near_rest is not None:
             shift = rest - self._near_rest
             self._within.cz -= np.outer(shift, self._sum_position)
@@ -288,12 +288,12 @@ def measured_stiffness(campaign: Campaign) -> MeasuredStiffness:
     >>> tn.measured_stiffness(campaign).matrix
     <StiffnessMatrix of P45: 45 actuators>
     """
-    reader = motion_reader(sift(replace(campaign, stiffness=None)))
+    reader = motion_reader(screen_campaign(replace(campaign, stiffness=None)))
     read_rows(campaign, (reader.take,))
     return stiffness_of(reader)
 
 
-def motion_reader(sifted: Sifted) -> MotionReader:
+def motion_reader(screened: ScreenedCampaign) -> MotionReader:
     """Return a reader of force and displacement of all rows without outliers.
 
     If the campaign contains a stiffness, only the force at rest is read.
@@ -304,9 +304,9 @@ def motion_reader(sifted: Sifted) -> MotionReader:
         No cycle contains POSITION.
     TooManyOutliers
     """
-    campaign, on = sifted.campaign, sifted.campaign.layout.enabled
+    campaign, on = screened.campaign, screened.campaign.layout.enabled
     if campaign.stiffness is not None:
-        return MotionReader(campaign, sifted.sound)
+        return MotionReader(campaign, screened.sound)
     positioned = [
         k
         for k, cycle in enumerate(campaign.cycles)  # zeros may stand in place of POSITION
@@ -319,16 +319,16 @@ def motion_reader(sifted: Sifted) -> MotionReader:
             got=0,
         )
     if len(positioned) < len(campaign.cycles):  # others tell nothing of these
-        by_force = sift(Campaign(tuple(campaign.cycles[k] for k in positioned)))
+        by_force = screen_campaign(Campaign(tuple(campaign.cycles[k] for k in positioned)))
     else:
-        by_force = sifted
+        by_force = screened
     displaced = tuple(
         replace(cycle, force=_displacements(cycle, positions), position=None, force_error=None)
         for cycle in by_force.sound.cycles
         if (positions := cycle.position) is not None
     )
-    by_position = sift(Campaign(displaced))
-    cycles = list(sifted.sound.cycles)
+    by_position = screen_campaign(Campaign(displaced))
+    cycles = list(screened.sound.cycles)
     for k, cycle, other in zip(
         positioned, by_force.sound.cycles, by_position.sound.cycles, strict=True
     ):
@@ -367,7 +367,7 @@ def stiffness_of(reader: MotionReader) -> MeasuredStiffness:
     least = MIN_AMPLITUDE_WITHOUT_REPEATS if np.isnan(noise) else MIN_AMPLITUDE
     held = values > max(MIN_SIGNAL_TO_NOISE**2 * np.nan_to_num(noise), least**2 * values[-1])
     with refusal_naming(lambda: frozen):
-        along = _along_rigid(vectors[:, ~held], layout, any(c.knows_rest for c in cycles))
+        along = _along_rigid(vectors[:, ~held], layout, any(c.has_opposites for c in cycles))
     # S^-1 on the directions of the shapes, projected along the missing rigid motions.
     half = along.T @ vectors[:, held] / np.sqrt(np.maximum(values[held], 1e-300))
     inverse = half @ half.T
@@ -416,7 +416,7 @@ def _displacements(cycle: Cycle, positions: Rows) -> Rows:
     return positions - rest
 
 
-def _along_rigid(missing: Array, layout: Layout, knows_rest: bool) -> Array:
+def _along_rigid(missing: Array, layout: Layout, has_opposites: bool) -> Array:
     """Return the (n, n) projection of displacements along rigid motions.
 
     It keeps the motions of the shapes, and removes as many rigid motions as there are (n, d)
@@ -435,7 +435,7 @@ def _along_rigid(missing: Array, layout: Layout, knows_rest: bool) -> Array:
         raise RankDeficient(
             f"{elastic} of {n - 3} elastic motions are missing from the shapes or drowned in noise",
             remedy="take shapes that span all stiffness modes, larger, or repeat them"
-            if knows_rest
+            if has_opposites
             else "take each shape with both signs, so that the mirror at rest is known",
             got=n - 3 - elastic,
             want=n - 3,

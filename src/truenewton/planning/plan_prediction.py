@@ -14,24 +14,24 @@ from pathlib import Path
 
 import numpy as np
 
-from truenewton.acquisition.drift import (
+from truenewton.acquisition.load_order import (
     OrderCost,
     mounting_variance,
+    mountings,
     order_cost,
     order_costs,
     scale_balance,
 )
-from truenewton.acquisition.mountings import mountings
 from truenewton.acquisition.plan import CampaignPlan, read_plan
 from truenewton.acquisition.shapes import expected_alpha
 from truenewton.arrays import Array
 from truenewton.errors import LimitExceeded, RankDeficient, TrueNewtonError, located
 from truenewton.estimation.findings.code import Code
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.reciprocity.sight import places_of
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind
-from truenewton.estimation.sifted import campaign_moments
+from truenewton.estimation.readings.moments import Moments
+from truenewton.estimation.reciprocity.sensor_model import places_of
+from truenewton.estimation.reciprocity.unknowns import Kind, Request
+from truenewton.estimation.screening.screen import campaign_moments
 from truenewton.mirrors.sensor_model import model_sensors
 from truenewton.planning.forces import (
     Prepared,
@@ -137,7 +137,7 @@ def with_sensors(ready: Prepared, cycles: Sequence[int]) -> WithSensors:
     try:
         gained = sensor_information(
             places_of(layout, model_sensors(ready.glass)),
-            Asked(plan.sensors.gain, plan.sensors.offset),
+            Request(plan.sensors.gain, plan.sensors.offset),
             *(np.sqrt(repeats) * each[:, layout.enabled] for each in (ready.shapes, ready.force)),
             force_noise=plan.force_noise,
             position_noise=plan.sensors.noise,

@@ -16,26 +16,28 @@ import numpy as np
 import scipy.linalg
 
 from truenewton.arrays import Array
-from truenewton.estimation.cycles_ml import patterns_near_noise
-from truenewton.estimation.diagnosis import Diagnosis, ScaleError
+from truenewton.estimation.campaign_ml import patterns_near_noise, tolerable, with_patterns_held
 from truenewton.estimation.findings.code import Code
+from truenewton.estimation.findings.estimate import Diagnosis, ScaleError
 from truenewton.estimation.findings.finding import Finding
-from truenewton.estimation.identifiability import in_words, load_fault, refuse, structural_faults
-from truenewton.estimation.likelihood import expected
-from truenewton.estimation.minimum import Minimum
-from truenewton.estimation.moments import Moments
-from truenewton.estimation.noise import reading_noise
+from truenewton.estimation.findings.scale_budget import scale_errors, typical
+from truenewton.estimation.likelihood.minimum import Minimum
+from truenewton.estimation.likelihood.objective import expected
+from truenewton.estimation.paper.identifiability import (
+    describe_pattern,
+    load_fault,
+    refuse,
+    structural_faults,
+)
 from truenewton.estimation.problem import Problem, problem_of
-from truenewton.estimation.reciprocity.cycles import alpha_information, mean_forces
+from truenewton.estimation.readings.moments import Moments, ShapeSums
+from truenewton.estimation.reciprocity.campaign import alpha_information, mean_forces
 from truenewton.estimation.reciprocity.information import information
 from truenewton.estimation.reciprocity.iteration import point_at
-from truenewton.estimation.reciprocity.known_noise import Regressed
-from truenewton.estimation.reciprocity.regression import refuse_unheld
-from truenewton.estimation.reciprocity.sight import Places
-from truenewton.estimation.reciprocity.unknowns import Asked, Kind, at_nominal
-from truenewton.estimation.shape_sums import ShapeSums
-from truenewton.estimation.undetermined import tolerable, with_patterns_held
-from truenewton.estimation.weights import scale_errors, typical
+from truenewton.estimation.reciprocity.regression import Regressed, refuse_unheld
+from truenewton.estimation.reciprocity.sensor_model import Places
+from truenewton.estimation.reciprocity.unknowns import Kind, Request, at_nominal
+from truenewton.estimation.screening.noise import reading_noise
 from truenewton.linalg import largest_eigenvalue
 from truenewton.records.campaign import Campaign
 from truenewton.statics.layout import Layout
@@ -186,7 +188,7 @@ def state_errors(known: KnownTruth, minimum: Minimum, undetermined: int = 0) -> 
         diagnosis=Diagnosis(
             undetermined=undetermined,
             warnings=tuple(warning for warning in warnings if warning),
-            weakest=in_words(vector, layout),
+            weakest=describe_pattern(vector, layout),
             weakest_share=value / float(np.trace(reading_covariance)),
         ),
     )
@@ -232,7 +234,7 @@ class SensorInformation:
         (u, u) information on the unknowns, relative alpha first; proportional to the cycles.
     """
 
-    asked: Asked
+    asked: Request
     data: Array
 
     def after(self, cycles: int) -> Array:
@@ -243,7 +245,7 @@ class SensorInformation:
 
 def sensor_information(
     places: Places,
-    asked: Asked,
+    asked: Request,
     shapes: Array,
     force: Array,
     *,

@@ -8,11 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from truenewton.acquisition.drift import OrderCost, turns_that_pay, without_remounting
-from truenewton.acquisition.mountings import mountings, reading_time
-from truenewton.acquisition.taker import ELSEWHERE, SURE
+from truenewton.acquisition.load_order import (
+    OrderCost,
+    mountings,
+    reading_time,
+    turns_that_pay,
+    without_remounting,
+)
+from truenewton.acquisition.taker import POSITION_SIGMAS, POSITION_TOLERANCE
 from truenewton.calibration.words import warning_lines
-from truenewton.estimation.weights import scale_budget
+from truenewton.estimation.findings.scale_budget import scale_budget
 from truenewton.planning.plan_prediction import Change, Curve, PlanPrediction
 from truenewton.rounding import counted, percent
 
@@ -78,7 +83,7 @@ def _small_shapes(outcome: PlanPrediction) -> list[tuple[str, str, str]]:
     """Return a row if shapes are so small that position noise would be taken for a fault."""
     shapes, noise = outcome.ready.shapes, outcome.ready.plan.sensors.noise
     strokes = np.abs(shapes).max(axis=1)
-    small = int(np.count_nonzero(ELSEWHERE * strokes < SURE * noise))
+    small = int(np.count_nonzero(POSITION_TOLERANCE * strokes < POSITION_SIGMAS * noise))
     if not small:
         return []
     return [

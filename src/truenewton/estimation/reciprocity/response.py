@@ -15,21 +15,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from truenewton.arrays import Array
-from truenewton.estimation.reciprocity.blocks import Residuals
-from truenewton.estimation.reciprocity.element_noise import cost_of_modes, element_variance
-from truenewton.estimation.reciprocity.information import in_single, score, to_single
+from truenewton.estimation.reciprocity.acceptance import errors_of_sensors
+from truenewton.estimation.reciprocity.information import Residuals, in_single, score, to_single
 from truenewton.estimation.reciprocity.iteration import Fit
-from truenewton.estimation.reciprocity.sensors import errors_of_sensors
-from truenewton.estimation.reciprocity.sight import Places
-from truenewton.estimation.reciprocity.unknowns import OFFSETS, Asked, Kind
+from truenewton.estimation.reciprocity.noise import cost_of_modes, element_variance
+from truenewton.estimation.reciprocity.sensor_model import Places
+from truenewton.estimation.reciprocity.unknowns import OFFSETS, Kind, Request
 from truenewton.linalg import factor_of
 
-SEED = 1
-WORK = 1e9  # (n actuators)^3 times the draws, between a few and many
-FEWEST, MOST = 50, 300
-RARE = 0.01  # of draws: what differs by more than all but these may be no noise, and is none
-UNSURE = 1.5  # times beyond these, as the variance of the elements is not known for sure
-SCALE = 1e-9  # of the largest variance: below it only the scale is, which is no error
+DRAW_SEED = 1
+DRAW_WORK = 1e9  # (n actuators)^3 times the draws, between a few and many
+MIN_DRAWS, MAX_DRAWS = 50, 300
+RARE_DRAW_FRACTION = (
+    0.01  # of draws: what differs by more than all but these may be no noise, and is none
+)
+UNCERTAIN_VARIANCE_FACTOR = (
+    1.5  # times beyond these, as the variance of the elements is not known for sure
+)
+SCALE_VARIANCE = 1e-9  # of the largest variance: below it only the scale is, which is no error
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +53,7 @@ class Noise:
     scatter: tuple[float, float] = (0.0, 0.0)
     scores: Array | None = None
 
-    def of(self, asked: Asked, n: int) -> Array:
+    def of(self, asked: Request, n: int) -> Array:
         """Return (u,) standard deviations of the unknowns that are drawn."""
         gain, offset = self.scatter
         spreads = {Kind.ALPHA: 0.0, Kind.GAIN: gain, Kind.X: offset, Kind.Y: offset}
@@ -68,7 +71,7 @@ def noise_of(stiffness: Array, fit: Fit, places: Places) -> Noise:
     n = len(variance)
     drawn = scores(fit, variance)
     by_noise = -drawn @ fit.covariance
-    unit = np.random.default_rng(SEED).standard_normal(by_noise.shape)
+    unit = np.random.default_rng(DRAW_SEED).standard_normal(by_noise.shape)
     known = fit.asked.information(n)
     scatter = []
     for kinds in ((Kind.GAIN,), OFFSETS):
@@ -90,14 +93,18 @@ def scores(fit: Fit, variance: Array) -> Array:
     In single precision: they are random.
     """
     n, point = len(variance), in_single(fit.point)
-    random, states, alpha = np.random.default_rng(SEED), fit.point.states, fit.values.alpha[:, None]
+    random, states, alpha = (
+        np.random.default_rng(DRAW_SEED),
+        fit.point.states,
+        fit.values.alpha[:, None],
+    )
     symmetric = bool(point.weights.reciprocity.any())
     used = states.forces / alpha  # rigid motions are judged by the forces of the modes alone
     used = used / np.linalg.norm(used, axis=0)
     size, w = alpha * np.sqrt(variance), states.displacements
     readings, displacements = to_single(states.readings), to_single(w)
     found = []
-    for _ in range(int(np.clip(WORK / n**3, FEWEST, MOST))):
+    for _ in range(int(np.clip(DRAW_WORK / n**3, MIN_DRAWS, MAX_DRAWS))):
         noise = size * random.standard_normal(size.shape)
         pushed = to_single(noise) @ readings
         rigid = alpha * (used @ (used.T @ ((noise @ states.rigid_readings) / alpha)))
@@ -113,7 +120,7 @@ def errors(fit: Fit, noise: Noise, by_noise: Array) -> Array:
     Noise and sensors are the same for all fits.
     """
     n, total = len(fit.values.log_alpha), by_noise.copy()
-    unit = np.random.default_rng([SEED, 1]).standard_normal((len(total), 3 * n))
+    unit = np.random.default_rng([DRAW_SEED, 1]).standard_normal((len(total), 3 * n))
     sensors = np.concatenate([np.zeros((len(total), n)), unit], axis=1)[:, : total.shape[1]]
     total += sensors * noise.of(fit.asked, n) * fit.asked.information(n)
     return np.asarray(-total @ fit.covariance)
@@ -152,14 +159,14 @@ def _by_size(stated: Array, drawn: Array) -> tuple[Array, Array]:
     bands of as many patterns as there are before.
     """
     values, vectors = (each[..., ::-1] for each in np.linalg.eigh(stated))
-    base = np.maximum(values, SCALE * values[0])
+    base = np.maximum(values, SCALE_VARIANCE * values[0])
     along, start = np.mean((drawn @ vectors) ** 2, axis=0) / base, 0
     held = np.zeros(len(values))
     while start < len(values):
         some = slice(start, max(1, 2 * start))
         held[some] = base[some] * np.mean(along[some])
         start = some.stop
-    held[values < SCALE * values[0]] = 0.0
+    held[values < SCALE_VARIANCE * values[0]] = 0.0
     return held, vectors
 
 
@@ -168,7 +175,7 @@ def drawn_differences(fits: Sequence[Fit], noise: Noise) -> Array:
     if noise.variance is None:
         one, other = (fit.covariance_of(Kind.ALPHA) for fit in fits)
         factor = factor_of(one + other)
-        unit = np.random.default_rng(SEED).standard_normal((MOST, factor.shape[1]))
+        unit = np.random.default_rng(DRAW_SEED).standard_normal((MAX_DRAWS, factor.shape[1]))
         return np.asarray(unit @ factor.T)
     n = len(noise.variance)
     one, other = (errors(fit, noise, scores(fit, noise.variance))[:, :n] for fit in fits)
@@ -190,6 +197,8 @@ def beyond_noise(fits: Sequence[Fit], drawn: Array, *, alike: bool, doubtful: bo
     excess = 1.0
     for way in (white, np.eye(len(held)))[: 1 + alike]:
         seen, usual = np.sum((difference @ way) ** 2), np.sum((drawn @ way) ** 2, axis=1)
-        if doubtful or seen > UNSURE * np.quantile(usual, 1.0 - RARE):
+        if doubtful or seen > UNCERTAIN_VARIANCE_FACTOR * np.quantile(
+            usual, 1.0 - RARE_DRAW_FRACTION
+        ):
             excess = max(excess, float(seen / usual.mean()))
     return excess
